@@ -122,12 +122,12 @@ static int remember(void *context, const struct mo_bits *born)
 /* Collects the designs that must not be born again. */
 static int read_seen(struct mo_campaign_run *run)
 {
+  const struct mo_form_set *excluded = NULL;
   int error = MO_OK;
   if (run->settings->exclude_pretraining)
-    error = mo_exclusion_acquire(run, &run->exclusion);
+    error = mo_exclusion_acquire(run, &excluded);
   if (error == MO_OK)
-    error =
-        mo_seen_create(run->settings->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
+    error = mo_seen_create(run->settings->workspace, excluded, &run->seen);
   if (error == MO_OK)
     error = mo_store_campaign_each(run->jobs->store, run->id, remember, run);
   return error;
@@ -465,7 +465,7 @@ static void clean_up(void *context)
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
   mo_study_batch_free(run->told);
-  mo_exclusion_release(run, run->exclusion);
+  mo_exclusion_release(run);
   free(run->environments);
   free_rows(&run->all_rows[0]);
   free_rows(&run->all_rows[1]);

@@ -39,11 +39,6 @@ struct mo_exclusion {
   struct mo_exclusion *next;
 };
 
-const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusion)
-{
-  return exclusion != NULL ? exclusion->forms : NULL;
-}
-
 /* ---- drawing ---- */
 
 static void end_part(struct mo_exclusion *exclusion, uint64_t n_bodies)
@@ -93,8 +88,7 @@ static void begin(struct mo_exclusion *exclusion)
 static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
 {
   if (a->status < 0 || a->lineage.n_parts != b->lineage.n_parts ||
-      a->workspace.nx != b->workspace.nx || a->workspace.ny != b->workspace.ny ||
-      a->workspace.nz != b->workspace.nz)
+      !mo_workspace_equal(a->workspace, b->workspace))
     return false;
   for (uint32_t i = 0; i < a->lineage.n_parts; i++)
     if (a->lineage.parts[i].seed != b->lineage.parts[i].seed ||
@@ -147,11 +141,13 @@ static void take_out(struct mo_jobs *jobs, const struct mo_exclusion *exclusion)
   *link = exclusion->next;
 }
 
-void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
+void mo_exclusion_release(struct mo_campaign_run *run)
 {
   struct mo_jobs *jobs = run->jobs;
+  struct mo_exclusion *exclusion = run->exclusion;
   if (exclusion == NULL)
     return;
+  run->exclusion = NULL;
   pthread_mutex_lock(&jobs->exclusions_mutex);
   if (exclusion->drawer == run->id)
     exclusion->drawer = 0;
@@ -170,80 +166,90 @@ void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *excl
 
 /* ---- waiting ---- */
 
-/* Returns DRAWING with the progress in *drawing, then MO_OK or the error. */
-static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusion,
-                struct mo_campaign_drawing *drawing)
+/* Estimates all remaining generations from the newest one; 0: unknown. */
+static double generations_s(const struct mo_campaign_run *run)
 {
-  const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
-  pthread_mutex_lock(&run->jobs->exclusions_mutex);
-  if (exclusion->drawer == 0)
-    exclusion->drawer = run->id;
-  *drawing = (struct mo_campaign_drawing){
-      .done = exclusion->n_before + __atomic_load_n(&exclusion->n_drawn, __ATOMIC_RELAXED),
-      .total = exclusion->n_bodies,
-      .seconds_left = -1,
-      .drawer = exclusion->drawer};
-  const int status = exclusion->status;
-  pthread_mutex_unlock(&run->jobs->exclusions_mutex);
-  /* All bodies take about as long: between a second and a minute, the rate changes by a few
-   * percent. */
-  if (drawing->done > 0)
-    drawing->seconds_left =
-        passed_s / (double)drawing->done * (double)(drawing->total - drawing->done);
-  return status;
+  const uint32_t generations = run->settings->generations;
+  return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s
+                                        : 0;
 }
 
+/* Shows the progress of the drawing. seconds_left < 0: not known yet. */
+static void show(struct mo_campaign_run *run, uint64_t done, uint64_t total, int64_t drawer,
+                 double seconds_left)
+{
+  struct mo_live *live = &run->runner->live;
+  MO_GUARD(&run->runner->runners->mutex);
+  live->done = done;
+  live->total = total;
+  live->seconds_left = seconds_left < 0 ? -1 : seconds_left + generations_s(run);
+  live->reason[0] = '\0';
+  if (drawer != run->id)
+    snprintf(live->reason, sizeof(live->reason),
+             "campaign %lld draws the bodies again that the controller was pretrained on: this one "
+             "waits for the same",
+             (long long)drawer);
+}
+
+/* Waits for the end of the drawing, or for a request. */
 static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
-  struct mo_runner *runner = run->runner;
-  struct mo_campaign_drawing drawing;
-  int status;
-  for (uint32_t ms = 1; (status = look(run, exclusion, &drawing)) > 0;
-       ms = 2 * ms < WAIT_MS_MAX ? 2 * ms : WAIT_MS_MAX) {
-    if (mo_runner_is_interrupted(runner))
+  for (uint32_t ms = 1;; ms = 2 * ms < WAIT_MS_MAX ? 2 * ms : WAIT_MS_MAX) {
+    pthread_mutex_lock(&run->jobs->exclusions_mutex);
+    if (exclusion->drawer == 0)
+      exclusion->drawer = run->id;
+    const uint64_t done =
+        exclusion->n_before + __atomic_load_n(&exclusion->n_drawn, __ATOMIC_RELAXED);
+    const int64_t drawer = exclusion->drawer;
+    const int status = exclusion->status;
+    pthread_mutex_unlock(&run->jobs->exclusions_mutex);
+    if (status != DRAWING)
+      return status;
+    if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
-    mo_campaign_show_drawing(run, &drawing);
-    mo_runner_sleep(runner, ms, MO_REQUEST_PAUSE);
+    /* All bodies take about as long: between a second and a minute, the rate changes by a few
+     * percent. */
+    const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
+    show(run, done, exclusion->n_bodies, drawer,
+         done > 0 ? passed_s / (double)done * (double)(exclusion->n_bodies - done) : -1);
+    mo_runner_sleep(run->runner, ms, MO_REQUEST_PAUSE);
   }
-  return status;
 }
 
-static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
-                struct mo_exclusion **joined)
+static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage)
 {
   bool is_new;
-  struct mo_exclusion *exclusion = find_or_add(run, lineage, &is_new);
-  if (exclusion == NULL)
+  run->exclusion = find_or_add(run, lineage, &is_new);
+  if (run->exclusion == NULL)
     return MO_ERR_NO_MEMORY;
-  mo_campaign_enter(run, MO_PHASE_PREPARE, exclusion->n_bodies);
+  mo_campaign_enter(run, MO_PHASE_PREPARE, run->exclusion->n_bodies);
   if (is_new)
-    begin(exclusion);
-  int error = await(run, exclusion);
-  if (error == MO_OK)
-    *joined = exclusion;
-  else
-    mo_exclusion_release(run, exclusion);
+    begin(run->exclusion);
+  const int error = await(run, run->exclusion);
+  if (error != MO_OK)
+    mo_exclusion_release(run);
+  show(run, 0, 0, run->id, generations_s(run) > 0 ? 0 : -1);
   return error;
 }
 
-int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion)
+int mo_exclusion_acquire(struct mo_campaign_run *run, const struct mo_form_set **forms)
 {
   struct mo_message message = {""};
   struct mo_lineage lineage = {.n_parts = 0};
   int error = MO_OK;
-  *exclusion = NULL;
   if (run->controller != NULL)
     error = mo_lineage_read(run->jobs, &run->status.job.controller_sha256, run, &lineage, &message);
   if (error == MO_ERR_LIMIT)
     return mo_runner_fail(run->runner, error, message.text);
   if (error != MO_OK || lineage.n_parts == 0)
     return error;
-  error = join(run, &lineage, exclusion);
-  mo_campaign_show_drawing(run, NULL);
+  error = join(run, &lineage);
   if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
                                     child could be found */
     return mo_runner_fail(run->runner, MO_ERR_LIMIT,
                           "the controller's lineage names more bodies of pretraining than can be "
                           "found: submit with exclude_pretraining false");
+  if (error == MO_OK)
+    *forms = run->exclusion->forms;
   return error;
 }

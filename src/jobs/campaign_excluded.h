@@ -22,12 +22,11 @@ int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
                     struct mo_message *message);
 
 /* ---- campaign_excluded.c ---- */
-/* Returns the forms of the bodies on which the campaign's controller and its ancestors were
- * pretrained. Draws these bodies again, or shares the set of another campaign that has or draws
- * them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a request arrived. */
-int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion);
-void mo_exclusion_release(struct mo_campaign_run *run,
-                          struct mo_exclusion *exclusion); /* NULL-safe */
-const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusion);
+/* Finds the forms of the bodies on which the campaign's controller and its ancestors were
+ * pretrained, and keeps them for the run. Draws these bodies again, or shares the set of another
+ * campaign that has or draws them. If there are none, *forms stays as it is. MO_ERR_CANCELLED: a
+ * request arrived. */
+int mo_exclusion_acquire(struct mo_campaign_run *run, const struct mo_form_set **forms);
+void mo_exclusion_release(struct mo_campaign_run *run); /* of the run, if it has any */
 
 #endif

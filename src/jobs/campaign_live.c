@@ -49,35 +49,6 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double roll
   runner->live.seconds_left = seconds_left(run, &runner->live);
 }
 
-/* Estimates all remaining generations from the newest one; 0: unknown. */
-static double generations_s(const struct mo_campaign_run *run)
-{
-  const uint32_t generations = run->settings->generations;
-  return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s
-                                        : 0;
-}
-
-void mo_campaign_show_drawing(struct mo_campaign_run *run,
-                              const struct mo_campaign_drawing *drawing)
-{
-  struct mo_runner *runner = run->runner;
-  struct mo_live *live = &runner->live;
-  const double after_s = generations_s(run);
-  MO_GUARD(&runner->runners->mutex);
-  live->done = drawing != NULL ? drawing->done : 0;
-  live->total = drawing != NULL ? drawing->total : 0;
-  live->reason[0] = '\0';
-  if (drawing == NULL)
-    live->seconds_left = after_s > 0 ? after_s : -1;
-  else
-    live->seconds_left = drawing->seconds_left < 0 ? -1 : drawing->seconds_left + after_s;
-  if (drawing != NULL && drawing->drawer != run->id)
-    snprintf(live->reason, sizeof(live->reason),
-             "campaign %lld draws the bodies again that the controller was pretrained on: this one "
-             "waits for the same",
-             (long long)drawing->drawer);
-}
-
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
                                  uint64_t total, char text[256])
 {

@@ -89,15 +89,6 @@ struct mo_campaign_run {
 void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
 /* Sets the progress that the live figures show for the phase. rollouts_per_s 0: as before. */
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double rollouts_per_s);
-/* Progress of drawing the bodies of pretrainings again. */
-struct mo_campaign_drawing {
-  uint64_t done, total;
-  double seconds_left; /* < 0: not known yet */
-  int64_t drawer;      /* the campaign that draws them */
-};
-/* Shows the progress of the drawing; NULL: the drawing has ended. */
-void mo_campaign_show_drawing(struct mo_campaign_run *run,
-                              const struct mo_campaign_drawing *drawing);
 /* Returns the JSON of "campaign.progress", or NULL less than a second after run->progress_us, which
  * the caller sets when it has written the event. */
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
