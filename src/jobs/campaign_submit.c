@@ -23,7 +23,7 @@ static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *li
                          struct mo_workspace workspace, struct mo_need *need)
 {
   const struct mo_workspace all = MO_DEFAULT_WORKSPACE;
-  const bool is_all = workspace.nx == all.nx && workspace.ny == all.ny && workspace.nz == all.nz;
+  const bool is_all = mo_workspace_equal(workspace, all);
   const uint32_t n = jobs->memory.n_workers;
   uint64_t total = 0, apart = 0,
            key = UINT64_C(0xcbf29ce484222325) ^ mo_workspace_voxels(workspace);
@@ -179,10 +179,10 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
   struct mo_campaign_status status;
   struct mo_campaign_settings *settings = &status.record.settings;
   char digits[MO_SHA256_DIGITS + 8] = "sha256:";
-  if (mo_store_campaign(jobs->store, id, &status) == MO_OK && settings->mode == MO_STUDY)
+  const int error = mo_store_campaign(jobs->store, id, &status);
+  if (error == MO_OK && settings->mode == MO_STUDY)
     return mo_fail(message, MO_ERR_UNSUPPORTED, "a study has as many generations as are told");
-  if (mo_store_campaign(jobs->store, id, &status) != MO_OK ||
-      generations > MO_GENERATIONS_MAX - settings->generations)
+  if (error != MO_OK || generations > MO_GENERATIONS_MAX - settings->generations)
     return MO_OK; /* rejected elsewhere, with another message */
   settings->generations += generations;
   mo_sha256_to_hex(&status.job.controller_sha256, digits + strlen(digits));
