@@ -13,7 +13,6 @@
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_excluded.h"
-#include "jobs/campaign_race.h"
 #include "jobs/trainings.h"
 #include "store/worlds.h"
 

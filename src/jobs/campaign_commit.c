@@ -11,7 +11,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "jobs/campaign_race.h"
+#include "jobs/campaign_run.h"
 
 struct mo_campaign_writing {
   struct mo_jobs *jobs;

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/campaign_race.h"
+#include "jobs/campaign_run.h"
 
 _Static_assert(MO_RACE_ENVIRONMENTS_MAX == MO_ENVIRONMENTS_MAX, "a plan holds every environment");
 

@@ -59,19 +59,17 @@ struct mo_campaign_run {
 
   /* Learning (campaign_learn.c). */
   struct mo_learner learner;
-  struct mo_campaign_step
-      *steps; /* (parent + child steps) rows from steps_saved on are not written yet */
-  uint32_t step, steps_saved; /* steps done in this generation; at the last checkpoint */
+  struct mo_campaign_step *steps; /* (parent + child steps) not written from steps_saved on */
+  uint32_t step, steps_saved;     /* steps done in this generation; at the last checkpoint */
   int64_t checkpoint_us;
   double first_loss, last_loss;
 
   /* Scores of the candidates from `first_scored` on (campaign_score.c). */
   struct mo_scoring scoring;
   uint32_t first_scored, n_scored;
-  struct mo_compute_controller
-      *frozen;                     /* zero-shot: weights ready for the back end; NULL at first */
-  struct mo_campaign_loss *losses; /* (n_scored) */
-  uint32_t *unsaved;               /* (n_scored) places whose losses are not saved yet */
+  struct mo_compute_controller *frozen; /* zero-shot: ready for the back end; NULL at first */
+  struct mo_campaign_loss *losses;      /* (n_scored) */
+  uint32_t *unsaved;                    /* (n_scored) places whose losses are not saved yet */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
   uint64_t n_cached; /* losses that were found in the table `scores` */
@@ -130,5 +128,22 @@ int mo_campaign_score(struct mo_campaign_run *run);
 /* Saves the losses that are not saved yet. run: struct mo_campaign_run. */
 int mo_campaign_save_losses(void *run);
 void mo_campaign_free_scores(struct mo_campaign_run *run);
+
+/* ---- campaign_race.c ---- */
+/* Closes the cells of the children until the race begins, if there is one. After the cells are
+ * made; MO_ERR_NO_MEMORY. */
+int mo_race_close(struct mo_campaign_run *run);
+/* Begins the race, unless parents have no scores yet. After what is known is marked. */
+void mo_race_begin(struct mo_campaign_run *run);
+/* Goes on with a candidate whose losses have come. is_done: it has no cell left. Returns whether it
+ * is done now: it may be cut short. */
+bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done);
+/* Returns whether a race saved time in this generation, or would have; if that cannot be said, as
+ * before it. */
+bool mo_race_pays(const struct mo_campaign_run *run);
+/* Keeps the losses of the survivors for the plan of the next generation, in `to`. */
+void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to);
+/* Reads the losses of the population that a campaign goes on with. */
+int mo_race_read(struct mo_campaign_run *run);
 
 #endif

@@ -10,7 +10,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "jobs/campaign_race.h"
+#include "jobs/campaign_run.h"
 
 #define SAVED_AT_ONCE           1024
 #define LOOK_UP_THREADS         4 /* the store has a few more connections, for others */
