@@ -12,13 +12,12 @@
 #include <systemd/sd-daemon.h>
 
 #include "base/clock.h"
+#include "daemon/commands.h"
 #include "daemon/crash.h"
 #include "daemon/log.h"
 #include "daemon/memory.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
-#include "daemon/store_command.h"
-#include "daemon/worker_command.h"
 
 #define STOP_LIMIT_S                                                                               \
   9 /* from the first SIGTERM, with a drain of at most 5 s, to the end of the process */

@@ -1,5 +1,5 @@
-/* store_command.c: see store_command.h. Writes to standard output for a person, logs nothing. */
-#include "store_command.h"
+/* store_command.c: `morphod store`. Writes to standard output for a person, logs nothing. */
+#include "daemon/commands.h"
 
 #include <ctype.h>
 #include <inttypes.h>

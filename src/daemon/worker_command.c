@@ -1,6 +1,6 @@
 /* worker_command.c: `morphod worker`: its options, its back end, and its signals. The main thread
  * takes the signals; the worker's loop has a thread of its own. */
-#include "daemon/worker_command.h"
+#include "daemon/commands.h"
 
 #include <ctype.h>
 #include <signal.h>
