@@ -14,6 +14,7 @@
 #include "daemon/settings.h"
 #include "jobs/controllers.h"
 #include "store/check.h"
+#include "store/scores.h"
 #include "store/store.h"
 
 #define SAMPLE     200 /* losses of each class that `check` computes again */
@@ -39,11 +40,8 @@ static int compute_again(struct mo_compute *compute, const struct mo_lattice *la
                            .n_environments = 1,
                            .physics = sample->physics,
                            .precision = sample->precision};
-  uint64_t bits[2];
-  int error = mo_compute_run(compute, &block, 1);
-  memcpy(&bits[0], &block.outcomes[0].loss, sizeof(bits[0]));
-  memcpy(&bits[1], &sample->loss, sizeof(bits[1]));
-  *agrees = error == MO_OK && bits[0] == bits[1] &&
+  const int error = mo_compute_run(compute, &block, 1);
+  *agrees = error == MO_OK && mo_same_bits(block.outcomes[0].loss, sample->loss) &&
             block.outcomes[0].diverged_step == sample->diverged_step;
   return error;
 }
