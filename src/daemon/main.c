@@ -208,16 +208,15 @@ static int run(struct process *process, const sigset_t *set)
  * when it is complete. */
 static int announce(const struct process *process, struct mo_message *message)
 {
-  const char *const *addresses, *const *fleet;
-  size_t n = service_addresses(process->service, &addresses);
-  const size_t n_fleet = service_fleet_addresses(process->service, &fleet);
-  for (size_t i = 0; i < n; i++) {
-    printf("morphod serves %s\n", addresses[i]);
-    log_info("serving", LOG_TEXT("address", addresses[i]));
-  }
-  for (size_t i = 0; i < n_fleet; i++) {
-    printf("morphod serves workers at %s\n", fleet[i]);
-    log_info("serving workers", LOG_TEXT("address", fleet[i]));
+  const char *const *addresses[2];
+  size_t n[2];
+  for (int of_fleet = 0; of_fleet < 2; of_fleet++) {
+    n[of_fleet] = service_addresses(process->service, of_fleet, &addresses[of_fleet]);
+    for (size_t i = 0; i < n[of_fleet]; i++) {
+      printf("morphod serves %s%s\n", of_fleet ? "workers at " : "", addresses[of_fleet][i]);
+      log_info(of_fleet ? "serving workers" : "serving",
+               LOG_TEXT("address", addresses[of_fleet][i]));
+    }
   }
   fflush(stdout);
   const char *path = process->settings.port_file;
@@ -226,8 +225,8 @@ static int announce(const struct process *process, struct mo_message *message)
   char *temporary = format_text("%s.new", path);
   FILE *file = fopen(temporary, "we");
   int status = file != NULL ? MO_OK : MO_ERR_IO;
-  for (size_t i = 0; i < n + n_fleet && status == MO_OK; i++)
-    if (fprintf(file, "%s\n", i < n ? addresses[i] : fleet[i - n]) < 0)
+  for (size_t i = 0; i < n[0] + n[1] && status == MO_OK; i++)
+    if (fprintf(file, "%s\n", i < n[0] ? addresses[0][i] : addresses[1][i - n[0]]) < 0)
       status = MO_ERR_IO;
   if (file != NULL && fclose(file) != 0)
     status = MO_ERR_IO;

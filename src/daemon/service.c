@@ -522,16 +522,12 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   return EXIT_OK;
 }
 
-size_t service_fleet_addresses(const struct service *service, const char *const **addresses)
+size_t service_addresses(const struct service *service, bool of_fleet,
+                         const char *const **addresses)
 {
-  *addresses = service->fleet_sockets.addresses;
-  return service->fleet_sockets.n;
-}
-
-size_t service_addresses(const struct service *service, const char *const **addresses)
-{
-  *addresses = service->sockets.addresses;
-  return service->sockets.n;
+  const struct sockets *sockets = of_fleet ? &service->fleet_sockets : &service->sockets;
+  *addresses = sockets->addresses;
+  return sockets->n;
 }
 
 int service_reload_tokens(struct service *service, const struct settings *settings,

@@ -35,11 +35,10 @@ struct service;
 int service_start(const struct settings *settings, void (*fatal)(const char *what),
                   struct service **service, struct mo_message *message);
 
-/* Returns the number of listeners and their addresses: "http://127.0.0.1:8765" or "unix:/path". */
-size_t service_addresses(const struct service *service, const char *const **addresses);
-
-/* The same of the server for workers; 0: there is none. */
-size_t service_fleet_addresses(const struct service *service, const char *const **addresses);
+/* Returns the number of listeners and their addresses: "http://127.0.0.1:8765" or "unix:/path".
+ * of_fleet: of the server for workers; 0: there is none. */
+size_t service_addresses(const struct service *service, bool of_fleet,
+                         const char *const **addresses);
 
 /* Reads the token file again. */
 int service_reload_tokens(struct service *service, const struct settings *settings,
