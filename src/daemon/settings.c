@@ -406,9 +406,10 @@ void settings_flag_name(const struct setting *setting, char *text, size_t capaci
       *c = '-';
 }
 
-void settings_variable_name(const struct setting *setting, char *text, size_t capacity)
+void settings_variable_name(const char *prefix, const struct setting *setting, char *text,
+                            size_t capacity)
 {
-  snprintf(text, capacity, "MORPHOD_%s", setting->name);
+  snprintf(text, capacity, "%s_%s", prefix, setting->name);
   for (char *c = text; *c != 0; c++)
     *c = (char)toupper((unsigned char)*c);
 }

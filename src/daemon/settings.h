@@ -113,11 +113,9 @@ void settings_load(struct settings *settings, int argc, const char *const *argv,
                    struct settings_faults *faults);
 void settings_request_free(struct settings_request *request);
 
-/* The parts of settings_load, for tests. `name` is for messages. */
+/* Reads the text of a file. `name` is for messages. */
 void settings_read_text(struct settings *settings, const char *name, const char *text,
                         size_t length, struct settings_faults *faults);
-void settings_read_environment(struct settings *settings, const char *const *environment,
-                               struct settings_faults *faults);
 
 /* Sets one value from its text. `append`: adds to a list. MO_ERR_INVALID, MO_ERR_RANGE with a
  * message. */
@@ -144,7 +142,7 @@ char *settings_value_text(const struct settings *settings, const struct setting 
 void settings_number_text(enum setting_type type, uint64_t value, char *text, size_t capacity);
 void settings_flag_name(const struct setting *setting, char *text,
                         size_t capacity); /* "--state-dir" */
-void settings_variable_name(const struct setting *setting, char *text,
-                            size_t capacity); /* "MORPHOD_STATE_DIR" */
+void settings_variable_name(const char *prefix, const struct setting *setting, char *text,
+                            size_t capacity); /* of "MORPHOD": "MORPHOD_STATE_DIR" */
 
 #endif

@@ -153,8 +153,8 @@ static bool read_file(struct settings *settings, const char *path, bool required
   return true;
 }
 
-void settings_read_environment(struct settings *settings, const char *const *environment,
-                               struct settings_faults *faults)
+static void read_environment(struct settings *settings, const char *const *environment,
+                             struct settings_faults *faults)
 {
   /* Variables with this prefix that are not settings: those of morphoctl, and the name of the file.
    */
@@ -181,7 +181,7 @@ void settings_read_environment(struct settings *settings, const char *const *env
       const struct setting *near = nearest(name);
       char variable[80] = "";
       if (near != NULL)
-        settings_variable_name(near, variable, sizeof(variable));
+        settings_variable_name("MORPHOD", near, variable, sizeof(variable));
       settings_fault(faults, false, "environment: %.*s is not a setting%s%s%s", (int)length + 8,
                      *entry, near != NULL ? "; did you mean " : "", variable,
                      near != NULL ? "?" : "");
@@ -310,7 +310,7 @@ void settings_load(struct settings *settings, int argc, const char *const *argv,
     else
       free(path);
   }
-  settings_read_environment(settings, environment, faults);
+  read_environment(settings, environment, faults);
   read_flags(settings, argc, argv, request, faults);
 }
 
@@ -438,7 +438,7 @@ void settings_print_table(FILE *file)
     const struct setting *setting = &settings_table[i];
     char flag[80], name[80], bounds[128];
     settings_flag_name(setting, flag, sizeof(flag));
-    settings_variable_name(setting, name, sizeof(name));
+    settings_variable_name("MORPHOD", setting, name, sizeof(name));
     bounds_text(setting, bounds, sizeof(bounds));
     const char *kind = setting->type == SETTING_PATH   ? "path"
                        : setting->type == SETTING_LIST ? "list"

@@ -2,7 +2,6 @@
  * takes the signals; the worker's loop has a thread of its own. */
 #include "daemon/commands.h"
 
-#include <ctype.h>
 #include <fcntl.h>
 #include <signal.h>
 #include <spawn.h>
@@ -122,9 +121,7 @@ static int read_environment(struct options *options)
   int status = EXIT_OK;
   for (const struct setting *row = rows; row < rows + N_ROWS && status == EXIT_OK; row++) {
     char name[64];
-    snprintf(name, sizeof(name), "MORPHOD_WORKER_%s", row->name);
-    for (char *c = name; *c != '\0'; c++)
-      *c = (char)toupper((unsigned char)*c);
+    settings_variable_name("MORPHOD_WORKER", row, name, sizeof(name));
     const char *text = getenv(name);
     if (text != NULL && (status = set(options, row, text, name, false)) != EXIT_OK)
       status = EXIT_CONFIG;
