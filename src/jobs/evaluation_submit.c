@@ -11,28 +11,6 @@
 #define INTERACTIVE_COST 40e6
 #define NETWORK_SPRINGS  100
 
-/* Checks the bytes that the recordings of an evaluation will take. */
-static int check_recording(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                           struct mo_message *message)
-{
-  uint64_t frames = mo_recording_frames(&request->physics, request->record_stride);
-  uint64_t bytes = 0;
-  for (uint32_t i = 0; i < request->n_designs && bytes <= UINT64_C(1) << 60; i++) {
-    struct mo_design_size size;
-    int error = mo_design_size(jobs->lattice, request->genotypes[i].words, &size);
-    if (error != MO_OK)
-      return error;
-    bytes += mo_recording_frame_bytes(request->record, size.masses, size.springs) * frames *
-             request->n_environments;
-  }
-  if (bytes > jobs->config.max_recorded_bytes)
-    return mo_fail(message, MO_ERR_LIMIT,
-                   "the recordings would take %llu bytes, the limit is %llu: record less, or with "
-                   "a larger stride",
-                   (unsigned long long)bytes, (unsigned long long)jobs->config.max_recorded_bytes);
-  return MO_OK;
-}
-
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision)
 {
@@ -41,24 +19,24 @@ bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
          INTERACTIVE_COST;
 }
 
-/* Returns whether the evaluation is short enough to be interactive. */
-static int is_short(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                    bool *ret)
+/* Sums up the springs of the designs and the bytes that their recordings will take. */
+static int measure(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                   uint64_t *springs, uint64_t *bytes)
 {
-  uint64_t springs = 0;
-  *ret = true;
-  for (uint32_t i = 0; i < request->n_designs && *ret; i++) {
+  const uint64_t frames = mo_recording_frames(&request->physics, request->record_stride);
+  for (uint32_t i = 0; i < request->n_designs && *bytes <= UINT64_C(1) << 60; i++) {
     struct mo_design_size size;
     int error = mo_design_size(jobs->lattice, request->genotypes[i].words, &size);
     if (error != MO_OK)
       return error;
-    springs += size.springs;
-    *ret = mo_is_short(request->n_designs, springs, request->n_environments, &request->physics,
-                       request->precision);
+    *springs += size.springs;
+    *bytes += mo_recording_frame_bytes(request->record, size.masses, size.springs) * frames *
+              request->n_environments;
   }
   return MO_OK;
 }
 
+/* Chooses priority and back end, and checks the recordings. */
 static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                   struct mo_message *message)
 {
@@ -66,13 +44,24 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   const uint64_t n = (uint64_t)request->n_designs * request->n_environments;
   const bool is_small = n <= INTERACTIVE_ROLLOUTS && job->back_end != MO_ON_DEVICE;
   bool is_interactive = job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small;
-  int error = is_interactive ? is_short(jobs, request, &is_interactive) : MO_OK;
+  uint64_t springs = 0, bytes = 0;
+  int error =
+      is_interactive || request->record != 0 ? measure(jobs, request, &springs, &bytes) : MO_OK;
   if (error != MO_OK)
     return mo_fail(message, error, "%s", mo_error_text(error));
+  is_interactive =
+      is_interactive && mo_is_short(request->n_designs, springs, request->n_environments,
+                                    &request->physics, request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
-  return mo_back_end_choose(
+  error = mo_back_end_choose(
       jobs, job, !is_interactive && request->precision == MO_FLOAT32 && request->record == 0,
       n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
+  if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
+    error = mo_fail(message, MO_ERR_LIMIT,
+                    "the recordings would take %llu bytes, the limit is %llu: record less, or with "
+                    "a larger stride",
+                    (unsigned long long)bytes, (unsigned long long)jobs->config.max_recorded_bytes);
+  return error;
 }
 
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *asked,
@@ -94,8 +83,6 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   request.genotypes = placed.genotypes;
   if (error == MO_OK)
     error = choose(jobs, &request, message);
-  if (error == MO_OK && request.record != 0)
-    error = check_recording(jobs, &request, message);
   submitting.rollouts = (uint64_t)request.n_designs * request.n_environments;
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, submitting.rollouts, message);
