@@ -33,11 +33,8 @@ struct lease {
   uint32_t n_submitted, n_out; /* blocks: submitted so far; in the back end */
   uint32_t next_row;           /* of the next block */
   uint64_t started_ns, ended_ns;
-  double *losses;
-  uint32_t *diverged;
-  double *d_parameters; /* of a gradient */
-  struct mo_gradient_counts counts;
-  pthread_t thread; /* of a gradient, if has_thread */
+  struct mo_wire_result result; /* as if it were done */
+  pthread_t thread;             /* of a gradient, if has_thread */
   bool has_thread;
   struct lease *next;
 };
@@ -109,8 +106,8 @@ static bool take_block(struct slot *slot, int status)
     status = MO_ERR_UNSUPPORTED; /* the bits of another class */
   for (uint32_t k = 0; status == MO_OK && k < slot->block.n_environments; k++) {
     const struct mo_outcome *outcome = &slot->block.outcomes[k];
-    lease->losses[slot->first_row + k] = outcome->loss;
-    lease->diverged[slot->first_row + k] = (uint32_t)outcome->diverged_step;
+    lease->result.losses[slot->first_row + k] = outcome->loss;
+    lease->result.diverged_steps[slot->first_row + k] = (uint32_t)outcome->diverged_step;
   }
   if (status != MO_OK && lease->error == MO_OK) {
     lease->error = status;
@@ -215,13 +212,13 @@ static int differentiate(struct lease *lease, struct mo_gradient_state *state,
                                     .weight = wire->gradient.weight,
                                     .is_arranged = true,
                                     .is_strict = true,
-                                    .d_parameters = lease->d_parameters,
+                                    .d_parameters = lease->result.d_parameters,
                                     .outcomes = outcomes};
   const int error = mo_compute_gradient(state, &batch);
-  lease->counts = batch.counts;
+  lease->result.counts = batch.counts;
   for (uint32_t i = 0; i < wire->n_blocks && error == MO_OK; i++) {
-    lease->losses[i] = outcomes[i].loss;
-    lease->diverged[i] = (uint32_t)outcomes[i].diverged_step;
+    lease->result.losses[i] = outcomes[i].loss;
+    lease->result.diverged_steps[i] = (uint32_t)outcomes[i].diverged_step;
   }
   return error;
 }
@@ -258,8 +255,8 @@ static void *compute_gradient(void *argument)
 static void start_gradient(struct mo_holding *holding, struct lease *lease)
 {
   lease->n_submitted = lease->wire.n_blocks;
-  lease->d_parameters = malloc(lease->wire.n_parameters * sizeof(*lease->d_parameters));
-  lease->has_thread = lease->d_parameters != NULL &&
+  lease->result.d_parameters = malloc(lease->wire.n_parameters * sizeof(double));
+  lease->has_thread = lease->result.d_parameters != NULL &&
                       mo_thread_create(&lease->thread, NULL, compute_gradient, lease) == 0;
   if (!lease->has_thread) {
     lease->error = MO_ERR_NO_MEMORY;
@@ -281,9 +278,9 @@ static void free_lease(struct mo_holding *holding, struct lease *lease)
   mo_compute_share_free(lease->share);
   free(lease->wire.environments);
   free(lease->wire.blocks);
-  free(lease->losses);
-  free(lease->diverged);
-  free(lease->d_parameters);
+  free(lease->result.losses);
+  free(lease->result.diverged_steps);
+  free(lease->result.d_parameters);
   free(lease);
 }
 
@@ -293,9 +290,13 @@ int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *wire)
   if (lease == NULL)
     return MO_ERR_NO_MEMORY;
   lease->holding = holding;
-  lease->losses = malloc(wire->n_rows * sizeof(*lease->losses));
-  lease->diverged = malloc(wire->n_rows * sizeof(*lease->diverged));
-  int error = lease->losses != NULL && lease->diverged != NULL
+  lease->result =
+      (struct mo_wire_result){.id = wire->id,
+                              .n_rows = wire->n_rows,
+                              .n_parameters = wire->n_parameters,
+                              .losses = malloc(wire->n_rows * sizeof(double)),
+                              .diverged_steps = malloc(wire->n_rows * sizeof(uint32_t))};
+  int error = lease->result.losses != NULL && lease->result.diverged_steps != NULL
                   ? mo_compute_share_create(holding->config.compute, 1, &lease->share)
                   : MO_ERR_NO_MEMORY;
   pthread_mutex_lock(&holding->mutex);
@@ -396,31 +397,23 @@ void mo_holding_give_back(struct mo_holding *holding, bool all)
 
 /* ---- results ---- */
 
-/* Moves the rows of a lease that has ended. */
-static void make_result(struct lease *lease, struct mo_wire_result *result)
+/* Completes and moves the result of a lease that has ended. */
+static struct mo_wire_result take_result(struct lease *lease)
 {
+  struct mo_wire_result result = lease->result;
   struct mo_compute_share_stats stats;
   mo_compute_share_get_stats(lease->share, &stats);
-  *result = (struct mo_wire_result){.id = lease->wire.id,
-                                    .busy_s = lease->wire.back_end == MO_ON_DEVICE ? stats.device_s
-                                                                                   : stats.busy_s};
-  if (lease->is_given_back) {
-    result->state = MO_RESULT_GIVEN_BACK;
-  } else if (lease->error != MO_OK) {
-    result->state = lease->error == MO_ERR_UNSUPPORTED ? MO_RESULT_UNSUPPORTED : MO_RESULT_FAILED;
-  } else {
-    result->n_rows = lease->wire.n_rows;
-    result->losses = lease->losses;
-    result->diverged_steps = lease->diverged;
-    result->n_parameters = lease->wire.n_parameters;
-    result->d_parameters = lease->d_parameters;
-    result->counts = lease->counts;
-    lease->losses = NULL;
-    lease->diverged = NULL;
-    lease->d_parameters = NULL;
-  }
+  result.busy_s = lease->wire.back_end == MO_ON_DEVICE ? stats.device_s : stats.busy_s;
   if (lease->started_ns > 0 && lease->ended_ns > lease->started_ns)
-    result->wall_s = 1e-9 * (double)(lease->ended_ns - lease->started_ns);
+    result.wall_s = 1e-9 * (double)(lease->ended_ns - lease->started_ns);
+  if (lease->is_given_back)
+    result.state = MO_RESULT_GIVEN_BACK;
+  else if (lease->error != MO_OK)
+    result.state = lease->error == MO_ERR_UNSUPPORTED ? MO_RESULT_UNSUPPORTED : MO_RESULT_FAILED;
+  if (result.state != MO_RESULT_DONE)
+    result.n_rows = result.n_parameters = 0;
+  lease->result = (struct mo_wire_result){.losses = NULL};
+  return result;
 }
 
 void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results)
@@ -438,7 +431,7 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
     }
     *at = lease->next;
     if (!lease->is_dropped) {
-      make_result(lease, &results->items[results->n++]);
+      results->items[results->n++] = take_result(lease);
       rows += n;
     }
     holding->leases_done += !lease->is_dropped && !lease->is_given_back && lease->error == MO_OK;
