@@ -104,7 +104,7 @@ int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
                           : copy_blocks(taken, workspace, &numbers, content);
   free(numbers.slots);
   if (error != MO_OK) {
-    mo_content_free(content);
+    mo_wire_free_lease(content);
     return error;
   }
   struct mo_environment *fitted =
@@ -125,12 +125,4 @@ uint32_t mo_content_cut(struct mo_wire_lease *content, uint32_t first, uint32_t 
   for (uint32_t b = 0; b < n; b++)
     content->n_rows += content->blocks[b].n_environments;
   return row;
-}
-
-void mo_content_free(struct mo_wire_lease *content)
-{
-  free(content->environments);
-  free(content->blocks);
-  content->environments = NULL;
-  content->blocks = NULL;
 }

@@ -11,6 +11,5 @@ int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
                   struct mo_wire_lease *content);
 /* Keeps n blocks from the first on; returns the row with which they begin. */
 uint32_t mo_content_cut(struct mo_wire_lease *content, uint32_t first, uint32_t n);
-void mo_content_free(struct mo_wire_lease *content);
 
 #endif

@@ -172,7 +172,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
     if (limit >= content.n_blocks)
       break;
     pthread_mutex_unlock(&fleet->mutex);
-    mo_content_free(&content);
+    mo_wire_free_lease(&content);
     error = trim(source, taken, limit) ? copy(fleet, taken, &content) : MO_ERR_NO_MEMORY;
     pthread_mutex_lock(&fleet->mutex);
   }
@@ -194,7 +194,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
   mo_weights_release(fleet, *weights);
   if (taken == NULL)
     return NULL;
-  mo_content_free(&content);
+  mo_wire_free_lease(&content);
   pthread_mutex_unlock(&fleet->mutex);
   source->put_back(source->compute, taken);
   pthread_mutex_lock(&fleet->mutex);

@@ -3,8 +3,6 @@
 
 #include <stdlib.h>
 
-#include "fleet/content.h"
-
 #define LATE                5 /* times the expected time: the lease is given out again */
 #define LATE_NS             (2 * MO_S_NS)
 #define HUNG                20 /* times the expected time: the session has it no more */
@@ -201,7 +199,7 @@ static void free_lease(struct mo_fleet *fleet, struct mo_lease *lease)
     free(lease->votes[i].diverged_steps);
   }
   mo_weights_release(fleet, lease->weights);
-  mo_content_free(&lease->content);
+  mo_wire_free_lease(&lease->content);
   free(lease);
 }
 

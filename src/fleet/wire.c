@@ -377,12 +377,18 @@ int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace wo
   return error;
 }
 
+void mo_wire_free_lease(struct mo_wire_lease *lease)
+{
+  free(lease->environments);
+  free(lease->blocks);
+  lease->environments = NULL;
+  lease->blocks = NULL;
+}
+
 void mo_wire_free_leases(struct mo_wire_leases *leases)
 {
-  for (uint32_t i = 0; i < leases->n; i++) {
-    free(leases->items[i].environments);
-    free(leases->items[i].blocks);
-  }
+  for (uint32_t i = 0; i < leases->n; i++)
+    mo_wire_free_lease(&leases->items[i]);
   memset(leases, 0, sizeof(*leases));
 }
 

@@ -94,6 +94,7 @@ int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace wo
                        struct mo_wire_leases *leases, struct mo_message *message);
 int mo_wire_get_results(const uint8_t *bytes, size_t size, struct mo_wire_results *results,
                         struct mo_message *message);
+void mo_wire_free_lease(struct mo_wire_lease *lease); /* frees its arrays */
 void mo_wire_free_leases(struct mo_wire_leases *leases);
 void mo_wire_free_results(struct mo_wire_results *results);
 

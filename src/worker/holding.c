@@ -276,8 +276,7 @@ static void free_lease(struct mo_holding *holding, struct lease *lease)
   if (lease->controller != NULL)
     mo_kept_weights_release(holding->weights, lease->controller);
   mo_compute_share_free(lease->share);
-  free(lease->wire.environments);
-  free(lease->wire.blocks);
+  mo_wire_free_lease(&lease->wire);
   free(lease->result.losses);
   free(lease->result.diverged_steps);
   free(lease->result.d_parameters);
