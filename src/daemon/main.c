@@ -37,8 +37,9 @@ struct process {
 
 static atomic_bool broken; /* set by the store when the process must end */
 
-static void must_end(const char *what)
+static void must_end(void *context, const char *what)
 {
+  (void)context;
   log_error("the state can no longer be written; ending to recover at the next start",
             LOG_TEXT("reason", what));
   atomic_store(&broken, true);

@@ -51,7 +51,7 @@ struct service {
   bool crash_marker;
   char *last_marker; /* of the process before, if it crashed; else NULL */
   int64_t killed_us; /* when the process before began, if it was killed; else 0 */
-  void (*fatal)(const char *what);
+  void (*fatal)(void *context, const char *what);
 };
 
 /* ---- parts ---- */
@@ -106,12 +106,6 @@ static int open_listeners(struct service *service, const struct settings *settin
   for (size_t i = 0; i < settings->listen.n && status == MO_OK; i++)
     status = sockets_add(&service->sockets, -1, settings->listen.items[i], message);
   return status;
-}
-
-static void store_is_broken(void *context, const char *what)
-{
-  struct service *service = context;
-  service->fatal(what);
 }
 
 /* Copies a text of the event into the space left, and terminates it. */
@@ -398,8 +392,7 @@ static int open_store(struct service *service, const struct settings *settings,
                       [MO_JOB_TRAINING] = seconds_of(settings->keep_trainings_ms),
                       [MO_JOB_CAMPAIGN] = seconds_of(settings->keep_campaigns_ms)},
       .keep_recordings_s = seconds_of(settings->keep_recordings_ms),
-      .fatal = store_is_broken,
-      .fatal_context = service};
+      .fatal = service->fatal};
   mo_store_limit_memory(memory_limit_of(settings->max_memory) / 8);
   int error = make_folders(settings->state_dir, message);
   if (error == MO_OK)
@@ -500,7 +493,7 @@ static int fail_with(struct mo_message *message, int error, const struct part *p
   return exit_status_of(error, status);
 }
 
-int service_start(const struct settings *settings, void (*fatal)(const char *what),
+int service_start(const struct settings *settings, void (*fatal)(void *context, const char *what),
                   struct service **ret_service, struct mo_message *message)
 {
   message->text[0] = 0;

@@ -29,10 +29,10 @@ int service_store_status(int error);
 
 struct service;
 
-/* Opens the state, starts computing, and serves. `fatal` is called from any thread when the process
- * must end (a failed write). On failure, closes what was opened, fills `message` and returns the
- * exit status. */
-int service_start(const struct settings *settings, void (*fatal)(const char *what),
+/* Opens the state, starts computing, and serves. `fatal`, as in struct mo_store_config, is called
+ * from any thread when the process must end (a failed write). On failure, closes what was opened,
+ * fills `message` and returns the exit status. */
+int service_start(const struct settings *settings, void (*fatal)(void *context, const char *what),
                   struct service **service, struct mo_message *message);
 
 /* Returns the number of listeners and their addresses: "http://127.0.0.1:8765" or "unix:/path".
