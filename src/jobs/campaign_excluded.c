@@ -8,6 +8,7 @@
  * leaves. */
 #include <inttypes.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "base/clock.h"
 #include "base/thread.h"
@@ -85,16 +86,13 @@ static void begin(struct mo_exclusion *exclusion)
 
 /* ---- the sets ---- */
 
-static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
+static bool is_of(const struct mo_exclusion *exclusion, const struct mo_lineage *lineage,
+                  struct mo_workspace workspace)
 {
-  if (a->status < 0 || a->lineage.n_parts != b->lineage.n_parts ||
-      !mo_workspace_equal(a->workspace, b->workspace))
-    return false;
-  for (uint32_t i = 0; i < a->lineage.n_parts; i++)
-    if (a->lineage.parts[i].seed != b->lineage.parts[i].seed ||
-        a->lineage.parts[i].n_bodies != b->lineage.parts[i].n_bodies)
-      return false;
-  return true;
+  const struct mo_lineage *own = &exclusion->lineage;
+  return exclusion->status >= 0 && own->n_parts == lineage->n_parts &&
+         memcmp(own->parts, lineage->parts, own->n_parts * sizeof(*own->parts)) == 0 &&
+         mo_workspace_equal(exclusion->workspace, workspace);
 }
 
 /* Returns the set of the lineage with one more user, or adds a new one to the list, which the
@@ -103,32 +101,26 @@ static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
                                         const struct mo_lineage *lineage, bool *is_new)
 {
   struct mo_jobs *jobs = run->jobs;
-  struct mo_exclusion *made = calloc(1, sizeof(*made)), *found;
-  if (made == NULL)
-    return NULL;
-  *made = (struct mo_exclusion){.jobs = jobs,
-                                .workspace = run->settings->workspace,
-                                .status = DRAWING,
-                                .lineage = *lineage,
-                                .first = run->id,
-                                .drawer = run->id,
-                                .begin_us = mo_clock_us()};
-  for (uint32_t i = 0; i < lineage->n_parts; i++)
-    made->n_bodies += lineage->parts[i].n_bodies;
-  pthread_mutex_lock(&jobs->exclusions_mutex);
-  for (found = jobs->exclusions; found != NULL; found = found->next)
-    if (is_same(found, made))
-      break;
+  MO_GUARD(&jobs->exclusions_mutex);
+  struct mo_exclusion *found = jobs->exclusions;
+  while (found != NULL && !is_of(found, lineage, run->settings->workspace))
+    found = found->next;
   *is_new = found == NULL;
-  if (found == NULL) {
-    found = made;
-    made->next = jobs->exclusions;
-    jobs->exclusions = made;
+  if (found == NULL && (found = calloc(1, sizeof(*found))) != NULL) {
+    *found = (struct mo_exclusion){.jobs = jobs,
+                                   .workspace = run->settings->workspace,
+                                   .status = DRAWING,
+                                   .lineage = *lineage,
+                                   .first = run->id,
+                                   .drawer = run->id,
+                                   .begin_us = mo_clock_us(),
+                                   .next = jobs->exclusions};
+    for (uint32_t i = 0; i < lineage->n_parts; i++)
+      found->n_bodies += lineage->parts[i].n_bodies;
+    jobs->exclusions = found;
   }
-  found->users++;
-  pthread_mutex_unlock(&jobs->exclusions_mutex);
-  if (found != made)
-    free(made);
+  if (found != NULL)
+    found->users++;
   return found;
 }
 
