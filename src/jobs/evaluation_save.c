@@ -75,7 +75,6 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
   return added;
 }
 
-/* Empties the batch but keeps its arrays. */
 void mo_pending_clear(struct mo_pending *pending)
 {
   struct mo_saved_trajectory *trajectories = pending->trajectories.rows;

@@ -57,7 +57,7 @@ static void take(void *context, const struct mo_flight *flight, bool is_done)
   struct mo_outcome *outcomes = context;
   (void)is_done;
   for (uint32_t i = 0; i < flight->block.n_environments; i++)
-    outcomes[(size_t)flight->design * flight->grid->n_environments + flight->places[i]] =
+    outcomes[(size_t)flight->design * flight->window->grid->n_environments + flight->places[i]] =
         flight->block.outcomes[i];
 }
 

@@ -143,7 +143,6 @@ static struct mo_flight *begin(struct mo_window *window, uint32_t design)
   flight->block.genotype = grid->genotypes[design].words;
   flight->block.done = arrive;
   flight->block.context = flight;
-  flight->grid = grid;
   flight->window = window;
   flight->design = design;
   return flight;

@@ -58,7 +58,6 @@ struct mo_inbox {
 /* One block in the back end (malloc). */
 struct mo_flight {
   struct mo_block block;
-  struct mo_grid *grid;
   struct mo_window *window;
   uint32_t design;
   uint8_t places[MO_BLOCK_LANES]; /* its environments */

@@ -183,7 +183,6 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
                 struct mo_message *message)
 {
   struct mo_campaign_status status;
-  struct mo_asked made = {.n = 0};
   int error = read_study(jobs, id, &status);
   if (error != MO_OK)
     return mo_fail(message, error, "there is no such study");
@@ -204,26 +203,25 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
     return mo_fail(message, MO_ERR_RANGE, "at most the population, which is %u, can be asked for",
                    (unsigned)asking.settings.population);
   asking.settings.population = ask->n;
-  made.batch = asking.generation;
-  made.children = calloc(ask->n, sizeof(*made.children));
+  *asked = (struct mo_asked){.batch = asking.generation,
+                             .children = calloc(ask->n, sizeof(*asked->children))};
   asking.genotypes = calloc(ask->n, asking.words * sizeof(uint64_t));
   asking.births = calloc(ask->n, sizeof(*asking.births));
-  if (made.children == NULL || asking.genotypes == NULL || asking.births == NULL)
+  if (asked->children == NULL || asking.genotypes == NULL || asking.births == NULL)
     error = MO_ERR_NO_MEMORY;
   if (error == MO_OK && !ask->is_random)
     error = read_parents(&asking, ask);
   if (error == MO_OK)
-    error = make(&asking, ask->is_random, &made);
+    error = make(&asking, ask->is_random, asked);
   mo_seen_free(asking.seen);
   free(asking.numbers);
   free(asking.parents);
   free(asking.genotypes);
   free(asking.births);
-  if (error == MO_OK) {
-    *asked = made;
+  if (error == MO_OK)
     return MO_OK;
-  }
-  free(made.children);
+  free(asked->children);
+  asked->children = NULL;
   return error == MO_ERR_RANGE
              ? mo_fail(message, error, "a parent is the number of a design: 0 to %lld",
                        (long long)status.n_designs - 1)

@@ -182,16 +182,14 @@ static void note_speed(struct run *run, double seconds)
   const struct mo_training_settings *settings = &run->status.record.settings;
   uint32_t left = settings->n_steps - step_of(run);
   uint64_t n = run->n_rates < RATES ? run->n_rates + 1 : RATES;
-  int64_t now = mo_clock_us(), oldest = now;
+  int64_t now = mo_clock_us();
   double sum = 0;
   run->rates[run->n_rates % RATES].seconds = seconds;
   run->rates[run->n_rates % RATES].end_us = now;
   run->n_rates++;
-  for (uint64_t i = 0; i < n; i++) {
+  for (uint64_t i = 0; i < n; i++)
     sum += run->rates[i].seconds;
-    if (run->rates[i].end_us < oldest)
-      oldest = run->rates[i].end_us;
-  }
+  const int64_t oldest = run->rates[n < RATES ? 0 : run->n_rates % RATES].end_us;
   MO_GUARD(&run->runner->runners->mutex);
   run->runner->live.position = step_of(run);
   run->runner->live.rate = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
