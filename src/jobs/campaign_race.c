@@ -19,12 +19,8 @@ static uint32_t n_parents_scored(const struct mo_campaign_run *run)
 
 int mo_race_close(struct mo_campaign_run *run)
 {
-  struct mo_grid *grid = &run->scoring.grid;
   run->races = mo_race_is_possible(run->settings) && run->n_parents > 0;
-  for (uint32_t i = n_parents_scored(run); i < run->n_scored && run->races; i++)
-    if (mo_grid_close(grid, i) != MO_OK)
-      return MO_ERR_NO_MEMORY;
-  return MO_OK;
+  return run->races ? mo_grid_close(&run->scoring.grid, n_parents_scored(run)) : MO_OK;
 }
 
 /* Opens the next wave of a candidate, or all. */

@@ -36,14 +36,12 @@ int mo_active_race(struct mo_active *active)
 {
   const struct mo_job *job = &active->work->job;
   struct mo_grid *grid = &active->grid;
-  int error = MO_OK;
   if (job->best == 0 || grid->n_designs == 0)
     return MO_OK;
-  error = mo_best_create(grid->n_designs, grid->n_environments,
-                         job->best < grid->n_designs ? job->best : grid->n_designs, &active->race);
-  for (uint32_t i = 0; i < grid->n_designs && error == MO_OK; i++)
-    error = mo_grid_close(grid, i);
-  return error;
+  const int error =
+      mo_best_create(grid->n_designs, grid->n_environments,
+                     job->best < grid->n_designs ? job->best : grid->n_designs, &active->race);
+  return error == MO_OK ? mo_grid_close(grid, 0) : error;
 }
 
 double mo_active_left(const struct mo_active *active, uint64_t done)

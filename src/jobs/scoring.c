@@ -51,15 +51,15 @@ void mo_grid_free(struct mo_grid *grid)
   grid->again = NULL;
 }
 
-int mo_grid_close(struct mo_grid *grid, uint32_t design)
+int mo_grid_close(struct mo_grid *grid, uint32_t first)
 {
-  if (grid->again == NULL)
-    grid->again = malloc(((size_t)grid->n_designs + 1) * sizeof(*grid->again));
+  grid->again = malloc(((size_t)grid->n_designs + 1) * sizeof(*grid->again));
   if (grid->again == NULL)
     return MO_ERR_NO_MEMORY;
-  for (uint32_t k = 0; k < grid->n_environments; k++)
-    if (*mo_grid_cell(grid, design, k) == MO_CELL_TO_DO)
-      *mo_grid_cell(grid, design, k) = MO_CELL_LATER;
+  for (size_t i = (size_t)first * grid->n_environments;
+       i < (size_t)grid->n_designs * grid->n_environments; i++)
+    if (grid->cells[i] == MO_CELL_TO_DO)
+      grid->cells[i] = MO_CELL_LATER;
   return MO_OK;
 }
 

@@ -40,8 +40,8 @@ static inline bool mo_grid_is_open(const struct mo_grid *grid, uint32_t design, 
 {
   return *mo_grid_cell(grid, design, k) <= MO_CELL_DEFERRED;
 }
-/* Closes all cells of a design that are to do. The first call allocates; MO_ERR_NO_MEMORY. */
-int mo_grid_close(struct mo_grid *grid, uint32_t design);
+/* Closes the cells of all designs from the first on that are to do. Once; MO_ERR_NO_MEMORY. */
+int mo_grid_close(struct mo_grid *grid, uint32_t first);
 /* Opens the closed ones of n cells of a design, which are scored soon. */
 void mo_grid_open(struct mo_grid *grid, uint32_t design, const uint8_t *cells, uint32_t n);
 /* Marks a cell as done. Returns whether its design is. */
