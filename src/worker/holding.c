@@ -40,8 +40,7 @@ struct lease {
 };
 
 struct slot {
-  struct mo_holding *holding;
-  struct lease *lease;
+  struct lease *lease; /* NULL: free */
   uint32_t first_row;
   struct mo_block block;
   struct slot *next; /* a free one */
@@ -100,8 +99,8 @@ static struct slot *next_block(struct mo_holding *holding, enum mo_back_end back
 /* Under the mutex. Returns whether the lease has ended by this. */
 static bool take_block(struct slot *slot, int status)
 {
-  struct mo_holding *holding = slot->holding;
   struct lease *lease = slot->lease;
+  struct mo_holding *holding = lease->holding;
   if (status == MO_OK && slot->block.computed_on != lease->wire.back_end)
     status = MO_ERR_UNSUPPORTED; /* the bits of another class */
   for (uint32_t k = 0; status == MO_OK && k < slot->block.n_environments; k++) {
@@ -149,7 +148,7 @@ static void submit(struct mo_holding *holding, enum mo_back_end back_end)
 static void block_done(struct mo_block *block, void *context)
 {
   struct slot *slot = context;
-  struct mo_holding *holding = slot->holding;
+  struct mo_holding *holding = slot->lease->holding;
   MO_GUARD(&holding->mutex);
   const enum mo_back_end back_end = block->back_end;
   const bool ended = take_block(slot, block->status);
@@ -478,8 +477,7 @@ int mo_holding_create(const struct mo_holding_config *config, struct mo_holding 
   for (uint32_t i = 0; i < n[0] + n[1]; i++) {
     struct slot *slot = &holding->slots[i];
     const enum mo_back_end back_end = i < n[0] ? MO_ON_CPU : MO_ON_DEVICE;
-    *slot = (struct slot){.holding = holding,
-                          .block = {.precision = MO_FLOAT32,
+    *slot = (struct slot){.block = {.precision = MO_FLOAT32,
                                     .urgency = MO_BATCH,
                                     .back_end = back_end,
                                     .tag = -1,
