@@ -114,29 +114,24 @@ static int prepare_recordings(const struct mo_evaluation_request *request,
 
 /* ---- computing ---- */
 
-/* A block of one design and some of the environments. */
-struct part {
-  uint32_t first; /* rollout */
-  struct mo_recording recordings[MO_BLOCK_LANES];
-};
-
+/* Fills in a block of one design and some of the environments. recordings: of all rollouts. */
 static void fill_block(const struct mo_evaluation_request *request, struct mo_rollouts *rollouts,
                        struct mo_loaded *controller, uint32_t design, uint32_t first,
-                       struct part *part, struct mo_block *block)
+                       struct mo_recording *recordings, struct mo_block *block)
 {
   const uint32_t left = rollouts->n_environments - first;
-  part->first = design * rollouts->n_environments + first;
+  const uint32_t row = design * rollouts->n_environments + first;
   *block = (struct mo_block){.body = rollouts->designs[design].body,
                              .controller = controller->ready,
                              .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
                              .physics = request->physics,
                              .precision = request->precision,
                              .urgency = MO_INTERACTIVE,
-                             .recordings = request->record != 0 ? part->recordings : NULL,
+                             .recordings = request->record != 0 ? recordings + row : NULL,
                              .tag = -1};
   for (uint32_t k = 0; k < block->n_environments; k++) {
     block->environments[k] = &rollouts->environments[first + k];
-    part->recordings[k] = rollouts->rollouts[part->first + k].recording;
+    recordings[row + k] = rollouts->rollouts[row + k].recording;
   }
 }
 
@@ -144,19 +139,19 @@ static int compute(struct mo_jobs *jobs, const struct mo_evaluation_request *req
                    struct mo_rollouts *rollouts, struct mo_loaded *controller)
 {
   const size_t n_max = (size_t)rollouts->n_designs * rollouts->n_environments;
-  struct part *parts = calloc(n_max, sizeof(*parts));
+  struct mo_recording *recordings = calloc(n_max, sizeof(*recordings));
   struct mo_block *blocks = calloc(n_max, sizeof(*blocks));
-  int error = parts != NULL && blocks != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-  size_t n = 0;
+  int error = recordings != NULL && blocks != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  size_t n = 0, row = 0;
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
     for (uint32_t k = 0; k < rollouts->n_environments; k += MO_BLOCK_LANES, n++)
-      fill_block(request, rollouts, controller, i, k, &parts[n], &blocks[n]);
+      fill_block(request, rollouts, controller, i, k, recordings, &blocks[n]);
   if (error == MO_OK)
     error = mo_compute_run(jobs->compute, blocks, n);
   for (size_t b = 0; b < n && error == MO_OK; b++)
     for (uint32_t k = 0; k < blocks[b].n_environments; k++)
-      rollouts->rollouts[parts[b].first + k].outcome = blocks[b].outcomes[k];
-  free(parts);
+      rollouts->rollouts[row++].outcome = blocks[b].outcomes[k];
+  free(recordings);
   free(blocks);
   return error;
 }
