@@ -5,6 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* Bodies are of the default workspace, as all controllers are. */
+#define GENOTYPE_BYTES (MO_DEFAULT_WORDS * sizeof(uint64_t))
+
 /* Numbers of environments by address, with open addressing. */
 struct numbers {
   uint32_t mask;
@@ -33,18 +36,14 @@ static int number_of(struct numbers *numbers, struct mo_wire_lease *content,
   return numbers->slots[at].number;
 }
 
-static int copy_blocks(const struct mo_taken *taken, struct mo_workspace workspace,
-                       struct numbers *numbers, struct mo_wire_lease *content)
+static int copy_blocks(const struct mo_taken *taken, struct numbers *numbers,
+                       struct mo_wire_lease *content)
 {
-  const size_t bytes = mo_workspace_words(workspace) * sizeof(uint64_t);
   for (uint32_t b = 0; b < taken->n_blocks; b++) {
     const struct mo_block *from = taken->blocks[b];
     struct mo_wire_block *to = &content->blocks[b];
-    if (!mo_workspace_equal(from->lattice->workspace, workspace))
-      return MO_ERR_LIMIT;
-    memset(to, 0, sizeof(*to));
-    memcpy(to->genotype, from->genotype, bytes);
-    to->n_environments = from->n_environments;
+    *to = (struct mo_wire_block){.n_environments = from->n_environments};
+    memcpy(to->genotype, from->genotype, GENOTYPE_BYTES);
     for (uint32_t k = 0; k < from->n_environments; k++) {
       int number = number_of(numbers, content, from->environments[k]);
       if (number < 0)
@@ -56,13 +55,9 @@ static int copy_blocks(const struct mo_taken *taken, struct mo_workspace workspa
 }
 
 /* A robot of a shard is a block. */
-static int copy_robots(const struct mo_gradient_batch *shard, struct mo_workspace workspace,
-                       struct numbers *numbers, struct mo_wire_lease *content)
+static int copy_robots(const struct mo_gradient_batch *shard, struct numbers *numbers,
+                       struct mo_wire_lease *content)
 {
-  const size_t bytes = mo_workspace_words(workspace) * sizeof(uint64_t);
-  if (!mo_workspace_equal(shard->controller->workspace, workspace) ||
-      shard->controller->n_parameters > MO_WIRE_PARAMETERS_MAX)
-    return MO_ERR_LIMIT;
   content->n_parameters = (uint32_t)shard->controller->n_parameters;
   content->gradient = (struct mo_gradient_options){.adjoint_bound = shard->adjoint_bound,
                                                    .weight = shard->weight,
@@ -74,13 +69,12 @@ static int copy_robots(const struct mo_gradient_batch *shard, struct mo_workspac
     if (number < 0)
       return number;
     *to = (struct mo_wire_block){.n_environments = 1, .environments = {(uint16_t)number}};
-    memcpy(to->genotype, shard->robots[i].genotype, bytes);
+    memcpy(to->genotype, shard->robots[i].genotype, GENOTYPE_BYTES);
   }
   return MO_OK;
 }
 
-int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
-                  struct mo_wire_lease *content)
+int mo_content_of(const struct mo_taken *taken, struct mo_wire_lease *content)
 {
   const struct mo_gradient_batch *shard = taken->shard;
   const uint32_t rows = taken->n_rows;
@@ -91,7 +85,7 @@ int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
                              .back_end = taken->back_end,
                              .n_blocks = shard != NULL ? rows : taken->n_blocks,
                              .n_rows = rows};
-  if (rows > MO_WIRE_ROWS_MAX || mo_workspace_words(workspace) > MO_WIRE_WORDS_MAX)
+  if (rows > MO_WIRE_ROWS_MAX)
     return MO_ERR_LIMIT;
   while (numbers.mask < 2 * most)
     numbers.mask = 2 * numbers.mask + 1;
@@ -100,8 +94,8 @@ int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
   content->blocks = malloc(content->n_blocks * sizeof(*content->blocks));
   int error = MO_ERR_NO_MEMORY;
   if (numbers.slots != NULL && content->environments != NULL && content->blocks != NULL)
-    error = shard != NULL ? copy_robots(shard, workspace, &numbers, content)
-                          : copy_blocks(taken, workspace, &numbers, content);
+    error = shard != NULL ? copy_robots(shard, &numbers, content)
+                          : copy_blocks(taken, &numbers, content);
   free(numbers.slots);
   if (error != MO_OK) {
     mo_wire_free_lease(content);

@@ -6,9 +6,8 @@
 #include "fleet/wire.h"
 
 /* Copies blocks, physics and environments, each environment once. MO_ERR_LIMIT: more rows or
- * environments than a lease can have, or a body of another workspace; MO_ERR_NO_MEMORY. */
-int mo_content_of(const struct mo_taken *taken, struct mo_workspace workspace,
-                  struct mo_wire_lease *content);
+ * environments than a lease can have; MO_ERR_NO_MEMORY. */
+int mo_content_of(const struct mo_taken *taken, struct mo_wire_lease *content);
 /* Keeps n blocks from the first on; returns the row with which they begin. */
 uint32_t mo_content_cut(struct mo_wire_lease *content, uint32_t first, uint32_t n);
 

@@ -16,9 +16,6 @@
 
 int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **ret)
 {
-  if (mo_workspace_check(config->workspace) != MO_OK ||
-      mo_workspace_words(config->workspace) > MO_WIRE_WORDS_MAX)
-    return MO_ERR_LIMIT;
   struct mo_fleet *fleet = calloc(1, sizeof(*fleet));
   if (fleet == NULL)
     return MO_ERR_NO_MEMORY;

@@ -148,9 +148,9 @@ static bool trim(const struct mo_fleet_source *source, struct mo_taken *taken, u
 static int copy(struct mo_fleet *fleet, struct mo_taken *taken, struct mo_wire_lease *content)
 {
   const struct mo_fleet_source *source = &fleet->config.source;
-  int error = mo_content_of(taken, fleet->config.workspace, content);
+  int error = mo_content_of(taken, content);
   while (error == MO_ERR_LIMIT && taken->n_blocks > 1 && trim(source, taken, taken->n_blocks / 2))
-    error = mo_content_of(taken, fleet->config.workspace, content);
+    error = mo_content_of(taken, content);
   return error;
 }
 

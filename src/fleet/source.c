@@ -31,13 +31,13 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
 }
 
 static int recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
-                     struct mo_workspace workspace, const uint8_t *weights, size_t weights_bytes,
-                     const volatile int *cancel, double *losses, uint32_t *diverged_steps)
+                     const uint8_t *weights, size_t weights_bytes, const volatile int *cancel,
+                     double *losses, uint32_t *diverged_steps)
 {
   struct mo_lattice *lattice = NULL;
   struct mo_controller *controller = NULL;
   struct mo_compute_controller *prepared = NULL;
-  int error = mo_lattice_create(workspace, &lattice);
+  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice);
   if (error == MO_OK && weights != NULL)
     error = mo_controller_decode(weights, weights_bytes, &controller, NULL);
   if (error == MO_OK)

@@ -24,8 +24,8 @@ struct mo_fleet_source {
    * weights: the file of its controller; NULL: passive bodies. Rows as in a result. *cancel ends it
    * early. NULL: a third session decides. Returns MO_OK or an error. */
   int (*recompute)(struct mo_compute *compute, const struct mo_wire_lease *lease,
-                   struct mo_workspace workspace, const uint8_t *weights, size_t weights_bytes,
-                   const volatile int *cancel, double *losses, uint32_t *diverged_steps);
+                   const uint8_t *weights, size_t weights_bytes, const volatile int *cancel,
+                   double *losses, uint32_t *diverged_steps);
 };
 struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute);
 

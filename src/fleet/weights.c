@@ -22,7 +22,6 @@ int mo_weights_create(const struct mo_taken *taken, struct mo_weights **ret)
   weights->file.bytes = bytes;
   weights->identity = taken->identity;
   weights->sensor = taken->controller->sensor;
-  weights->workspace = taken->controller->workspace;
   *ret = weights;
   return MO_OK;
 }
@@ -52,7 +51,6 @@ static bool same_weights(const struct mo_weights *weights, const struct mo_contr
   const size_t bytes = controller->n_parameters * sizeof(*controller->parameters);
   const struct mo_fleet_file *file = &weights->file;
   return weights->sensor == controller->sensor && file->size > bytes &&
-         mo_workspace_equal(weights->workspace, controller->workspace) &&
          memcmp(file->bytes + file->size - bytes, controller->parameters, bytes) == 0;
 }
 

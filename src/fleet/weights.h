@@ -14,7 +14,6 @@ struct mo_weights {
   const void *identity;      /* of mo_taken; NULL: nothing of it is taken any more */
   struct mo_sha256 hash;
   enum mo_sensor sensor;
-  struct mo_workspace workspace;
   uint32_t n_users, n_readers; /* leases and readers */
   uint32_t n_parcels;          /* of the leases, those with a parcel */
   LIST_ENTRY(mo_weights) next;

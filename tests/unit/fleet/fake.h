@@ -293,7 +293,6 @@ static inline struct fake *make_fake(uint64_t seed)
   struct mo_fleet_config config = {.source = {(struct mo_compute *)fake, fake_take, fake_put_back,
                                               fake_keep, fake_split, fake_is_cancelled,
                                               fake_deliver, fake_want, fake_waiting, NULL},
-                                   .workspace = MO_DEFAULT_WORKSPACE,
                                    .epoch = 5,
                                    .seed = seed,
                                    .version = "1.0.0",

@@ -113,7 +113,7 @@ static void joining(void)
 static void creating(void)
 {
   struct mo_fleet *fleet = NULL;
-  const struct mo_fleet_config config = {.workspace = MO_DEFAULT_WORKSPACE};
+  const struct mo_fleet_config config = {.epoch = 1};
   int error = MO_ERR_NO_MEMORY;
   for (left = 0; error != MO_OK; left = left < 0 ? 1 : left + 1) {
     const long now = left;
