@@ -370,19 +370,12 @@ void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 
       end(lease, false);
 }
 
-void mo_holding_drop(struct mo_holding *holding, struct mo_lease_id id)
+void mo_holding_drop(struct mo_holding *holding, const struct mo_lease_id *id)
 {
   MO_GUARD(&holding->mutex);
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
-    if (lease->wire.id.epoch == id.epoch && lease->wire.id.number == id.number)
+    if (id == NULL || (lease->wire.id.epoch == id->epoch && lease->wire.id.number == id->number))
       end(lease, true);
-}
-
-void mo_holding_drop_all(struct mo_holding *holding)
-{
-  MO_GUARD(&holding->mutex);
-  for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next)
-    end(lease, true);
 }
 
 void mo_holding_give_back(struct mo_holding *holding, bool all)
@@ -494,7 +487,7 @@ int mo_holding_create(const struct mo_holding_config *config, struct mo_holding 
 static void cancel_all(struct mo_holding *holding)
 {
   struct mo_wire_results none;
-  mo_holding_drop_all(holding);
+  mo_holding_drop(holding, NULL);
   pthread_mutex_lock(&holding->mutex);
   while (holding->n_out > 0)
     pthread_cond_wait(&holding->quiet, &holding->mutex);

@@ -35,9 +35,8 @@ int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *h
 /* Gives back the leases that wait for these weights. */
 void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash);
 
-/* Ends a lease without a result. */
-void mo_holding_drop(struct mo_holding *holding, struct mo_lease_id id);
-void mo_holding_drop_all(struct mo_holding *holding);
+/* Ends a lease without a result; id NULL: all. */
+void mo_holding_drop(struct mo_holding *holding, const struct mo_lease_id *id);
 /* Gives back the leases of which no block has started; all: those that run, too. */
 void mo_holding_give_back(struct mo_holding *holding, bool all);
 

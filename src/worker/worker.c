@@ -116,7 +116,7 @@ static void lose(struct mo_worker *worker, uint32_t retry_after_s, const char *w
   const int64_t now = now_ms();
   for (int call = 0; call < MO_CALLS; call++)
     mo_link_abort(worker->link, (enum mo_call)call);
-  mo_holding_drop_all(worker->holding);
+  mo_holding_drop(worker->holding, NULL);
   if (worker->is_draining) {
     finish_leaving(worker);
     return;
@@ -361,7 +361,7 @@ static void take_orders(struct mo_worker *worker, const struct mo_link_reply *re
     return;
   }
   for (uint32_t i = 0; i < orders.n_dropped; i++)
-    mo_holding_drop(worker->holding, orders.dropped[i]);
+    mo_holding_drop(worker->holding, &orders.dropped[i]);
   if (orders.state == MO_SESSION_QUARANTINED)
     finish(worker, MO_WORKER_QUARANTINED, "the daemon has quarantined this worker");
   else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining) {
