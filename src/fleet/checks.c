@@ -149,9 +149,7 @@ static void count(struct mo_fleet *fleet, uint64_t id, bool has_failed)
 
 static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row)
 {
-  mo_text_object(text);
-  mo_event_member(text, "name", vote->name, MO_EVENT_NAME_BYTES);
-  mo_event_member(text, "host", vote->host, MO_EVENT_NAME_BYTES);
+  mo_event_session(text, vote->name, vote->host, "");
   mo_text_member_number(text, "loss", vote->losses[row]);
   mo_text_member_count(text, "diverged_step", vote->diverged_steps[row]);
   mo_text_add(text, "}");
