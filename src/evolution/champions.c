@@ -22,18 +22,18 @@ static struct mo_rank *rank_all(const double *scores, uint32_t n, uint32_t *n_so
   return ranks;
 }
 
-/* Orders `chosen`, (m) ranked places, best first, by distinctiveness. sums, genotypes: scratch for
- * m. */
+/* Orders `chosen`, (m) ranked places, best first, by distinctiveness. distances, genotypes:
+ * scratch for m. */
 static void order(struct mo_workspace workspace, const uint64_t *population, const uint32_t *chosen,
-                  uint32_t m, uint64_t *genotypes, double *sums, struct mo_rank *ranks,
+                  uint32_t m, uint64_t *genotypes, double *distances, struct mo_rank *ranks,
                   uint32_t *picks)
 {
   const size_t words = mo_workspace_words(workspace);
   for (size_t i = 0; i < m; i++)
     memcpy(genotypes + words * i, population + words * chosen[i], words * sizeof(*genotypes));
-  mo_distance_sums(workspace, genotypes, m, sums);
+  mo_distinctiveness(workspace, genotypes, m, distances);
   for (uint32_t i = 0; i < m; i++)
-    ranks[i] = (struct mo_rank){.score = -sums[i], .number = i, .place = chosen[i]};
+    ranks[i] = (struct mo_rank){.score = -distances[i], .number = i, .place = chosen[i]};
   mo_rank_sort(ranks, m);
   for (uint32_t i = 0; i < m; i++)
     picks[i] = ranks[i].place;
@@ -50,17 +50,17 @@ int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const
   struct mo_rank *ranks = rank_all(scores, n, &n_sound);
   uint32_t *chosen = calloc(m, sizeof(*chosen));
   uint64_t *some = malloc((size_t)m * mo_workspace_words(workspace) * sizeof(*some));
-  double *sums = malloc(m * sizeof(*sums));
+  double *distances = malloc(m * sizeof(*distances));
   int r = MO_ERR_NO_MEMORY;
-  if (ranks != NULL && chosen != NULL && some != NULL && sums != NULL) {
+  if (ranks != NULL && chosen != NULL && some != NULL && distances != NULL) {
     const uint64_t last = (n_sound > m ? n_sound : m) - 1;
     const uint64_t steps = m > 1 ? m - 1 : 1;
     for (uint32_t i = 0; i < m; i++)
       chosen[i] = ranks[(i * last + steps / 2) / steps].place;
-    order(workspace, genotypes, chosen, m, some, sums, ranks, picks);
+    order(workspace, genotypes, chosen, m, some, distances, ranks, picks);
     r = MO_OK;
   }
-  free(sums);
+  free(distances);
   free(some);
   free(chosen);
   free(ranks);

@@ -31,9 +31,4 @@ void mo_rank_sort(struct mo_rank *ranks, uint32_t n);
  * single environment takes it. */
 void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_MAX]);
 
-/* statistics.c: computes each genotype's exact sum of Hamming distances to all others;
- * mo_distinctiveness divides it by (n − 1) · voxels. */
-void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
-                      double *sums);
-
 #endif

@@ -1,9 +1,9 @@
 /* selection.c: selects the survivors.
  *
  * Candidates are ranked by score, then by number, so no two have the same rank. The order of
- * candidates in memory thus matters to no scheme except novelty's sums, which are exact. A scheme
- * receives the candidates that did not diverge, by rank, and chooses the survivors among them.
- * Diverged candidates fill the remaining places, oldest first. */
+ * candidates in memory thus matters to no scheme except novelty's distances, which are exact sums
+ * over one number. A scheme receives the candidates that did not diverge, by rank, and chooses the
+ * survivors among them. Diverged candidates fill the remaining places, oldest first. */
 #include "evolution/internal.h"
 
 #include <math.h>
@@ -60,14 +60,15 @@ static int choose_by_tournament(struct choice *choice)
 static int choose_by_novelty(struct choice *choice)
 {
   const double weight = choice->settings->selection.novelty_weight;
-  double *sums = malloc(choice->n_candidates * sizeof(*sums));
+  double *distances = malloc(choice->n_candidates * sizeof(*distances));
   struct mo_rank *novelty = malloc(choice->n * sizeof(*novelty));
   struct mo_rank *both = malloc(choice->n * sizeof(*both));
-  const int r = sums != NULL && novelty != NULL && both != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  const int r = distances != NULL && novelty != NULL && both != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (r == MO_OK) {
-    mo_distance_sums(choice->settings->workspace, choice->genotypes, choice->n_candidates, sums);
+    mo_distinctiveness(choice->settings->workspace, choice->genotypes, choice->n_candidates,
+                       distances);
     for (uint32_t i = 0; i < choice->n; i++)
-      novelty[i] = (struct mo_rank){.score = -sums[choice->ranks[i].place], .number = i};
+      novelty[i] = (struct mo_rank){.score = -distances[choice->ranks[i].place], .number = i};
     mo_rank_sort(novelty, choice->n);
     for (uint32_t i = 0; i < choice->n; i++) {
       const uint64_t rank = novelty[i].number;
@@ -84,7 +85,7 @@ static int choose_by_novelty(struct choice *choice)
   }
   free(both);
   free(novelty);
-  free(sums);
+  free(distances);
   return r;
 }
 

@@ -59,12 +59,14 @@ double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, ui
   return (double)sum / ((double)pairs * mo_workspace_voxels(workspace));
 }
 
-void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
-                      double *sums)
+/* Divided by one number, the sums keep their order. */
+void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
+                        double *distances)
 {
   const size_t words = mo_workspace_words(workspace);
+  const double others = n < 2 ? 1.0 : (double)(n - 1);
   for (size_t i = 0; i < n; i++)
-    sums[i] = 0.0;
+    distances[i] = 0.0;
   for (size_t w = 0; w < words; w++) {
     uint32_t counts[64];
     int64_t all = 0;
@@ -75,16 +77,9 @@ void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, 
       int64_t sum = all;
       for (uint64_t rest = genotypes[words * i + w]; rest != 0; rest &= rest - 1)
         sum += (int64_t)n - 2 * (int64_t)counts[__builtin_ctzll(rest)];
-      sums[i] += (double)sum;
+      distances[i] += (double)sum;
     }
   }
-}
-
-void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
-                        double *distances)
-{
-  mo_distance_sums(workspace, genotypes, n, distances);
-  const double others = n < 2 ? 1.0 : (double)(n - 1);
   for (size_t i = 0; i < n; i++)
     distances[i] /= others * mo_workspace_voxels(workspace);
 }
