@@ -323,10 +323,11 @@ void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes
 
 /* Picks m of n (m ≤ n): the best, and the others at even steps over the ranking by score (without
  * diverged ones while there are enough others). Orders them by their mean Hamming distance to each
- * other, most distinct first; ties: better score, then lower place. picks: (m) places.
- * MO_ERR_NO_MEMORY; MO_ERR_RANGE: m > n. */
+ * other, most distinct first; ties: better score, then lower place. picks: (m) places; distances
+ * (nullable): (m) those of the picks, as mo_distinctiveness gives them. MO_ERR_NO_MEMORY;
+ * MO_ERR_RANGE: m > n. */
 int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
-                 uint32_t n, uint32_t m, uint32_t *picks);
+                 uint32_t n, uint32_t m, uint32_t *picks, double *distances);
 
 /* ---- phylogeny ---- */
 

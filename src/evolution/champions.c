@@ -40,7 +40,7 @@ static void order(struct mo_workspace workspace, const uint64_t *population, con
 }
 
 int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
-                 uint32_t n, uint32_t m, uint32_t *picks)
+                 uint32_t n, uint32_t m, uint32_t *picks, double *ret_distances)
 {
   if (m > n)
     return MO_ERR_RANGE;
@@ -58,6 +58,8 @@ int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const
     for (uint32_t i = 0; i < m; i++)
       chosen[i] = ranks[(i * last + steps / 2) / steps].place;
     order(workspace, genotypes, chosen, m, some, distances, ranks, picks);
+    for (uint32_t i = 0; i < m && ret_distances != NULL; i++)
+      ret_distances[i] = -ranks[i].score;
     r = MO_OK;
   }
   free(distances);

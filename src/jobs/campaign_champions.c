@@ -41,27 +41,19 @@ static int choose(struct mo_workspace workspace, const struct mo_campaign_design
 {
   const size_t words = mo_workspace_words(workspace);
   uint64_t *genotypes = calloc((size_t)n * words + 1, sizeof(*genotypes));
-  uint64_t *picked = calloc((size_t)m * words + 1, sizeof(*picked));
   double *scores = calloc((size_t)n + 1, sizeof(*scores));
   uint32_t *picks = calloc((size_t)m + 1, sizeof(*picks));
-  int error = genotypes == NULL || picked == NULL || scores == NULL || picks == NULL
-                  ? MO_ERR_NO_MEMORY
-                  : MO_OK;
+  int error = genotypes == NULL || scores == NULL || picks == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     scores[i] = designs[i].score;
     error = mo_genotype_move(MO_DEFAULT_WORKSPACE, designs[i].genotype.words, workspace,
                              genotypes + words * i);
   }
   if (error == MO_OK)
-    error = mo_champions(workspace, genotypes, scores, n, m, picks);
-  for (uint32_t i = 0; i < m && error == MO_OK; i++) {
+    error = mo_champions(workspace, genotypes, scores, n, m, picks, distinctiveness);
+  for (uint32_t i = 0; i < m && error == MO_OK; i++)
     rows[i] = designs[picks[i]];
-    memcpy(picked + words * i, genotypes + words * picks[i], words * sizeof(*picked));
-  }
-  if (error == MO_OK && distinctiveness != NULL)
-    mo_distinctiveness(workspace, picked, m, distinctiveness);
   free(genotypes);
-  free(picked);
   free(scores);
   free(picks);
   return error;

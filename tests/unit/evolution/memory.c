@@ -84,7 +84,7 @@ static int statistics(void)
 static int champions(void)
 {
   uint32_t picks[5] = {99};
-  const int r = mo_champions(settings.workspace, genotypes, scores, 2 * N, 5, picks);
+  const int r = mo_champions(settings.workspace, genotypes, scores, 2 * N, 5, picks, NULL);
   CHECK((picks[0] == 99) == (r != MO_OK));
   return r;
 }

@@ -165,7 +165,8 @@ static void champions(void)
     while (sound < N && isfinite(scores[order[sound]]))
       sound++;
     for (uint32_t m = 1; m <= N; m++) {
-      CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, m, picks), MO_OK);
+      double distances[N];
+      CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, m, picks, distances), MO_OK);
       uint8_t picked[N] = {0};
       for (uint32_t i = 0; i < m; i++) {
         CHECK(!picked[picks[i]]);
@@ -184,6 +185,8 @@ static void champions(void)
       CHECK(m == 1 || widest - narrowest <= 1);
       for (uint32_t i = 0; m <= sound && i < m; i++)
         CHECK(isfinite(scores[picks[i]]));
+      for (uint32_t i = 0; i < m; i++)
+        CHECK(distances[i] == mean_distance(bodies, picks, m, i) / ((m > 1 ? m - 1 : 1) * 144.0));
       for (uint32_t i = 1; i < m; i++) {
         const double before = mean_distance(bodies, picks, m, i - 1),
                      here = mean_distance(bodies, picks, m, i);
@@ -192,8 +195,9 @@ static void champions(void)
               (before == here && (better < worse || (better == worse && picks[i - 1] < picks[i]))));
       }
     }
-    CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, 0, picks), MO_OK);
-    CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, N + 1, picks), MO_ERR_RANGE);
+    CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, 0, picks, NULL), MO_OK);
+    CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, N + 1, picks, NULL),
+              MO_ERR_RANGE);
   }
 }
 
@@ -204,12 +208,12 @@ static void champions_by_hand(void)
   const uint64_t bodies[4 * W] = {1, 0, 0, 3, 0, 0, 7, 0, 0, 1, 0, 0};
   const double scores[] = {0.4, 0.1, 0.3, 0.2}, lost[] = {INFINITY, 0.5, INFINITY, 0.2};
   uint32_t picks[4];
-  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, 4, 3, picks), MO_OK);
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, 4, 3, picks, NULL), MO_OK);
   CHECK(picks[0] == 2 && picks[1] == 0 &&
         picks[2] == 1); /* sums of distances 3, 3, 2; 2 is better than 0 */
-  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 2, picks), MO_OK);
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 2, picks, NULL), MO_OK);
   CHECK(picks[0] == 3 && picks[1] == 1);
-  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 3, picks),
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 3, picks, NULL),
             MO_OK); /* one of the diverged, the first */
   CHECK((picks[0] == 0 || picks[1] == 0 || picks[2] == 0) && picks[0] != 2 && picks[1] != 2 &&
         picks[2] != 2);
