@@ -209,24 +209,28 @@ static void apply_flag(struct settings *settings, const struct setting *setting,
     settings_fault(faults, true, "%.*s: %s", (int)length, flag, message.text);
 }
 
-/* Returns the setting of a flag, and its name, as a setting is called. */
-static const struct setting *find_flag(const char *flag, size_t length, char name[64])
+const struct setting *setting_of_flag(const struct setting *rows, size_t n, const char *flag,
+                                      size_t length)
 {
-  *name = 0;
-  if (length > 2 && length < 64)
-    snprintf(name, 64, "%.*s", (int)length - 2, flag + 2);
-  const bool is_flag = strncmp(flag, "--", 2) == 0 && strchr(name, '_') == NULL;
-  for (char *c = name; *c != 0; c++)
-    if (*c == '-')
-      *c = '_';
-  return is_flag ? find(name) : NULL;
+  char name[80];
+  for (size_t i = 0; i < n; i++) {
+    settings_flag_name(&rows[i], name, sizeof(name));
+    if (strlen(name) == length && strncmp(name, flag, length) == 0)
+      return &rows[i];
+  }
+  return NULL;
 }
 
 static void unknown_flag(struct settings_request *request, struct settings_faults *faults,
-                         const char *flag, size_t length, const char *name)
+                         const char *flag, size_t length)
 {
+  char name[64] = "", why[128] = "is not a flag; see --help", meant[80];
+  if (length > 2 && length < sizeof(name))
+    snprintf(name, sizeof(name), "%.*s", (int)length - 2, flag + 2);
+  for (char *c = name; *c != 0; c++)
+    if (*c == '-')
+      *c = '_';
   const struct setting *near = *name != 0 ? nearest(name) : NULL;
-  char why[128] = "is not a flag; see --help", meant[80];
   if (near != NULL) {
     settings_flag_name(near, meant, sizeof(meant));
     snprintf(why, sizeof(why), "is not a flag; did you mean %s?", meant);
@@ -252,7 +256,6 @@ static void read_flags(struct settings *settings, int argc, const char *const *a
     const char *flag = argv[i], *equals = strchr(flag, '=');
     size_t length = equals != NULL ? (size_t)(equals - flag) : strlen(flag);
     const struct flag *action = find_action(flag, length);
-    char name[64];
     if (action != NULL) {
       if (first_walk && equals != NULL)
         usage(request, faults, flag, length, "takes no value");
@@ -260,11 +263,11 @@ static void read_flags(struct settings *settings, int argc, const char *const *a
         request->action = action->action;
       continue;
     }
-    const struct setting *setting = find_flag(flag, length, name);
+    const struct setting *setting = setting_of_flag(settings_table, settings_count, flag, length);
     bool is_config = length == 8 && strncmp(flag, "--config", length) == 0;
     if (setting == NULL && !is_config) {
       if (first_walk)
-        unknown_flag(request, faults, flag, length, name);
+        unknown_flag(request, faults, flag, length);
       continue;
     }
     if (equals == NULL && i + 1 >= argc) {

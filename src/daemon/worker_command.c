@@ -104,17 +104,6 @@ static int set(struct options *options, const struct setting *row, const char *t
   return error == MO_OK ? EXIT_OK : complain(EXIT_USAGE, name, message.text);
 }
 
-static const struct setting *find(const char *flag, size_t length)
-{
-  char name[80];
-  for (const struct setting *row = rows; row < rows + N_ROWS; row++) {
-    settings_flag_name(row, name, sizeof(name));
-    if (strlen(name) == length && strncmp(name, flag, length) == 0)
-      return row;
-  }
-  return NULL;
-}
-
 /* Reads the variables MORPHOD_WORKER_…. */
 static int read_environment(struct options *options)
 {
@@ -135,7 +124,7 @@ static int read_flags(struct options *options, int argc, const char *const *argv
   for (int i = 2; i < argc; i++) {
     const char *flag = argv[i], *equals = strchr(flag, '=');
     const size_t length = equals != NULL ? (size_t)(equals - flag) : strlen(flag);
-    const struct setting *row = find(flag, length);
+    const struct setting *row = setting_of_flag(rows, N_ROWS, flag, length);
     const char *value = equals != NULL ? equals + 1 : NULL;
     char name[80];
     snprintf(name, sizeof(name), "%.*s", (int)length, flag);
