@@ -19,13 +19,13 @@ static void add(const struct mo_compute_share *share, double *worker_s, double *
   *device_s += stats.device_s;
 }
 
-/* Under shares_mutex. */
-static struct mo_job_share *find(const struct mo_jobs *jobs, int64_t id)
+/* Under shares_mutex. Returns what points to the share; *: NULL if there is none. */
+static struct mo_job_share **find(struct mo_jobs *jobs, int64_t id)
 {
-  struct mo_job_share *entry = jobs->shares;
-  while (entry != NULL && entry->id != id)
-    entry = entry->next;
-  return entry;
+  struct mo_job_share **link = &jobs->shares;
+  while (*link != NULL && (*link)->id != id)
+    link = &(*link)->next;
+  return link;
 }
 
 /* Brings a share up to the job's row. opens: it is new, and counts on from what the job used. */
@@ -35,7 +35,7 @@ static int read_share(struct mo_jobs *jobs, int64_t id, bool opens)
   pthread_mutex_lock(&jobs->weigh_mutex);
   int error = mo_store_job(jobs->store, id, &job);
   pthread_mutex_lock(&jobs->shares_mutex);
-  struct mo_job_share *entry = find(jobs, id);
+  struct mo_job_share *entry = *find(jobs, id);
   if (error == MO_OK && entry != NULL) {
     mo_compute_share_set_weight(entry->share, job.weight);
     entry->is_batch = job.priority == MO_BATCH;
@@ -81,11 +81,8 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
 
 void mo_share_close(struct mo_jobs *jobs, int64_t id)
 {
-  struct mo_job_share *entry, **link = &jobs->shares;
   pthread_mutex_lock(&jobs->shares_mutex);
-  while (*link != NULL && (*link)->id != id)
-    link = &(*link)->next;
-  entry = *link;
+  struct mo_job_share **link = find(jobs, id), *entry = *link;
   if (entry != NULL) {
     *link = entry->next;
     add(entry->share, &jobs->ended_s[entry->kind], &jobs->ended_device_s[entry->kind]);
@@ -98,7 +95,7 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
 void mo_share_show(struct mo_jobs *jobs, int64_t id, const struct mo_live *live)
 {
   MO_GUARD(&jobs->shares_mutex);
-  struct mo_job_share *entry = find(jobs, id);
+  struct mo_job_share *entry = *find(jobs, id);
   if (entry != NULL)
     entry->live = *live;
 }
@@ -108,7 +105,7 @@ void mo_share_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
   double device_s = 0;
   *live = idle;
   MO_GUARD(&jobs->shares_mutex);
-  const struct mo_job_share *entry = find(jobs, id);
+  const struct mo_job_share *entry = *find(jobs, id);
   if (entry != NULL) {
     *live = entry->live;
     live->busy_s = 0;
