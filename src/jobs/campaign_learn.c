@@ -26,14 +26,6 @@ static uint32_t steps_of(const struct mo_campaign_run *run, uint32_t generation)
   return parent_steps(run, generation) + run->settings->child_steps;
 }
 
-/* Returns the steps of the training before a generation. */
-static uint32_t steps_before(const struct mo_campaign_run *run, uint32_t generation)
-{
-  if (run->settings->mode == MO_FEW_SHOT || generation == 0)
-    return 0;
-  return steps_of(run, 0) + (generation - 1) * steps_of(run, 1);
-}
-
 void mo_campaign_free_learning(struct mo_campaign_run *run)
 {
   mo_learner_free(&run->learner);
@@ -87,12 +79,6 @@ static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uin
   if (error == MO_OK)
     error = mo_training_decode(bytes, size, &run->learner.training, &message);
   free(bytes);
-  if (error == MO_OK &&
-      mo_training_step(run->learner.training) != steps_before(run, generation) + *step) {
-    error = mo_fail(&message, MO_ERR_CORRUPT, "it is of another step");
-    mo_training_free(run->learner.training);
-    run->learner.training = NULL;
-  }
   if (error != MO_ERR_CORRUPT && error != MO_ERR_IO && error != MO_ERR_FORMAT)
     return error;
   snprintf(run->runner->text, sizeof(run->runner->text),
