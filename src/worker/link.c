@@ -8,6 +8,7 @@
 
 #include <curl/curl.h>
 
+#include "base/text.h"
 #include "store/hash.h"
 
 #define CONNECT_LIMIT_MS 3000
@@ -17,8 +18,7 @@ struct place {
   struct curl_slist *headers;
   bool is_busy, has_digest, is_too_long;
   size_t limit;
-  uint8_t *body;
-  size_t size, capacity;
+  struct mo_text body;
   char error[CURL_ERROR_SIZE];
 };
 
@@ -122,7 +122,7 @@ int mo_link_create(const struct mo_link_config *config, struct mo_link **ret,
 static void clear(struct place *place)
 {
   curl_slist_free_all(place->headers);
-  free(place->body);
+  mo_text_free(&place->body);
   *place = (struct place){.curl = place->curl};
 }
 
@@ -143,23 +143,12 @@ void mo_link_free(struct mo_link *link)
 static size_t take(char *bytes, size_t size, size_t count, void *context)
 {
   struct place *place = context;
-  const size_t n = size * count, needed = place->size + n;
-  if (needed > place->limit) {
-    place->is_too_long = true;
+  const size_t n = size * count;
+  place->is_too_long = place->body.size + n > place->limit;
+  if (place->is_too_long)
     return 0;
-  }
-  if (needed + 1 > place->capacity) {
-    const size_t capacity = needed + 1 > 2 * place->capacity ? needed + 1 : 2 * place->capacity;
-    uint8_t *body = realloc(place->body, capacity);
-    if (body == NULL)
-      return 0;
-    place->body = body;
-    place->capacity = capacity;
-  }
-  memcpy(place->body + place->size, bytes, n);
-  place->size = needed;
-  place->body[needed] = '\0';
-  return n;
+  mo_text_bytes(&place->body, bytes, n);
+  return place->body.failed ? 0 : n;
 }
 
 static bool add_header(struct place *place, const char *name, const char *value)
@@ -294,15 +283,15 @@ static void finish(struct mo_link *link, struct place *place, CURLcode code,
     snprintf(reply->why, sizeof(reply->why), "%s",
              place->error[0] != '\0' ? place->error : curl_easy_strerror(code));
   if (reply->error == MO_OK && place->has_digest && status == 200 &&
-      !mo_content_digest_matches(header_of(place->curl, "Content-Digest"), place->body,
-                                 place->size)) {
+      !mo_content_digest_matches(header_of(place->curl, "Content-Digest"), place->body.data,
+                                 place->body.size)) {
     reply->error = MO_ERR_CORRUPT;
     snprintf(reply->why, sizeof(reply->why), "the reply is not what its digest says");
   }
   if (reply->error == MO_OK) {
-    reply->body = place->body;
-    reply->size = place->size;
-    place->body = NULL;
+    reply->body = (uint8_t *)place->body.data;
+    reply->size = place->body.size;
+    place->body = (struct mo_text){0};
   }
   curl_multi_remove_handle(link->multi, place->curl);
   clear(place);
