@@ -141,6 +141,20 @@ static void drop(struct mo_memory_user **link)
   free(user);
 }
 
+/* NULL: out of memory, or a shortage hides the job's need for now. */
+static struct mo_memory_user *make_user(struct mo_jobs *jobs, const struct mo_kind *kind,
+                                        int64_t id)
+{
+  struct mo_memory_user *user = calloc(1, sizeof(*user));
+  if (user != NULL) {
+    user->id = id;
+    user->kind = kind;
+    if (kind->need(jobs, id, &user->need) != MO_OK)
+      drop(&user);
+  }
+  return user;
+}
+
 /* Returns whether the job may start now; if not, stores the reason. */
 static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
 {
@@ -182,32 +196,13 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
   return false;
 }
 
-/* Returns the place of a job in the waiting list, where it is added unless it has memory. *place
- * NULL: it has, or a shortage hides its need for now. */
-static struct mo_memory_user **place_of(struct mo_jobs *jobs, const struct mo_kind *kind,
-                                        int64_t id)
-{
-  struct mo_memory *memory = &jobs->memory;
-  struct mo_memory_user **link = find(&memory->waiting, id), *made;
-  if (*link != NULL || *find(&memory->users, id) != NULL)
-    return link;
-  made = calloc(1, sizeof(*made));
-  if (made == NULL)
-    return link;
-  made->id = id;
-  made->kind = kind;
-  if (kind->need(jobs, id, &made->need) == MO_OK)
-    *link = made;
-  else
-    free(made);
-  return link;
-}
-
 bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id)
 {
   struct mo_memory *memory = &jobs->memory;
   MO_GUARD(&memory->mutex);
-  struct mo_memory_user **link = place_of(jobs, kind, id);
+  struct mo_memory_user **link = find(&memory->waiting, id);
+  if (*link == NULL && *find(&memory->users, id) == NULL)
+    *link = make_user(jobs, kind, id);
   struct mo_memory_user *user =
       *link; /* NULL: an earlier run has not ended yet, or another thread took the job */
   bool taken = user != NULL && fits(jobs, user);
