@@ -48,7 +48,7 @@ struct slot {
 
 struct mo_holding {
   struct mo_holding_config config;
-  struct mo_kept_weights *weights;
+  struct mo_kept_weights weights;
   struct mo_lattice *lattice;
   pthread_mutex_t mutex;
   pthread_cond_t quiet; /* the last block is out of the back end */
@@ -273,7 +273,7 @@ static void free_lease(struct mo_holding *holding, struct lease *lease)
   if (lease->has_thread)
     pthread_join(lease->thread, NULL);
   if (lease->controller != NULL)
-    mo_kept_weights_release(holding->weights, lease->controller);
+    mo_kept_weights_release(&holding->weights, lease->controller);
   mo_compute_share_free(lease->share);
   mo_wire_free_lease(&lease->wire);
   free(lease->result.losses);
@@ -322,7 +322,7 @@ bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
   for (struct lease *lease = holding->leases; lease != NULL; lease = lease->next) {
     if (lease->state != WAITING)
       continue;
-    lease->controller = mo_kept_weights_take(holding->weights, &lease->wire.controller);
+    lease->controller = mo_kept_weights_take(&holding->weights, &lease->wire.controller);
     if (lease->controller == NULL) {
       if (!lacks)
         *hash = lease->wire.controller;
@@ -347,7 +347,7 @@ bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash)
 int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
                            const uint8_t *bytes, size_t size, struct mo_message *message)
 {
-  return mo_kept_weights_add(holding->weights, hash, holding->lattice->workspace, bytes, size,
+  return mo_kept_weights_add(&holding->weights, hash, holding->lattice->workspace, bytes, size,
                              message);
 }
 
@@ -458,7 +458,7 @@ int mo_holding_create(const struct mo_holding_config *config, struct mo_holding 
                          mo_compute_devices(config->compute) > 0 ? SLOTS_OF_DEVICES : 0};
   holding->config = *config;
   holding->slots = calloc(n[0] + n[1], sizeof(*holding->slots));
-  int error = holding->slots != NULL ? mo_kept_weights_create(config->compute, &holding->weights)
+  int error = holding->slots != NULL ? mo_kept_weights_init(&holding->weights, config->compute)
                                      : MO_ERR_NO_MEMORY;
   if (error != MO_OK) {
     free(holding->slots);
@@ -514,7 +514,7 @@ void mo_holding_free(struct mo_holding *holding)
   if (holding == NULL)
     return;
   cancel_all(holding);
-  mo_kept_weights_free(holding->weights);
+  mo_kept_weights_clear(&holding->weights);
   mo_lattice_free(holding->lattice);
   pthread_mutex_destroy(&holding->mutex);
   pthread_cond_destroy(&holding->quiet);

@@ -1,58 +1,31 @@
 /* weights.c: see weights.h. */
 #include "worker/weights.h"
 
-#include <stdlib.h>
-#include <string.h>
-
-struct kept {
-  struct mo_sha256 hash;
-  struct mo_controller *controller;       /* NULL: passive bodies */
-  struct mo_compute_controller *prepared; /* NULL: free */
-  uint32_t users;
-  uint64_t used; /* when it was last taken, in takes */
-};
-
-struct mo_kept_weights {
-  struct mo_compute *compute;
-  uint64_t takes;
-  struct kept items[MO_WEIGHTS_KEPT]; /* the first: passive bodies */
-};
-
-static void forget(struct kept *item)
+static void forget(struct mo_kept *item)
 {
   mo_compute_controller_free(item->prepared);
   mo_controller_free(item->controller);
-  *item = (struct kept){0};
+  *item = (struct mo_kept){0};
 }
 
-int mo_kept_weights_create(struct mo_compute *compute, struct mo_kept_weights **ret)
+int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute)
 {
-  struct mo_kept_weights *weights = calloc(1, sizeof(*weights));
-  if (weights == NULL)
-    return MO_ERR_NO_MEMORY;
-  weights->compute = compute;
-  const int error = mo_compute_controller_create(compute, NULL, &weights->items[0].prepared);
-  if (error != MO_OK) {
-    free(weights);
-    return error;
-  }
+  *weights = (struct mo_kept_weights){.compute = compute};
   weights->items[0].users = 1; /* is never forgotten */
-  *ret = weights;
-  return MO_OK;
+  return mo_compute_controller_create(compute, NULL, &weights->items[0].prepared);
 }
 
-void mo_kept_weights_free(struct mo_kept_weights *weights)
+void mo_kept_weights_clear(struct mo_kept_weights *weights)
 {
-  for (size_t i = 0; weights != NULL && i < MO_WEIGHTS_KEPT; i++)
+  for (size_t i = 0; i < MO_WEIGHTS_KEPT; i++)
     forget(&weights->items[i]);
-  free(weights);
 }
 
 /* Returns the one that nobody used for the longest time, or a free one; NULL: all are in use. */
-static struct kept *oldest(struct mo_kept_weights *weights)
+static struct mo_kept *oldest(struct mo_kept_weights *weights)
 {
-  struct kept *found = NULL;
-  for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
+  struct mo_kept *found = NULL;
+  for (struct mo_kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
     if (item->users == 0 && (found == NULL || item->used < found->used))
       found = item;
   return found;
@@ -63,7 +36,7 @@ int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 
                         struct mo_message *message)
 {
   struct mo_sha256 actual;
-  struct kept made = {.hash = *hash}, *place = oldest(weights);
+  struct mo_kept made = {.hash = *hash}, *place = oldest(weights);
   mo_sha256_of(bytes, size, &actual);
   if (!mo_sha256_equal(&actual, hash))
     return mo_fail(message, MO_ERR_CORRUPT, "the weights are not what their hash says");
@@ -88,7 +61,7 @@ int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 
 struct mo_compute_controller *mo_kept_weights_take(struct mo_kept_weights *weights,
                                                    const struct mo_sha256 *hash)
 {
-  for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
+  for (struct mo_kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
     if (item->prepared != NULL && mo_sha256_equal(&item->hash, hash)) {
       item->users++;
       item->used = ++weights->takes;
@@ -100,7 +73,7 @@ struct mo_compute_controller *mo_kept_weights_take(struct mo_kept_weights *weigh
 void mo_kept_weights_release(struct mo_kept_weights *weights,
                              const struct mo_compute_controller *controller)
 {
-  for (struct kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
+  for (struct mo_kept *item = weights->items; item < weights->items + MO_WEIGHTS_KEPT; item++)
     if (item->prepared == controller)
       item->users--;
 }

@@ -8,10 +8,19 @@
 
 #define MO_WEIGHTS_KEPT 8
 
-struct mo_kept_weights;
-int mo_kept_weights_create(struct mo_compute *compute, struct mo_kept_weights **weights);
-void mo_kept_weights_free(
-    struct mo_kept_weights *weights); /* NULL-safe; no block uses one any more */
+struct mo_kept_weights {
+  struct mo_compute *compute;
+  uint64_t takes;
+  struct mo_kept {
+    struct mo_sha256 hash;
+    struct mo_controller *controller;       /* NULL: passive bodies */
+    struct mo_compute_controller *prepared; /* NULL: free */
+    uint32_t users;
+    uint64_t used;          /* when it was last taken, in takes */
+  } items[MO_WEIGHTS_KEPT]; /* the first: passive bodies */
+};
+int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute);
+void mo_kept_weights_clear(struct mo_kept_weights *weights); /* no block uses one any more */
 
 /* Adds the bytes of a controller's file. MO_ERR_CORRUPT: they do not have this hash; MO_ERR_FORMAT,
  * MO_ERR_LIMIT: they are no controller of this workspace; MO_ERR_EXHAUSTED: all that are kept are
