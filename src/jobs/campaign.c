@@ -492,13 +492,12 @@ static int run_campaign(struct mo_runner *runner, void *context)
 static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
 {
   struct mo_campaign_status status;
-  int error = mo_store_campaign(jobs->store, id, &status);
-  *need = (struct mo_need){0};
-  if (error == MO_OK)
-    error = mo_campaign_need(jobs, &status.record.settings,
-                             status.job.has_controller ? &status.job.controller_sha256 : NULL,
-                             status.job.back_end, need, NULL);
-  return mo_is_shortage(error) ? error : MO_OK;
+  const int error = mo_store_campaign(jobs->store, id, &status);
+  return error != MO_OK
+             ? error
+             : mo_campaign_need(jobs, &status.record.settings,
+                                status.job.has_controller ? &status.job.controller_sha256 : NULL,
+                                status.job.back_end, need, NULL);
 }
 
 const struct mo_kind mo_campaign_kind = {.kind = MO_JOB_CAMPAIGN,

@@ -44,27 +44,26 @@ static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *li
 
 int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
-                     struct mo_need *ret, struct mo_message *message)
+                     struct mo_need *need, struct mo_message *message)
 {
   const uint64_t n = settings->population;
-  struct mo_need need = {.own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES};
   struct mo_lineage lineage = {.n_parts = 0};
   int error = MO_OK;
   if (controller != NULL && settings->exclude_pretraining)
     error = mo_lineage_read(jobs, controller, NULL, &lineage, message);
   if (error != MO_OK)
     return error;
+  *need = (struct mo_need){.own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES};
   if (settings->mode != MO_STUDY)
-    need.own += mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)));
+    need->own += mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)));
   if (!mo_mode_learns(settings->mode)) {
-    need.own += n * SCORED_BYTES;
+    need->own += n * SCORED_BYTES;
   } else {
     const uint32_t batch = mo_campaign_training(settings, 0).batch;
-    mo_memory_add_learning(jobs, batch, &settings->physics, back_end, &need);
-    need.own += 2 * n * SCORED_BYTES + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
+    mo_memory_add_learning(jobs, batch, &settings->physics, back_end, need);
+    need->own += 2 * n * SCORED_BYTES + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
   }
-  add_excluded(jobs, &lineage, settings->workspace, &need);
-  *ret = need;
+  add_excluded(jobs, &lineage, settings->workspace, need);
   return MO_OK;
 }
 

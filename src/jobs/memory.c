@@ -149,7 +149,7 @@ static struct mo_memory_user *make_user(struct mo_jobs *jobs, const struct mo_ki
   if (user != NULL) {
     user->id = id;
     user->kind = kind;
-    if (kind->need(jobs, id, &user->need) != MO_OK)
+    if (mo_is_shortage(kind->need(jobs, id, &user->need)))
       drop(&user);
   }
   return user;
@@ -276,7 +276,7 @@ void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id)
   const int error = jobs->runners[kind].kind->need(jobs, id, &need);
   pthread_mutex_lock(&jobs->memory.mutex);
   struct mo_memory_user *user = *find(&jobs->memory.users, id);
-  if (user != NULL && error == MO_OK)
+  if (user != NULL && !mo_is_shortage(error))
     user->need = need;
   pthread_mutex_unlock(&jobs->memory.mutex);
   mo_memory_forget(jobs, id);

@@ -23,8 +23,8 @@ struct mo_kind {
    * below are then unused. */
   void *(*serve)(void *runner);
 
-  /* Estimates the memory of a job, 0 for an unreadable one: its run will report the error. Returns
-   * an error only for a shortage that passes. */
+  /* Estimates the memory of a job. An error leaves `need`, zeros, as it is; unless it is a
+   * shortage, the run will report it. */
   int (*need)(struct mo_jobs *jobs, int64_t id, struct mo_need *need);
   enum mo_phase first; /* the phase of a job that has just started */
   /* Runs a started job to its end or until a request. `run` has run_bytes bytes, zero at first. */

@@ -503,10 +503,9 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
 {
   struct mo_training_status status;
   const int error = mo_store_training(jobs->store, id, &status);
-  *need = (struct mo_need){0};
   if (error == MO_OK)
     *need = estimate(jobs, &status.record, status.job.back_end);
-  return mo_is_shortage(error) ? error : MO_OK;
+  return error;
 }
 
 const struct mo_kind mo_training_kind = {.kind = MO_JOB_TRAINING,
