@@ -44,7 +44,6 @@ static bool add_vote(struct mo_lease *lease, const struct mo_session *session,
   memcpy(vote->diverged_steps, result->diverged_steps, n * sizeof(*vote->diverged_steps));
   if (session != NULL) {
     vote->session = session->id;
-    vote->origin = session->origin;
     memcpy(vote->user, session->offer.user, sizeof(vote->user));
     memcpy(vote->name, session->offer.name, sizeof(vote->name));
     memcpy(vote->host, session->offer.host, sizeof(vote->host));

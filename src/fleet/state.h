@@ -46,7 +46,6 @@ struct mo_hold {
 
 struct mo_vote {
   uint64_t session; /* 0: this process */
-  int64_t origin;
   char user[MO_FLEET_NAME_BYTES + 1], name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
   double *losses;
   uint32_t *diverged_steps;

@@ -15,7 +15,6 @@
 #define CONTROLLERS_MAX 64 /* in a lineage, including the campaign's own */
 
 struct reading {
-  struct mo_jobs *jobs;
   struct mo_campaign_run *run; /* NULL: reports nothing */
   struct mo_message *message;
   struct mo_lineage *lineage;
@@ -155,7 +154,7 @@ int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
                     struct mo_campaign_run *run, struct mo_lineage *lineage,
                     struct mo_message *message)
 {
-  struct reading reading = {.jobs = jobs, .run = run, .message = message, .lineage = lineage};
+  struct reading reading = {.run = run, .message = message, .lineage = lineage};
   struct mo_sha256 next = *sha256;
   int error = MO_OK;
   lineage->n_parts = 0;

@@ -311,7 +311,6 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
       .heartbeat_us = atomic_load(&jobs->heartbeat_us),
       .no_space = atomic_load(&jobs->no_space),
-      .stopping = atomic_load(&jobs->is_stopping),
   };
   mo_shares_seconds(jobs, stats->worker_s, stats->device_s);
 }

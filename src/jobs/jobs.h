@@ -116,7 +116,6 @@ struct mo_jobs_stats {
   /* Monotonic time of the scheduler's last round (at least one per second). */
   int64_t heartbeat_us;
   bool no_space; /* running jobs wait for disk space; they continue without a request */
-  bool stopping;
 };
 /* Fills *stats without waiting for computation or the store. */
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);

@@ -440,7 +440,6 @@ void mo_holding_get_status(struct mo_holding *holding, struct mo_holding_status 
     else
       status->n_results++;
   }
-  status->n_blocks = holding->n_out;
   status->rows_done = holding->rows_done;
   status->leases_done = holding->leases_done;
 }

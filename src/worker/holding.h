@@ -47,7 +47,6 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
 struct mo_holding_status {
   uint32_t n_leases[2]; /* by enum mo_back_end: that compute or wait */
   uint32_t n_results;   /* ended ones, not taken yet */
-  uint32_t n_blocks;    /* in the back end */
   uint64_t rows_done, leases_done;
 };
 void mo_holding_get_status(struct mo_holding *holding,
