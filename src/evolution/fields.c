@@ -2,7 +2,6 @@
 #include "evolution/fields.h"
 
 #include <stdio.h>
-#include <string.h>
 
 #include "learning/fields.h"
 #include "rollout/physics.h"

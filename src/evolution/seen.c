@@ -4,8 +4,6 @@
 
 #include "morphospace/bits.h"
 
-#include <string.h>
-
 struct mo_seen {
   struct mo_workspace workspace;
   const struct mo_form_set *excluded; /* NULL: none */

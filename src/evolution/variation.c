@@ -16,8 +16,6 @@
 #include "base/thread.h"
 #include "morphospace/bits.h"
 
-#include <string.h>
-
 #define PAIRS_FRUITLESS 1000 /* discards in a row after which no more pairs are tried */
 #define RATE_MAX        0.5
 #define ASK_EVERY       64

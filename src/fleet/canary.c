@@ -6,7 +6,6 @@
  * moves. The robots of the gradient stand on the ground, so that few steps have contacts; they fill
  * one block of the CPU and a part of another. */
 #include <stdlib.h>
-#include <string.h>
 
 #include "fleet/fleet.h"
 

@@ -1,5 +1,4 @@
 /* exchange.c: what a session asks for: an exchange, its orders, a controller. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "fleet/give.h"

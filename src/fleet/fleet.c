@@ -1,5 +1,4 @@
 /* fleet.c: creates and frees the fleet, lets sessions in and out, and turns its clock. */
-#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 

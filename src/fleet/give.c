@@ -1,8 +1,6 @@
 /* give.c: see give.h. */
 #include "fleet/give.h"
 
-#include <stdlib.h>
-
 #include "fleet/checks.h"
 #include "fleet/content.h"
 

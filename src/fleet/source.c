@@ -1,8 +1,6 @@
 /* source.c: see source.h. */
 #include "fleet/source.h"
 
-#include <stdlib.h>
-
 /* As an urgent block: remote takers get none of these. */
 static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                const struct mo_lattice *lattice, struct mo_compute_controller *controller,

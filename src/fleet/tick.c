@@ -1,6 +1,4 @@
 /* tick.c: what happens when time passes: silence, lateness, cancellation, and who is woken. */
-#include <stdlib.h>
-
 #include "fleet/decide.h"
 #include "fleet/give.h"
 

@@ -7,7 +7,6 @@
  * A service without devices may expect those of workers. Their class is named once: by the first
  * worker that has some, or, when a job needs it before, by what the store knows of an earlier
  * process. From then on it is the class of all jobs on devices, which wait for such workers. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/thread.h"

@@ -6,7 +6,6 @@
  * separate thread draws the set. The first campaign starts that thread; later ones wait for it. The
  * drawing continues when a campaign is paused or cancelled, and stops when the last campaign
  * leaves. */
-#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 

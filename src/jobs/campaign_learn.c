@@ -10,7 +10,6 @@
  * the learning state that scored it. */
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "jobs/campaign_run.h"
 

@@ -1,7 +1,6 @@
 /* campaign_submit.c: places and admits a campaign, then hands it to the store; adds generations to
  * one. */
 #include <inttypes.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "jobs/campaign_excluded.h"

@@ -6,7 +6,6 @@
  * back end, as trainings and campaigns have, and keeps a window of blocks in it; the back end
  * divides its time by the shares' weights. */
 #include <stdlib.h>
-#include <string.h>
 
 #include "base/clock.h"
 #include "base/thread.h"

@@ -12,7 +12,6 @@
 #include "jobs/runner.h"
 
 #include <math.h>
-#include <stdlib.h>
 
 #include "base/clock.h"
 #include "base/thread.h"

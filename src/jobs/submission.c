@@ -3,9 +3,6 @@
 #include "jobs/submission.h"
 
 #include <stdlib.h>
-#include <string.h>
-
-#include "base/text.h"
 
 /* ---- the way into the queue ---- */
 

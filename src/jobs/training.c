@@ -9,7 +9,6 @@
 #include "jobs/trainings.h"
 
 #include <stdlib.h>
-#include <string.h>
 
 #include "base/clock.h"
 #include "base/thread.h"

@@ -14,7 +14,6 @@
 
 #include <stdatomic.h>
 #include <stdlib.h>
-#include <string.h>
 
 #define ASK_EVERY 64 /* bodies between two checks of `cancel` */
 

@@ -2,9 +2,7 @@
  * block's `done` runs on a worker: it copies the losses and submits the next block in its place. */
 #include "worker/holding.h"
 
-#include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "base/clock.h"
 #include "base/thread.h"

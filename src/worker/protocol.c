@@ -1,11 +1,10 @@
 /* protocol.c: see protocol.h. Unknown members are skipped: a newer daemon may say more. */
 #include "worker/protocol.h"
 
+#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "base/json.h"
-#include "base/words.h"
 
 /* ---- the offer ---- */
 
