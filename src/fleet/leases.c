@@ -139,15 +139,14 @@ void mo_lease_drop(const struct mo_lease *lease, struct mo_session *session, str
   mo_after_wake(after, session->id);
 }
 
-bool mo_class_wake(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after)
+void mo_class_wake(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after)
 {
   struct mo_class *class = &fleet->classes[back_end];
   struct mo_session *session = TAILQ_FIRST(&class->idle);
   if (session == NULL && (session = TAILQ_FIRST(&class->busy)) == NULL)
-    return false;
+    return;
   mo_session_wait(session, back_end, NULL);
   mo_after_wake(after, session->id);
-  return true;
 }
 
 void mo_session_wait(struct mo_session *session, enum mo_back_end back_end, struct mo_class *class)

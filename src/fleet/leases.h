@@ -46,7 +46,7 @@ void mo_lease_end(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_afte
 
 /* Lets a session wait for work of a class; NULL: it waits no more. */
 void mo_session_wait(struct mo_session *session, enum mo_back_end back_end, struct mo_class *class);
-/* Wakes a session that waits, an idle one if there is one; false: none waits. */
-bool mo_class_wake(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after);
+/* Wakes a session that waits, if any: an idle one if there is one. */
+void mo_class_wake(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after);
 
 #endif
