@@ -40,8 +40,7 @@ static void complete_config(struct mo_jobs *jobs)
     config->max_recorded_bytes = UINT64_C(64) << 20;
   if (config->max_memory > 0 && config->max_recorded_bytes > config->max_memory / 4)
     config->max_recorded_bytes = config->max_memory / 4;
-  config->crash_marker = NULL; /* already read; the caller's strings are not kept */
-  config->version = NULL;
+  config->crash_marker = NULL; /* already read, and the caller's */
 }
 
 /* ---- the marker: which job a dying process was working on ---- */

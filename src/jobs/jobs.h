@@ -35,7 +35,7 @@ struct mo_jobs_config {
   /* Delay before a retry after an error or for lack of space. 0: 1000. */
   uint32_t retry_ms;
   uint64_t max_memory; /* limit of the process in bytes; 0: no limit */
-  /* Product version, for the lineage of trained controllers; NULL: "". */
+  /* Product version, for the lineage of trained controllers; outlives the service. NULL: "". */
   const char *version;
   /* File that mo_jobs_crash_note wrote in an earlier process, or NULL. Read once, then emptied. */
   const char *crash_marker;

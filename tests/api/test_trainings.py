@@ -147,6 +147,7 @@ def test_the_end(service, trained):
     assert service.request("GET", "/v1/controllers/small/file").body == reply.body
     described = service.get("/v1/controllers/small")["metadata"]
     assert described["morphod.kind"] == "pretrain" and described["morphod.step"] == "6"
+    assert described["morphod.version"].startswith(service.get("/healthz")["version"] + " ")
     job = service.get(trained["links"]["job"])
     assert job["training"] == {"kind": "pretrain", "name": "small", "step": 6, "steps": 6}
     scores = service.evaluate({"designs": [DESIGN], "controller": "small", "physics": SHORT}).json()
