@@ -9,25 +9,15 @@
 
 /* ---- writing ---- */
 
-/* Writes a value. csv: a flag is a digit, a word has no quotes, and no number is no text. */
-static void write_value(struct mo_text *text, const struct mo_column *column, const void *row,
-                        bool csv)
+static void write_value(struct mo_text *text, const struct mo_column *column, const void *row)
 {
   const void *value = (const char *)row + column->offset;
   switch (column->type) {
   case MO_COLUMN_COUNT: mo_text_format(text, "%" PRIu32, *(const uint32_t *)value); break;
   case MO_COLUMN_LONG: mo_text_format(text, "%" PRIu64, *(const uint64_t *)value); break;
-  case MO_COLUMN_NUMBER:
-    if (!csv || isfinite(*(const double *)value))
-      mo_text_json_number(text, *(const double *)value);
-    break;
-  case MO_COLUMN_FLAG:
-    mo_text_add(text, csv ? (*(const bool *)value ? "1" : "0")
-                          : (*(const bool *)value ? "true" : "false"));
-    break;
-  case MO_COLUMN_WORD:
-    mo_text_format(text, csv ? "%s" : "\"%s\"", column->words[*(const bool *)value]);
-    break;
+  case MO_COLUMN_NUMBER: mo_text_json_number(text, *(const double *)value); break;
+  case MO_COLUMN_FLAG: mo_text_add(text, *(const bool *)value ? "true" : "false"); break;
+  case MO_COLUMN_WORD: mo_text_format(text, "\"%s\"", column->words[*(const bool *)value]); break;
   case MO_COLUMN_TIME: break; /* is not shown */
   }
 }
@@ -62,7 +52,7 @@ void mo_columns_members(struct mo_text *text, const struct mo_columns *columns, 
       mo_text_format(text, "\"%.*s\":{", (int)n, path);
     }
     mo_text_name(text, path);
-    write_value(text, &columns->items[i], row, false);
+    write_value(text, &columns->items[i], row);
     open = columns->items[i].path;
   }
   close_objects(text, open);
@@ -77,50 +67,6 @@ void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, con
   mo_text_object(text);
   mo_columns_members(text, columns, row);
   mo_text_add(text, "}");
-}
-
-void mo_columns_csv(struct mo_text *text, const struct mo_columns *columns, const void *row)
-{
-  for (size_t i = 0; i < columns->n; i++) {
-    mo_text_add(text, i > 0 ? "," : "");
-    write_value(text, &columns->items[i], row, true);
-  }
-  mo_text_add(text, "\n");
-}
-
-void mo_columns_heading(struct mo_text *text, const struct mo_columns *columns)
-{
-  for (size_t i = 0; i < columns->n; i++) {
-    const struct mo_column *column = &columns->items[i];
-    mo_text_format(text, "%s%s", i > 0 ? "," : "", mo_column_name(column));
-  }
-  mo_text_bytes(text, "\n", 1);
-}
-
-/* ---- cells of CSV ---- */
-
-static void write_quoted(struct mo_text *text, const char *bytes, size_t size)
-{
-  mo_text_bytes(text, "\"", 1);
-  for (size_t i = 0, n; i < size; i += n) {
-    const char *quote = memchr(bytes + i, '"', size - i);
-    n = quote != NULL ? (size_t)(quote - bytes) + 1 - i : size - i;
-    mo_text_bytes(text, bytes + i, n);
-    if (quote != NULL)
-      mo_text_bytes(text, "\"", 1);
-  }
-  mo_text_bytes(text, "\"", 1);
-}
-
-void mo_csv_text(struct mo_text *text, const char *bytes, size_t size)
-{
-  bool plain = size > 0 && bytes[0] != ' ' && bytes[size - 1] != ' ';
-  for (size_t i = 0; i < size && plain; i++)
-    plain = (unsigned char)bytes[i] >= ' ' && bytes[i] != '"' && bytes[i] != ',';
-  if (plain)
-    mo_text_bytes(text, bytes, size);
-  else
-    write_quoted(text, bytes, size);
 }
 
 /* ---- replicates ---- */

@@ -1,5 +1,4 @@
-/* columns.h: rows of numbers as JSON and CSV, both written from the same list of columns
- * (store/columns.h). */
+/* columns.h: rows of numbers as JSON, written from their list of columns (store/columns.h). */
 #ifndef MORPHO_API_COLUMNS_H
 #define MORPHO_API_COLUMNS_H
 
@@ -12,11 +11,6 @@
 void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row);
 /* Writes the members of this object alone. */
 void mo_columns_members(struct mo_text *text, const struct mo_columns *columns, const void *row);
-/* Appends a text as a cell of CSV, in quotes where it needs them. */
-void mo_csv_text(struct mo_text *text, const char *bytes, size_t size);
-/* Write a line of CSV, and the heading. */
-void mo_columns_csv(struct mo_text *text, const struct mo_columns *columns, const void *row);
-void mo_columns_heading(struct mo_text *text, const struct mo_columns *columns);
 
 extern const struct mo_columns mo_replicate_columns; /* struct mo_replicate_row */
 

@@ -1,15 +1,12 @@
 /* curves.c: the curves of a job: steps and validations of a training; generations and learning of a
  * campaign; the generations of a group of replicates, and of any campaigns, one after the other.
- * Replies with a page as JSON, or with the whole curve in another form, which is read and written
- * page by page. */
-#include <stdio.h>
+ * Replies with pages of JSON, from which tables.c makes the other forms. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "api/columns.h"
 #include "api/jobs.h"
 #include "api/tables.h"
-#include "http/download.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
 #define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them: 10 µs each */
@@ -18,7 +15,7 @@ struct curve;
 
 /* A kind of curve. */
 struct curve_kind {
-  const char *name; /* the end of its route */
+  const char *path; /* of its route */
   const struct mo_columns *columns;
   size_t row_size;
   /* Reads at most `limit` rows behind the curve's place and moves it behind them. Returns their
@@ -33,14 +30,11 @@ struct curve_kind {
 struct curve {
   struct mo_store *store;
   const struct curve_kind *kind;
-  enum mo_form form;
-  bool headed;
   int64_t id;
-  int64_t after;            /* step, generation or campaign; −1: none */
-  uint32_t step;            /* of that generation; of a campaign the generation */
-  int64_t stride;           /* of steps or generations */
-  uint64_t left;            /* rows that may still be written */
-  struct mo_gather *gather; /* of the form `columns` */
+  int64_t after;  /* step, generation or campaign; −1: none */
+  uint32_t step;  /* of that generation; of a campaign the generation */
+  int64_t stride; /* of steps or generations */
+  int64_t limit;  /* rows of a page */
   /* The campaigns whose rows are read, ascending: of replicates those that count, with the newest
    * generation that all of them have. */
   int64_t *members;
@@ -51,7 +45,7 @@ struct curve {
     enum mo_job_state state;
   } left_out[MO_REPLICATES_MAX]; /* those that were cancelled or failed */
   uint32_t n_left_out;
-  struct mo_text values[7], cells; /* what the campaign is, as JSON and as CSV */
+  struct mo_text about; /* how a row begins: what its campaign is */
 };
 
 /* ---- rows ---- */
@@ -84,37 +78,22 @@ static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
 }
 
 /* Columns that come before those of a generation, where rows are of several campaigns. */
-static const struct {
-  const char *name, *type; /* as in a mo_gathered */
-} member_columns[] = {{"campaign", NULL}, {"group", NULL}, {"replicate", "uint32"}, {"label", NULL},
-                      {"mode", NULL},     {"state", NULL}, {"seed", "uint64"}};
-#define MEMBER_COLUMNS (sizeof(member_columns) / sizeof(member_columns[0]))
+static const char member_columns[] = "campaign group replicate:u label mode state seed:l";
 
 /* Notes what the campaign is, once for all its rows. */
-static void describe(struct curve *curve, const struct mo_campaign_status *status)
+static void describe(struct mo_text *about, const struct mo_campaign_status *status)
 {
   const struct mo_campaign_record *record = &status->record;
   const struct mo_job *job = &status->job;
-  struct mo_text *values = curve->values, *cells = &curve->cells;
-  for (size_t i = 0; i < MEMBER_COLUMNS; i++)
-    values[i].size = 0;
-  mo_text_format(&values[0], "\"%lld\"", (long long)job->id);
-  mo_text_format(&values[1], "\"%lld\"", (long long)record->group);
-  mo_text_format(&values[2], "%u", record->replicate);
-  if (job->has_label)
-    mo_text_json_string(&values[3], job->label, strlen(job->label));
-  else
-    mo_text_add(&values[3], "null");
-  mo_text_format(&values[4], "\"%s\"", mo_campaign_mode_words[record->settings.mode]);
-  mo_text_format(&values[5], "\"%s\"", mo_job_state_name(job->state));
-  mo_text_format(&values[6], "%llu", (unsigned long long)record->settings.seed);
-  cells->size = 0;
-  mo_text_format(cells, "%lld,%lld,%u,", (long long)job->id, (long long)record->group,
-                 record->replicate);
-  if (job->has_label)
-    mo_csv_text(cells, job->label, strlen(job->label));
-  mo_text_format(cells, ",%s,%s,%s,", mo_campaign_mode_words[record->settings.mode],
-                 mo_job_state_name(job->state), values[6].data);
+  about->size = 0;
+  mo_text_object(about);
+  mo_text_member_id(about, "campaign", job->id);
+  mo_text_member_id(about, "group", record->group);
+  mo_text_member_count(about, "replicate", record->replicate);
+  mo_text_member(about, "label", job->has_label ? job->label : NULL);
+  mo_text_member(about, "mode", mo_campaign_mode_words[record->settings.mode]);
+  mo_text_member(about, "state", mo_job_state_name(job->state));
+  mo_text_member_count(about, "seed", record->settings.seed);
 }
 
 /* Reads rows of one campaign, the next one that has some. */
@@ -133,7 +112,7 @@ static int64_t read_exported(struct curve *curve, void *rows, size_t limit)
     if (n > 0) {
       curve->after = id;
       curve->step = generations[n - 1].generation;
-      describe(curve, status);
+      describe(&curve->about, status);
     }
     curve->member += n >= 0 && (size_t)n < limit;
   }
@@ -188,95 +167,43 @@ static int64_t read_replicates(struct curve *curve, void *rows, size_t limit)
 }
 
 static const struct curve_kind kinds[] = {
-    {"steps", &mo_step_columns, sizeof(struct mo_training_step_row), read_steps},
-    {"validations", &mo_validation_columns, sizeof(struct mo_training_validation_row),
-     read_validations},
-    {"generations", &mo_generation_columns, sizeof(struct mo_campaign_generation),
-     read_generations},
-    {"learning", &mo_campaign_step_columns, sizeof(struct mo_campaign_step), read_learning,
-     .has_step = true},
-    {"replicates", &mo_replicate_columns, sizeof(struct mo_replicate_row), read_replicates,
-     .has_members = true},
+    {"/v1/trainings/{id}/steps", &mo_step_columns, sizeof(struct mo_training_step_row), read_steps},
+    {"/v1/trainings/{id}/validations", &mo_validation_columns,
+     sizeof(struct mo_training_validation_row), read_validations},
+    {"/v1/campaigns/{id}/generations", &mo_generation_columns,
+     sizeof(struct mo_campaign_generation), read_generations},
+    {"/v1/campaigns/{id}/learning", &mo_campaign_step_columns, sizeof(struct mo_campaign_step),
+     read_learning, .has_step = true},
+    {"/v1/campaigns/{id}/replicates", &mo_replicate_columns, sizeof(struct mo_replicate_row),
+     read_replicates, .has_members = true},
+    {"/v1/campaigns/generations", &mo_generation_columns, sizeof(struct mo_campaign_generation),
+     read_exported, .has_step = true, .names_member = true},
 };
-static const struct curve_kind exported = {
-    "generations", &mo_generation_columns, sizeof(struct mo_campaign_generation),
-    read_exported, .has_step = true,       .names_member = true};
 
-/* Adds a row, in JSON its comma, too. */
-static void add_row(struct curve *curve, struct mo_text *text, const void *row)
+/* Adds rows, of one campaign. Returns 1: there may be more, 0: there are no more now, or an error.
+ */
+static int add_rows(struct curve *curve, struct mo_text *text)
 {
   const struct curve_kind *kind = curve->kind;
-  const size_t n = kind->names_member ? MEMBER_COLUMNS : 0;
-  if (curve->form == MO_FORM_COLUMNS) {
-    struct mo_gathered *columns = curve->gather->columns;
-    for (size_t i = 0; i < n; i++) {
-      if (columns[i].type != NULL)
-        mo_gather_number(&columns[i], strtod(curve->values[i].data, NULL));
-      else
-        mo_gather_json(&columns[i], curve->values[i].data, curve->values[i].size);
-    }
-    mo_gather_row(curve->gather, (unsigned)n, kind->columns, row);
-    curve->gather->n_rows++;
-  } else if (curve->form == MO_FORM_CSV) {
-    mo_text_bytes(text, curve->cells.data, curve->cells.size);
-    mo_columns_csv(text, kind->columns, row);
-  } else {
-    if (curve->form == MO_FORM_JSON)
-      mo_text_object(text);
-    else
-      mo_text_add(text, "{"); /* lines have no commas between them */
-    for (size_t i = 0; i < n; i++) {
-      mo_text_name(text, member_columns[i].name);
-      mo_text_bytes(text, curve->values[i].data, curve->values[i].size);
-    }
-    mo_columns_members(text, kind->columns, row);
-    mo_text_add(text, curve->form == MO_FORM_NDJSON ? "}\n" : "}");
+  const int64_t limit = curve->limit;
+  char *rows = malloc((size_t)limit * kind->row_size);
+  const int64_t n = rows == NULL ? MO_ERR_NO_MEMORY : kind->read(curve, rows, (size_t)limit);
+  for (int64_t i = 0; i < n; i++) {
+    mo_text_next(text);
+    mo_text_bytes(text, curve->about.data, curve->about.size);
+    mo_columns_members(text, kind->columns, rows + (size_t)i * kind->row_size);
+    mo_text_add(text, "}");
   }
-}
-
-/* Adds a page. Returns 1: there may be more, 0: there are no more now, or an error. */
-static int add_page(struct curve *curve, struct mo_text *text)
-{
-  const struct curve_kind *kind = curve->kind;
-  size_t limit = curve->left < MO_PAGE_MAX ? (size_t)curve->left : MO_PAGE_MAX;
-  char *rows = limit > 0 ? malloc(limit * kind->row_size) : NULL;
-  int64_t n = limit == 0 ? 0 : rows == NULL ? MO_ERR_NO_MEMORY : kind->read(curve, rows, limit);
-  for (int64_t i = 0; i < n; i++)
-    add_row(curve, text, rows + (size_t)i * kind->row_size);
   free(rows);
-  if (n < 0)
-    return (int)n;
-  curve->left -= (uint64_t)n;
+  if (n < 0 || curve->about.failed)
+    return n < 0 ? (int)n : MO_ERR_NO_MEMORY;
+  curve->limit -= n;
   return kind->names_member  ? curve->member < curve->n_members
          : kind->has_members ? curve->n_members > 0 && curve->after < curve->newest
-                             : limit > 0 && (size_t)n == limit;
+                             : n == limit;
 }
 
 /* ---- replies ---- */
-
-static void free_curve(void *context)
-{
-  struct curve *curve = context;
-  for (size_t i = 0; i < MEMBER_COLUMNS; i++)
-    mo_text_free(&curve->values[i]);
-  mo_text_free(&curve->cells);
-  free(curve->members);
-  free(curve);
-}
-
-/* A mo_download_more. */
-static int more_lines(void *context, struct mo_text *text)
-{
-  struct curve *curve = context;
-  if (!curve->headed && curve->form == MO_FORM_CSV) {
-    for (size_t i = 0; i < MEMBER_COLUMNS && curve->kind->names_member; i++)
-      mo_text_format(text, "%s,", member_columns[i].name);
-    mo_columns_heading(text, curve->kind->columns);
-  }
-  curve->headed = true;
-  int more = add_page(curve, text);
-  return more > 0 && curve->left == 0 ? 0 : more;
-}
 
 static void write_left_out(struct mo_text *text, const struct curve *curve)
 {
@@ -293,8 +220,11 @@ static void write_left_out(struct mo_text *text, const struct curve *curve)
 static void reply_page(struct mo_request *request, struct curve *curve)
 {
   struct mo_text text = {0};
+  int more;
   mo_text_add(&text, "{\"items\":[");
-  int more = add_page(curve, &text);
+  do
+    more = add_rows(curve, &text);
+  while (more > 0 && curve->limit > 0 && curve->kind->names_member);
   if (more <= 0)
     mo_text_add(&text, "],\"next_cursor\":null");
   else if (curve->kind->has_step)
@@ -305,23 +235,6 @@ static void reply_page(struct mo_request *request, struct curve *curve)
     write_left_out(&text, curve);
   mo_text_add(&text, "}");
   mo_reply_text(request, more < 0 ? more : MO_OK, &text, "page");
-}
-
-static void reply_columns(struct mo_request *request, struct curve *curve)
-{
-  struct mo_gather gather = {0};
-  int more = 1;
-  for (size_t i = 0; i < MEMBER_COLUMNS && curve->kind->names_member; i++)
-    mo_gather_column(&gather, member_columns[i].name, strlen(member_columns[i].name),
-                     member_columns[i].type);
-  mo_gather_columns(&gather, curve->kind->columns);
-  curve->gather = &gather;
-  while (more > 0 && curve->left > 0) {
-    more = add_page(curve, NULL);
-    const int fits = mo_gather_check(&gather);
-    more = more >= 0 && fits != MO_OK ? fits : more;
-  }
-  mo_gather_reply(request, more < 0 ? more : MO_OK, &gather);
 }
 
 /* ---- whose rows ---- */
@@ -386,56 +299,35 @@ static bool read_cursor(struct mo_request *request, struct curve *curve)
   return true;
 }
 
-/* Replies with rows of the kind. Frees the curve, unless the reply goes on with it. */
-static void reply_curve(struct mo_request *request, struct curve *curve)
-{
-  int64_t limit = 0;
-  int form;
-  if (mo_table_form(request, &form) && read_cursor(request, curve) &&
-      mo_query_number(request, "limit", 1, MO_PAGE_MAX, &limit) &&
-      mo_query_number(request, "stride", 1, MO_TRAINING_STEPS_MAX, &curve->stride) &&
-      (curve->kind->names_member ? find_exported(request, curve)
-                                 : mo_path_job(request, &curve->id))) {
-    curve->form = (enum mo_form)form;
-    curve->left = limit > 0 ? (uint64_t)limit : form != MO_FORM_JSON ? UINT64_MAX : MO_PAGE_MAX;
-    const int error = curve->kind->has_members ? find_members(curve) : MO_OK;
-    if (error != MO_OK) {
-      mo_reply_error(request, error, "campaign");
-    } else if (form == MO_FORM_JSON) {
-      reply_page(request, curve);
-    } else if (form == MO_FORM_COLUMNS) {
-      reply_columns(request, curve);
-    } else {
-      mo_download_open(request, mo_table_type(curve->form), NULL, sizeof(*curve), more_lines, curve,
-                       free_curve);
-      return;
-    }
-  }
-  free_curve(curve);
-}
-
-static void begin_curve(struct mo_request *request, const struct curve_kind *kind)
-{
-  struct curve *curve = malloc(sizeof(*curve));
-  if (curve == NULL) {
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
-    return;
-  }
-  *curve =
-      (struct curve){.store = mo_api_of(request)->store, .kind = kind, .after = -1, .stride = 1};
-  reply_curve(request, curve);
-}
-
 void mo_api_get_curve(struct mo_request *request)
 {
-  const struct curve_kind *kind = kinds;
-  while (strcmp(strrchr(request->route->path, '/') + 1, kind->name) != 0)
-    kind++;
-  begin_curve(request, kind);
-}
-
-/* Replies with the generations of any campaigns. */
-void mo_api_get_generations(struct mo_request *request)
-{
-  begin_curve(request, &exported);
+  struct curve curve = {.store = mo_api_of(request)->store,
+                        .kind = kinds,
+                        .after = -1,
+                        .stride = 1,
+                        .limit = MO_PAGE_MAX};
+  int form;
+  while (strcmp(request->route->path, curve.kind->path) != 0)
+    curve.kind++;
+  if (!mo_table_form(request, &form))
+    return;
+  if (form != MO_FORM_JSON) {
+    mo_table_reply(request, (enum mo_form)form, mo_api_get_curve,
+                   curve.kind->names_member ? member_columns : "", curve.kind->columns);
+    return;
+  }
+  mo_text_object(&curve.about);
+  if (read_cursor(request, &curve) &&
+      mo_query_number(request, "limit", 1, MO_PAGE_MAX, &curve.limit) &&
+      mo_query_number(request, "stride", 1, MO_TRAINING_STEPS_MAX, &curve.stride) &&
+      (curve.kind->names_member ? find_exported(request, &curve)
+                                : mo_path_job(request, &curve.id))) {
+    const int error = curve.kind->has_members ? find_members(&curve) : MO_OK;
+    if (error != MO_OK)
+      mo_reply_error(request, error, "campaign");
+    else
+      reply_page(request, &curve);
+  }
+  mo_text_free(&curve.about);
+  free(curve.members);
 }

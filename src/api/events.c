@@ -166,7 +166,8 @@ void mo_api_get_events(struct mo_request *request)
   if (!mo_query_word(request, "format", formats, &is_page))
     return;
   if (is_page > 1) {
-    mo_table_reply(request, (enum mo_form)(is_page - 1), mo_api_get_events, "id type job at data");
+    mo_table_reply(request, (enum mo_form)(is_page - 1), mo_api_get_events, "id type job at data",
+                   NULL);
     return;
   }
   if (!mo_query_limit(request, &limit) ||

@@ -514,7 +514,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
       !read_wanted(request, form, &wanted))
     return;
   if (form == NDJSON) {
-    mo_table_reply(request, MO_FORM_NDJSON, mo_api_get_campaign_phylogeny, "");
+    mo_table_reply(request, MO_FORM_NDJSON, mo_api_get_campaign_phylogeny, "", NULL);
     return;
   }
   int code = mo_store_campaign(store, id, &status);

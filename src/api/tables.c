@@ -1,8 +1,9 @@
-/* tables.c: lists in other forms than JSON. The handler of a list makes its pages as JSON; from
- * these come the lines and columns, page by page, so that a list of any length takes the memory of
- * a page. See tables.h. */
+/* tables.c: lists and curves in other forms than JSON. The handler of a list makes its pages as
+ * JSON; from these come the lines and columns, page by page, so that lines of any number take the
+ * memory of a page. See tables.h. */
 #include "api/tables.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,8 +13,9 @@
 #include "base/json.h"
 #include "http/download.h"
 
-#define COLUMNS_MAX MO_GATHER_COLUMNS
-#define PATH_BYTES  96
+#define COLUMNS_MAX  64
+#define COLUMNS_SIZE ((size_t)64 << 20) /* bytes of all columns of a reply */
+#define PATH_BYTES   96
 
 /* ---- forms ---- */
 
@@ -26,20 +28,30 @@ bool mo_table_form(struct mo_request *request, int *form)
   return mo_query_form(request, forms, types, form);
 }
 
-const char *mo_table_type(enum mo_form form)
-{
-  return form == MO_FORM_CSV ? "text/csv; charset=utf-8; header=present" : types[form];
-}
-
 /* ---- the columns of a list ---- */
+
+/* The numbers of a column, by the type of a row's, or by the letter in a list of columns. */
+static const struct numbers {
+  char letter;
+  const char *type;
+  size_t width;
+} numbers[] = {[MO_COLUMN_COUNT] = {'u', "uint32", sizeof(uint32_t)},
+               [MO_COLUMN_LONG] = {'l', "uint64", sizeof(uint64_t)},
+               [MO_COLUMN_NUMBER] = {'n', "float64", sizeof(double)},
+               [MO_COLUMN_FLAG] = {0, "uint8", sizeof(uint8_t)}};
+#define NUMBERS (sizeof(numbers) / sizeof(numbers[0]))
 
 struct column {
   const char *path;
   size_t size;
-  char kind; /* 'n', 'd', 'g', or 0 */
+  char name[48];                 /* the path with _ for each dot */
+  const char *csv;               /* its name in CSV; NULL: as `name` */
+  const struct numbers *numbers; /* NULL: any JSON */
+  char letter;                   /* before its values in CSV; 0: none */
   /* Its value in the row that is read: a place in `cells`. */
   enum mo_json_kind found;
   size_t at, length;
+  struct mo_text values; /* of the form `columns`: those of all rows */
 };
 
 struct table {
@@ -49,20 +61,41 @@ struct table {
   bool headed, is_last; /* is_last: no page follows the one in `body` */
   char *body;           /* of a page, malloc; NULL: none is waiting */
   size_t size;
-  char cursor[256];
+  char cursor[256], limit[24];
+  uint64_t left; /* rows that may still be taken */
+  uint32_t n_rows;
   unsigned n;
   struct column columns[COLUMNS_MAX];
   struct mo_text cells;
   struct mo_json json;
 };
 
-static void read_columns(struct table *table, const char *columns)
+static struct column *add_column(struct table *table, const char *path, size_t size)
+{
+  struct column *column = &table->columns[table->n++];
+  *column = (struct column){.path = path, .size = size};
+  for (size_t i = 0; i < size && i < sizeof(column->name) - 1; i++)
+    column->name[i] = (char)(path[i] == '.' ? '_' : path[i]);
+  return column;
+}
+
+static void read_columns(struct table *table, const char *columns, const struct mo_columns *rows)
 {
   while (*columns != '\0' && table->n < COLUMNS_MAX) {
     const size_t size = strcspn(columns, " "), path = strcspn(columns, ": ");
-    table->columns[table->n++] =
-        (struct column){.path = columns, .size = path, .kind = path < size ? columns[path + 1] : 0};
+    struct column *column = add_column(table, columns, path);
+    const char letter = path < size ? columns[path + 1] : 0;
+    for (size_t i = 0; i < NUMBERS && letter != 0; i++)
+      if (numbers[i].letter == letter)
+        column->numbers = &numbers[i];
+    column->letter = column->numbers == NULL ? letter : 0;
     columns += size + (columns[size] == ' ');
+  }
+  for (size_t i = 0; rows != NULL && i < rows->n && table->n < COLUMNS_MAX; i++) {
+    const struct mo_column *row = &rows->items[i];
+    struct column *column = add_column(table, row->path, strlen(row->path));
+    column->csv = row->csv;
+    column->numbers = row->type < NUMBERS ? &numbers[row->type] : NULL;
   }
 }
 
@@ -90,6 +123,12 @@ static bool read_page(struct table *table)
   set(&request->query, "format", forms[MO_FORM_JSON]);
   if (table->cursor[0] != '\0')
     set(&request->query, "cursor", table->cursor);
+  if (table->cursor[0] != '\0' ||
+      table->left == UINT64_MAX) { /* else the client's, to be checked */
+    snprintf(table->limit, sizeof(table->limit), "%u",
+             table->left < MO_LIST_MAX ? (unsigned)table->left : MO_LIST_MAX);
+    set(&request->query, "limit", table->limit);
+  }
   table->page(request);
   if (request->reply.status != 200 || request->reply.body == NULL)
     return false;
@@ -158,41 +197,70 @@ static void read_value(struct table *table, char path[PATH_BYTES], size_t size)
   }
 }
 
+static void write_quoted(struct mo_text *text, const char *bytes, size_t size)
+{
+  mo_text_bytes(text, "\"", 1);
+  for (size_t i = 0, n; i < size; i += n) {
+    const char *quote = memchr(bytes + i, '"', size - i);
+    n = quote != NULL ? (size_t)(quote - bytes) + 1 - i : size - i;
+    mo_text_bytes(text, bytes + i, n);
+    if (quote != NULL)
+      mo_text_bytes(text, "\"", 1);
+  }
+  mo_text_bytes(text, "\"", 1);
+}
+
+/* Appends a text as a cell of CSV, in quotes where it needs them. */
+static void write_text(struct mo_text *text, const char *bytes, size_t size)
+{
+  bool plain = size > 0 && bytes[0] != ' ' && bytes[size - 1] != ' ';
+  for (size_t i = 0; i < size && plain; i++)
+    plain = (unsigned char)bytes[i] >= ' ' && bytes[i] != '"' && bytes[i] != ',';
+  if (plain)
+    mo_text_bytes(text, bytes, size);
+  else
+    write_quoted(text, bytes, size);
+}
+
 static void write_cell(struct table *table, struct mo_text *text, const struct column *column)
 {
   const char *bytes = table->cells.data + column->at;
-  const char letter[2] = {column->kind, '\0'};
+  const char letter[2] = {column->letter, '\0'};
   switch (column->found) {
   case MO_JSON_NONE:
   case MO_JSON_NULL: break;
   case MO_JSON_TRUE: mo_text_add(text, "1"); break;
   case MO_JSON_FALSE: mo_text_add(text, "0"); break;
   case MO_JSON_NUMBER: mo_text_bytes(text, bytes, column->length); break;
-  default:
-    if (column->kind == 'd' || column->kind == 'g')
-      mo_text_add(text, letter);
-    mo_csv_text(text, bytes, column->length);
+  default: mo_text_add(text, letter); write_text(text, bytes, column->length);
   }
 }
 
-static void gather_cell(struct table *table, const struct column *column,
-                        struct mo_gathered *gathered)
+static void gather_cell(struct table *table, struct column *column)
 {
   const char *bytes = table->cells.data + column->at;
-  if (gathered->type == NULL)
-    mo_gather_json(gathered, column->found != MO_JSON_NONE ? bytes : "null",
-                   column->found != MO_JSON_NONE ? column->length : 4);
-  else
-    mo_gather_number(gathered, column->found == MO_JSON_NUMBER  ? strtod(bytes, NULL)
-                               : column->found == MO_JSON_TRUE  ? 1
-                               : column->found == MO_JSON_FALSE ? 0
-                                                                : __builtin_nan(""));
+  struct mo_text *values = &column->values;
+  if (column->numbers == NULL) {
+    const bool is_there = column->found != MO_JSON_NONE;
+    mo_text_add(values, values->size > 0 ? "," : "");
+    mo_text_bytes(values, is_there ? bytes : "null", is_there ? column->length : 4);
+    return;
+  }
+  const double value = column->found == MO_JSON_NUMBER  ? strtod(bytes, NULL)
+                       : column->found == MO_JSON_TRUE  ? 1
+                       : column->found == MO_JSON_FALSE ? 0
+                                                        : (double)NAN;
+  const uint64_t count = (uint64_t)(value >= 0 ? value : 0); /* its first bytes are the number */
+  const bool is_whole = column->numbers->type[0] == 'u';
+  mo_text_bytes(values, is_whole ? (const void *)&count : (const void *)&value,
+                column->numbers->width);
 }
 
-static void take_row(struct table *table, struct mo_text *text, struct mo_gather *gather)
+static void take_row(struct table *table, struct mo_text *text)
 {
   struct mo_json *json = &table->json;
   char path[PATH_BYTES];
+  table->n_rows++;
   if (table->form == MO_FORM_NDJSON) {
     mo_json_peek(json);
     const size_t from = json->at;
@@ -205,32 +273,28 @@ static void take_row(struct table *table, struct mo_text *text, struct mo_gather
   for (unsigned i = 0; i < table->n; i++)
     table->columns[i].found = MO_JSON_NONE;
   read_value(table, path, 0);
-  for (unsigned i = 0; i < table->n; i++) {
-    if (gather != NULL) {
-      gather_cell(table, &table->columns[i], &gather->columns[i]);
+  for (unsigned i = 0; i < table->n; i++)
+    if (table->form == MO_FORM_COLUMNS) {
+      gather_cell(table, &table->columns[i]);
     } else {
-      mo_text_add(text, i > 0 ? "," : "");
       write_cell(table, text, &table->columns[i]);
+      mo_text_add(text, i + 1 < table->n ? "," : "\n");
     }
-  }
-  if (gather != NULL)
-    gather->n_rows++;
-  else
-    mo_text_add(text, "\n");
 }
 
 /* Takes the rows of the page in `body`, and its cursor. */
-static int take_page(struct table *table, struct mo_text *text, struct mo_gather *gather)
+static int take_page(struct table *table, struct mo_text *text)
 {
   struct mo_json *json = &table->json;
   struct mo_json_slice key, cursor = {0};
   struct mo_faults faults = {0};
+  const uint32_t before = table->n_rows;
   mo_json_start(json, table->body, table->size, &faults);
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "items") && mo_json_array(json))
         while (mo_json_item(json))
-          take_row(table, text, gather);
+          take_row(table, text);
       else if (mo_json_is(key, "next_cursor") && mo_json_peek(json) == MO_JSON_STRING &&
                mo_json_string(json, &cursor))
         snprintf(table->cursor, sizeof(table->cursor), "%.*s", (int)cursor.size, cursor.bytes);
@@ -238,20 +302,21 @@ static int take_page(struct table *table, struct mo_text *text, struct mo_gather
         mo_json_skip(json);
     }
   const bool good = mo_json_finish(json) && faults.n == 0;
+  const uint32_t taken = table->n_rows - before;
   free(table->body);
   table->body = NULL;
-  table->is_last = table->is_last || cursor.size == 0;
+  table->left -= taken < table->left ? taken : table->left;
+  table->is_last = cursor.size == 0 || table->left == 0;
   return !good ? MO_ERR_CORRUPT : table->cells.failed ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
-/* Takes the next page. Returns 1: there may be more, 0: that was the last one, or an error. */
-static int take_next(struct table *table, struct mo_text *text, struct mo_gather *gather)
+/* Takes the next page. Returns 1: there may be more, 0: that was the last one, or an error:
+ * MO_ERR_IO with a reply that says why. */
+static int take_next(struct table *table, struct mo_text *text)
 {
-  if (table->body == NULL && !read_page(table)) {
-    mo_reply_clear(&table->request->reply);
-    return MO_ERR_IO; /* the reply breaks off */
-  }
-  const int error = take_page(table, text, gather);
+  if (table->body == NULL && !read_page(table))
+    return MO_ERR_IO;
+  const int error = take_page(table, text);
   return error != MO_OK ? error : !table->is_last;
 }
 
@@ -262,14 +327,15 @@ static int more_lines(void *context, struct mo_text *text)
 {
   struct table *table = context;
   for (unsigned i = 0; i < table->n && table->form == MO_FORM_CSV && !table->headed; i++) {
-    mo_text_add(text, i > 0 ? "," : "");
-    for (size_t k = 0; k < table->columns[i].size; k++)
-      mo_text_bytes(text, table->columns[i].path[k] == '.' ? "_" : table->columns[i].path + k, 1);
-    mo_text_add(text, i + 1 == table->n ? "\n" : "");
+    const struct column *column = &table->columns[i];
+    mo_text_add(text, column->csv != NULL ? column->csv : column->name);
+    mo_text_add(text, i + 1 < table->n ? "," : "\n");
   }
   table->headed = true;
   const struct mo_reply sent = table->request->reply;
-  const int more = take_next(table, text, NULL);
+  const int more = take_next(table, text);
+  if (more == MO_ERR_IO) /* the reply breaks off */
+    mo_reply_clear(&table->request->reply);
   table->request->reply = sent;
   return more;
 }
@@ -279,33 +345,79 @@ static void free_table(void *context)
   struct table *table = context;
   free(table->body);
   mo_text_free(&table->cells);
+  for (unsigned i = 0; i < table->n; i++)
+    mo_text_free(&table->columns[i].values);
   free(table);
+}
+
+/* Says whether the columns fit in a reply. MO_ERR_LIMIT, MO_ERR_NO_MEMORY. */
+static int check_columns(const struct table *table)
+{
+  size_t size = 0;
+  for (unsigned i = 0; i < table->n; i++) {
+    size += table->columns[i].values.size;
+    if (table->columns[i].values.failed)
+      return MO_ERR_NO_MEMORY;
+  }
+  return size > COLUMNS_SIZE ? MO_ERR_LIMIT : MO_OK;
+}
+
+static char *join(struct table *table, size_t *size)
+{
+  struct mo_text header = {0}, arrays = {0};
+  mo_text_object(&header);
+  mo_text_member_count(&header, "rows", table->n_rows);
+  mo_text_open(&header, "columns", "{");
+  for (unsigned i = 0; i < table->n; i++) {
+    struct column *column = &table->columns[i];
+    if (column->numbers != NULL) {
+      mo_scene_write_array(&header, &arrays,
+                           &(struct mo_scene_array){column->name,
+                                                    column->numbers->type,
+                                                    column->values.data,
+                                                    column->numbers->width,
+                                                    {table->n_rows},
+                                                    1});
+    } else {
+      mo_text_open(&header, column->name, "[");
+      mo_text_bytes(&header, column->values.data, column->values.size);
+      mo_text_add(&header, "]");
+    }
+    mo_text_free(&column->values);
+  }
+  mo_text_add(&header, "}}");
+  return mo_scene_join(&header, &arrays, size);
 }
 
 static void reply_columns(struct mo_request *request, struct table *table)
 {
-  struct mo_gather *gather = calloc(1, sizeof(*gather));
-  int more = gather != NULL ? 1 : MO_ERR_NO_MEMORY;
-  if (gather == NULL) {
-    mo_reply_error(request, more, "reply");
-    return;
-  }
-  for (unsigned i = 0; i < table->n; i++)
-    mo_gather_column(gather, table->columns[i].path, table->columns[i].size,
-                     table->columns[i].kind == 'n' ? "float64" : NULL);
+  int more = 1;
   while (more > 0) {
-    more = take_next(table, NULL, gather);
-    const int fits = mo_gather_check(gather);
+    more = take_next(table, NULL);
+    const int fits = check_columns(table);
     more = more >= 0 && fits != MO_OK ? fits : more;
   }
-  mo_gather_reply(request, more, gather);
-  free(gather);
+  size_t size = 0;
+  char *joined = more == MO_OK ? join(table, &size) : NULL;
+  if (more == MO_ERR_LIMIT) {
+    mo_reply_bad_parameter(
+        request, "format",
+        "the columns of this reply would take more than 64 MiB; use csv or ndjson");
+  } else if (joined != NULL) {
+    mo_reply_bytes(request, 200, MO_SCENE_TYPE, joined, size);
+    request->reply.packs = true;
+    mo_reply_etag_of_body(request);
+  } else if (more != MO_ERR_IO) {
+    mo_reply_error(request, more != MO_OK ? more : MO_ERR_NO_MEMORY, "reply");
+  }
 }
 
 void mo_table_reply(struct mo_request *request, enum mo_form form,
-                    void (*page)(struct mo_request *request), const char *columns)
+                    void (*page)(struct mo_request *request), const char *columns,
+                    const struct mo_columns *rows)
 {
   struct table *table = calloc(1, sizeof(*table));
+  const char *limit = mo_query(request, "limit");
   if (table == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
     return;
@@ -313,19 +425,18 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   table->request = request;
   table->page = page;
   table->form = form;
-  table->is_last = mo_query(request, "limit") != NULL; /* so many rows are one page */
-  request->framing.accept = NULL;                      /* it is read; pages are JSON */
-  read_columns(table, columns);
-  if (!table->is_last)
-    set(&request->query, "limit", "1000");
+  table->left = limit != NULL ? strtoull(limit, NULL, 10) : UINT64_MAX;
+  request->framing.accept = NULL; /* it is read; pages are JSON */
+  read_columns(table, columns, rows);
   if (!read_page(table)) { /* the problem, or a 304, is the reply */
     free_table(table);
   } else if (form == MO_FORM_COLUMNS) {
     reply_columns(request, table);
     free_table(table);
   } else {
-    mo_download_open(request, mo_table_type(form), NULL, sizeof(*table), more_lines, table,
-                     free_table);
+    mo_download_open(request,
+                     form == MO_FORM_CSV ? "text/csv; charset=utf-8; header=present" : types[form],
+                     NULL, sizeof(*table), more_lines, table, free_table);
   }
 }
 
@@ -386,5 +497,5 @@ void mo_api_get_table(struct mo_request *request)
   if (form == MO_FORM_JSON)
     lists[i].page(request);
   else
-    mo_table_reply(request, (enum mo_form)form, lists[i].page, lists[i].columns);
+    mo_table_reply(request, (enum mo_form)form, lists[i].page, lists[i].columns, NULL);
 }
