@@ -6,7 +6,6 @@
 #include <morpho/evolution.h>
 
 #include "api/job_json.h"
-#include "api/requests.h"
 #include "api/submission.h"
 
 #define W MO_DEFAULT_WORDS
@@ -132,16 +131,9 @@ static int check_pairs(struct mo_json *json, void *any)
 static bool read_request(struct mo_request *request, const struct mo_fields *fields,
                          int (*check)(struct mo_json *json, void *parsed), struct parsed *parsed)
 {
-  struct mo_faults faults = {0};
   *parsed = (struct parsed){.count = 1, .children = 1, .rate = 1.0 / MO_DEFAULT_VOXELS, .seed = 1};
-  if (!mo_check_content(request, "application/json", NULL))
-    return false;
   mo_read_words(request->body, request->body_size, &mo_design_rules_fields, &parsed->parts, NULL);
-  const int error = mo_read_body(request->body, request->body_size, fields, parsed, &parsed->parts,
-                                 check, &faults);
-  if (error != MO_OK)
-    mo_reply_parse_error(request, error, &faults, "body");
-  return error == MO_OK;
+  return mo_read_request(request, fields, parsed, &parsed->parts, check, "body");
 }
 
 static void free_parsed(struct parsed *parsed)

@@ -2,7 +2,6 @@
  *
  * The defaults depend on mode and preset. A first pass over the text finds these two; a second pass
  * reads all members over their defaults. Checks that involve several fields come last. */
-#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -369,51 +368,4 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   if (parts->environments == NULL)
     snprintf(record->environment_set, sizeof(record->environment_set), "paper-test");
   return error;
-}
-
-/* ---- small bodies ---- */
-
-static int check_extension(struct mo_json *json, void *generations)
-{
-  if (*(uint32_t *)generations == 0 && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "generations is missing: a positive integer");
-  return MO_OK;
-}
-
-int mo_extension_parse(const char *text, size_t size, uint32_t *generations,
-                       struct mo_faults *faults)
-{
-  static const struct mo_field extension[] = {
-      {"generations", MO_FIELD_COUNT, 0, 0, .min = 1, .max = MO_GENERATIONS_MAX}};
-  static const struct mo_fields of_extension = MO_FIELDS(extension);
-  *generations = 0;
-  return mo_read_body(text, size, &of_extension, generations, NULL, check_extension, faults);
-}
-
-int mo_champions_parse(const char *text, size_t size, struct mo_champions_request *asked,
-                       struct mo_faults *faults)
-{
-  static const struct mo_field champions[] = {
-      {"count", MO_FIELD_COUNT, 0, offsetof(struct mo_champions_request, count), .min = 1,
-       .max = MO_CHAMPIONS_MAX},
-      {"record", MO_FIELD_OWN, 0, offsetof(struct mo_champions_request, record),
-       .own = &mo_channels_field},
-      {"stride", MO_FIELD_COUNT, 0, offsetof(struct mo_champions_request, stride), .min = 1,
-       .max = MO_STEPS_MAX}};
-  static const struct mo_fields of_champions = MO_FIELDS(champions);
-  return mo_read_body(text, size, &of_champions, asked, NULL, NULL, faults);
-}
-
-static int check_weight(struct mo_json *json, void *weight)
-{
-  if (isnan(*(double *)weight) && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s",
-                     MO_NUMBER(MO_WEIGHT_MIN), MO_NUMBER(MO_WEIGHT_MAX));
-  return MO_OK;
-}
-
-int mo_weight_parse(const char *text, size_t size, double *weight, struct mo_faults *faults)
-{
-  *weight = NAN;
-  return mo_read_body(text, size, &mo_weight_fields, weight, NULL, check_weight, faults);
 }

@@ -6,7 +6,6 @@
 #include "api/columns.h"
 #include "api/job_json.h"
 #include "api/jobs.h"
-#include "api/requests.h"
 #include "api/submission.h"
 #include "store/fields.h"
 
@@ -253,6 +252,13 @@ void mo_api_post_campaign(struct mo_request *request)
 
 /* ---- extension ---- */
 
+static int check_extension(struct mo_json *json, void *generations)
+{
+  if (*(uint32_t *)generations == 0 && json->faults->n == 0)
+    mo_json_fault_at(json, 0, "", "generations is missing: a positive integer");
+  return MO_OK;
+}
+
 static void reply_not_extended(struct mo_request *request, int64_t id, int error)
 {
   struct mo_campaign_status status;
@@ -269,12 +275,16 @@ static void reply_not_extended(struct mo_request *request, int64_t id, int error
 
 static int extend(struct mo_request *request, struct mo_post *post)
 {
+  static const struct mo_field rows[] = {
+      {"generations", MO_FIELD_COUNT, 0, 0, .min = 1, .max = MO_GENERATIONS_MAX}};
+  static const struct mo_fields fields = MO_FIELDS(rows);
   struct mo_request_key known;
   uint32_t generations = 0;
   int64_t id;
   if (!mo_path_job(request, &id))
     return MO_ERR_NOT_FOUND;
-  int error = mo_extension_parse(request->body, request->body_size, &generations, &post->faults);
+  int error = mo_read_body(request->body, request->body_size, &fields, &generations, NULL,
+                           check_extension, &post->faults);
   if (error != MO_OK)
     return error;
   post->parsed = true;

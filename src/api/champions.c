@@ -3,8 +3,9 @@
 
 #include "api/job_json.h"
 #include "api/jobs.h"
-#include "api/requests.h"
 #include "api/submission.h"
+
+#define CHAMPIONS_MAX 1000
 
 void mo_api_get_campaign_champions(struct mo_request *request)
 {
@@ -12,7 +13,7 @@ void mo_api_get_campaign_champions(struct mo_request *request)
   struct mo_campaign_status status;
   int64_t id, count = 12, generation = -1;
   uint32_t n = 0;
-  if (!mo_query_number(request, "count", 1, MO_CHAMPIONS_MAX, &count) ||
+  if (!mo_query_number(request, "count", 1, CHAMPIONS_MAX, &count) ||
       !mo_query_number(request, "generation", 0, MO_GENERATIONS_MAX, &generation) ||
       !mo_path_id(request, 0, &id))
     return;
@@ -47,6 +48,15 @@ void mo_api_get_campaign_champions(struct mo_request *request)
   free(distinctiveness);
 }
 
+#define AT(member) offsetof(struct mo_champions_request, member)
+static const struct mo_field rows[] = {
+    {"count", MO_FIELD_COUNT, 0, AT(count), .min = 1, .max = CHAMPIONS_MAX},
+    {"record", MO_FIELD_OWN, 0, AT(record), .own = &mo_channels_field},
+    {"stride", MO_FIELD_COUNT, 0, AT(stride), .min = 1, .max = MO_STEPS_MAX},
+};
+#undef AT
+static const struct mo_fields fields = MO_FIELDS(rows);
+
 static int record(struct mo_request *request, struct mo_post *post)
 {
   struct mo_request_key known;
@@ -54,7 +64,8 @@ static int record(struct mo_request *request, struct mo_post *post)
   int64_t id;
   if (!mo_path_job(request, &id))
     return MO_ERR_NOT_FOUND;
-  int error = mo_champions_parse(request->body, request->body_size, &asked, &post->faults);
+  int error =
+      mo_read_body(request->body, request->body_size, &fields, &asked, NULL, NULL, &post->faults);
   if (error != MO_OK)
     return error;
   post->parsed = true;

@@ -3,7 +3,6 @@
 
 #include "api/job_json.h"
 #include "api/jobs.h"
-#include "api/requests.h"
 #include "api/submission.h"
 #include "rollout/physics.h"
 

@@ -2,13 +2,12 @@
 #include "api/jobs.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/edit.h"
 #include "api/job_json.h"
-#include "api/requests.h"
 #include "api/submission.h"
 #include "base/clock.h"
 #include "base/text.h"
@@ -292,32 +291,39 @@ void mo_api_change_job(struct mo_request *request)
     reply_changed(request, id, changes[i].call(mo_api_of(request)->jobs, id), changes[i].conflict);
 }
 
+static int check_weight(struct mo_json *json, void *weight)
+{
+  if (isnan(*(double *)weight) && json->faults->n == 0)
+    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s",
+                     MO_NUMBER(MO_WEIGHT_MIN), MO_NUMBER(MO_WEIGHT_MAX));
+  return MO_OK;
+}
+
 void mo_api_set_job_weight(struct mo_request *request)
 {
-  struct mo_faults faults = {0};
-  double weight = 1;
+  double weight = NAN;
   int64_t id;
-  if (!mo_path_id(request, 0, &id) || !mo_check_content(request, "application/json", NULL))
-    return;
-  int error = mo_weight_parse(request->body, request->body_size, &weight, &faults);
-  if (error != MO_OK)
-    mo_reply_parse_error(request, error, &faults, "job");
-  else
+  if (mo_path_id(request, 0, &id) &&
+      mo_read_request(request, &mo_weight_fields, &weight, NULL, check_weight, "job"))
     reply_changed(request, id, mo_jobs_set_weight(mo_api_of(request)->jobs, id, weight),
                   "has no use for a weight");
 }
 
+static int check_edit(struct mo_json *json, void *any)
+{
+  const struct mo_job_edit *edit = &((struct mo_parsed_edit *)any)->edit;
+  if (!edit->has_label && !edit->has_experiment && !edit->has_note && !edit->has_archived &&
+      json->faults->n == 0)
+    mo_json_fault_at(json, 0, "", "nothing is to change: label, experiment, note or archived");
+  return MO_OK;
+}
+
 void mo_api_edit_job(struct mo_request *request)
 {
-  struct mo_faults faults = {0};
-  struct mo_parsed_edit parsed;
+  struct mo_parsed_edit parsed = {.edit.has_label = false};
   int64_t id;
-  if (!mo_path_id(request, 0, &id) || !mo_check_content(request, "application/json", NULL))
-    return;
-  int error = mo_edit_parse(request->body, request->body_size, &parsed, &faults);
-  if (error != MO_OK)
-    mo_reply_parse_error(request, error, &faults, "job");
-  else
+  if (mo_path_id(request, 0, &id) &&
+      mo_read_request(request, &mo_edit_fields, &parsed, NULL, check_edit, "job"))
     reply_changed(request, id, mo_jobs_edit(mo_api_of(request)->jobs, id, &parsed.edit), "");
 }
 

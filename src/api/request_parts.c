@@ -6,7 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/edit.h"
 #include "base/text.h"
 #include "http/field.h"
 #include "jobs/evaluations.h"
@@ -291,30 +290,13 @@ static void edit_archived(struct mo_json *json, void *value)
   edit->has_archived = mo_json_bool(json, &edit->archived) || edit->has_archived;
 }
 
-static int check_edit(struct mo_json *json, void *any)
-{
-  const struct mo_job_edit *edit = &((struct mo_parsed_edit *)any)->edit;
-  if (!edit->has_label && !edit->has_experiment && !edit->has_note && !edit->has_archived &&
-      json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "nothing is to change: label, experiment, note or archived");
-  return MO_OK;
-}
-
-int mo_edit_parse(const char *text, size_t size, struct mo_parsed_edit *parsed,
-                  struct mo_faults *faults)
-{
-  static const struct mo_field_own own[] = {{.read = edit_label},
-                                            {.read = edit_experiment},
-                                            {.read = edit_note},
-                                            {.read = edit_archived}};
-  static const struct mo_field members[] = {{"label", MO_FIELD_OWN, .own = &own[0]},
-                                            {"experiment", MO_FIELD_OWN, .own = &own[1]},
-                                            {"note", MO_FIELD_OWN, .own = &own[2]},
-                                            {"archived", MO_FIELD_OWN, .own = &own[3]}};
-  static const struct mo_fields fields = MO_FIELDS(members);
-  parsed->edit = (struct mo_job_edit){.has_label = false};
-  return mo_read_body(text, size, &fields, parsed, NULL, check_edit, faults);
-}
+static const struct mo_field_own edits[] = {
+    {.read = edit_label}, {.read = edit_experiment}, {.read = edit_note}, {.read = edit_archived}};
+static const struct mo_field edit_rows[] = {{"label", MO_FIELD_OWN, .own = &edits[0]},
+                                            {"experiment", MO_FIELD_OWN, .own = &edits[1]},
+                                            {"note", MO_FIELD_OWN, .own = &edits[2]},
+                                            {"archived", MO_FIELD_OWN, .own = &edits[3]}};
+const struct mo_fields mo_edit_fields = MO_FIELDS(edit_rows);
 
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
 {

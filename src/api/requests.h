@@ -13,6 +13,7 @@
 #include "jobs/evaluations.h"
 #include "jobs/studies.h"
 #include "jobs/trainings.h"
+#include "store/labels.h"
 
 /* ---- what several bodies share (request_parts.c, design_request.c) ---- */
 
@@ -134,12 +135,12 @@ struct mo_parsed_ask {
 int mo_ask_parse(const char *text, size_t size, struct mo_parsed_ask *parsed,
                  struct mo_faults *faults);
 
-/* Parse the bodies of POST …/extend (further generations), …/champions and …/weight. */
-int mo_extension_parse(const char *text, size_t size, uint32_t *generations,
-                       struct mo_faults *faults);
-#define MO_CHAMPIONS_MAX 1000
-int mo_champions_parse(const char *text, size_t size, struct mo_champions_request *asked,
-                       struct mo_faults *faults);
-int mo_weight_parse(const char *text, size_t size, double *weight, struct mo_faults *faults);
+/* The body of PATCH /v1/jobs/{id}. */
+struct mo_parsed_edit {
+  struct mo_job_edit edit; /* its texts are those below */
+  char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1],
+      note[MO_NOTE_BYTES_MAX + 1];
+};
+extern const struct mo_fields mo_edit_fields;
 
 #endif

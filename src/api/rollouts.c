@@ -1,7 +1,6 @@
 /* rollouts.c: POST /v1/rollouts: rollouts that are stored nowhere, as a scene or as JSON. */
 #include <stdlib.h>
 
-#include "api/requests.h"
 #include "api/scene.h"
 #include "api/submission.h"
 

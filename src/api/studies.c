@@ -7,7 +7,6 @@
 
 #include "api/job_json.h"
 #include "api/jobs.h"
-#include "api/requests.h"
 #include "api/submission.h"
 #include "base/clock.h"
 #include "http/pool.h"

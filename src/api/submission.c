@@ -77,6 +77,20 @@ void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_
     mo_reply_error(request, code, what);
 }
 
+bool mo_read_request(struct mo_request *request, const struct mo_fields *fields, void *parsed,
+                     struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
+                     const char *what)
+{
+  struct mo_faults faults = {0};
+  if (!mo_check_content(request, "application/json", NULL))
+    return false;
+  const int error =
+      mo_read_body(request->body, request->body_size, fields, parsed, parts, check, &faults);
+  if (error != MO_OK)
+    mo_reply_parse_error(request, error, &faults, what);
+  return error == MO_OK;
+}
+
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults)
 {
   mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");

@@ -3,6 +3,7 @@
 #define MORPHO_API_SUBMISSION_H
 
 #include "api/handlers.h"
+#include "api/requests.h"
 
 /* Where the faults of a submission are that only its storing finds. NULL: nowhere, "" the body. */
 struct mo_refusal_pointers {
@@ -38,6 +39,11 @@ const char *mo_post_words(const struct mo_post *post, int error);
 const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
                                             int64_t id, struct mo_request_key *known);
 
+/* Reads the body of a request that submits no job, as mo_read_body (requests.h) does. False: it is
+ * not JSON, or has faults; the reply is made. */
+bool mo_read_request(struct mo_request *request, const struct mo_fields *fields, void *parsed,
+                     struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
+                     const char *what);
 /* Replies that a body cannot be parsed, or that a key was used with another body. */
 void mo_reply_parse_error(struct mo_request *request, int error, const struct mo_faults *faults,
                           const char *what);

@@ -4,7 +4,6 @@
 #include "api/columns.h"
 #include "api/job_json.h"
 #include "api/jobs.h"
-#include "api/requests.h"
 #include "api/submission.h"
 #include "store/fields.h"
 
