@@ -59,6 +59,74 @@ static bool begin_wait(struct mo_request *request, uint64_t session)
 
 /* ---- sessions ---- */
 
+/* A request for a session. */
+struct parsed {
+  uint32_t protocol;
+  struct mo_fleet_offer offer;
+};
+
+static void read_hash(struct mo_json *json, void *value)
+{
+  const unsigned depth = json->depth;
+  struct mo_json_slice digits;
+  if (mo_json_string(json, &digits) &&
+      mo_sha256_from_hex(digits.bytes, digits.size, value) != MO_OK)
+    mo_json_fault_at(json, depth, "", "64 hexadecimal digits are expected");
+}
+
+static const struct mo_field_own hash_field = {.read = read_hash};
+#define AT(member)    offsetof(struct parsed, member)
+#define CLASS(member) (AT(offer.classes[0].member) - AT(offer.classes[0]))
+#define TEXT(member)  .min = 1, .max = sizeof(((struct parsed *)NULL)->member) - 1
+static const struct mo_field class_rows[] = {
+    {"scores", MO_FIELD_TEXT, 0, CLASS(scores), TEXT(offer.classes[0].scores)},
+    {"gradients", MO_FIELD_TEXT, 0, CLASS(gradients), TEXT(offer.classes[0].gradients)},
+    {"canary", MO_FIELD_OWN, 0, CLASS(canary), .own = &hash_field},
+};
+static const struct mo_fields class_fields = MO_FIELDS(class_rows);
+static const struct mo_field classes_rows[] = {
+    {"cpu", MO_FIELD_GROUP, 0, AT(offer.classes[MO_ON_CPU]), .group = &class_fields},
+    {"device", MO_FIELD_GROUP, 0, AT(offer.classes[MO_ON_DEVICE]), .group = &class_fields},
+};
+static const struct mo_fields classes_fields = MO_FIELDS(classes_rows);
+static const struct mo_field offer_rows[] = {
+    {"protocol", MO_FIELD_COUNT, 0, AT(protocol), .min = 0, .max = UINT32_MAX, .unit = ""},
+    {"name", MO_FIELD_TEXT, 0, AT(offer.name), TEXT(offer.name)},
+    {"host", MO_FIELD_TEXT, 0, AT(offer.host), TEXT(offer.host)},
+    {"version", MO_FIELD_TEXT, 0, AT(offer.version), TEXT(offer.version)},
+    {"n_threads", MO_FIELD_COUNT, 0, AT(offer.n_threads), .min = 0, .max = 65536, .unit = ""},
+    {"n_devices", MO_FIELD_COUNT, 0, AT(offer.n_devices), .min = 0, .max = 1024, .unit = ""},
+    {"classes", MO_FIELD_GROUP, 0, 0, .group = &classes_fields},
+};
+static const struct mo_fields offer_fields = MO_FIELDS(offer_rows),
+                              protocol_field = {offer_rows, 1};
+#undef TEXT
+#undef CLASS
+#undef AT
+
+static int check_offer(struct mo_json *json, void *any)
+{
+  const struct mo_fleet_offer *offer = &((struct parsed *)any)->offer;
+  static const char *const places[] = {"/classes/cpu", "/classes/device"};
+  if (json->faults->n > 0)
+    return MO_OK;
+  if (offer->name[0] == '\0' || offer->host[0] == '\0' || offer->version[0] == '\0')
+    mo_json_fault_at(json, 0, "", "protocol, name, host, version and classes are expected");
+  bool serves = false;
+  for (size_t i = 0; i < 2; i++) {
+    const bool scores = offer->classes[i].scores[0] != '\0';
+    serves |= scores;
+    if (scores != (offer->classes[i].gradients[0] != '\0'))
+      mo_json_fault_at(json, 0, places[i], "scores, gradients and canary are expected");
+    if (strpbrk(offer->classes[i].scores, "\"\\") != NULL ||
+        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* it stands in events, as it is */
+      mo_json_fault_at(json, 0, places[i], "a class has no quotation mark and no backslash");
+  }
+  if (!serves)
+    mo_json_fault_at(json, 0, "/classes", "at least one of cpu and device is expected");
+  return MO_OK;
+}
+
 static void reply_session(struct mo_request *request, int64_t id)
 {
   const struct mo_api *api = mo_api_of(request);
@@ -80,14 +148,9 @@ void mo_api_post_session(struct mo_request *request)
   struct mo_fleet *fleet = atomic_load(&mo_api_of(request)->fleet);
   struct mo_message message = {""};
   struct mo_faults faults = {0};
-  struct mo_parsed_offer parsed;
-  if (!mo_check_content(request, "application/json", NULL))
-    return;
-  int error = mo_offer_parse(request->body, request->body_size, &parsed, &faults);
-  if (error != MO_OK) {
-    mo_reply_parse_error(request, error, &faults, "session");
-    return;
-  }
+  struct parsed parsed = {.protocol = MO_FLEET_PROTOCOL};
+  /* A body of another protocol is not looked at further. */
+  mo_read_words(request->body, request->body_size, &protocol_field, &parsed, NULL);
   if (parsed.protocol != MO_FLEET_PROTOCOL) {
     mo_faults_add(&faults, MO_FAULT_BODY, "/protocol",
                   "the worker speaks protocol %u; %d is wanted, of morphod %s", parsed.protocol,
@@ -95,6 +158,8 @@ void mo_api_post_session(struct mo_request *request)
     mo_reply_problem(request, 422, &faults, NULL);
     return;
   }
+  if (!mo_read_request(request, &offer_fields, &parsed, NULL, check_offer, "session"))
+    return;
   memcpy(parsed.offer.user, request->caller.name, sizeof(parsed.offer.user));
   const int64_t id = mo_fleet_join(fleet, &parsed.offer, mo_clock_ns(), &message);
   if (id > 0)

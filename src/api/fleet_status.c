@@ -178,16 +178,12 @@ void mo_api_drain_session(struct mo_request *request)
 
 void mo_api_quarantine_session(struct mo_request *request)
 {
-  char why[MO_WHY_BYTES + 1] = "";
-  struct mo_faults faults = {0};
+  char why[128] = "by an operator";
+  static const struct mo_field rows[] = {{"why", MO_FIELD_TEXT, .min = 1, .max = sizeof(why) - 1}};
+  static const struct mo_fields fields = MO_FIELDS(rows);
   uint64_t session;
   struct mo_fleet *fleet = mo_path_session(request, &session);
-  if (fleet == NULL || !mo_check_content(request, "application/json", NULL))
-    return;
-  const int error = mo_quarantine_parse(request->body, request->body_size, why, &faults);
-  if (error != MO_OK)
-    mo_reply_parse_error(request, error, &faults, "session");
-  else
+  if (fleet != NULL && mo_read_request(request, &fields, why, NULL, NULL, "session"))
     reply_done(request, mo_fleet_quarantine(fleet, session, why), "session");
 }
 

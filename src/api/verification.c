@@ -1,10 +1,61 @@
 /* verification.c: POST /v1/fleet/verify: what a worker gave, computed again. */
 #include <inttypes.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "api/fleet.h"
 #include "api/job_json.h"
 #include "api/submission.h"
+
+/* ---- the request ---- */
+
+#define LIMIT 16 /* rows, unless the request says how many */
+
+struct parsed {
+  char origin[MO_ORIGIN_BYTES]; /* NAME@HOST, or a host */
+  struct mo_origin_place after;
+  uint32_t limit;
+  bool repair;
+};
+_Static_assert(MO_ORIGIN_BYTES == 2 * MO_FLEET_NAME_BYTES + 2, "a name, @, a host");
+
+/* Reads "G-C", what the reply to the page before had as `next`. */
+static void read_place(struct mo_json *json, void *value)
+{
+  const unsigned depth = json->depth;
+  struct mo_origin_place place;
+  struct mo_json_slice text;
+  if (!mo_json_string(json, &text))
+    return;
+  const char *dash = memchr(text.bytes, '-', text.size);
+  const size_t n = dash != NULL ? (size_t)(dash - text.bytes) : 0;
+  if (dash != NULL && mo_decimal(text.bytes, n, 1, INT64_MAX, &place.genotype) &&
+      mo_decimal(dash + 1, text.size - n - 1, 1, INT64_MAX, &place.condition))
+    *(struct mo_origin_place *)value = place;
+  else
+    mo_json_fault_at(json, depth, "", "the `next` of an earlier reply is expected");
+}
+
+static const struct mo_field_own origin_place = {.read = read_place};
+#define AT(member) offsetof(struct parsed, member)
+static const struct mo_field rows[] = {
+    {"origin", MO_FIELD_TEXT, 0, AT(origin), .min = 1, .max = MO_ORIGIN_BYTES - 1},
+    {"after", MO_FIELD_OWN, 0, AT(after), .own = &origin_place},
+    {"limit", MO_FIELD_COUNT, 0, AT(limit), .min = 1, .max = MO_VERIFIED_MAX, .unit = ""},
+    {"repair", MO_FIELD_FLAG, 0, AT(repair)},
+};
+#undef AT
+static const struct mo_fields fields = MO_FIELDS(rows);
+
+static int check(struct mo_json *json, void *any)
+{
+  const struct parsed *parsed = any;
+  if (json->faults->n == 0 && parsed->origin[0] == '\0')
+    mo_json_fault_at(json, 0, "", "origin is expected");
+  return MO_OK;
+}
+
+/* ---- the reply ---- */
 
 static void write_loss(struct mo_text *text, const char *name, const struct mo_loss_row *row,
                        uint32_t k)
@@ -59,20 +110,14 @@ static void reply(struct mo_request *request, const struct mo_verification *done
 
 void mo_api_verify_origin(struct mo_request *request)
 {
-  struct mo_parsed_verification parsed;
-  struct mo_faults faults = {0};
-  if (!mo_check_content(request, "application/json", NULL))
+  struct parsed parsed = {.limit = LIMIT};
+  if (!mo_read_request(request, &fields, &parsed, NULL, check, "origin"))
     return;
-  int error = mo_verification_parse(request->body, request->body_size, &parsed, &faults);
-  if (error != MO_OK) {
-    mo_reply_parse_error(request, error, &faults, "origin");
-    return;
-  }
   struct mo_verification verification = {.origin = parsed.origin,
                                          .place = parsed.after,
                                          .limit = parsed.limit,
                                          .repair = parsed.repair};
-  error = mo_jobs_verify(mo_api_of(request)->jobs, &verification);
+  const int error = mo_jobs_verify(mo_api_of(request)->jobs, &verification);
   if (error != MO_OK)
     mo_reply_error(request, error, "origin");
   else

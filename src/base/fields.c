@@ -108,12 +108,35 @@ static void read_word(struct mo_json *json, const struct mo_field *field, void *
                    word.size > 64 ? 64 : (int)word.size, word.bytes);
 }
 
+static void read_text(struct mo_json *json, const struct mo_field *field, char *value)
+{
+  const bool is_ascii = (field->flags & MO_FIELD_UTF8) == 0;
+  const unsigned depth = json->depth;
+  struct mo_json_slice text;
+  if (!mo_json_string(json, &text))
+    return;
+  const double n = (double)mo_utf8_length(text.bytes, text.size);
+  bool is_good = n >= field->min && n <= field->max && memchr(text.bytes, '\0', text.size) == NULL;
+  for (size_t i = 0; i < text.size && is_ascii; i++)
+    is_good = is_good && text.bytes[i] >= ' ' && text.bytes[i] <= '~';
+  if (is_good) {
+    memcpy(value, text.bytes, text.size);
+    value[text.size] = '\0';
+  } else {
+    mo_json_fault_at(json, depth, "", "%.0f to %.0f %scharacters are expected", field->min,
+                     field->max, is_ascii ? "printable ASCII " : "");
+  }
+}
+
 static bool read_null(struct mo_json *json, const struct mo_field *field, void *value)
 {
   if (!(field->flags & MO_FIELD_NULL) || field->type == MO_FIELD_WORD ||
       mo_json_peek(json) != MO_JSON_NULL)
     return false;
-  memset(value, 0, field->type == MO_FIELD_COUNT ? sizeof(uint32_t) : sizeof(double));
+  memset(value, 0,
+         field->type == MO_FIELD_TEXT    ? 1
+         : field->type == MO_FIELD_COUNT ? sizeof(uint32_t)
+                                         : sizeof(double));
   mo_json_skip(json);
   return true;
 }
@@ -128,6 +151,7 @@ static void read_value(struct mo_json *json, const struct mo_field *field, void 
   case MO_FIELD_NUMBER: read_number(json, field, value); break;
   case MO_FIELD_FLAG: mo_json_bool(json, value); break;
   case MO_FIELD_WORD: read_word(json, field, value); break;
+  case MO_FIELD_TEXT: read_text(json, field, value); break;
   case MO_FIELD_GROUP: mo_fields_read(json, field->group, value); break;
   case MO_FIELD_OWN: field->own->read(json, value); break;
   case MO_FIELD_INLINE: break; /* has no value of its own */
@@ -206,6 +230,7 @@ static bool is_null(const struct mo_field *field, const void *value)
   case MO_FIELD_SEED: return count_at(field, value) == 0;
   case MO_FIELD_NUMBER: return *(const double *)value == 0;
   case MO_FIELD_WORD: return *(const int *)value < 0;
+  case MO_FIELD_TEXT: return *(const char *)value == '\0';
   default: return false;
   }
 }
@@ -227,6 +252,7 @@ static void write_value(struct mo_text *text, const struct mo_field *field, cons
   case MO_FIELD_WORD:
     mo_text_format(text, "\"%s\"", mo_word(field->words, *(const unsigned *)value));
     break;
+  case MO_FIELD_TEXT: mo_text_json_string(text, value, strlen(value)); break;
   case MO_FIELD_GROUP: mo_fields_write_object(text, field->group, value); break;
   case MO_FIELD_OWN: field->own->write(text, value); break;
   case MO_FIELD_INLINE: mo_fields_write(text, field->group, value); break;
@@ -301,6 +327,7 @@ int mo_fields_check(const struct mo_fields *fields, const char *above, const voi
       if (field->own->check != NULL)
         error = field->own->check(path, value, message);
       break;
+    case MO_FIELD_TEXT:
     case MO_FIELD_SEED: /* only requests are bounded; the library takes any seed */
     case MO_FIELD_FLAG: break;
     }

@@ -24,6 +24,7 @@ enum mo_field_type {
   MO_FIELD_NUMBER, /* double, finite */
   MO_FIELD_FLAG,   /* bool */
   MO_FIELD_WORD,   /* an enumeration: one of `words`, by its index */
+  MO_FIELD_TEXT,   /* char[max + 1]: min to max printable ASCII characters */
   MO_FIELD_GROUP,  /* an object: the rows of `group`, for the struct at `offset` */
   MO_FIELD_INLINE, /* the rows of `group` without an object around them; it has no name */
   MO_FIELD_OWN     /* anything else, by the functions of `own` */
@@ -32,7 +33,9 @@ enum mo_field_type {
 enum mo_field_flag {
   MO_FIELD_ABOVE_MIN = 1, /* the lower bound itself is not allowed */
   MO_FIELD_BELOW_MAX = 2, /* the upper bound itself is not allowed */
-  MO_FIELD_NULL = 4       /* null stands for 0; for a word, null is written for an index below 0 */
+  MO_FIELD_NULL = 4,      /* null stands for 0 or the empty text; for a word, null is written for
+                             an index below 0 */
+  MO_FIELD_UTF8 = 8       /* char[4 · max + 1]: a text of any characters but NUL */
 };
 
 struct mo_fields;
@@ -52,7 +55,7 @@ struct mo_field {
   enum mo_field_type type;
   unsigned flags; /* of enum mo_field_flag */
   size_t offset;
-  double min, max;               /* of counts and numbers */
+  double min, max;               /* of counts, numbers, and characters of a text */
   const char *const *words;      /* of a word; NULL after the last */
   const struct mo_fields *group; /* of a group, inline or not; of an own type: its members */
   const struct mo_field_own *own;
