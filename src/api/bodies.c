@@ -168,10 +168,9 @@ static void add(struct bodies *bodies, const struct mo_bits *genotype, const uin
   mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, form.words);
   mo_text_object(text);
   bodies->error = mo_members_design(text, bodies->lattice, &form, genotype, note);
-  mo_text_open(text, "parents", "[");
-  for (unsigned i = 0; i < n_parents; i++)
-    mo_text_format(text, i > 0 ? ",%u" : "%u", parents[i]);
-  mo_text_add(text, "]}");
+  mo_text_name(text, "parents");
+  mo_json_counts(text, parents, n_parents);
+  mo_text_add(text, "}");
 }
 
 /* Adds no body, and why. */

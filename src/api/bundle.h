@@ -3,7 +3,7 @@
 #define MORPHO_API_BUNDLE_H
 
 #include "api/archive.h"
-#include "base/text.h"
+#include "base/fields.h"
 #include "store/imports.h"
 
 #define MO_BUNDLE_VERSION   2
@@ -12,21 +12,20 @@
 
 /* ---- lines (bundle_lines.c, bundle_heads.c) ---- */
 
-void mo_bundle_write_campaign(struct mo_text *text, const struct mo_imported_campaign *campaign);
-void mo_bundle_write_evaluation(struct mo_text *text,
-                                const struct mo_imported_evaluation *evaluation);
+/* Lines of struct mo_imported_campaign and mo_imported_evaluation. */
+extern const struct mo_fields mo_bundle_campaign_fields, mo_bundle_evaluation_fields;
 void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_design *design);
 void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_generation *row,
                                 const struct mo_campaign_member *members, uint32_t n);
-void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *step);
 void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score);
+void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *step);
 
 struct mo_bundle_lines; /* reads them */
 /* is_checked: the same lines were read before. */
 struct mo_bundle_lines *mo_bundle_lines_create(const struct mo_lattice *lattice, bool is_checked);
 void mo_bundle_lines_free(struct mo_bundle_lines *lines); /* NULL-safe */
 /* Read one line, which a NUL ends. Each line must be the one that the function above writes of what
- * was read. MO_ERR_FORMAT: it is not; MO_ERR_NO_MEMORY. */
+ * was read, or the table. MO_ERR_FORMAT: it is not; MO_ERR_NO_MEMORY. */
 int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, size_t size,
                             struct mo_imported_campaign *campaign, struct mo_message *message);
 int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, size_t size,

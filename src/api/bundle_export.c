@@ -196,7 +196,7 @@ static int write_campaign(struct mo_bundle_export *export, struct mo_text *out)
     else
       campaign->source =
           (struct mo_import_source){.store = mo_store_id(export->store), .job = status->job.id};
-    mo_bundle_write_campaign(&export->member, campaign);
+    mo_fields_write_object(&export->member, &mo_bundle_campaign_fields, campaign);
     error = add(export, "campaign.json", false, out);
   }
   free(campaign);
@@ -377,7 +377,7 @@ static int write_recordings(struct mo_bundle_export *export, struct mo_text *out
   } else {
     error = mo_store_recorded_evaluation(export->store, id, export->evaluations[recordings->n],
                                          &recordings->evaluation);
-    mo_bundle_write_evaluation(&export->member, &recordings->evaluation);
+    mo_fields_write_object(&export->member, &mo_bundle_evaluation_fields, &recordings->evaluation);
     mo_bundle_recordings_begin(recordings, &export->status.record.settings.physics);
   }
   return error == MO_OK ? add(export, name, false, out) : error;

@@ -1,243 +1,212 @@
 /* bundle_heads.c: the lines of a bundle that a campaign, or an evaluation with recordings, begins
- * with. See bundle_lines.c. */
+ * with, as tables; and its controllers. See bundle_lines.c. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "api/bundle_line.h"
 #include "api/job_json.h"
-#include "base/words.h"
 #include "store/fields.h"
 #include "store/store.h"
 
-/* ---- writing ---- */
+/* ---- members of their own ---- */
 
-static void write_source(struct mo_text *text, const char *kind,
-                         const struct mo_import_source *source)
-{
-  mo_text_name(text, "source");
-  mo_text_format(text, "{\"store\":\"%016llx\"", (unsigned long long)source->store);
-  mo_text_member_id(text, kind, source->job);
-  mo_text_add(text, "}");
-}
-
-/* experiment, note: "": none. */
-static void write_texts(struct mo_text *text, const char *label, const char *experiment,
-                        const char *note)
-{
-  mo_text_member(text, "label", label);
-  mo_text_member(text, "experiment", experiment[0] != '\0' ? experiment : NULL);
-  mo_text_member(text, "note", note[0] != '\0' ? note : NULL);
-}
-
-void mo_bundle_write_campaign(struct mo_text *text, const struct mo_imported_campaign *campaign)
-{
-  const struct mo_campaign_record *record = &campaign->record;
-  struct mo_sha256 physics;
-  mo_physics_hash(&record->settings.physics, MO_FLOAT32, record->settings.sensor, &physics);
-  mo_text_add(text, "{");
-  write_source(text, "campaign", &campaign->source);
-  mo_text_member_id(text, "group", record->group);
-  mo_line_whole(text, "replicate", record->replicate);
-  mo_line_whole(text, "replicates", record->replicates);
-  mo_text_member(text, "state", mo_job_state_name(campaign->state));
-  mo_line_whole(text, "end", campaign->end);
-  write_texts(text, campaign->has_label ? campaign->label : NULL, campaign->experiment,
-              campaign->note);
-  mo_text_member_number(text, "weight", campaign->weight);
-  mo_line_whole(text, "back_end", campaign->back_end);
-  mo_line_whole(text, "created_us", campaign->created_us);
-  mo_line_whole(text, "started_us", campaign->started_us);
-  mo_line_whole(text, "finished_us", campaign->finished_us);
-  mo_text_member(text, "preset", record->preset);
-  mo_text_member(text, "name", record->name);
-  mo_member_controller(text, "controller", campaign->has_controller, campaign->controller_name,
-                       &campaign->controller_sha256);
-  mo_member_controller(text, "result", campaign->has_result, "", &campaign->result_sha256);
-  mo_text_member(text, "environment_set", record->environment_set);
-  mo_line_whole(text, "environments", record->n_environments);
-  mo_line_whole(text, "listed", record->n_listed);
-  mo_line_whole(text, "generation", campaign->generation);
-  mo_line_whole(text, "designs", (int64_t)campaign->n_designs);
-  mo_text_member_number(text, "diversity_max", campaign->diversity_max);
-  mo_member_hash(text, "physics_sha256", &physics);
-  mo_text_name(text, "settings");
-  mo_settings_write(MO_JOB_CAMPAIGN, record, text);
-  mo_text_add(text, "}");
-}
-
-void mo_bundle_write_evaluation(struct mo_text *text,
-                                const struct mo_imported_evaluation *evaluation)
-{
-  mo_text_add(text, "{");
-  write_source(text, "evaluation", &evaluation->source);
-  write_texts(text, evaluation->has_label ? evaluation->label : NULL, evaluation->experiment,
-              evaluation->note);
-  mo_line_whole(text, "back_end", evaluation->back_end);
-  mo_line_whole(text, "created_us", evaluation->created_us);
-  mo_line_whole(text, "started_us", evaluation->started_us);
-  mo_line_whole(text, "finished_us", evaluation->finished_us);
-  mo_text_member(text, "controller", evaluation->controller_name);
-  mo_text_member(text, "environment_set", evaluation->environment_set);
-  mo_text_member(text, "class", evaluation->fingerprint);
-  mo_text_member(text, "workers_class", evaluation->workers);
-  mo_line_whole(text, "record", evaluation->record);
-  mo_line_whole(text, "stride", evaluation->stride);
-  mo_line_counts(text, "environments", evaluation->environments, evaluation->n_environments);
-  mo_line_counts(text, "numbers", evaluation->numbers, evaluation->n_designs);
-  mo_text_add(text, "}");
-}
-
-/* ---- reading ---- */
-
-static void read_id(struct mo_json *json, int64_t *id)
+static void read_id(struct mo_json *json, void *value)
 {
   char digits[24] = "";
   char *end = NULL;
+  int64_t *id = value;
   mo_line_text(json, digits, sizeof(digits));
   *id = strtoll(digits, &end, 10);
   if (*id < 1 || *end != '\0')
-    mo_line_refuse(json, "an id is expected");
+    mo_json_fault(json, "an id is expected");
 }
 
-/* Reads what a person wrote: a text of up to a quarter as many characters as there are bytes. */
-static void read_words(struct mo_json *json, char *text, size_t size)
+static void write_id(struct mo_text *text, const void *value)
 {
-  mo_line_text(json, text, size);
-  if (mo_utf8_length(text, strlen(text)) > size / 4)
-    mo_line_refuse(json, "the text is too long");
+  mo_text_format(text, "\"%lld\"", (long long)*(const int64_t *)value);
 }
 
-static void read_source(struct mo_json *json, struct mo_import_source *source)
-{
-  struct mo_json_slice key;
-  char digits[24] = "";
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      if (mo_json_is(key, "store")) {
-        mo_line_text(json, digits, sizeof(digits));
-        source->store = strtoull(digits, NULL, 16);
-      } else if (mo_json_is(key, "campaign") || mo_json_is(key, "evaluation")) {
-        read_id(json, &source->job);
-      } else {
-        mo_json_skip(json);
-      }
-    }
-}
+/* A label behind whether there is one. */
+struct label {
+  bool is_given;
+  char text[MO_LABEL_BYTES_MAX + 1];
+};
+#define HAS_LABEL(type)                                                                            \
+  (offsetof(type, label) == offsetof(type, has_label) + offsetof(struct label, text))
+_Static_assert(HAS_LABEL(struct mo_imported_campaign) && HAS_LABEL(struct mo_imported_evaluation),
+               "labels stand behind their flags");
 
-/* Reads {"name", "sha256"}, or null. */
-static void read_controller(struct mo_json *json, bool *known, char *name, size_t size,
-                            struct mo_sha256 *sha256)
+static void read_label(struct mo_json *json, void *value)
 {
-  struct mo_json_slice key;
-  *known = mo_json_peek(json) == MO_JSON_OBJECT;
-  if (!*known) {
+  struct label *label = value;
+  label->is_given = mo_json_peek(json) == MO_JSON_STRING;
+  if (label->is_given)
+    mo_line_text(json, label->text, sizeof(label->text));
+  else
     mo_json_skip(json);
-    return;
-  }
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      if (mo_json_is(key, "sha256"))
-        mo_line_hash(json, sha256);
-      else if (mo_json_is(key, "name") && name != NULL && mo_json_peek(json) == MO_JSON_STRING)
-        mo_line_text(json, name, size);
-      else
-        mo_json_skip(json);
-    }
+  if (mo_utf8_length(label->text, strlen(label->text)) > MO_LABEL_BYTES_MAX / 4)
+    mo_json_fault(json, "the text is too long");
 }
 
-static void read_settings(struct mo_json *json, struct mo_campaign_record *record)
+static void write_label(struct mo_text *text, const void *value)
 {
+  const struct label *label = value;
+  if (label->is_given)
+    mo_text_json_string(text, label->text, strlen(label->text));
+  else
+    mo_text_add(text, "null");
+}
+
+static void read_generation(struct mo_json *json, void *value)
+{
+  mo_json_integer(json, -1, MO_GENERATIONS_MAX, value);
+}
+
+static void write_generation(struct mo_text *text, const void *value)
+{
+  mo_text_format(text, "%lld", (long long)*(const int64_t *)value);
+}
+
+static void write_physics_hash(struct mo_text *text, const void *value)
+{
+  const struct mo_campaign_settings *settings = value;
+  struct mo_sha256 physics;
+  mo_physics_hash(&settings->physics, MO_FLOAT32, settings->sensor, &physics);
+  mo_line_hash.write(text, &physics);
+}
+
+static void read_settings(struct mo_json *json, void *value)
+{
+  struct mo_campaign_record *record = value;
   struct mo_message words = {""};
   mo_json_peek(json);
   const size_t from = json->at;
   mo_json_skip(json);
   char *text = strndup(json->text + from, json->at - from);
   if (text == NULL || mo_settings_read(MO_JOB_CAMPAIGN, text, record) != MO_OK)
-    mo_line_refuse(json, "these are no settings of a campaign");
+    mo_json_fault(json, "these are no settings of a campaign");
   else if (mo_campaign_settings_check(&record->settings, &words) != MO_OK)
-    mo_line_refuse(json, words.text);
+    mo_json_fault(json, "%s", words.text);
   free(text);
 }
 
-static void read_campaign_member(struct mo_json *json, struct mo_json_slice key,
-                                 struct mo_imported_campaign *campaign)
+static void write_settings(struct mo_text *text, const void *value)
 {
-  struct mo_campaign_record *record = &campaign->record;
-  const struct {
-    const char *name;
-    int64_t max, *whole;
-    uint32_t *count;
-  } numbers[] = {{"replicate", MO_REPLICATES_MAX, NULL, &record->replicate},
-                 {"replicates", MO_REPLICATES_MAX, NULL, &record->replicates},
-                 {"created_us", INT64_MAX, &campaign->created_us, NULL},
-                 {"started_us", INT64_MAX, &campaign->started_us, NULL},
-                 {"finished_us", INT64_MAX, &campaign->finished_us, NULL},
-                 {"environments", MO_ENVIRONMENTS_MAX, NULL, &record->n_environments},
-                 {"listed", MO_POPULATION_MAX, NULL, &record->n_listed},
-                 {"generation", MO_GENERATIONS_MAX, &campaign->generation, NULL},
-                 {"designs", MO_CAMPAIGN_DESIGNS_MAX, (int64_t *)&campaign->n_designs, NULL}};
-  const struct {
-    const char *name;
-    char *text;
-    size_t size;
-  } texts[] = {{"preset", record->preset, sizeof(record->preset)},
-               {"name", record->name, sizeof(record->name)},
-               {"environment_set", record->environment_set, sizeof(record->environment_set)}};
-  for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++)
-    if (mo_json_is(key, numbers[i].name)) {
-      if (numbers[i].whole != NULL)
-        mo_json_integer(json, numbers[i].whole == (int64_t *)&campaign->n_designs ? 0 : -1,
-                        numbers[i].max, numbers[i].whole);
-      else
-        mo_line_u32(json, numbers[i].max, numbers[i].count);
-      return;
-    }
-  for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
-    if (mo_json_is(key, texts[i].name)) {
-      mo_line_text(json, texts[i].text, texts[i].size);
-      return;
-    }
-  int word = 0;
-  uint32_t number = 0;
-  if (mo_json_is(key, "source")) {
-    read_source(json, &campaign->source);
-  } else if (mo_json_is(key, "group")) {
-    read_id(json, &record->group);
-  } else if (mo_json_is(key, "state")) {
-    mo_line_word(json, mo_job_state_words, &word);
-    campaign->state = (enum mo_job_state)word;
-  } else if (mo_json_is(key, "end")) {
-    mo_line_u32(json, MO_CAMPAIGN_EXHAUSTED, &number);
-    campaign->end = (enum mo_campaign_end)number;
-  } else if (mo_json_is(key, "back_end")) {
-    mo_line_u32(json, MO_ON_DEVICE, &number);
-    campaign->back_end = (enum mo_back_end)number;
-  } else if (mo_json_is(key, "label") && mo_json_peek(json) == MO_JSON_STRING) {
-    read_words(json, campaign->label, sizeof(campaign->label));
-    campaign->has_label = true;
-  } else if (mo_json_is(key, "experiment") && mo_json_peek(json) == MO_JSON_STRING) {
-    read_words(json, campaign->experiment, sizeof(campaign->experiment));
-  } else if (mo_json_is(key, "note") && mo_json_peek(json) == MO_JSON_STRING) {
-    read_words(json, campaign->note, sizeof(campaign->note));
-  } else if (mo_json_is(key, "weight")) {
-    mo_json_bounded(json, MO_WEIGHT_MIN, MO_WEIGHT_MAX, &campaign->weight);
-  } else if (mo_json_is(key, "controller")) {
-    read_controller(json, &campaign->has_controller, campaign->controller_name,
-                    sizeof(campaign->controller_name), &campaign->controller_sha256);
-  } else if (mo_json_is(key, "result")) {
-    read_controller(json, &campaign->has_result, NULL, 0, &campaign->result_sha256);
-  } else if (mo_json_is(key, "diversity_max")) {
-    mo_json_bounded(json, 0, 1, &campaign->diversity_max);
-  } else if (mo_json_is(key, "settings")) {
-    read_settings(json, record);
-  } else {
-    mo_json_skip(json); /* the hash of the physics is compared below */
-  }
+  mo_settings_write(MO_JOB_CAMPAIGN, value, text);
 }
 
-static int check_campaign(const struct mo_imported_campaign *campaign, struct mo_message *message)
+static const struct mo_field_own id = {.read = read_id, .write = write_id},
+                                 label = {.read = read_label, .write = write_label},
+                                 newest = {.read = read_generation, .write = write_generation},
+                                 physics = {.read = mo_line_skip, .write = write_physics_hash},
+                                 settings = {.read = read_settings, .write = write_settings};
+
+/* A member of 64 bits is like a seed: from 0 to 2^53 − 1. */
+#define LONG MO_FIELD_SEED
+#define NULL_TEXT(member, most)                                                                    \
+  MO_FIELD_TEXT, MO_FIELD_NULL | MO_FIELD_UTF8, AT(member), .max = 0.25 * (most)
+#define TEXT(member) AT(member), .max = sizeof(((STRUCT *)NULL)->member) - 1
+
+/* ---- campaigns ---- */
+
+#define STRUCT     struct mo_imported_campaign
+#define AT(member) offsetof(STRUCT, member)
+
+/* Read and write the controllers that it began and ended with: objects, or null. The second one has
+ * no name here. */
+static const struct mo_field_own no_name = {.read = mo_line_skip, .write = mo_line_null};
+static const struct mo_field start_rows[] = {
+    {"name", MO_FIELD_TEXT, MO_FIELD_NULL, TEXT(controller_name)},
+    {"sha256", MO_FIELD_OWN, 0, AT(controller_sha256), .own = &mo_line_hash},
+};
+static const struct mo_field result_rows[] = {
+    {"name", MO_FIELD_OWN, 0, 0, .own = &no_name},
+    {"sha256", MO_FIELD_OWN, 0, AT(result_sha256), .own = &mo_line_hash},
+};
+static const struct mo_fields start_fields = MO_FIELDS(start_rows),
+                              result_fields = MO_FIELDS(result_rows);
+
+static bool read_object(struct mo_json *json, const struct mo_fields *fields, void *campaign)
 {
+  const bool is_there = mo_json_peek(json) == MO_JSON_OBJECT;
+  if (is_there)
+    mo_fields_read(json, fields, campaign);
+  else
+    mo_json_skip(json);
+  return is_there;
+}
+
+static void read_start(struct mo_json *json, void *value)
+{
+  struct mo_imported_campaign *campaign = value;
+  campaign->has_controller = read_object(json, &start_fields, campaign);
+}
+
+static void write_start(struct mo_text *text, const void *value)
+{
+  if (((const struct mo_imported_campaign *)value)->has_controller)
+    mo_fields_write_object(text, &start_fields, value);
+  else
+    mo_line_null(text, value);
+}
+
+static void read_result(struct mo_json *json, void *value)
+{
+  struct mo_imported_campaign *campaign = value;
+  campaign->has_result = read_object(json, &result_fields, campaign);
+}
+
+static void write_result(struct mo_text *text, const void *value)
+{
+  if (((const struct mo_imported_campaign *)value)->has_result)
+    mo_fields_write_object(text, &result_fields, value);
+  else
+    mo_line_null(text, value);
+}
+
+static const struct mo_field_own start = {.read = read_start, .write = write_start},
+                                 result = {.read = read_result, .write = write_result};
+static const struct mo_field campaign_source_rows[] = {
+    {"store", MO_FIELD_OWN, 0, offsetof(struct mo_import_source, store), .own = &mo_line_store},
+    {"campaign", MO_FIELD_OWN, 0, offsetof(struct mo_import_source, job), .own = &id},
+};
+static const struct mo_fields campaign_source = MO_FIELDS(campaign_source_rows);
+static const struct mo_field campaign_rows[] = {
+    {"source", MO_FIELD_GROUP, 0, AT(source), .group = &campaign_source},
+    {"group", MO_FIELD_OWN, 0, AT(record.group), .own = &id},
+    {"replicate", MO_FIELD_COUNT, 0, AT(record.replicate), .max = MO_REPLICATES_MAX},
+    {"replicates", MO_FIELD_COUNT, 0, AT(record.replicates), .max = MO_REPLICATES_MAX},
+    {"state", MO_FIELD_WORD, 0, AT(state), .words = mo_job_state_words},
+    {"end", MO_FIELD_COUNT, 0, AT(end), .max = MO_CAMPAIGN_EXHAUSTED},
+    {"label", MO_FIELD_OWN, 0, AT(has_label), .own = &label},
+    {"experiment", NULL_TEXT(experiment, MO_EXPERIMENT_BYTES_MAX)},
+    {"note", NULL_TEXT(note, MO_NOTE_BYTES_MAX)},
+    {"weight", MO_FIELD_NUMBER, 0, AT(weight), .min = MO_WEIGHT_MIN, .max = MO_WEIGHT_MAX},
+    {"back_end", MO_FIELD_COUNT, 0, AT(back_end), .max = MO_ON_DEVICE},
+    {"created_us", LONG, 0, AT(created_us)},
+    {"started_us", LONG, 0, AT(started_us)},
+    {"finished_us", LONG, 0, AT(finished_us)},
+    {"preset", MO_FIELD_TEXT, 0, TEXT(record.preset)},
+    {"name", MO_FIELD_TEXT, 0, TEXT(record.name)},
+    {"controller", MO_FIELD_OWN, 0, 0, .own = &start},
+    {"result", MO_FIELD_OWN, 0, 0, .own = &result},
+    {"environment_set", MO_FIELD_TEXT, 0, TEXT(record.environment_set)},
+    {"environments", MO_FIELD_COUNT, 0, AT(record.n_environments), .max = MO_ENVIRONMENTS_MAX},
+    {"listed", MO_FIELD_COUNT, 0, AT(record.n_listed), .max = MO_POPULATION_MAX},
+    {"generation", MO_FIELD_OWN, 0, AT(generation), .own = &newest},
+    {"designs", LONG, 0, AT(n_designs)},
+    {"diversity_max", MO_FIELD_NUMBER, 0, AT(diversity_max), .max = 1},
+    {"physics_sha256", MO_FIELD_OWN, 0, AT(record.settings), .own = &physics},
+    {"settings", MO_FIELD_OWN, 0, AT(record), .own = &settings},
+};
+const struct mo_fields mo_bundle_campaign_fields = MO_FIELDS(campaign_rows);
+#undef AT
+#undef STRUCT
+
+static int check_campaign(const void *any, struct mo_message *message)
+{
+  const struct mo_imported_campaign *campaign = any;
   const struct mo_campaign_record *record = &campaign->record;
   const uint32_t generations = record->settings.generations;
   if (campaign->state != MO_JOB_SUCCEEDED && campaign->state != MO_JOB_CANCELLED)
@@ -248,7 +217,7 @@ static int check_campaign(const struct mo_imported_campaign *campaign, struct mo
     return mo_fail(message, MO_ERR_FORMAT, "/replicate: must be below the number of replicates");
   if (record->n_environments < 1 || record->n_listed > record->settings.population)
     return mo_fail(message, MO_ERR_FORMAT, "/environments, /listed: too few or too many");
-  if (campaign->generation > generations ||
+  if (campaign->generation > generations || campaign->n_designs > MO_CAMPAIGN_DESIGNS_MAX ||
       (campaign->generation < 0) != (campaign->n_designs == 0))
     return mo_fail(message, MO_ERR_FORMAT, "/generation: disagrees with settings or designs");
   if (mo_word_index(mo_preset_words, record->preset) < 0 && record->preset[0] != '\0')
@@ -261,88 +230,82 @@ static int check_campaign(const struct mo_imported_campaign *campaign, struct mo
     return mo_fail(message, MO_ERR_FORMAT, "/settings/mode: studies are not in bundles");
   if (!campaign->has_controller && record->settings.mode != MO_SIMULTANEOUS)
     return mo_fail(message, MO_ERR_FORMAT, "/controller: this mode has one");
-  if (campaign->created_us < 0 || campaign->started_us < 0 || campaign->finished_us < 0)
-    return mo_fail(message, MO_ERR_FORMAT, "a time is out of bounds");
   return MO_OK;
 }
 
 int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, size_t size,
                             struct mo_imported_campaign *campaign, struct mo_message *message)
 {
-  struct mo_json *json = mo_line_begin(lines, line, size);
-  struct mo_json_slice key;
   memset(campaign, 0, sizeof(*campaign));
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key))
-      read_campaign_member(json, key, campaign);
-  int error = mo_line_end(lines, message);
-  if (error == MO_OK)
-    error = check_campaign(campaign, message);
-  if (error != MO_OK)
-    return error;
-  mo_bundle_write_campaign(&lines->again, campaign);
-  return mo_line_compare(lines, line, size, message);
+  return mo_line_read(lines, line, size, &mo_bundle_campaign_fields, campaign, check_campaign,
+                      message);
 }
 
 /* ---- evaluations with recordings ---- */
 
-static void read_evaluation_member(struct mo_json *json, struct mo_json_slice key,
-                                   struct mo_imported_evaluation *evaluation)
+static void read_environments(struct mo_json *json, void *value)
 {
-  const bool is_text = mo_json_peek(json) == MO_JSON_STRING;
-  uint32_t number = 0;
-  if (mo_json_is(key, "source"))
-    read_source(json, &evaluation->source);
-  else if (mo_json_is(key, "label") && is_text)
-    read_words(json, evaluation->label, sizeof(evaluation->label));
-  else if (mo_json_is(key, "experiment") && is_text)
-    read_words(json, evaluation->experiment, sizeof(evaluation->experiment));
-  else if (mo_json_is(key, "note") && is_text)
-    read_words(json, evaluation->note, sizeof(evaluation->note));
-  else if (mo_json_is(key, "back_end"))
-    mo_line_u32(json, MO_ON_DEVICE, &number);
-  else if (mo_json_is(key, "created_us"))
-    mo_json_integer(json, 0, INT64_MAX, &evaluation->created_us);
-  else if (mo_json_is(key, "started_us"))
-    mo_json_integer(json, 0, INT64_MAX, &evaluation->started_us);
-  else if (mo_json_is(key, "finished_us"))
-    mo_json_integer(json, 0, INT64_MAX, &evaluation->finished_us);
-  else if (mo_json_is(key, "controller"))
-    mo_line_text(json, evaluation->controller_name, sizeof(evaluation->controller_name));
-  else if (mo_json_is(key, "environment_set"))
-    mo_line_text(json, evaluation->environment_set, sizeof(evaluation->environment_set));
-  else if (mo_json_is(key, "class"))
-    mo_line_text(json, evaluation->fingerprint, sizeof(evaluation->fingerprint));
-  else if (mo_json_is(key, "workers_class"))
-    mo_line_text(json, evaluation->workers, sizeof(evaluation->workers));
-  else if (mo_json_is(key, "record"))
-    mo_line_u32(json, (1 << MO_CHANNELS) - 1, &evaluation->record);
-  else if (mo_json_is(key, "stride"))
-    mo_line_u32(json, UINT32_MAX, &evaluation->stride);
-  else if (mo_json_is(key, "environments"))
-    mo_line_u32s(json, MO_ENVIRONMENTS_MAX - 1, evaluation->environments, MO_ENVIRONMENTS_MAX,
-                 &evaluation->n_environments);
-  else if (mo_json_is(key, "numbers"))
-    mo_line_u32s(json, UINT32_MAX - 1, evaluation->numbers, MO_DESIGNS_MAX, &evaluation->n_designs);
-  else
-    mo_json_skip(json);
-  if (mo_json_is(key, "label"))
-    evaluation->has_label = is_text;
-  if (mo_json_is(key, "back_end"))
-    evaluation->back_end = (enum mo_back_end)number;
+  struct mo_imported_evaluation *evaluation = value;
+  mo_line_u32s(json, MO_ENVIRONMENTS_MAX - 1, evaluation->environments, MO_ENVIRONMENTS_MAX,
+               &evaluation->n_environments);
 }
 
-static int check_evaluation(const struct mo_imported_evaluation *evaluation,
-                            struct mo_message *message)
+static void write_environments(struct mo_text *text, const void *value)
 {
+  const struct mo_imported_evaluation *evaluation = value;
+  mo_json_counts(text, evaluation->environments, evaluation->n_environments);
+}
+
+static void read_numbers(struct mo_json *json, void *value)
+{
+  struct mo_imported_evaluation *evaluation = value;
+  mo_line_u32s(json, UINT32_MAX - 1, evaluation->numbers, MO_DESIGNS_MAX, &evaluation->n_designs);
+}
+
+static void write_numbers(struct mo_text *text, const void *value)
+{
+  const struct mo_imported_evaluation *evaluation = value;
+  mo_json_counts(text, evaluation->numbers, evaluation->n_designs);
+}
+
+static const struct mo_field_own environments = {.read = read_environments,
+                                                 .write = write_environments},
+                                 numbers = {.read = read_numbers, .write = write_numbers};
+#define STRUCT     struct mo_imported_evaluation
+#define AT(member) offsetof(STRUCT, member)
+static const struct mo_field evaluation_source_rows[] = {
+    {"store", MO_FIELD_OWN, 0, offsetof(struct mo_import_source, store), .own = &mo_line_store},
+    {"evaluation", MO_FIELD_OWN, 0, offsetof(struct mo_import_source, job), .own = &id},
+};
+static const struct mo_fields evaluation_source = MO_FIELDS(evaluation_source_rows);
+static const struct mo_field evaluation_rows[] = {
+    {"source", MO_FIELD_GROUP, 0, AT(source), .group = &evaluation_source},
+    {"label", MO_FIELD_OWN, 0, AT(has_label), .own = &label},
+    {"experiment", NULL_TEXT(experiment, MO_EXPERIMENT_BYTES_MAX)},
+    {"note", NULL_TEXT(note, MO_NOTE_BYTES_MAX)},
+    {"back_end", MO_FIELD_COUNT, 0, AT(back_end), .max = MO_ON_DEVICE},
+    {"created_us", LONG, 0, AT(created_us)},
+    {"started_us", LONG, 0, AT(started_us)},
+    {"finished_us", LONG, 0, AT(finished_us)},
+    {"controller", MO_FIELD_TEXT, 0, TEXT(controller_name)},
+    {"environment_set", MO_FIELD_TEXT, 0, TEXT(environment_set)},
+    {"class", MO_FIELD_TEXT, 0, TEXT(fingerprint), .min = 1},
+    {"workers_class", MO_FIELD_TEXT, 0, TEXT(workers)},
+    {"record", MO_FIELD_COUNT, 0, AT(record), .min = 1, .max = (1 << MO_CHANNELS) - 1},
+    {"stride", MO_FIELD_COUNT, 0, AT(stride), .min = 1, .max = UINT32_MAX},
+    {"environments", MO_FIELD_OWN, 0, 0, .own = &environments},
+    {"numbers", MO_FIELD_OWN, 0, 0, .own = &numbers},
+};
+const struct mo_fields mo_bundle_evaluation_fields = MO_FIELDS(evaluation_rows);
+#undef AT
+#undef STRUCT
+
+static int check_evaluation(const void *any, struct mo_message *message)
+{
+  const struct mo_imported_evaluation *evaluation = any;
   if (evaluation->n_designs < 1 || evaluation->n_designs > MO_DESIGNS_MAX ||
       evaluation->n_environments < 1 || evaluation->n_environments > MO_ENVIRONMENTS_MAX)
     return mo_fail(message, MO_ERR_FORMAT, "/numbers, /environments: too few or too many");
-  if (evaluation->record == 0 || evaluation->stride == 0)
-    return mo_fail(message, MO_ERR_FORMAT, "/record, /stride: nothing was recorded");
-  if (evaluation->fingerprint[0] == '\0' || !mo_line_is_printable(evaluation->fingerprint) ||
-      !mo_line_is_printable(evaluation->workers))
-    return mo_fail(message, MO_ERR_FORMAT, "the classes must be printable");
   if (evaluation->controller_name[0] != '\0' &&
       mo_controller_name_check(evaluation->controller_name) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT, "/controller: not a name of a controller");
@@ -352,23 +315,14 @@ static int check_evaluation(const struct mo_imported_evaluation *evaluation,
 int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_imported_evaluation *evaluation, struct mo_message *message)
 {
-  struct mo_json *json = mo_line_begin(lines, line, size);
-  struct mo_json_slice key;
   char source[64];
   memset(evaluation, 0, sizeof(*evaluation));
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key))
-      read_evaluation_member(json, key, evaluation);
-  int error = mo_line_end(lines, message);
-  if (error == MO_OK)
-    error = check_evaluation(evaluation, message);
-  if (error != MO_OK)
-    return error;
+  const int error = mo_line_read(lines, line, size, &mo_bundle_evaluation_fields, evaluation,
+                                 check_evaluation, message);
   snprintf(source, sizeof(source), "evaluation %016llx %lld",
            (unsigned long long)evaluation->source.store, (long long)evaluation->source.job);
   mo_sha256_of(source, strlen(source), &evaluation->source.digest);
-  mo_bundle_write_evaluation(&lines->again, evaluation);
-  return mo_line_compare(lines, line, size, message);
+  return error;
 }
 
 /* ---- controllers ---- */

@@ -4,7 +4,6 @@
 #define MORPHO_API_BUNDLE_LINE_H
 
 #include "api/bundle.h"
-#include "base/json.h"
 
 struct mo_bundle_lines {
   const struct mo_lattice *lattice;
@@ -14,12 +13,22 @@ struct mo_bundle_lines {
   struct mo_json json;
 };
 
-/* ---- writing ---- */
+/* ---- members ---- */
 
-void mo_line_whole(struct mo_text *text, const char *name, int64_t number);
-void mo_line_counts(struct mo_text *text, const char *name, const uint32_t *numbers, uint32_t n);
+void mo_line_null(struct mo_text *text, const void *value);
+/* Skips what follows from other members, and is compared when it is written again. */
+void mo_line_skip(struct mo_json *json, void *value);
+extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store */
+    mo_line_hash,                               /* struct mo_sha256 */
+    mo_line_genotype; /* struct mo_bits that is placed as bodies are scored */
 
-/* ---- reading ---- */
+/* Read one value; those that are refused leave theirs as it is. */
+void mo_line_u32(struct mo_json *json, int64_t max, uint32_t *value);
+void mo_line_text(struct mo_json *json, char *text, size_t size);
+/* Reads up to `room` numbers, and counts all. */
+void mo_line_u32s(struct mo_json *json, int64_t max, uint32_t *numbers, uint32_t room, uint32_t *n);
+
+/* ---- lines ---- */
 
 struct mo_json *mo_line_begin(struct mo_bundle_lines *lines, const char *line, size_t size);
 /* Tells the first fault of what was read. */
@@ -27,18 +36,11 @@ int mo_line_end(struct mo_bundle_lines *lines, struct mo_message *message);
 /* Compares the line with what was written again. */
 int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size,
                     struct mo_message *message);
-
-/* Says what is wrong with the value that was read. */
-void mo_line_refuse(struct mo_json *json, const char *words);
-/* Read one value; those that are refused leave theirs as it is. */
-void mo_line_u32(struct mo_json *json, int64_t max, uint32_t *value);
-void mo_line_text(struct mo_json *json, char *text, size_t size);
-void mo_line_word(struct mo_json *json, const char *const *words, int *word);
-/* Reads up to `room` numbers, and counts all. */
-void mo_line_u32s(struct mo_json *json, int64_t max, uint32_t *numbers, uint32_t room, uint32_t *n);
-void mo_line_hash(struct mo_json *json, struct mo_sha256 *sha256);
-/* Reads a genotype that is placed as bodies are scored. */
-void mo_line_genotype(struct mo_json *json, struct mo_bits *genotype);
-bool mo_line_is_printable(const char *text);
+/* Reads a line by a table into `value`, whose members have their defaults, calls `check`
+ * (nullable), and compares the line with what the table writes. */
+int mo_line_read(struct mo_bundle_lines *lines, const char *line, size_t size,
+                 const struct mo_fields *fields, void *value,
+                 int (*check)(const void *value, struct mo_message *message),
+                 struct mo_message *message);
 
 #endif

@@ -9,35 +9,12 @@
 #include "api/columns.h"
 #include "api/job_json.h"
 #include "api/scene.h"
-#include "base/json.h"
 #include "base/words.h"
-#include "store/fields.h"
 #include "store/store.h"
 
 #define PATH_BYTES 128
 
 /* ---- writing ---- */
-
-/* Numbers that are not finite are null: of losses and scores, diverged. */
-static void write_doubles(struct mo_text *text, const char *name, const double *numbers, uint32_t n)
-{
-  mo_member_numbers(text, name, numbers, n);
-}
-
-void mo_line_counts(struct mo_text *text, const char *name, const uint32_t *numbers, uint32_t n)
-{
-  mo_text_name(text, name);
-  mo_text_add(text, "[");
-  for (uint32_t i = 0; i < n; i++)
-    mo_text_format(text, i > 0 ? ",%u" : "%u", numbers[i]);
-  mo_text_add(text, "]");
-}
-
-void mo_line_whole(struct mo_text *text, const char *name, int64_t number)
-{
-  mo_text_name(text, name);
-  mo_text_format(text, "%lld", (long long)number);
-}
 
 void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_design *design)
 {
@@ -51,14 +28,12 @@ void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_g
 {
   mo_text_add(text, "{");
   mo_columns_members(text, &mo_generation_columns, row);
-  mo_line_whole(text, "stored_us", row->stored_us);
-  mo_text_name(text, "numbers");
-  mo_text_add(text, "[");
+  mo_text_member_count(text, "stored_us", (uint64_t)row->stored_us);
+  mo_text_open(text, "numbers", "[");
   for (uint32_t i = 0; i < n; i++)
     mo_text_format(text, i > 0 ? ",%u" : "%u", members[i].number);
   mo_text_add(text, "]");
-  mo_text_name(text, "scores");
-  mo_text_add(text, "[");
+  mo_text_open(text, "scores", "[");
   for (uint32_t i = 0; i < n; i++) {
     mo_text_add(text, i > 0 ? "," : "");
     mo_text_json_number(text, members[i].score);
@@ -70,20 +45,7 @@ void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *s
 {
   mo_text_add(text, "{");
   mo_columns_members(text, &mo_campaign_step_columns, step);
-  mo_line_whole(text, "training_step", step->report.step);
-  mo_text_add(text, "}");
-}
-
-void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score)
-{
-  mo_text_add(text, "{");
-  mo_line_whole(text, "number", score->number);
-  mo_text_member(text, "class", score->fingerprint);
-  mo_text_member(text, "origin", score->origin);
-  mo_line_whole(text, "computed_us", score->computed_us);
-  mo_line_counts(text, "environments", score->environments, score->n);
-  write_doubles(text, "losses", score->losses, score->n);
-  mo_line_counts(text, "diverged_steps", score->diverged_steps, score->n);
+  mo_text_member_count(text, "training_step", step->report.step);
   mo_text_add(text, "}");
 }
 
@@ -140,9 +102,33 @@ int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size
                  line + same, same < again->size ? again->data + same : "");
 }
 
-void mo_line_refuse(struct mo_json *json, const char *words)
+int mo_line_read(struct mo_bundle_lines *lines, const char *line, size_t size,
+                 const struct mo_fields *fields, void *value,
+                 int (*check)(const void *value, struct mo_message *message),
+                 struct mo_message *message)
 {
-  mo_json_fault(json, "%s", words);
+  mo_fields_read(mo_line_begin(lines, line, size), fields, value);
+  int error = mo_line_end(lines, message);
+  if (error == MO_OK && check != NULL)
+    error = check(value, message);
+  if (error != MO_OK || lines->is_checked)
+    return error;
+  mo_fields_write_object(&lines->again, fields, value);
+  return mo_line_compare(lines, line, size, message);
+}
+
+/* ---- members ---- */
+
+void mo_line_null(struct mo_text *text, const void *value)
+{
+  (void)value;
+  mo_text_add(text, "null");
+}
+
+void mo_line_skip(struct mo_json *json, void *value)
+{
+  (void)value;
+  mo_json_skip(json);
 }
 
 void mo_line_u32(struct mo_json *json, int64_t max, uint32_t *value)
@@ -174,36 +160,93 @@ static void read_double(struct mo_json *json, double missing, double *value)
   }
 }
 
+/* Reads up to `room` numbers, null for infinity, and counts all. */
+static void read_doubles(struct mo_json *json, double *numbers, uint32_t room, uint32_t *n)
+{
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json))
+    if ((*n)++ < room)
+      read_double(json, (double)INFINITY, &numbers[*n - 1]);
+    else
+      mo_json_skip(json);
+}
+
 void mo_line_text(struct mo_json *json, char *text, size_t size)
 {
   struct mo_json_slice slice;
   if (!mo_json_string(json, &slice))
     return;
   if (slice.size >= size || memchr(slice.bytes, 0, slice.size) != NULL) {
-    mo_line_refuse(json, "the text is too long, or has a NUL");
+    mo_json_fault(json, "the text is too long, or has a NUL");
     return;
   }
   memcpy(text, slice.bytes, slice.size);
   text[slice.size] = '\0';
 }
 
-void mo_line_word(struct mo_json *json, const char *const *words, int *word)
+static void read_word(struct mo_json *json, const char *const *words, int *word)
 {
   char text[32] = "";
   mo_line_text(json, text, sizeof(text));
   *word = mo_word_index(words, text);
   if (*word < 0) {
-    mo_line_refuse(json, "no such word");
+    mo_json_fault(json, "no such word");
     *word = 0;
   }
 }
 
-void mo_line_hash(struct mo_json *json, struct mo_sha256 *sha256)
+static void read_hash(struct mo_json *json, void *sha256)
 {
   struct mo_json_slice slice;
   if (mo_json_string(json, &slice) && mo_sha256_from_hex(slice.bytes, slice.size, sha256) != MO_OK)
-    mo_line_refuse(json, "64 hexadecimal digits are expected");
+    mo_json_fault(json, "64 hexadecimal digits are expected");
 }
+
+static void write_hash(struct mo_text *text, const void *value)
+{
+  const struct mo_sha256 *sha256 = value;
+  mo_text_format(text, "\"%s\"", MO_SHA256_HEX(sha256));
+}
+const struct mo_field_own mo_line_hash = {.read = read_hash, .write = write_hash};
+
+static void read_store(struct mo_json *json, void *value)
+{
+  char digits[24] = "";
+  mo_line_text(json, digits, sizeof(digits));
+  *(uint64_t *)value = strtoull(digits, NULL, 16);
+}
+
+static void write_store(struct mo_text *text, const void *value)
+{
+  mo_text_format(text, "\"%016llx\"", (unsigned long long)*(const uint64_t *)value);
+}
+const struct mo_field_own mo_line_store = {.read = read_store, .write = write_store};
+
+static void read_genotype(struct mo_json *json, void *value)
+{
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_bits *genotype = value, placed;
+  struct mo_json_slice slice;
+  if (!mo_json_string(json, &slice))
+    return;
+  if (mo_genotype_from_text(workspace, slice.bytes, slice.size, genotype->words, NULL) != MO_OK) {
+    mo_json_fault(json, "144 digits 0 and 1 are expected, of a body in one piece");
+    return;
+  }
+  placed = *genotype;
+  mo_genotype_place(workspace, placed.words);
+  if (memcmp(&placed, genotype, sizeof(placed)) != 0)
+    mo_json_fault(json, "the body is not placed in the middle of the ground");
+}
+
+static void write_genotype(struct mo_text *text, const void *genotype)
+{
+  mo_text_add(text, "\"");
+  mo_bits_write(text, genotype);
+  mo_text_add(text, "\"");
+}
+const struct mo_field_own mo_line_genotype = {.read = read_genotype, .write = write_genotype};
 
 /* ---- rows of numbers ---- */
 
@@ -222,7 +265,7 @@ static void read_cell(struct mo_json *json, const struct mo_column *column, void
   case MO_COLUMN_WORD: {
     const char *const words[] = {column->words[0], column->words[1], NULL};
     int word = 0;
-    mo_line_word(json, words, &word);
+    read_word(json, words, &word);
     *(bool *)at = word == 1;
     break;
   }
@@ -242,7 +285,7 @@ static void read_columns(struct mo_json *json, const struct mo_columns *columns,
       return;
     }
   if (mo_json_peek(json) != MO_JSON_OBJECT) {
-    mo_line_refuse(json, "no such member");
+    mo_json_fault(json, "no such member");
     mo_json_skip(json);
     return;
   }
@@ -264,7 +307,7 @@ static void read_member(struct mo_json *json, struct mo_json_slice key,
 {
   char path[PATH_BYTES];
   if (key.size + 1 > PATH_BYTES) {
-    mo_line_refuse(json, "no such member");
+    mo_json_fault(json, "no such member");
     mo_json_skip(json);
     return;
   }
@@ -360,23 +403,6 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
   return error == MO_OK ? mo_line_compare(lines, line, size, message) : error;
 }
 
-void mo_line_genotype(struct mo_json *json, struct mo_bits *genotype)
-{
-  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
-  struct mo_json_slice slice;
-  struct mo_bits placed;
-  if (!mo_json_string(json, &slice))
-    return;
-  if (mo_genotype_from_text(workspace, slice.bytes, slice.size, genotype->words, NULL) != MO_OK) {
-    mo_line_refuse(json, "144 digits 0 and 1 are expected, of a body in one piece");
-    return;
-  }
-  placed = *genotype;
-  mo_genotype_place(workspace, placed.words);
-  if (memcmp(&placed, genotype, sizeof(placed)) != 0)
-    mo_line_refuse(json, "the body is not placed in the middle of the ground");
-}
-
 static void read_parents(struct mo_json *json, struct mo_descent *descent)
 {
   descent->parents[0] = descent->parents[1] = MO_NO_PARENT;
@@ -402,11 +428,11 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
       if (mo_json_is(key, "number"))
         mo_line_u32(json, UINT32_MAX - 1, &design->number);
       else if (mo_json_is(key, "genotype"))
-        mo_line_genotype(json, &design->genotype);
+        mo_line_genotype.read(json, &design->genotype);
       else if (mo_json_is(key, "parents"))
         read_parents(json, &design->descent);
       else if (mo_json_is(key, "operator"))
-        mo_line_word(json, mo_operator_words, &op);
+        read_word(json, mo_operator_words, &op);
       else if (mo_json_is(key, "born"))
         mo_line_u32(json, MO_GENERATIONS_MAX, &design->born);
       else if (mo_json_is(key, "died") && mo_json_peek(json) == MO_JSON_NUMBER)
@@ -433,12 +459,26 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
 
 /* ---- scores ---- */
 
-bool mo_line_is_printable(const char *text)
+#define AT(member) offsetof(struct mo_campaign_score, member)
+static const struct mo_field score_rows[] = {
+    {"number", MO_FIELD_COUNT, 0, AT(number), .max = UINT32_MAX - 1},
+    {"class", MO_FIELD_TEXT, 0, AT(fingerprint), .min = 1, .max = MO_FINGERPRINT_BYTES - 1},
+    {"origin", MO_FIELD_TEXT, 0, AT(origin), .min = 1, .max = MO_ORIGIN_BYTES - 1},
+    {"computed_us", MO_FIELD_SEED, 0, AT(computed_us)},
+};
+#undef AT
+static const struct mo_fields score_fields = MO_FIELDS(score_rows);
+
+void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score)
 {
-  for (; *text != '\0'; text++)
-    if (*text < ' ' || *text > '~')
-      return false;
-  return true;
+  mo_text_add(text, "{");
+  mo_fields_write(text, &score_fields, score);
+  mo_text_name(text, "environments");
+  mo_json_counts(text, score->environments, score->n);
+  mo_member_numbers(text, "losses", score->losses, score->n); /* null: diverged */
+  mo_text_name(text, "diverged_steps");
+  mo_json_counts(text, score->diverged_steps, score->n);
+  mo_text_add(text, "}");
 }
 
 static int check_score(const struct mo_campaign_score *score, const uint32_t n[3],
@@ -447,9 +487,6 @@ static int check_score(const struct mo_campaign_score *score, const uint32_t n[3
   if (n[0] < 1 || n[0] > MO_BLOCK_LANES || n[1] != n[0] || n[2] != n[0])
     return mo_fail(message, MO_ERR_FORMAT, "1 to %d environments with as many losses and steps",
                    MO_BLOCK_LANES);
-  if (score->fingerprint[0] == '\0' || !mo_line_is_printable(score->fingerprint) ||
-      score->origin[0] == '\0' || !mo_line_is_printable(score->origin))
-    return mo_fail(message, MO_ERR_FORMAT, "class and origin must be printable");
   for (uint32_t k = 0; k < n[0]; k++)
     if (score->losses[k] < 0 || isfinite(score->losses[k]) != (score->diverged_steps[k] == 0))
       return mo_fail(message, MO_ERR_FORMAT, "loss %u is none, or disagrees with its step", k);
@@ -465,25 +502,14 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
   memset(score, 0, sizeof(*score));
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
-      if (mo_json_is(key, "number")) {
-        mo_line_u32(json, UINT32_MAX - 1, &score->number);
-      } else if (mo_json_is(key, "class")) {
-        mo_line_text(json, score->fingerprint, sizeof(score->fingerprint));
-      } else if (mo_json_is(key, "origin")) {
-        mo_line_text(json, score->origin, sizeof(score->origin));
-      } else if (mo_json_is(key, "computed_us")) {
-        mo_json_integer(json, 0, INT64_MAX, &score->computed_us);
-      } else if (mo_json_is(key, "losses") && mo_json_array(json)) {
-        while (mo_json_item(json))
-          if (n[1]++ < MO_BLOCK_LANES)
-            read_double(json, (double)INFINITY, &score->losses[n[1] - 1]);
-          else
-            mo_json_skip(json);
-      } else {
-        const bool is_place = mo_json_is(key, "environments");
-        uint32_t *to = is_place ? score->environments : score->diverged_steps;
-        mo_line_u32s(json, UINT32_MAX >> 1, to, MO_BLOCK_LANES, &n[is_place ? 0 : 2]);
-      }
+      if (mo_json_is(key, "environments"))
+        mo_line_u32s(json, UINT32_MAX >> 1, score->environments, MO_BLOCK_LANES, &n[0]);
+      else if (mo_json_is(key, "losses"))
+        read_doubles(json, score->losses, MO_BLOCK_LANES, &n[1]);
+      else if (mo_json_is(key, "diverged_steps"))
+        mo_line_u32s(json, UINT32_MAX >> 1, score->diverged_steps, MO_BLOCK_LANES, &n[2]);
+      else if (!mo_fields_read_member(json, key, &score_fields, score))
+        mo_json_skip(json);
     }
   score->n = n[0] < MO_BLOCK_LANES ? n[0] : MO_BLOCK_LANES;
   int error = mo_line_end(lines, message);

@@ -49,13 +49,13 @@ void mo_api_get_campaign_champions(struct mo_request *request)
 }
 
 #define AT(member) offsetof(struct mo_champions_request, member)
-static const struct mo_field rows[] = {
+static const struct mo_field champion_rows[] = {
     {"count", MO_FIELD_COUNT, 0, AT(count), .min = 1, .max = CHAMPIONS_MAX},
     {"record", MO_FIELD_OWN, 0, AT(record), .own = &mo_channels_field},
     {"stride", MO_FIELD_COUNT, 0, AT(stride), .min = 1, .max = MO_STEPS_MAX},
 };
 #undef AT
-static const struct mo_fields fields = MO_FIELDS(rows);
+static const struct mo_fields fields = MO_FIELDS(champion_rows);
 
 static int record(struct mo_request *request, struct mo_post *post)
 {

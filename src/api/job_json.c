@@ -112,6 +112,14 @@ void mo_json_numbers(struct mo_text *text, const double *numbers, size_t n)
   mo_text_add(text, "]");
 }
 
+void mo_json_counts(struct mo_text *text, const uint32_t *numbers, size_t n)
+{
+  mo_text_add(text, "[");
+  for (size_t i = 0; i < n; i++)
+    mo_text_format(text, i > 0 ? ",%u" : "%u", numbers[i]);
+  mo_text_add(text, "]");
+}
+
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
 {
   mo_text_name(text, name);

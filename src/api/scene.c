@@ -11,14 +11,6 @@
 
 /* ---- arrays ---- */
 
-static void write_shape(struct mo_text *text, const struct mo_scene_array *array)
-{
-  mo_text_open(text, "shape", "[");
-  for (unsigned i = 0; i < array->dimensions; i++)
-    mo_text_format(text, i > 0 ? ",%u" : "%u", array->shape[i]);
-  mo_text_add(text, "]");
-}
-
 static void write_number(struct mo_text *text, const struct mo_scene_array *array, size_t i)
 {
   const bool is_float = array->type[0] == 'f';
@@ -96,7 +88,8 @@ void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
   mo_text_object(text);
   mo_text_member_count(text, "offset", arrays->size);
   mo_text_member(text, "type", array->type);
-  write_shape(text, array);
+  mo_text_name(text, "shape");
+  mo_json_counts(text, array->shape, array->dimensions);
   mo_text_add(text, "}");
   mo_text_bytes(arrays, array->numbers, bytes);
   mo_text_bytes(arrays, zeros, (8 - bytes % 8) % 8);

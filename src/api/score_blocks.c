@@ -23,39 +23,56 @@ static const char *const parts[] = {
 };
 static const char *const precisions[] = {[MO_FLOAT32] = "float32", [MO_FLOAT64] = "float64", NULL};
 
+/* ---- lines ---- */
+
+#define AT(member) offsetof(struct mo_score_block, member)
+static const struct mo_field head_rows[] = {
+    {"store", MO_FIELD_OWN, 0, AT(store), .own = &mo_line_store},
+    {"host", MO_FIELD_TEXT, 0, AT(host), .min = 1,
+     .max = sizeof(((struct mo_score_block *)NULL)->host) - 1},
+    {"block", MO_FIELD_COUNT, 0, AT(number), .max = UINT32_MAX},
+    {"last", MO_FIELD_FLAG, 0, AT(is_last)},
+};
+#undef AT
+
+static void write_physics_hash(struct mo_text *text, const void *value)
+{
+  const struct mo_scored_condition *condition = value;
+  struct mo_sha256 hash;
+  mo_physics_hash(&condition->physics, condition->precision, condition->sensor, &hash);
+  mo_line_hash.write(text, &hash);
+}
+static const struct mo_field_own physics_hash = {.read = mo_line_skip, .write = write_physics_hash};
+
+#define AT(member) offsetof(struct mo_scored_condition, member)
+static const struct mo_field condition_rows[] = {
+    {"controller", MO_FIELD_OWN, 0, AT(controller), .own = &mo_line_hash},
+    {"sensor", MO_FIELD_WORD, 0, AT(sensor), .words = mo_sensor_words},
+    {"precision", MO_FIELD_WORD, 0, AT(precision), .words = precisions},
+    {"physics_sha256", MO_FIELD_OWN, 0, 0, .own = &physics_hash},
+    {"physics", MO_FIELD_GROUP, 0, AT(physics), .group = &mo_physics_fields},
+};
+#undef AT
+static const struct mo_field design_rows[] = {
+    {"genotype", MO_FIELD_OWN, 0, offsetof(struct mo_scored_design, genotype),
+     .own = &mo_line_genotype},
+};
+static const struct mo_fields head_fields = MO_FIELDS(head_rows),
+                              condition_fields = MO_FIELDS(condition_rows),
+                              design_fields = MO_FIELDS(design_rows);
+
 /* ---- writing ---- */
-
-static void write_condition(struct mo_text *text, const struct mo_scored_condition *condition)
-{
-  struct mo_sha256 physics;
-  mo_physics_hash(&condition->physics, condition->precision, condition->sensor, &physics);
-  mo_text_add(text, "{");
-  mo_member_hash(text, "controller", &condition->controller);
-  mo_text_member(text, "sensor", mo_sensor_name(condition->sensor));
-  mo_text_member(text, "precision", precisions[condition->precision]);
-  mo_member_hash(text, "physics_sha256", &physics);
-  mo_text_name(text, "physics");
-  mo_fields_write_object(text, &mo_physics_fields, &condition->physics);
-  mo_text_add(text, "}");
-}
-
-static void write_design(struct mo_text *text, const struct mo_bits *genotype)
-{
-  mo_text_add(text, "{");
-  mo_member_bits(text, "genotype", genotype);
-  mo_text_add(text, "}");
-}
 
 /* Writes the line of an item of a part to an empty text. */
 static void write_line(const struct mo_score_block *block, enum part part, uint32_t i,
                        struct mo_text *line)
 {
   if (part == CONDITIONS)
-    write_condition(line, &block->conditions[i]);
+    mo_fields_write_object(line, &condition_fields, &block->conditions[i]);
   else if (part == ENVIRONMENTS)
     mo_scene_write_environment(line, NULL, &block->environments[i]);
   else if (part == DESIGNS)
-    write_design(line, &block->designs[i].genotype);
+    mo_fields_write_object(line, &design_fields, &block->designs[i]);
   else
     mo_bundle_write_score(line, &block->scores[i]);
 }
@@ -89,10 +106,7 @@ static void write_head(struct mo_text *text, const struct mo_score_block *block,
 {
   mo_text_format(text, "{\"format\":\"morphod-scores\",\"version\":%d", MO_SCORES_VERSION);
   mo_text_member(text, "program", program);
-  mo_text_format(text, ",\"store\":\"%016llx\"", (unsigned long long)block->store);
-  mo_text_member(text, "host", block->host);
-  mo_line_whole(text, "block", block->number);
-  mo_text_member_bool(text, "last", block->is_last);
+  mo_fields_write(text, &head_fields, block);
   mo_text_add(text, "}");
 }
 
@@ -162,7 +176,7 @@ static int read_head(struct reading *reading)
   struct mo_bundle_lines *lines = reading->lines;
   struct mo_archive_member *member = &reading->member;
   struct mo_json_slice key;
-  char expected[80], program[64] = "", digits[24] = "";
+  char expected[80], program[64] = "";
   size_t at = 0, size;
   char *line = NULL;
   snprintf(expected, sizeof(expected), "{\"format\":\"morphod-scores\",\"version\":%d,",
@@ -176,25 +190,15 @@ static int read_head(struct reading *reading)
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "program"))
         mo_line_text(json, program, sizeof(program));
-      else if (mo_json_is(key, "store"))
-        mo_line_text(json, digits, sizeof(digits));
-      else if (mo_json_is(key, "host"))
-        mo_line_text(json, block->host, sizeof(block->host));
-      else if (mo_json_is(key, "block"))
-        mo_line_u32(json, UINT32_MAX, &block->number);
-      else if (mo_json_is(key, "last"))
-        mo_json_bool(json, &block->is_last);
-      else
+      else if (!mo_fields_read_member(json, key, &head_fields, block))
         mo_json_skip(json);
     }
-  block->store = strtoull(digits, NULL, 16);
   int error = mo_line_end(lines, reading->message);
   if (error == MO_OK) {
     write_head(&lines->again, block, program);
     error = mo_line_compare(lines, line, size, reading->message);
   }
-  if (error == MO_OK && (block->host[0] == '\0' || !mo_line_is_printable(block->host) ||
-                         strpbrk(block->host, "\"\\") != NULL))
+  if (error == MO_OK && (block->host[0] == '\0' || strpbrk(block->host, "\"\\") != NULL))
     error = mo_fail(reading->message, MO_ERR_FORMAT, "the host is not that of a service");
   return error == MO_ERR_FORMAT
              ? mo_archive_refuse(member, 1, reading->message->text, reading->message)
@@ -217,57 +221,20 @@ static int read_weights(struct reading *reading)
   return MO_OK;
 }
 
-static int read_condition(struct mo_bundle_lines *lines, const char *line, size_t size,
-                          struct mo_scored_condition *condition, struct mo_message *message)
+static int check_condition(const void *condition, struct mo_message *message)
 {
-  struct mo_json *json = mo_line_begin(lines, line, size);
-  struct mo_json_slice key;
-  int sensor = 0, precision = 0;
-  memset(condition, 0, sizeof(*condition));
-  condition->physics = mo_default_physics();
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      if (mo_json_is(key, "controller"))
-        mo_line_hash(json, &condition->controller);
-      else if (mo_json_is(key, "sensor"))
-        mo_line_word(json, mo_sensor_words, &sensor);
-      else if (mo_json_is(key, "precision"))
-        mo_line_word(json, precisions, &precision);
-      else if (mo_json_is(key, "physics"))
-        mo_fields_read(json, &mo_physics_fields, &condition->physics);
-      else
-        mo_json_skip(json); /* the hash is compared below */
-    }
-  condition->sensor = (enum mo_sensor)sensor;
-  condition->precision = (enum mo_precision)precision;
-  int error = mo_line_end(lines, message);
-  if (error == MO_OK && mo_physics_check(&condition->physics, message) != MO_OK)
-    error = MO_ERR_FORMAT;
-  if (error != MO_OK)
-    return error;
-  write_condition(&lines->again, condition);
-  return mo_line_compare(lines, line, size, message);
+  const struct mo_physics *physics = &((const struct mo_scored_condition *)condition)->physics;
+  return mo_physics_check(physics, message) == MO_OK ? MO_OK : MO_ERR_FORMAT;
 }
 
 static int read_design(struct mo_bundle_lines *lines, const char *line, size_t size,
                        struct mo_scored_design *design, struct mo_message *message)
 {
-  struct mo_json *json = mo_line_begin(lines, line, size);
-  struct mo_json_slice key;
   memset(design, 0, sizeof(*design));
-  if (mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      if (mo_json_is(key, "genotype"))
-        mo_line_genotype(json, &design->genotype);
-      else
-        mo_json_skip(json);
-    }
-  const int error = mo_line_end(lines, message);
-  if (error != MO_OK)
-    return error;
-  write_design(&lines->again, &design->genotype);
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, design->genotype.words, design->form.words);
-  return mo_line_compare(lines, line, size, message);
+  const int error = mo_line_read(lines, line, size, &design_fields, design, NULL, message);
+  if (error == MO_OK)
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, design->genotype.words, design->form.words);
+  return error;
 }
 
 /* Says whether a score belongs to the block; NULL: it does. */
@@ -313,12 +280,15 @@ static int read_line(struct reading *reading, const char *line, size_t size,
                      [DESIGNS] = {block->n_designs, MO_SCORED_ROWS},
                      [SCORES] = {block->n_scores, MO_SCORED_ROWS}};
   struct mo_bundle_lines *lines = reading->lines;
+  struct mo_scored_condition *condition;
   if (counts[reading->part].n == counts[reading->part].max)
     return mo_fail(words, MO_ERR_FORMAT, "more lines than a block has, which are %u",
                    counts[reading->part].max);
   switch (reading->part) {
   case CONDITIONS:
-    return read_condition(lines, line, size, &block->conditions[block->n_conditions++], words);
+    condition = &block->conditions[block->n_conditions++];
+    *condition = (struct mo_scored_condition){.physics = mo_default_physics()};
+    return mo_line_read(lines, line, size, &condition_fields, condition, check_condition, words);
   case ENVIRONMENTS:
     return mo_bundle_read_environment(lines, line, size,
                                       &block->environments[block->n_environments++], words);
