@@ -127,34 +127,41 @@ static int check_pairs(struct mo_json *json, void *any)
   return error;
 }
 
-/* Reads the request. False: the reply is made. Free with free_parsed in any case. */
-static bool read_request(struct mo_request *request, const struct mo_fields *fields,
-                         int (*check)(struct mo_json *json, void *parsed), struct parsed *parsed)
-{
-  *parsed = (struct parsed){.count = 1, .children = 1, .rate = 1.0 / MO_DEFAULT_VOXELS, .seed = 1};
-  mo_read_words(request->body, request->body_size, &mo_design_rules_fields, &parsed->parts, NULL);
-  return mo_read_request(request, fields, parsed, &parsed->parts, check, "body");
-}
-
-static void free_parsed(struct parsed *parsed)
-{
-  mo_parts_free(&parsed->parts);
-  free(parsed->pairs);
-}
-
 /* ---- replies ---- */
 
-/* A reply that is made: its items, and which design is next. */
+/* A design of the request. */
+struct place {
+  struct mo_bits genotype;           /* placed; empty: skipped */
+  const struct mo_design_note *note; /* nullable */
+};
+
+/* A reply that is made. */
 struct bodies {
-  struct mo_text text;
+  struct parsed parsed;
+  struct place *places; /* (n_given) */
   const struct mo_lattice *lattice;
+  struct mo_text text; /* its items */
   int error;
 };
 
-static void begin(struct bodies *bodies, struct mo_request *request)
+static bool is_empty(const struct place *place)
 {
-  *bodies = (struct bodies){.lattice = mo_api_of(request)->lattice};
-  mo_text_add(&bodies->text, "{\"items\":[");
+  return place->note != NULL && mo_is_skipped(place->note);
+}
+
+/* malloc; NULL: no memory. */
+static struct place *places_of(const struct parsed *parsed)
+{
+  const struct mo_parts *parts = &parsed->parts;
+  struct place *places = calloc(n_given(parsed) + 1, sizeof(*places));
+  for (uint32_t i = 0; places != NULL && i < parts->n_notes; i++)
+    places[parts->notes[i].place].note = &parts->notes[i];
+  for (uint32_t i = 0, n = 0; places != NULL && i < n_given(parsed); i++)
+    if (!is_empty(&places[i])) {
+      places[i].genotype = parts->genotypes[n++];
+      mo_genotype_place(MO_DEFAULT_WORKSPACE, places[i].genotype.words);
+    }
+  return places;
 }
 
 /* Adds a body. parents: (n_parents) places; genotype empty: `note` says why. */
@@ -184,59 +191,48 @@ static void add_none(struct bodies *bodies, const uint32_t *parents, unsigned n_
   add(bodies, &none, parents, n_parents, &note);
 }
 
-static void end(struct bodies *bodies, struct mo_request *request)
+/* Reads a request, and replies with the bodies that `make` adds. */
+static void reply_bodies(struct mo_request *request, const struct mo_fields *fields,
+                         int (*check)(struct mo_json *json, void *parsed),
+                         void (*make)(struct bodies *bodies))
 {
-  mo_text_add(&bodies->text, "]}");
-  mo_reply_text(request, bodies->error, &bodies->text, "body");
-}
-
-/* ---- the designs of the request by place ---- */
-
-struct place {
-  struct mo_bits genotype;           /* placed; empty: skipped */
-  const struct mo_design_note *note; /* nullable */
-};
-
-/* malloc; NULL: no memory. */
-static struct place *places_of(const struct parsed *parsed)
-{
-  const struct mo_parts *parts = &parsed->parts;
-  struct place *places = calloc(n_given(parsed) + 1, sizeof(*places));
-  for (uint32_t i = 0; places != NULL && i < parts->n_notes; i++)
-    places[parts->notes[i].place].note = &parts->notes[i];
-  for (uint32_t place = 0, n = 0; places != NULL && place < n_given(parsed); place++) {
-    if (places[place].note != NULL && mo_is_skipped(places[place].note))
-      continue;
-    places[place].genotype = parts->genotypes[n++];
-    mo_genotype_place(MO_DEFAULT_WORKSPACE, places[place].genotype.words);
+  struct bodies bodies = {
+      .parsed = {.count = 1, .children = 1, .rate = 1.0 / MO_DEFAULT_VOXELS, .seed = 1},
+      .lattice = mo_api_of(request)->lattice};
+  struct mo_parts *parts = &bodies.parsed.parts;
+  mo_read_words(request->body, request->body_size, &mo_design_rules_fields, parts, NULL);
+  if (mo_read_request(request, fields, &bodies.parsed, parts, check, "body")) {
+    bodies.places = places_of(&bodies.parsed);
+    mo_text_add(&bodies.text, "{\"items\":[");
+    if (bodies.places != NULL)
+      make(&bodies);
+    else
+      bodies.error = MO_ERR_NO_MEMORY;
+    mo_text_add(&bodies.text, "]}");
+    mo_reply_text(request, bodies.error, &bodies.text, "body");
+    free(bodies.places);
   }
-  return places;
-}
-
-static bool is_empty(const struct place *place)
-{
-  return place->note != NULL && mo_is_skipped(place->note);
+  mo_parts_free(parts);
+  free(bodies.parsed.pairs);
 }
 
 /* ---- random ---- */
 
-void mo_api_post_random_bodies(struct mo_request *request)
+static void make_random(struct bodies *bodies)
 {
   struct mo_body_stream *stream = NULL;
-  struct parsed parsed;
-  struct bodies bodies;
-  if (read_request(request, &mo_random_request_fields, NULL, &parsed)) {
-    begin(&bodies, request);
-    bodies.error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, parsed.seed, &stream);
-    for (uint32_t i = 0; i < parsed.count && bodies.error == MO_OK; i++) {
-      struct mo_bits genotype;
-      bodies.error = mo_body_stream_next(stream, genotype.words, NULL);
-      add(&bodies, &genotype, NULL, 0, NULL);
-    }
-    mo_body_stream_free(stream);
-    end(&bodies, request);
+  bodies->error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, bodies->parsed.seed, &stream);
+  for (uint32_t i = 0; i < bodies->parsed.count && bodies->error == MO_OK; i++) {
+    struct mo_bits genotype;
+    bodies->error = mo_body_stream_next(stream, genotype.words, NULL);
+    add(bodies, &genotype, NULL, 0, NULL);
   }
-  free_parsed(&parsed);
+  mo_body_stream_free(stream);
+}
+
+void mo_api_post_random_bodies(struct mo_request *request)
+{
+  reply_bodies(request, &mo_random_request_fields, NULL, make_random);
 }
 
 /* ---- mutation ---- */
@@ -298,99 +294,85 @@ static int brood_bear(struct brood *brood, uint32_t round)
   return error;
 }
 
-static void write_children(struct bodies *bodies, const struct brood *brood,
-                           const struct parsed *parsed, const struct place *places)
+static void write_children(struct bodies *bodies, const struct brood *brood)
 {
   uint32_t n = 0;
-  for (uint32_t i = 0; i < n_given(parsed); i++) {
-    for (uint32_t round = 0; round < parsed->children; round++) {
+  for (uint32_t i = 0; i < n_given(&bodies->parsed); i++) {
+    const struct place *place = &bodies->places[i];
+    for (uint32_t round = 0; round < bodies->parsed.children; round++) {
       const struct mo_bits *child = &brood->made[(size_t)round * brood->n + n];
-      if (is_empty(&places[i]))
-        add(bodies, &places[i].genotype, &i, 1, places[i].note);
+      if (is_empty(place))
+        add(bodies, &place->genotype, &i, 1, place->note);
       else if (mo_genotype_count(MO_DEFAULT_WORKSPACE, child->words) == 0)
         add_none(bodies, &i, 1, "/children", "no further body was found");
       else
-        add(bodies, child, &i, 1, places[i].note);
+        add(bodies, child, &i, 1, place->note);
     }
-    n += !is_empty(&places[i]);
+    n += !is_empty(place);
   }
+}
+
+static void make_children(struct bodies *bodies)
+{
+  struct brood brood;
+  bodies->error = brood_create(&brood, &bodies->parsed, bodies->places);
+  for (uint32_t round = 0; round < bodies->parsed.children && bodies->error == MO_OK; round++)
+    bodies->error = brood_bear(&brood, round);
+  if (bodies->error == MO_OK)
+    write_children(bodies, &brood);
+  brood_free(&brood);
 }
 
 void mo_api_post_mutated_bodies(struct mo_request *request)
 {
-  struct parsed parsed;
-  struct bodies bodies;
-  if (read_request(request, &mo_mutation_request_fields, check_designs, &parsed)) {
-    struct place *places = places_of(&parsed);
-    struct brood brood = {.seen = NULL};
-    begin(&bodies, request);
-    bodies.error = places != NULL ? brood_create(&brood, &parsed, places) : MO_ERR_NO_MEMORY;
-    for (uint32_t round = 0; round < parsed.children && bodies.error == MO_OK; round++)
-      bodies.error = brood_bear(&brood, round);
-    if (bodies.error == MO_OK)
-      write_children(&bodies, &brood, &parsed, places);
-    brood_free(&brood);
-    free(places);
-    end(&bodies, request);
-  }
-  free_parsed(&parsed);
+  reply_bodies(request, &mo_mutation_request_fields, check_designs, make_children);
 }
 
 /* ---- crossing ---- */
 
+static void make_crossed(struct bodies *bodies)
+{
+  for (uint32_t i = 0; i < bodies->parsed.n_pairs && bodies->error == MO_OK; i++) {
+    const struct pair pair = bodies->parsed.pairs[i];
+    const uint32_t parents[2] = {pair.first, pair.second};
+    const struct place *first = &bodies->places[pair.first], *second = &bodies->places[pair.second];
+    struct mo_bits child;
+    char pointer[32];
+    snprintf(pointer, sizeof(pointer), "/pairs/%u", i);
+    if (is_empty(first) || is_empty(second)) {
+      add(bodies, &(struct mo_bits){{0}}, parents, 2, is_empty(first) ? first->note : second->note);
+      continue;
+    }
+    const int error = mo_genotype_crossover(MO_DEFAULT_WORKSPACE, first->genotype.words,
+                                            second->genotype.words, child.words);
+    if (error == MO_ERR_EMPTY)
+      add_none(bodies, parents, 2, pointer,
+               "the parents are equal: a child has the voxels that one of them has");
+    else if (error == MO_OK)
+      add(bodies, &child, parents, 2, NULL);
+    else
+      bodies->error = error;
+  }
+}
+
 void mo_api_post_crossed_bodies(struct mo_request *request)
 {
-  struct parsed parsed;
-  struct bodies bodies;
-  if (read_request(request, &mo_crossing_request_fields, check_pairs, &parsed)) {
-    struct place *places = places_of(&parsed);
-    begin(&bodies, request);
-    bodies.error = places != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-    for (uint32_t i = 0; i < parsed.n_pairs && bodies.error == MO_OK; i++) {
-      const uint32_t parents[2] = {parsed.pairs[i].first, parsed.pairs[i].second};
-      const struct place *first = &places[parents[0]], *second = &places[parents[1]];
-      struct mo_bits child;
-      char pointer[32];
-      snprintf(pointer, sizeof(pointer), "/pairs/%u", i);
-      int error = MO_ERR_EMPTY;
-      if (is_empty(first) || is_empty(second)) {
-        add(&bodies, &(struct mo_bits){{0}}, parents, 2,
-            is_empty(first) ? first->note : second->note);
-        continue;
-      }
-      error = mo_genotype_crossover(MO_DEFAULT_WORKSPACE, first->genotype.words,
-                                    second->genotype.words, child.words);
-      if (error == MO_ERR_EMPTY)
-        add_none(&bodies, parents, 2, pointer,
-                 "the parents are equal: a child has the voxels that one of them has");
-      else if (error == MO_OK)
-        add(&bodies, &child, parents, 2, NULL);
-      else
-        bodies.error = error;
-    }
-    free(places);
-    end(&bodies, request);
-  }
-  free_parsed(&parsed);
+  reply_bodies(request, &mo_crossing_request_fields, check_pairs, make_crossed);
 }
 
 /* ---- canonical forms ---- */
 
+static void make_canonical(struct bodies *bodies)
+{
+  for (uint32_t i = 0; i < n_given(&bodies->parsed); i++) {
+    const struct place *place = &bodies->places[i];
+    struct mo_bits form;
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, place->genotype.words, form.words);
+    add(bodies, &form, NULL, 0, place->note);
+  }
+}
+
 void mo_api_post_canonical_bodies(struct mo_request *request)
 {
-  struct parsed parsed;
-  struct bodies bodies;
-  if (read_request(request, &mo_canonical_request_fields, check_designs, &parsed)) {
-    struct place *places = places_of(&parsed);
-    begin(&bodies, request);
-    bodies.error = places != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-    for (uint32_t i = 0; i < n_given(&parsed) && bodies.error == MO_OK; i++) {
-      struct mo_bits form;
-      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, places[i].genotype.words, form.words);
-      add(&bodies, &form, NULL, 0, places[i].note);
-    }
-    free(places);
-    end(&bodies, request);
-  }
-  free_parsed(&parsed);
+  reply_bodies(request, &mo_canonical_request_fields, check_designs, make_canonical);
 }
