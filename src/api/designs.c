@@ -10,17 +10,20 @@
 
 #define CAMPAIGNS_MAX 100
 
-/* Opens the object and writes what every representation of a design has. */
-static void write_head(struct mo_text *text, const struct mo_bits *form, const struct mo_body *body,
-                       int64_t first_seen_us)
+/* Opens the object and writes what every representation of a design has. MO_ERR_NO_MEMORY. */
+static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_bits *form,
+                      int64_t first_seen_us)
 {
+  struct mo_design_size size = {0};
+  const int error = mo_design_size(api->lattice, form->words, &size);
   mo_text_object(text);
   mo_member_form(text, "id", form);
-  mo_text_member_count(text, "voxels", body->n_voxels);
-  mo_text_member_count(text, "masses", body->n_masses);
-  mo_text_member_count(text, "springs", body->n_springs);
+  mo_text_member_count(text, "voxels", size.voxels);
+  mo_text_member_count(text, "masses", size.masses);
+  mo_text_member_count(text, "springs", size.springs);
   mo_member_bits(text, "genotype", form);
   mo_text_member_time(text, "first_seen_at", first_seen_us);
+  return error;
 }
 
 /* Whether losses of the set are not known: of a design that was cut short, for example. */
@@ -78,10 +81,33 @@ static int write_campaigns(struct mo_store *store, struct mo_text *text, const s
   return code;
 }
 
+static int write_design(struct mo_api *api, struct mo_text *text, const struct mo_design *design)
+{
+  int error = write_head(api, text, &design->form, design->first_seen_us);
+  mo_text_open(text, "orientations", "[");
+  for (uint32_t i = 0; i < design->n_orientations; i++) {
+    const struct mo_design_orientation *orientation = &design->orientations[i];
+    mo_text_object(text);
+    mo_member_bits(text, "genotype", &orientation->genotype);
+    mo_text_open(text, "scores", "[");
+    for (uint32_t k = 0; k < orientation->n_scores; k++)
+      write_score(text, &orientation->scores[k]);
+    mo_text_add(text, "]}");
+  }
+  mo_text_add(text, "]");
+  mo_text_member_bool(text, "truncated", design->truncated);
+  if (error == MO_OK)
+    error = write_campaigns(api->store, text, &design->form);
+  mo_text_add(text, "}");
+  return error;
+}
+
 void mo_api_get_design(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
   const char *id = request->parameters[0];
+  struct mo_design *design = NULL;
+  struct mo_text text = {0};
   struct mo_bits form;
   id += id[0] == 'd' && strlen(id) == MO_DEFAULT_ID_DIGITS + 1; /* as in a CSV */
   if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, id, strlen(id), form.words) != MO_OK) {
@@ -91,37 +117,11 @@ void mo_api_get_design(struct mo_request *request)
         MO_DEFAULT_ID_DIGITS);
     return;
   }
-  struct mo_design *design = NULL;
-  int code = mo_store_design(api->store, &form, &design);
-  if (code != MO_OK) {
-    mo_reply_error(request, code, "design");
-    return;
-  }
-  struct mo_body *body = NULL;
-  struct mo_text text = {0};
-  if ((code = mo_body_create(api->lattice, design->form.words, &body)) != MO_OK) {
-    mo_design_free(design);
-    mo_reply_error(request, code, "design");
-    return;
-  }
-  write_head(&text, &design->form, body, design->first_seen_us);
-  mo_body_free(body);
-  mo_text_add(&text, ",\"orientations\":[");
-  for (uint32_t i = 0; i < design->n_orientations; i++) {
-    const struct mo_design_orientation *orientation = &design->orientations[i];
-    mo_text_object(&text);
-    mo_member_bits(&text, "genotype", &orientation->genotype);
-    mo_text_add(&text, ",\"scores\":[");
-    for (uint32_t k = 0; k < orientation->n_scores; k++)
-      write_score(&text, &orientation->scores[k]);
-    mo_text_add(&text, "]}");
-  }
-  mo_text_add(&text, "]");
-  mo_text_member_bool(&text, "truncated", design->truncated);
+  int error = mo_store_design(api->store, &form, &design);
+  if (error == MO_OK)
+    error = write_design(api, &text, design);
   mo_design_free(design);
-  code = write_campaigns(api->store, &text, &form);
-  mo_text_add(&text, "}");
-  mo_reply_text(request, code, &text, "design");
+  mo_reply_text(request, error, &text, "design");
 }
 
 /* Reads the cursor: for sort=id a row, for sort=score the bits of the score and a row. */
@@ -139,32 +139,20 @@ static bool read_cursor(const char *text, struct mo_design_query *query)
   return !isnan(query->after_score) && !signbit(query->after_score);
 }
 
-/* Writes one row. MO_ERR_NO_MEMORY; MO_ERR_CORRUPT: the stored form is no body. */
-static int write_row(struct mo_request *request, struct mo_text *text,
-                     const struct mo_design_query *query, const struct mo_design_row *row)
-{
-  struct mo_body *body = NULL;
-  int error = mo_body_create(mo_api_of(request)->lattice, row->form.words, &body);
-  if (error != MO_OK)
-    return error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
-  write_head(text, &row->form, body, row->first_seen_us);
-  mo_body_free(body);
-  if (query->sort == MO_DESIGNS_BY_SCORE) {
-    mo_text_member_number(text, "score", row->score);
-    mo_member_bits(text, "scored_genotype", &row->genotype);
-  }
-  mo_text_add(text, "}");
-  return MO_OK;
-}
-
 static void write_page(struct mo_request *request, const struct mo_design_query *query,
                        const struct mo_design_row *rows, size_t n, size_t limit)
 {
   struct mo_text text = {0};
   int error = MO_OK;
   mo_text_add(&text, "{\"items\":[");
-  for (size_t i = 0; i < n && error == MO_OK && !text.failed; i++)
-    error = write_row(request, &text, query, &rows[i]);
+  for (size_t i = 0; i < n && error == MO_OK; i++) {
+    error = write_head(mo_api_of(request), &text, &rows[i].form, rows[i].first_seen_us);
+    if (query->sort == MO_DESIGNS_BY_SCORE) {
+      mo_text_member_number(&text, "score", rows[i].score);
+      mo_member_bits(&text, "scored_genotype", &rows[i].genotype);
+    }
+    mo_text_add(&text, "}");
+  }
   mo_text_add(&text, "]");
   if (n < limit || n == 0) {
     mo_text_member(&text, "next_cursor", NULL);
