@@ -46,10 +46,15 @@ void mo_api_get_index(struct mo_request *request)
     reply_asset(request, find("index.html"));
 }
 
-static void get_asset(struct mo_request *request, const char *version, const char *name)
+/* Replies with /assets/{version}/{file}, or a file in a folder. */
+void mo_api_get_asset(struct mo_request *request)
 {
+  const char *version = request->parameters[0], *below = request->parameters[2];
+  char name[2 * MO_PATH_PARAMETER_BYTES];
   if (!is_on(request))
     return;
+  snprintf(name, sizeof(name), "%s%s%s", request->parameters[1], below[0] != '\0' ? "/" : "",
+           below);
   const struct mo_asset *asset = strcmp(version, mo_assets_version) == 0 ? find(name) : NULL;
   if (asset == NULL) {
     mo_reply_problem(request, 404, NULL,
@@ -58,16 +63,4 @@ static void get_asset(struct mo_request *request, const char *version, const cha
   }
   reply_asset(request, asset);
   request->reply.keep = true;
-}
-
-void mo_api_get_asset(struct mo_request *request)
-{
-  get_asset(request, request->parameters[0], request->parameters[1]);
-}
-
-void mo_api_get_asset_of_folder(struct mo_request *request)
-{
-  char name[2 * MO_PATH_PARAMETER_BYTES];
-  snprintf(name, sizeof(name), "%s/%s", request->parameters[1], request->parameters[2]);
-  get_asset(request, request->parameters[0], name);
 }

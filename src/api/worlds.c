@@ -3,8 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/handlers.h"
 #include "api/job_json.h"
+#include "api/jobs.h"
 #include "api/scene.h"
 #include "rollout/physics.h"
 #include "store/worlds.h"
@@ -85,8 +85,9 @@ void mo_api_get_environment_set(struct mo_request *request)
   reply_environments(request, error, environments, n, "set of environments");
 }
 
-static void reply_of_job(struct mo_request *request, enum mo_job_kind kind)
+void mo_api_get_job_environments(struct mo_request *request)
 {
+  const enum mo_job_kind kind = mo_resource_of(request)->kind;
   struct mo_environment *environments = NULL;
   uint32_t n = 0;
   int64_t id;
@@ -97,18 +98,6 @@ static void reply_of_job(struct mo_request *request, enum mo_job_kind kind)
   reply_environments(request, error, environments, n, mo_job_kind_name(kind));
 }
 
-void mo_api_get_evaluation_environments(struct mo_request *request)
-{
-  reply_of_job(request, MO_JOB_EVALUATION);
-}
-
-void mo_api_get_campaign_environments(struct mo_request *request)
-{
-  reply_of_job(request, MO_JOB_CAMPAIGN);
-}
-
-/* Reads a genotype of 144 digits, which tells its orientation, or an id, whose body is canonical.
- */
 bool mo_read_design(struct mo_request *request, struct mo_bits *genotype)
 {
   const char *digits = request->parameters[0];
