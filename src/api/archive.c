@@ -114,12 +114,11 @@ int mo_archive_add(struct mo_archive_writer *writer, const char *name, const voi
 int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out)
 {
   static const char zeros[2 * BLOCK];
-  const struct mo_text sums = writer->sums; /* its own line comes behind it, and is not written */
-  struct mo_text copy = {0};
-  mo_text_bytes(&copy, sums.data, sums.size);
-  int error = sums.failed || copy.failed ? MO_ERR_NO_MEMORY
-                                         : mo_archive_add(writer, SUMS, copy.data, copy.size, out);
-  mo_text_free(&copy);
+  struct mo_text sums = writer->sums;
+  writer->sums = (struct mo_text){0}; /* its own line is not written */
+  const int error =
+      sums.failed ? MO_ERR_NO_MEMORY : mo_archive_add(writer, SUMS, sums.data, sums.size, out);
+  mo_text_free(&sums);
   return error == MO_OK ? compress(writer, zeros, sizeof(zeros), true, out) : error;
 }
 
