@@ -12,8 +12,9 @@
 
 /* ---- the status ---- */
 
+/* sessions (nullable): how many serve the class. */
 static void write_class(struct mo_text *text, const char *name, const char *scores,
-                        const char *gradients)
+                        const char *gradients, const uint32_t *sessions)
 {
   mo_text_name(text, name);
   if (scores == NULL || scores[0] == '\0') {
@@ -23,6 +24,9 @@ static void write_class(struct mo_text *text, const char *name, const char *scor
   mo_text_object(text);
   mo_text_member(text, "scores", scores);
   mo_text_member(text, "gradients", gradients);
+  if (sessions != NULL)
+    mo_text_member_count(text, "sessions", *sessions);
+  mo_text_add(text, "}");
 }
 
 /* Writes a moment of the monotonic clock; null for 0. */
@@ -48,11 +52,8 @@ static void write_session(struct mo_text *text, const struct mo_session_status *
   mo_text_member_count(text, "n_threads", offer->n_threads);
   mo_text_member_count(text, "n_devices", offer->n_devices);
   mo_text_add(text, ",\"classes\":{");
-  for (size_t i = 0; i < 2; i++) {
-    write_class(text, names[i], offer->classes[i].scores, offer->classes[i].gradients);
-    if (offer->classes[i].scores[0] != '\0')
-      mo_text_add(text, "}");
-  }
+  for (size_t i = 0; i < 2; i++)
+    write_class(text, names[i], offer->classes[i].scores, offer->classes[i].gradients, NULL);
   mo_text_add(text, "}");
   write_moment(text, "joined_at", session->joined_ns);
   write_moment(text, "heard_at", session->heard_ns);
@@ -79,13 +80,8 @@ static void write_classes(struct mo_text *text, const struct mo_api *api,
       [MO_ON_DEVICE] = {"device", mo_compute_device_fingerprint(api->compute),
                         mo_compute_device_gradient_fingerprint(api->compute)}};
   mo_text_add(text, ",\"classes\":{");
-  for (size_t i = 0; i < 2; i++) {
-    write_class(text, names[i][0], names[i][1], names[i][2]);
-    if (names[i][1] != NULL) {
-      mo_text_member_count(text, "sessions", status->n_serving[i]);
-      mo_text_add(text, "}");
-    }
-  }
+  for (size_t i = 0; i < 2; i++)
+    write_class(text, names[i][0], names[i][1], names[i][2], &status->n_serving[i]);
   mo_text_add(text, "}");
 }
 
