@@ -192,8 +192,6 @@ static void read_design(struct mo_json *json, struct shape *shape)
     mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
 }
 
-/* ---- designs ---- */
-
 /* ---- lists of designs ---- */
 
 /* Returns item n of a growing array of `size` bytes each; NULL: no memory. */

@@ -12,6 +12,13 @@
 #include "http/pool.h"
 #include "store/designs.h"
 
+/* Reads a study. MO_ERR_NOT_FOUND: the campaign is none. */
+static int read_study(struct mo_request *request, int64_t id, struct mo_campaign_status *status)
+{
+  const int error = mo_store_campaign(mo_api_of(request)->store, id, status);
+  return error == MO_OK && status->record.settings.mode != MO_STUDY ? MO_ERR_NOT_FOUND : error;
+}
+
 /* ---- a batch with its scores ---- */
 
 /* A study's newest batch, with its designs once they are born. */
@@ -129,9 +136,7 @@ static bool await_batch(struct mo_request *request, int64_t id)
   const bool may_wait = request->wait_s > 0 && !request->wait_over;
   if (may_wait)
     mo_wait_begin(request, MO_WAIT_BATCH(id), mo_clock_us() + (int64_t)request->wait_s * 1000000);
-  int error = mo_store_campaign(mo_api_of(request)->store, id, &status);
-  if (error == MO_OK && status.record.settings.mode != MO_STUDY)
-    error = MO_ERR_NOT_FOUND;
+  const int error = read_study(request, id, &status);
   if (may_wait && error == MO_OK && status.told > status.generation &&
       !mo_job_state_is_final(status.job.state))
     return false;
@@ -177,9 +182,7 @@ static int tell(struct mo_request *request, struct mo_post *post)
   int64_t id;
   if (!mo_path_id(request, 0, &id))
     return MO_ERR_NOT_FOUND;
-  int error = mo_store_campaign(mo_api_of(request)->store, id, &status);
-  if (error == MO_OK && status.record.settings.mode != MO_STUDY)
-    error = MO_ERR_NOT_FOUND;
+  int error = read_study(request, id, &status);
   if (error != MO_OK) {
     mo_reply_error(request, error, "study");
     return error;
