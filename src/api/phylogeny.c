@@ -437,10 +437,6 @@ static void reply_newick(struct mo_request *request, const struct mo_campaign_st
                          const char *tag)
 {
   uint32_t n = 0;
-  mo_reply_static(request, 200, newick_type, "", 0);
-  mo_reply_etag(request, "%s", tag);
-  if (request->reply.status == 304)
-    return; /* answered by the tag, before anything is read */
   struct tree *tree = calloc(1, sizeof(*tree));
   if (tree == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "campaign");
@@ -530,6 +526,11 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
            mo_store_id(store), forms[form], (long long)id, (long long)status.generation,
            (unsigned long long)status.n_designs, (unsigned)status.words.n_measures, wanted.lineages,
            wanted.parents, (int)wanted.root, (long long)wanted.since);
+  mo_reply_static(request, 200, types[form], "", 0);
+  request->reply.packs = true;
+  mo_reply_etag(request, "%s", tag);
+  if (request->reply.status == 304)
+    return; /* answered by the tag, before anything is read */
   if (form == COLUMNS) {
     mo_api_reply_columns(request, id, wanted.since, wanted.lineages == 1, tag);
   } else if (form == NEWICK) {

@@ -114,11 +114,6 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
   uint8_t *kept = NULL;
   char *joined = NULL;
   size_t size = 0;
-  mo_reply_static(request, 200, MO_SCENE_TYPE, "", 0);
-  request->reply.packs = true;
-  mo_reply_etag(request, "%s", tag);
-  if (request->reply.status == 304)
-    return; /* answered by the tag, before anything is read */
   int error = mo_store_campaign_columns(mo_api_of(request)->store, id, &columns);
   if (error == MO_OK) {
     const uint32_t total = columns->n;
