@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "api/bundle.h"
-#include "api/recordings.h"
+#include "api/scene.h"
 
 void mo_bundle_recordings_name(const struct mo_bundle_recordings *recordings,
                                char name[MO_ARCHIVE_NAME_BYTES])

@@ -8,7 +8,7 @@
 #include <string.h>
 
 #include "api/handlers.h"
-#include "api/recordings.h"
+#include "api/scene.h"
 #include "http/download.h"
 
 #define PIECE_BYTES ((size_t)512 << 10)
@@ -119,8 +119,7 @@ static int more_rollouts(void *context, struct mo_text *text)
   return error != MO_OK ? error : all->next < n;
 }
 
-/* Chooses the channel that the query names, or masses, or else the first that is recorded. False:
- * the reply is made. */
+/* Chooses the channel that the query names, or the usual one. False: the reply is made. */
 static bool choose(struct mo_request *request, const struct mo_job *job, enum mo_channel *channel)
 {
   int asked = -1;
@@ -131,9 +130,8 @@ static bool choose(struct mo_request *request, const struct mo_job *job, enum mo
                      job->record == 0 ? "" : " of this array");
     return false;
   }
-  *channel = asked >= 0                       ? (enum mo_channel)(1U << asked)
-             : job->record & MO_RECORD_MASSES ? MO_RECORD_MASSES
-                                              : (enum mo_channel)(job->record & -job->record);
+  *channel =
+      (enum mo_channel)(1U << (asked >= 0 ? (unsigned)asked : mo_usual_channel(job->record)));
   return true;
 }
 

@@ -1,10 +1,11 @@
 /* scene.h: writes scenes (docs/scenes.md): bodies, worlds and recordings in one reply, as a JSON
- * header and the arrays that it describes. */
+ * header and the arrays that it describes; and arrays of recordings. */
 #ifndef MORPHO_API_SCENE_H
 #define MORPHO_API_SCENE_H
 
 #include "base/text.h"
 #include "jobs/rollouts.h"
+#include "store/evaluations.h"
 
 struct mo_request;
 
@@ -49,6 +50,22 @@ void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rol
  * or, of them, the ancestors of the living and the living. tag: its ETag. */
 void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,
                           const char *tag);
+
+/* ---- recordings as arrays of NumPy ---- */
+
+#define MO_NPY_HEADER 192 /* bytes of the header of an array of NumPy; a multiple of 64 */
+/* Appends the header of an array of a channel: (`leading`, frames, …). leading: "10, ", or "". */
+void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
+                         const struct mo_trajectory_sides *sides);
+/* Returns which array to give where none is named: masses, else the first that is recorded. */
+static inline unsigned mo_usual_channel(unsigned record)
+{
+  return (unsigned)__builtin_ctz(record & MO_RECORD_MASSES ? MO_RECORD_MASSES : record);
+}
+/* Says why there is no such recording: it is removed, not made yet, or was never made. */
+void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job, int error);
+
+/* ---- the parts together ---- */
 
 /* Joins header and arrays; *size bytes, malloc. NULL: no memory. Frees both. */
 char *mo_scene_join(struct mo_text *header, struct mo_text *arrays, size_t *size);

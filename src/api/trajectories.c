@@ -6,7 +6,6 @@
 
 #include "api/handlers.h"
 #include "api/job_json.h"
-#include "api/recordings.h"
 #include "api/scene.h"
 #include "store/worlds.h"
 
@@ -216,15 +215,6 @@ void mo_api_get_trajectory(struct mo_request *request)
   mo_trajectory_free(trajectory);
 }
 
-/* The array of a file where the query names none: masses, else the first that is recorded. */
-static unsigned usual_array(const struct mo_recording *recording)
-{
-  unsigned i = recording->mass_m != NULL ? 1 : 0;
-  while (i + 1 < MO_CHANNELS && mo_recording_array(recording, (enum mo_channel)(1U << i)) == NULL)
-    i++;
-  return i;
-}
-
 void mo_api_get_trajectory_file(struct mo_request *request)
 {
   static const char *const types[] = {"application/octet-stream", NULL};
@@ -237,7 +227,7 @@ void mo_api_get_trajectory_file(struct mo_request *request)
   if (trajectory == NULL)
     return;
   reply_binary(request, trajectory,
-               place.array >= 0 ? (unsigned)place.array : usual_array(&trajectory->recording));
+               place.array >= 0 ? (unsigned)place.array : mo_usual_channel(place.job.record));
   if (request->reply.status == 200)
     mo_reply_etag(request, "%" PRIx64 "-file-%" PRId64 "-%" PRId64 "-%" PRId64 "-%s",
                   mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
