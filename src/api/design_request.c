@@ -194,8 +194,7 @@ static void read_design(struct mo_json *json, struct shape *shape)
 
 /* ---- lists of designs ---- */
 
-/* Returns item n of a growing array of `size` bytes each; NULL: no memory. */
-static void *item_of(void **items, size_t n, size_t size)
+void *mo_next_item(void **items, size_t n, size_t size)
 {
   if ((n & (n - 1)) == 0) { /* 0, 1, 2, 4, …: the room is used up */
     void *grown = realloc(*items, (n > 0 ? 2 * n : 1) * size);
@@ -210,7 +209,7 @@ bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
                    const struct mo_fault *fault)
 {
   struct mo_design_note *note =
-      item_of((void **)&parts->notes, parts->n_notes, sizeof(*parts->notes));
+      mo_next_item((void **)&parts->notes, parts->n_notes, sizeof(*parts->notes));
   if (note == NULL)
     return false;
   *note = (struct mo_design_note){.place = place, .dropped = dropped};
@@ -225,7 +224,7 @@ bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t plac
 {
   struct mo_faults own, *all = json->faults; /* not cleared as a whole: it is large */
   struct shape shape = {
-      .bits = item_of((void **)&parts->genotypes, parts->n_designs, sizeof(*parts->genotypes)),
+      .bits = mo_next_item((void **)&parts->genotypes, parts->n_designs, sizeof(*parts->genotypes)),
       .repairs = parts->repair == MO_REPAIR_LARGEST};
   if (shape.bits == NULL)
     return false;

@@ -54,6 +54,8 @@ bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t plac
 /* Notes that a design was repaired, or skipped because of a fault (else NULL). False: no memory. */
 bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
                    const struct mo_fault *fault);
+/* Returns item n of a growing array of n items of `size` bytes each. NULL: no memory. */
+void *mo_next_item(void **items, size_t n, size_t size);
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 void mo_parts_free(struct mo_parts *parts);
 

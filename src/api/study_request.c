@@ -149,40 +149,26 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
   return memory;
 }
 
-/* Makes room for one child more. */
-static bool grow(struct mo_study_batch *batch, uint32_t *capacity)
-{
-  if (batch->n_children < *capacity)
-    return true;
-  *capacity = *capacity == 0 ? 64 : 2 * *capacity;
-  struct mo_study_child *children = realloc(batch->children, *capacity * sizeof(*children));
-  if (children != NULL)
-    batch->children = children;
-  double *measures =
-      realloc(batch->measures, *capacity * MO_STUDY_MEASURES_MAX * sizeof(*measures));
-  if (measures != NULL)
-    batch->measures = measures;
-  return children != NULL && measures != NULL;
-}
-
 static void read_children(struct mo_json *json, void *value)
 {
   struct mo_parsed_telling *parsed = value;
   struct mo_study_batch *batch = &parsed->telling.batch;
   const unsigned depth = json->depth;
-  uint32_t n = 0, capacity = 0;
+  uint32_t n = 0;
   parsed->has_children = true;
   if (!mo_json_array(json))
     return;
   for (; mo_json_item(json); n++) {
-    bool memory = grow(batch, &capacity), is_there = false;
     if (n >= MO_DESIGNS_MAX) {
       mo_json_skip(json);
       continue;
     }
+    struct mo_study_child *child =
+        mo_next_item((void **)&batch->children, batch->n_children, sizeof(*child));
+    double *measures = mo_next_item((void **)&batch->measures, batch->n_children,
+                                    MO_STUDY_MEASURES_MAX * sizeof(*measures));
+    bool memory = child != NULL && measures != NULL, is_there = false;
     if (memory) {
-      struct mo_study_child *child = &batch->children[batch->n_children];
-      double *measures = batch->measures + (size_t)MO_STUDY_MEASURES_MAX * batch->n_children;
       *child = (struct mo_study_child){.place = n,
                                        .descent = {{MO_NO_PARENT, MO_NO_PARENT}, MO_BORN_LISTED}};
       for (int m = 0; m < MO_STUDY_MEASURES_MAX; m++)
@@ -216,25 +202,20 @@ static void pack_measures(struct mo_study_batch *batch, uint32_t n_measures)
 static bool read_numbers(struct mo_json *json, uint32_t most, uint32_t **numbers, uint32_t *ret_n)
 {
   const unsigned depth = json->depth;
-  uint32_t n = 0, capacity = 0;
+  uint32_t n = 0;
   bool memory = true;
   if (!mo_json_array(json))
     return true;
   for (; mo_json_item(json); n++) {
     int64_t number = 0;
-    if (n == capacity && n < most && memory) {
-      capacity = capacity == 0 ? 256 : 4 * capacity;
-      uint32_t *grown = realloc(*numbers, capacity * sizeof(*grown));
-      memory = grown != NULL;
-      if (memory)
-        *numbers = grown;
-    }
-    if (n >= most || !memory)
+    uint32_t *item = n < most && memory ? mo_next_item((void **)numbers, n, sizeof(*item)) : NULL;
+    memory = memory && (n >= most || item != NULL);
+    if (item == NULL) {
       mo_json_skip(json);
-    else if (mo_json_integer(json, 0, MO_NO_PARENT - 1, &number))
-      (*numbers)[n] = (uint32_t)number;
-    else
-      (*numbers)[n] = 0;
+    } else {
+      mo_json_integer(json, 0, MO_NO_PARENT - 1, &number);
+      *item = (uint32_t)number;
+    }
   }
   if (n > most)
     mo_json_fault_at(json, depth, "", "%u numbers are given; at most %u are expected", n, most);
