@@ -91,6 +91,15 @@ static int read_of_kind(struct mo_store *store, const struct mo_resource *kind, 
   return error == MO_OK && kind != NULL && job->kind != kind->kind ? MO_ERR_NOT_FOUND : error;
 }
 
+bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                    struct mo_job *job)
+{
+  const int error = read_of_kind(mo_api_of(request)->store, kind, id, job);
+  if (error != MO_OK)
+    mo_reply_error(request, error, mo_job_kind_name(kind->kind));
+  return error == MO_OK;
+}
+
 bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                   struct mo_job *job)
 {
@@ -120,14 +129,8 @@ void mo_api_get_job(struct mo_request *request)
 
 bool mo_path_job(struct mo_request *request, int64_t *id)
 {
-  const struct mo_resource *kind = mo_resource_of(request);
   struct mo_job job;
-  if (!mo_path_id(request, 0, id))
-    return false;
-  int error = read_of_kind(mo_api_of(request)->store, kind, *id, &job);
-  if (error != MO_OK)
-    mo_reply_error(request, error, mo_job_kind_name(kind->kind));
-  return error == MO_OK;
+  return mo_path_id(request, 0, id) && mo_job_of_kind(request, mo_resource_of(request), *id, &job);
 }
 
 /* ---- lists ---- */

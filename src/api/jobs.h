@@ -48,6 +48,9 @@ void mo_reply_submitted(struct mo_request *request, const struct mo_resource *ki
  * waits, or the reply is made. kind NULL: any. */
 bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                   struct mo_job *job);
+/* Reads a job of this kind. False: the reply is made. */
+bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, int64_t id,
+                    struct mo_job *job);
 /* Reads the filters that lists of all kinds have. label: room for one without its star. False: the
  * reply is made. */
 bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,

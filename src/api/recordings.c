@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/handlers.h"
+#include "api/jobs.h"
 #include "api/scene.h"
 #include "http/download.h"
 
@@ -143,18 +143,11 @@ void mo_api_get_trajectories(struct mo_request *request)
   struct mo_job job;
   char tag[96];
   int form;
-  if (!mo_accept(request, types, &form) || !mo_path_id(request, 0, &all.id))
+  if (!mo_accept(request, types, &form) || !mo_path_id(request, 0, &all.id) ||
+      !mo_job_of_kind(request, &mo_evaluation_resource, all.id, &job) ||
+      !choose(request, &job, &all.channel))
     return;
-  int error = mo_store_job(store, all.id, &job);
-  if (error == MO_OK && job.kind != MO_JOB_EVALUATION)
-    error = MO_ERR_NOT_FOUND;
-  if (error != MO_OK) {
-    mo_reply_error(request, error, "evaluation");
-    return;
-  }
-  if (!choose(request, &job, &all.channel))
-    return;
-  error = mo_store_trajectory_sides(store, all.id, &all.sides);
+  int error = mo_store_trajectory_sides(store, all.id, &all.sides);
   if (error == MO_OK && (all.sides.n == 0 || all.sides.n < job.rollouts_total))
     error = MO_ERR_NOT_FOUND;
   if (error == MO_OK)

@@ -40,13 +40,8 @@ static bool read_ids(struct mo_request *request, const char *text, int64_t *ids,
                              "ids of campaigns are expected, ascending, with commas between them");
       return false;
     }
-    int error = mo_store_job(mo_api_of(request)->store, *member, &job);
-    if (error == MO_OK && job.kind != MO_JOB_CAMPAIGN)
-      error = MO_ERR_NOT_FOUND;
-    if (error != MO_OK) {
-      mo_reply_error(request, error, "campaign");
+    if (!mo_job_of_kind(request, &mo_campaign_resource, *member, &job))
       return false;
-    }
     ++*n;
     text += size;
     if (*text == '\0')
