@@ -131,7 +131,7 @@ void mo_line_skip(struct mo_json *json, void *value)
   mo_json_skip(json);
 }
 
-void mo_line_u32(struct mo_json *json, int64_t max, uint32_t *value)
+static void read_u32(struct mo_json *json, int64_t max, uint32_t *value)
 {
   int64_t number = 0;
   if (mo_json_integer(json, 0, max, &number))
@@ -144,7 +144,7 @@ void mo_line_u32s(struct mo_json *json, int64_t max, uint32_t *numbers, uint32_t
     return;
   while (mo_json_item(json))
     if ((*n)++ < room)
-      mo_line_u32(json, max, &numbers[*n - 1]);
+      read_u32(json, max, &numbers[*n - 1]);
     else
       mo_json_skip(json);
 }
@@ -255,7 +255,7 @@ static void read_cell(struct mo_json *json, const struct mo_column *column, void
   void *at = (char *)row + column->offset;
   int64_t number = 0;
   switch (column->type) {
-  case MO_COLUMN_COUNT: mo_line_u32(json, UINT32_MAX, at); break;
+  case MO_COLUMN_COUNT: read_u32(json, UINT32_MAX, at); break;
   case MO_COLUMN_LONG:
     if (mo_json_integer(json, 0, INT64_MAX, &number))
       *(uint64_t *)at = (uint64_t)number;
@@ -324,7 +324,7 @@ int mo_bundle_read_step(struct mo_bundle_lines *lines, const char *line, size_t 
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "training_step"))
-        mo_line_u32(json, UINT32_MAX, &step->report.step);
+        read_u32(json, UINT32_MAX, &step->report.step);
       else
         read_member(json, key, &mo_campaign_step_columns, step);
     }
@@ -352,7 +352,7 @@ int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, s
       } else if (mo_json_is(key, "numbers") && mo_json_array(json)) {
         while (mo_json_item(json))
           if (*n < room)
-            mo_line_u32(json, UINT32_MAX - 1, &members[(*n)++].number);
+            read_u32(json, UINT32_MAX - 1, &members[(*n)++].number);
           else
             mo_json_skip(json);
       } else if (mo_json_is(key, "scores") && mo_json_array(json)) {
@@ -410,7 +410,7 @@ static void read_parents(struct mo_json *json, struct mo_descent *descent)
     return;
   for (int i = 0; mo_json_item(json); i++)
     if (i < 2)
-      mo_line_u32(json, UINT32_MAX - 1, &descent->parents[i]);
+      read_u32(json, UINT32_MAX - 1, &descent->parents[i]);
     else
       mo_json_skip(json);
 }
@@ -426,7 +426,7 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "number"))
-        mo_line_u32(json, UINT32_MAX - 1, &design->number);
+        read_u32(json, UINT32_MAX - 1, &design->number);
       else if (mo_json_is(key, "genotype"))
         mo_line_genotype.read(json, &design->genotype);
       else if (mo_json_is(key, "parents"))
@@ -434,7 +434,7 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
       else if (mo_json_is(key, "operator"))
         read_word(json, mo_operator_words, &op);
       else if (mo_json_is(key, "born"))
-        mo_line_u32(json, MO_GENERATIONS_MAX, &design->born);
+        read_u32(json, MO_GENERATIONS_MAX, &design->born);
       else if (mo_json_is(key, "died") && mo_json_peek(json) == MO_JSON_NUMBER)
         mo_json_integer(json, 0, MO_GENERATIONS_MAX, &design->died);
       else if (mo_json_is(key, "score"))

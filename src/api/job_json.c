@@ -36,7 +36,8 @@ void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits
   mo_text_bytes(text, "\"", 1);
 }
 
-void mo_members_note(struct mo_text *text, const struct mo_design_note *note)
+/* Writes what a note says as members; NULL: nothing. */
+static void write_note(struct mo_text *text, const struct mo_design_note *note)
 {
   mo_text_member_count(text, "repaired", note != NULL ? note->dropped : 0);
   if (note == NULL || !mo_is_skipped(note)) {
@@ -56,7 +57,7 @@ void mo_member_notes(struct mo_text *text, const char *name, const struct mo_des
   for (uint32_t i = 0; i < n; i++) {
     mo_text_object(text);
     mo_text_member_count(text, "place", notes[i].place);
-    mo_members_note(text, &notes[i]);
+    write_note(text, &notes[i]);
     mo_text_add(text, "}");
   }
   mo_text_add(text, "]");
@@ -80,7 +81,7 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
   mo_member_count_if(text, "masses", known, size.masses);
   mo_member_count_if(text, "springs", known, size.springs);
   mo_member_count_if(text, "footprint", known, size.footprint);
-  mo_members_note(text, note);
+  write_note(text, note);
   return error;
 }
 
@@ -102,16 +103,6 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
   mo_text_add(text, "}");
 }
 
-void mo_json_numbers(struct mo_text *text, const double *numbers, size_t n)
-{
-  mo_text_add(text, "[");
-  for (size_t i = 0; i < n; i++) {
-    mo_text_next(text);
-    mo_text_json_number(text, numbers[i]);
-  }
-  mo_text_add(text, "]");
-}
-
 void mo_json_counts(struct mo_text *text, const uint32_t *numbers, size_t n)
 {
   mo_text_add(text, "[");
@@ -122,8 +113,12 @@ void mo_json_counts(struct mo_text *text, const uint32_t *numbers, size_t n)
 
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
 {
-  mo_text_name(text, name);
-  mo_json_numbers(text, numbers, n);
+  mo_text_open(text, name, "[");
+  for (size_t i = 0; i < n; i++) {
+    mo_text_next(text);
+    mo_text_json_number(text, numbers[i]);
+  }
+  mo_text_add(text, "]");
 }
 
 void mo_member_environments(struct mo_text *text, const char *set, uint32_t n)

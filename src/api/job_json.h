@@ -9,8 +9,7 @@
 /* Write the digits of a genotype, or of an id, without quotes. */
 void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
 void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
-/* Write an array of numbers. */
-void mo_json_numbers(struct mo_text *text, const double *numbers, size_t n);
+/* Writes an array of numbers. */
 void mo_json_counts(struct mo_text *text, const uint32_t *numbers, size_t n);
 /* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
 void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
@@ -22,8 +21,6 @@ void mo_member_numbers(struct mo_text *text, const char *name, const double *num
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
                       const struct mo_bits *form, const struct mo_bits *genotype,
                       const struct mo_design_note *note);
-/* Writes what a note says as members: repaired, fault. note NULL: neither. */
-void mo_members_note(struct mo_text *text, const struct mo_design_note *note);
 /* Writes notes with their places, as a member. */
 void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,
                      uint32_t n);

@@ -110,23 +110,16 @@ static void write_head(struct mo_text *text, const struct mo_score_block *block,
   mo_text_add(text, "}");
 }
 
-static int add_head(struct mo_archive_writer *writer, const struct mo_score_block *block,
-                    const char *program, struct mo_text *out)
-{
-  struct mo_text text = {0};
-  write_head(&text, block, program);
-  mo_text_add(&text, "\n");
-  const int error = text.failed ? MO_ERR_NO_MEMORY
-                                : mo_archive_add(writer, parts[HEAD], text.data, text.size, out);
-  mo_text_free(&text);
-  return error;
-}
-
 static int add_members(struct mo_archive_writer *writer, const struct mo_score_block *block,
                        const char *program, struct mo_text *out)
 {
+  struct mo_text head = {0};
   char name[MO_ARCHIVE_NAME_BYTES];
-  int error = add_head(writer, block, program, out);
+  write_head(&head, block, program);
+  mo_text_add(&head, "\n");
+  int error = head.failed ? MO_ERR_NO_MEMORY
+                          : mo_archive_add(writer, parts[HEAD], head.data, head.size, out);
+  mo_text_free(&head);
   if (error == MO_OK && block->weights != NULL) {
     mo_bundle_weights_name(&block->weights_sha256, name);
     error = mo_archive_add(writer, name, block->weights, block->weights_size, out);
