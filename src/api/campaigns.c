@@ -192,21 +192,12 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
-                       const struct mo_live *live)
+                       const struct mo_live *live, bool is_listed)
 {
   mo_campaign_json_write(text, status, live);
-  const int error = write_notes(api, text, status);
+  const int error = is_listed ? MO_OK : write_notes(api, text, status);
   mo_text_add(text, "}");
   return error;
-}
-
-static int write_listed(struct mo_api *api, struct mo_text *text, const void *status,
-                        const struct mo_live *live)
-{
-  (void)api;
-  mo_campaign_json_write(text, status, live);
-  mo_text_add(text, "}");
-  return MO_OK;
 }
 
 const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
@@ -215,7 +206,6 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
                                                  .read = read_status,
                                                  .page = mo_store_campaigns,
                                                  .write = write_whole,
-                                                 .write_listed = write_listed,
                                                  .write_job = mo_campaign_json_job};
 
 /* ---- submission ---- */

@@ -109,12 +109,12 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
-                       const struct mo_live *live)
+                       const struct mo_live *live, bool is_listed)
 {
   const struct mo_job *job = status;
   struct mo_evaluation_results *results = NULL;
   int error = MO_OK;
-  if (job->state == MO_JOB_SUCCEEDED)
+  if (job->state == MO_JOB_SUCCEEDED && !is_listed)
     error = mo_store_results(api->store, job->id, &results);
   if (error == MO_OK) {
     write_job(text, job, live);

@@ -48,7 +48,7 @@ int mo_reply_job(struct mo_request *request, unsigned http_status, const struct 
   if (error == MO_OK) {
     read_live(api, job, &live);
     if (whole)
-      error = kind->write(api, &text, &status, &live);
+      error = kind->write(api, &text, &status, &live, false);
     else
       kind->write_job(&text, &status, &live);
   }
@@ -162,8 +162,8 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
   read_live(api, status, &live);
   if (state >= 0 && (int)mo_job_state_shown(status, &live) != state)
     return MO_OK;
-  if (listed != NULL && kind->write_listed != NULL)
-    return kind->write_listed(api, text, status, &live);
+  if (listed != NULL)
+    return kind->write(api, text, status, &live, true);
   kind->write_job(text, status, &live);
   return MO_OK;
 }

@@ -24,12 +24,9 @@ struct mo_resource {
   /* Reads a page of statuses, newest first. Returns their number or an error. */
   int64_t (*page)(struct mo_store *store, const struct mo_job_query *query, void *statuses,
                   size_t limit);
-  /* Writes the whole resource, the item of the list of its kind (NULL: of jobs), or that of the
-   * list of jobs. */
+  /* Writes the whole resource, or the item of the list of its kind, or that of the list of jobs. */
   int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
-               const struct mo_live *live);
-  int (*write_listed)(struct mo_api *api, struct mo_text *text, const void *status,
-                      const struct mo_live *live);
+               const struct mo_live *live, bool is_listed);
   void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);
   bool versioned; /* the row's version covers all that is written of a job that does not run */
 };

@@ -142,8 +142,9 @@ static enum mo_job_kind population_kind(struct mo_store *store,
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
-                       const struct mo_live *live)
+                       const struct mo_live *live, bool is_listed)
 {
+  (void)is_listed;
   mo_training_json_write(text, status, population_kind(api->store, status), live);
   return MO_OK;
 }
@@ -154,7 +155,6 @@ const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,
                                                  .read = read_status,
                                                  .page = mo_store_trainings,
                                                  .write = write_whole,
-                                                 .write_listed = write_whole,
                                                  .write_job = mo_training_json_job};
 
 /* ---- submission ---- */
