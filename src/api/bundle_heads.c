@@ -344,7 +344,5 @@ int mo_bundle_read_weights(const struct mo_archive_member *member,
 
 void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE_NAME_BYTES])
 {
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(sha256, digits);
-  snprintf(name, MO_ARCHIVE_NAME_BYTES, "controllers/%s.safetensors", digits);
+  snprintf(name, MO_ARCHIVE_NAME_BYTES, "controllers/%s.safetensors", MO_SHA256_HEX(sha256));
 }

@@ -494,11 +494,9 @@ static int read_of_campaign(struct reading *reading)
       (part > DESIGNS && reading->n_born != reading->campaign.n_designs))
     return refuse(reading, 0, "the member is out of turn");
   reading->part = part;
-  if (part < SCORES) { /* scores and recordings may grow later */
-    char digits[MO_SHA256_DIGITS + 1];
-    mo_sha256_to_hex(&reading->member.sha256, digits);
-    mo_text_format(&reading->digest, "%s  %s\n", digits, name + folder);
-  }
+  if (part < SCORES) /* scores and recordings may grow later */
+    mo_text_format(&reading->digest, "%s  %s\n", MO_SHA256_HEX(&reading->member.sha256),
+                   name + folder);
   return part == ENVIRONMENTS ? read_environments(reading)
          : part == RECORDINGS ? read_recordings(reading, name + folder)
                               : read_lines(reading);

@@ -258,11 +258,9 @@ static int find_known(struct entry *entry)
 
 static void reply_entered(struct mo_request *request, const struct entry *entry, bool is_new)
 {
-  char digits[MO_SHA256_DIGITS + 1];
   struct mo_text text = {0};
   mo_text_object(&text);
-  mo_text_name(&text, "items");
-  mo_text_add(&text, "[");
+  mo_text_open(&text, "items", "[");
   for (uint32_t i = 0; i < entry->summary->n; i++) {
     const struct mo_bundle_campaign *campaign = &entry->summary->campaigns[i];
     mo_text_object(&text);
@@ -272,8 +270,7 @@ static void reply_entered(struct mo_request *request, const struct entry *entry,
                    (unsigned long long)campaign->source.store);
     mo_text_member_id(&text, "campaign", campaign->source.job);
     mo_text_add(&text, "}");
-    mo_sha256_to_hex(&campaign->source.digest, digits);
-    mo_text_member(&text, "digest", digits);
+    mo_member_hash(&text, "digest", &campaign->source.digest);
     mo_text_member_count(&text, "designs", campaign->n_designs);
     mo_member_count_if(&text, "generation", campaign->generation >= 0,
                        (uint64_t)campaign->generation);

@@ -92,24 +92,22 @@ void mo_api_get_controller_file(struct mo_request *request)
   static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors",
                                       NULL};
   struct mo_controller_record record;
-  char digits[MO_SHA256_DIGITS + 1];
   uint8_t *bytes = NULL;
   size_t size = 0;
   int form;
   if (!mo_accept(request, types, &form) || !read_record(request, &record))
     return;
   int error = mo_store_controller_bytes(mo_api_of(request)->store, &record.sha256, &bytes, &size);
-  mo_sha256_to_hex(&record.sha256, digits);
   if (error == MO_ERR_CORRUPT) {
     mo_reply_problem(request, 500, NULL,
                      "The file controllers/%s.safetensors in the state folder of the service is "
                      "missing or damaged. PUT of the same file, under any name, puts it right.",
-                     digits);
+                     MO_SHA256_HEX(&record.sha256));
   } else if (error != MO_OK) {
     mo_reply_error(request, error, "controller");
   } else {
     mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
-    mo_reply_etag(request, "%s", digits);
+    mo_reply_etag(request, "%s", MO_SHA256_HEX(&record.sha256));
   }
 }
 
