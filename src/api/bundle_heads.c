@@ -68,6 +68,12 @@ static void write_generation(struct mo_text *text, const void *value)
   mo_text_format(text, "%lld", (long long)*(const int64_t *)value);
 }
 
+static void write_null(struct mo_text *text, const void *value)
+{
+  (void)value;
+  mo_text_add(text, "null");
+}
+
 static void write_physics_hash(struct mo_text *text, const void *value)
 {
   const struct mo_campaign_settings *settings = value;
@@ -99,6 +105,7 @@ static void write_settings(struct mo_text *text, const void *value)
 static const struct mo_field_own id = {.read = read_id, .write = write_id},
                                  label = {.read = read_label, .write = write_label},
                                  newest = {.read = read_generation, .write = write_generation},
+                                 no_name = {.read = mo_line_skip, .write = write_null},
                                  physics = {.read = mo_line_skip, .write = write_physics_hash},
                                  settings = {.read = read_settings, .write = write_settings};
 
@@ -113,60 +120,20 @@ static const struct mo_field_own id = {.read = read_id, .write = write_id},
 #define STRUCT     struct mo_imported_campaign
 #define AT(member) offsetof(STRUCT, member)
 
-/* Read and write the controllers that it began and ended with: objects, or null. The second one has
- * no name here. */
-static const struct mo_field_own no_name = {.read = mo_line_skip, .write = mo_line_null};
+/* The controllers that it began and ended with, or null. The second one has no name here. */
+#define IN(first, member) (AT(member) - AT(first))
 static const struct mo_field start_rows[] = {
-    {"name", MO_FIELD_TEXT, MO_FIELD_NULL, TEXT(controller_name)},
-    {"sha256", MO_FIELD_OWN, 0, AT(controller_sha256), .own = &mo_line_hash},
+    {"name", MO_FIELD_TEXT, MO_FIELD_NULL, IN(has_controller, controller_name),
+     .max = sizeof(((STRUCT *)NULL)->controller_name) - 1},
+    {"sha256", MO_FIELD_OWN, 0, IN(has_controller, controller_sha256), .own = &mo_line_hash},
 };
 static const struct mo_field result_rows[] = {
     {"name", MO_FIELD_OWN, 0, 0, .own = &no_name},
-    {"sha256", MO_FIELD_OWN, 0, AT(result_sha256), .own = &mo_line_hash},
+    {"sha256", MO_FIELD_OWN, 0, IN(has_result, result_sha256), .own = &mo_line_hash},
 };
-static const struct mo_fields start_fields = MO_FIELDS(start_rows),
-                              result_fields = MO_FIELDS(result_rows);
+#undef IN
+static const struct mo_fields start = MO_FIELDS(start_rows), result = MO_FIELDS(result_rows);
 
-static bool read_object(struct mo_json *json, const struct mo_fields *fields, void *campaign)
-{
-  const bool is_there = mo_json_peek(json) == MO_JSON_OBJECT;
-  if (is_there)
-    mo_fields_read(json, fields, campaign);
-  else
-    mo_json_skip(json);
-  return is_there;
-}
-
-static void read_start(struct mo_json *json, void *value)
-{
-  struct mo_imported_campaign *campaign = value;
-  campaign->has_controller = read_object(json, &start_fields, campaign);
-}
-
-static void write_start(struct mo_text *text, const void *value)
-{
-  if (((const struct mo_imported_campaign *)value)->has_controller)
-    mo_fields_write_object(text, &start_fields, value);
-  else
-    mo_line_null(text, value);
-}
-
-static void read_result(struct mo_json *json, void *value)
-{
-  struct mo_imported_campaign *campaign = value;
-  campaign->has_result = read_object(json, &result_fields, campaign);
-}
-
-static void write_result(struct mo_text *text, const void *value)
-{
-  if (((const struct mo_imported_campaign *)value)->has_result)
-    mo_fields_write_object(text, &result_fields, value);
-  else
-    mo_line_null(text, value);
-}
-
-static const struct mo_field_own start = {.read = read_start, .write = write_start},
-                                 result = {.read = read_result, .write = write_result};
 static const struct mo_field campaign_source_rows[] = {
     {"store", MO_FIELD_OWN, 0, offsetof(struct mo_import_source, store), .own = &mo_line_store},
     {"campaign", MO_FIELD_OWN, 0, offsetof(struct mo_import_source, job), .own = &id},
@@ -189,8 +156,8 @@ static const struct mo_field campaign_rows[] = {
     {"finished_us", LONG, 0, AT(finished_us)},
     {"preset", MO_FIELD_TEXT, 0, TEXT(record.preset)},
     {"name", MO_FIELD_TEXT, 0, TEXT(record.name)},
-    {"controller", MO_FIELD_OWN, 0, 0, .own = &start},
-    {"result", MO_FIELD_OWN, 0, 0, .own = &result},
+    {"controller", MO_FIELD_GROUP, MO_FIELD_NULL, AT(has_controller), .group = &start},
+    {"result", MO_FIELD_GROUP, MO_FIELD_NULL, AT(has_result), .group = &result},
     {"environment_set", MO_FIELD_TEXT, 0, TEXT(record.environment_set)},
     {"environments", MO_FIELD_COUNT, 0, AT(record.n_environments), .max = MO_ENVIRONMENTS_MAX},
     {"listed", MO_FIELD_COUNT, 0, AT(record.n_listed), .max = MO_POPULATION_MAX},

@@ -15,7 +15,6 @@ struct mo_bundle_lines {
 
 /* ---- members ---- */
 
-void mo_line_null(struct mo_text *text, const void *value);
 /* Skips what follows from other members, and is compared when it is written again. */
 void mo_line_skip(struct mo_json *json, void *value);
 extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store */

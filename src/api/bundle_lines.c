@@ -119,12 +119,6 @@ int mo_line_read(struct mo_bundle_lines *lines, const char *line, size_t size,
 
 /* ---- members ---- */
 
-void mo_line_null(struct mo_text *text, const void *value)
-{
-  (void)value;
-  mo_text_add(text, "null");
-}
-
 void mo_line_skip(struct mo_json *json, void *value)
 {
   (void)value;

@@ -134,9 +134,9 @@ static bool read_null(struct mo_json *json, const struct mo_field *field, void *
       mo_json_peek(json) != MO_JSON_NULL)
     return false;
   memset(value, 0,
-         field->type == MO_FIELD_TEXT    ? 1
-         : field->type == MO_FIELD_COUNT ? sizeof(uint32_t)
-                                         : sizeof(double));
+         field->type == MO_FIELD_TEXT || field->type == MO_FIELD_GROUP ? 1
+         : field->type == MO_FIELD_COUNT                               ? sizeof(uint32_t)
+                                                                       : sizeof(double));
   mo_json_skip(json);
   return true;
 }
@@ -152,7 +152,11 @@ static void read_value(struct mo_json *json, const struct mo_field *field, void 
   case MO_FIELD_FLAG: mo_json_bool(json, value); break;
   case MO_FIELD_WORD: read_word(json, field, value); break;
   case MO_FIELD_TEXT: read_text(json, field, value); break;
-  case MO_FIELD_GROUP: mo_fields_read(json, field->group, value); break;
+  case MO_FIELD_GROUP:
+    if (field->flags & MO_FIELD_NULL)
+      *(bool *)value = true;
+    mo_fields_read(json, field->group, value);
+    break;
   case MO_FIELD_OWN: field->own->read(json, value); break;
   case MO_FIELD_INLINE: break; /* has no value of its own */
   }
@@ -231,6 +235,7 @@ static bool is_null(const struct mo_field *field, const void *value)
   case MO_FIELD_NUMBER: return *(const double *)value == 0;
   case MO_FIELD_WORD: return *(const int *)value < 0;
   case MO_FIELD_TEXT: return *(const char *)value == '\0';
+  case MO_FIELD_GROUP: return !*(const bool *)value;
   default: return false;
   }
 }

@@ -33,8 +33,8 @@ enum mo_field_type {
 enum mo_field_flag {
   MO_FIELD_ABOVE_MIN = 1, /* the lower bound itself is not allowed */
   MO_FIELD_BELOW_MAX = 2, /* the upper bound itself is not allowed */
-  MO_FIELD_NULL = 4,      /* null stands for 0 or the empty text; for a word, null is written for
-                             an index below 0 */
+  MO_FIELD_NULL = 4,      /* null stands for 0 or the empty text; of a group whose struct begins
+                             with a bool, for false; of a word, for an index below 0, in writing */
   MO_FIELD_UTF8 = 8       /* char[4 · max + 1]: a text of any characters but NUL */
 };
 
