@@ -176,7 +176,7 @@ static void add(struct bodies *bodies, const struct mo_bits *genotype, const uin
   mo_text_object(text);
   bodies->error = mo_members_design(text, bodies->lattice, &form, genotype, note);
   mo_text_name(text, "parents");
-  mo_json_counts(text, parents, n_parents);
+  mo_text_counts(text, parents, n_parents);
   mo_text_add(text, "}");
 }
 

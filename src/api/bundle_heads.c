@@ -213,26 +213,26 @@ int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, siz
 static void read_environments(struct mo_json *json, void *value)
 {
   struct mo_imported_evaluation *evaluation = value;
-  mo_line_u32s(json, MO_ENVIRONMENTS_MAX - 1, evaluation->environments, MO_ENVIRONMENTS_MAX,
-               &evaluation->n_environments);
+  mo_json_counts(json, MO_ENVIRONMENTS_MAX - 1, evaluation->environments, MO_ENVIRONMENTS_MAX,
+                 &evaluation->n_environments);
 }
 
 static void write_environments(struct mo_text *text, const void *value)
 {
   const struct mo_imported_evaluation *evaluation = value;
-  mo_json_counts(text, evaluation->environments, evaluation->n_environments);
+  mo_text_counts(text, evaluation->environments, evaluation->n_environments);
 }
 
 static void read_numbers(struct mo_json *json, void *value)
 {
   struct mo_imported_evaluation *evaluation = value;
-  mo_line_u32s(json, UINT32_MAX - 1, evaluation->numbers, MO_DESIGNS_MAX, &evaluation->n_designs);
+  mo_json_counts(json, UINT32_MAX - 1, evaluation->numbers, MO_DESIGNS_MAX, &evaluation->n_designs);
 }
 
 static void write_numbers(struct mo_text *text, const void *value)
 {
   const struct mo_imported_evaluation *evaluation = value;
-  mo_json_counts(text, evaluation->numbers, evaluation->n_designs);
+  mo_text_counts(text, evaluation->numbers, evaluation->n_designs);
 }
 
 static const struct mo_field_own environments = {.read = read_environments,

@@ -21,10 +21,8 @@ extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store *
     mo_line_hash,                               /* struct mo_sha256 */
     mo_line_genotype; /* struct mo_bits that is placed as bodies are scored */
 
-/* Read one value; those that are refused leave theirs as it is. */
+/* Reads a text; one that is refused leaves `text` as it is. */
 void mo_line_text(struct mo_json *json, char *text, size_t size);
-/* Reads up to `room` numbers, and counts all. */
-void mo_line_u32s(struct mo_json *json, int64_t max, uint32_t *numbers, uint32_t room, uint32_t *n);
 
 /* ---- lines ---- */
 

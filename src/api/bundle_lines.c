@@ -132,17 +132,6 @@ static void read_u32(struct mo_json *json, int64_t max, uint32_t *value)
     *value = (uint32_t)number;
 }
 
-void mo_line_u32s(struct mo_json *json, int64_t max, uint32_t *numbers, uint32_t room, uint32_t *n)
-{
-  if (!mo_json_array(json))
-    return;
-  while (mo_json_item(json))
-    if ((*n)++ < room)
-      read_u32(json, max, &numbers[*n - 1]);
-    else
-      mo_json_skip(json);
-}
-
 /* Reads a number; null is `missing`. */
 static void read_double(struct mo_json *json, double missing, double *value)
 {
@@ -378,14 +367,11 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
   memset(environment, 0, sizeof(*environment));
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
-      const bool is_light = mo_json_is(key, "light_xy_m");
-      double *numbers = is_light ? environment->light_xy_m : environment->terrain_heights_m;
-      if ((is_light || mo_json_is(key, "terrain_heights_m")) && mo_json_array(json))
-        for (uint32_t i = 0; mo_json_item(json); i++)
-          if (i < (is_light ? 2U : MO_TERRAIN_HEIGHTS))
-            mo_json_number(json, &numbers[i]);
-          else
-            mo_json_skip(json);
+      uint32_t n = 0;
+      if (mo_json_is(key, "light_xy_m"))
+        read_doubles(json, environment->light_xy_m, 2, &n);
+      else if (mo_json_is(key, "terrain_heights_m"))
+        read_doubles(json, environment->terrain_heights_m, MO_TERRAIN_HEIGHTS, &n);
       else
         mo_json_skip(json); /* the hash is compared below */
     }
@@ -397,26 +383,16 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
   return error == MO_OK ? mo_line_compare(lines, line, size, message) : error;
 }
 
-static void read_parents(struct mo_json *json, struct mo_descent *descent)
-{
-  descent->parents[0] = descent->parents[1] = MO_NO_PARENT;
-  if (!mo_json_array(json))
-    return;
-  for (int i = 0; mo_json_item(json); i++)
-    if (i < 2)
-      read_u32(json, UINT32_MAX - 1, &descent->parents[i]);
-    else
-      mo_json_skip(json);
-}
-
 int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_t size,
                           struct mo_campaign_design *design, struct mo_message *message)
 {
   struct mo_json *json = mo_line_begin(lines, line, size);
   struct mo_json_slice key;
+  uint32_t n_parents = 0;
   int op = 0;
   memset(design, 0, sizeof(*design));
   design->died = -1;
+  design->descent.parents[0] = design->descent.parents[1] = MO_NO_PARENT;
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "number"))
@@ -424,7 +400,7 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
       else if (mo_json_is(key, "genotype"))
         mo_line_genotype.read(json, &design->genotype);
       else if (mo_json_is(key, "parents"))
-        read_parents(json, &design->descent);
+        mo_json_counts(json, UINT32_MAX - 1, design->descent.parents, 2, &n_parents);
       else if (mo_json_is(key, "operator"))
         read_word(json, mo_operator_words, &op);
       else if (mo_json_is(key, "born"))
@@ -468,10 +444,10 @@ void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score 
   mo_text_add(text, "{");
   mo_fields_write(text, &score_fields, score);
   mo_text_name(text, "environments");
-  mo_json_counts(text, score->environments, score->n);
+  mo_text_counts(text, score->environments, score->n);
   mo_member_numbers(text, "losses", score->losses, score->n); /* null: diverged */
   mo_text_name(text, "diverged_steps");
-  mo_json_counts(text, score->diverged_steps, score->n);
+  mo_text_counts(text, score->diverged_steps, score->n);
   mo_text_add(text, "}");
 }
 
@@ -497,11 +473,11 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "environments"))
-        mo_line_u32s(json, UINT32_MAX >> 1, score->environments, MO_BLOCK_LANES, &n[0]);
+        mo_json_counts(json, UINT32_MAX >> 1, score->environments, MO_BLOCK_LANES, &n[0]);
       else if (mo_json_is(key, "losses"))
         read_doubles(json, score->losses, MO_BLOCK_LANES, &n[1]);
       else if (mo_json_is(key, "diverged_steps"))
-        mo_line_u32s(json, UINT32_MAX >> 1, score->diverged_steps, MO_BLOCK_LANES, &n[2]);
+        mo_json_counts(json, UINT32_MAX >> 1, score->diverged_steps, MO_BLOCK_LANES, &n[2]);
       else if (!mo_fields_read_member(json, key, &score_fields, score))
         mo_json_skip(json);
     }

@@ -45,8 +45,7 @@ static const struct mo_field rollout_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_repair_fields},
     {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
 };
-const struct mo_fields mo_rollouts_request_fields = {rollout_rows, sizeof(rollout_rows) /
-                                                                       sizeof(rollout_rows[0])};
+const struct mo_fields mo_rollouts_request_fields = MO_FIELDS(rollout_rows);
 /* An evaluation's has the same but for the controller, which is one of the parts of every job. */
 static const struct mo_fields scored = {rollout_rows,
                                         sizeof(rollout_rows) / sizeof(rollout_rows[0]) - 1};

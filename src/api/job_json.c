@@ -103,14 +103,6 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
   mo_text_add(text, "}");
 }
 
-void mo_json_counts(struct mo_text *text, const uint32_t *numbers, size_t n)
-{
-  mo_text_add(text, "[");
-  for (size_t i = 0; i < n; i++)
-    mo_text_format(text, i > 0 ? ",%u" : "%u", numbers[i]);
-  mo_text_add(text, "]");
-}
-
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
 {
   mo_text_open(text, name, "[");

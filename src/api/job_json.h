@@ -9,8 +9,6 @@
 /* Write the digits of a genotype, or of an id, without quotes. */
 void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
 void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
-/* Writes an array of numbers. */
-void mo_json_counts(struct mo_text *text, const uint32_t *numbers, size_t n);
 /* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
 void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
 void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);

@@ -89,7 +89,7 @@ void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
   mo_text_member_count(text, "offset", arrays->size);
   mo_text_member(text, "type", array->type);
   mo_text_name(text, "shape");
-  mo_json_counts(text, array->shape, array->dimensions);
+  mo_text_counts(text, array->shape, array->dimensions);
   mo_text_add(text, "}");
   mo_text_bytes(arrays, array->numbers, bytes);
   mo_text_bytes(arrays, zeros, (8 - bytes % 8) % 8);

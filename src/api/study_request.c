@@ -58,18 +58,10 @@ static void read_operator(struct mo_json *json, struct mo_study_words *words, ui
 static void read_parents(struct mo_json *json, uint32_t parents[2])
 {
   const unsigned depth = json->depth;
-  size_t n = 0;
-  if (!mo_json_array(json))
-    return;
-  for (; mo_json_item(json); n++) {
-    int64_t number = 0;
-    if (n < 2 && mo_json_integer(json, 0, MO_NO_PARENT - 1, &number))
-      parents[n] = (uint32_t)number;
-    else if (n >= 2)
-      mo_json_skip(json);
-  }
+  uint32_t n = 0;
+  mo_json_counts(json, MO_NO_PARENT - 1, parents, 2, &n);
   if (n > 2)
-    mo_json_fault_at(json, depth, "", "%zu parents are given; at most 2 are expected", n);
+    mo_json_fault_at(json, depth, "", "%u parents are given; at most 2 are expected", n);
 }
 
 /* measures: (MO_STUDY_MEASURES_MAX) */

@@ -297,8 +297,10 @@ static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
   if (at < json->size && c != ' ' && c != '\t' && c != '\n' && c != '\r' && c != ',' && c != ']' &&
       c != '}')
     good = false;
-  if (!good)
-    return syntax(json, "not a number in JSON's notation");
+  if (!good) {
+    syntax(json, "not a number in JSON's notation");
+    return false;
+  }
   *raw = (struct mo_json_slice){text + json->at, at - json->at};
   json->at = at;
   return true;
@@ -575,4 +577,17 @@ void mo_json_skip(struct mo_json *json)
 bool mo_json_is(struct mo_json_slice slice, const char *words)
 {
   return slice.size == strlen(words) && memcmp(slice.bytes, words, slice.size) == 0;
+}
+
+void mo_json_counts(struct mo_json *json, uint32_t max, uint32_t *counts, uint32_t room,
+                    uint32_t *n)
+{
+  int64_t count = 0;
+  if (!mo_json_array(json))
+    return;
+  for (; mo_json_item(json); (*n)++)
+    if (*n >= room)
+      mo_json_skip(json);
+    else if (mo_json_integer(json, 0, max, &count))
+      counts[*n] = (uint32_t)count;
 }

@@ -93,6 +93,11 @@ bool mo_json_object(struct mo_json *json);
  * with an escaped key, in any object. */
 bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
 
+/* Reads an array of whole numbers from 0 to max into `counts`, up to `room` of them. *n: is raised
+ * for each item, also those beyond. A count that is refused leaves its place as it is. */
+void mo_json_counts(struct mo_json *json, uint32_t max, uint32_t *counts, uint32_t room,
+                    uint32_t *n);
+
 void mo_json_skip(struct mo_json *json);
 
 /* Adds a fault at `below` ("" or "/cells/7") under the value that began when `depth` levels were

@@ -310,6 +310,14 @@ void mo_text_next(struct mo_text *text)
     mo_text_bytes(text, ",", 1);
 }
 
+void mo_text_counts(struct mo_text *text, const uint32_t *counts, size_t n)
+{
+  mo_text_add(text, "[");
+  for (size_t i = 0; i < n; i++)
+    mo_text_format(text, i > 0 ? ",%u" : "%u", counts[i]);
+  mo_text_add(text, "]");
+}
+
 void mo_text_object(struct mo_text *text)
 {
   mo_text_next(text);

@@ -55,6 +55,8 @@ void mo_text_json_stored(struct mo_text *text, const char *json);
 void mo_text_json_number(struct mo_text *text, double value);
 void mo_text_json_float(struct mo_text *text,
                         float value); /* the same for float32 with 6 to 9 digits */
+/* Appends an array of counts. */
+void mo_text_counts(struct mo_text *text, const uint32_t *counts, size_t n);
 
 /* Appends a comma, unless the text ends with an opening bracket or a colon: before the next item of
  * an array. The functions below do so themselves. */
