@@ -166,10 +166,10 @@ const struct mo_field_own mo_environments_field = {.read = read_environments};
 
 /* ---- names, labels, ids ---- */
 
-/* Copies a string without NUL bytes into `text`. False: it does not fit. */
+/* Copies a string into `text`. False: it does not fit. */
 static bool copy_slice(struct mo_json_slice slice, char *text, size_t capacity)
 {
-  if (slice.size >= capacity || memchr(slice.bytes, '\0', slice.size) != NULL)
+  if (slice.size >= capacity)
     return false;
   memcpy(text, slice.bytes, slice.size);
   text[slice.size] = '\0';

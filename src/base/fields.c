@@ -116,7 +116,7 @@ static void read_text(struct mo_json *json, const struct mo_field *field, char *
   if (!mo_json_string(json, &text))
     return;
   const double n = (double)mo_utf8_length(text.bytes, text.size);
-  bool is_good = n >= field->min && n <= field->max && memchr(text.bytes, '\0', text.size) == NULL;
+  bool is_good = n >= field->min && n <= field->max;
   for (size_t i = 0; i < text.size && is_ascii; i++)
     is_good = is_good && text.bytes[i] >= ' ' && text.bytes[i] <= '~';
   if (is_good) {
