@@ -153,8 +153,88 @@ static void checks_bounds(void)
   CHECK_TEXT(message.text, "color must be \"red\" or \"green\", got number 2");
 }
 
-static const struct check_case cases[] = {{"reads what is given", reads_what_is_given},
-                                          {"returns every bit", returns_every_bit},
-                                          {"says what is wrong", says_what_is_wrong},
-                                          {"checks bounds", checks_bounds}};
+/* Texts, and a group that may be absent. */
+struct named {
+  char name[5], words[4 * 3 + 1];
+  struct {
+    bool is_there;
+    uint32_t n;
+  } more;
+};
+
+static const struct mo_field more_rows[] = {
+    {"n", MO_FIELD_COUNT, 0, offsetof(struct named, more.n) - offsetof(struct named, more),
+     .max = 9},
+};
+static const struct mo_fields more = {more_rows, 1};
+static const struct mo_field named_rows[] = {
+    {"name", MO_FIELD_TEXT, 0, offsetof(struct named, name), .min = 1, .max = 4},
+    {"words", MO_FIELD_TEXT, MO_FIELD_NULL | MO_FIELD_UTF8, offsetof(struct named, words),
+     .max = 3},
+    {"more", MO_FIELD_GROUP, MO_FIELD_NULL, offsetof(struct named, more), .group = &more},
+};
+static const struct mo_fields named_fields = {named_rows, 3};
+
+static void check_named(const char *text, const char *expected)
+{
+  struct named named = {.name = "x", .words = "y", .more = {true, 1}};
+  struct mo_message message = {""};
+  struct mo_text again = {0};
+  if (mo_fields_parse(text, strlen(text), &named_fields, &named, &message) != MO_OK)
+    mo_text_add(&again, message.text);
+  else
+    mo_fields_write_object(&again, &named_fields, &named);
+  CHECK_TEXT(again.data, expected);
+  mo_text_free(&again);
+}
+
+static void texts_and_absent_groups(void)
+{
+  check_named("{}", "{\"name\":\"x\",\"words\":\"y\",\"more\":{\"n\":1}}");
+  check_named("{\"name\":\"abcd\",\"words\":\"\\u20ac\\ud83d\\ude00ü\",\"more\":null}",
+              "{\"name\":\"abcd\",\"words\":\"€😀ü\",\"more\":null}");
+  check_named("{\"words\":null,\"more\":{\"n\":9}}",
+              "{\"name\":\"x\",\"words\":null,\"more\":{\"n\":9}}");
+  check_named("{\"name\":\"\"}", "/name: 1 to 4 printable ASCII characters are expected");
+  check_named("{\"name\":\"abcde\"}", "/name: 1 to 4 printable ASCII characters are expected");
+  check_named("{\"name\":\"ü\"}", "/name: 1 to 4 printable ASCII characters are expected");
+  check_named("{\"name\":\"a\\n\"}", "/name: 1 to 4 printable ASCII characters are expected");
+  check_named("{\"name\":null}", "/name: null is given; a string is expected");
+  check_named("{\"words\":\"abcd\"}", "/words: 0 to 3 characters are expected");
+  check_named("{\"words\":\"a\\u0000\"}", "/words: line 1, column 12: \\u0000 is not allowed");
+  check_named("{\"more\":7}", "/more: a number is given; an object is expected");
+}
+
+static void check_counts(const char *json, uint32_t n, const char *expected)
+{
+  struct mo_faults faults = {0};
+  struct mo_json reader;
+  struct mo_text text = {0};
+  uint32_t counts[3] = {7, 7, 7}, found = 0;
+  mo_json_start(&reader, json, strlen(json), &faults);
+  mo_json_counts(&reader, 9, counts, 3, &found);
+  CHECK(mo_json_finish(&reader));
+  CHECK_INT(found, n);
+  mo_text_counts(&text, counts, 3);
+  mo_text_add(&text, faults.n > 0 ? faults.items[0].where : "");
+  CHECK_TEXT(text.data, expected);
+  mo_text_free(&text);
+}
+
+static void counts(void)
+{
+  check_counts("[]", 0, "[7,7,7]");
+  check_counts("[1,0,9,10,\"x\"]", 5, "[1,0,9]");
+  check_counts("[1,10]", 2, "[1,7,7]/1");
+  check_counts("3", 0, "[7,7,7]");
+}
+
+static const struct check_case cases[] = {
+    {"reads what is given", reads_what_is_given},
+    {"returns every bit", returns_every_bit},
+    {"says what is wrong", says_what_is_wrong},
+    {"checks bounds", checks_bounds},
+    {"texts, and groups that are absent", texts_and_absent_groups},
+    {"arrays of counts", counts},
+};
 CHECK_MAIN(cases)
