@@ -79,7 +79,7 @@ static void write_physics_hash(struct mo_text *text, const void *value)
   const struct mo_campaign_settings *settings = value;
   struct mo_sha256 physics;
   mo_physics_hash(&settings->physics, MO_FLOAT32, settings->sensor, &physics);
-  mo_line_hash.write(text, &physics);
+  mo_hash_field.write(text, &physics);
 }
 
 static void read_settings(struct mo_json *json, void *value)
@@ -125,11 +125,11 @@ static const struct mo_field_own id = {.read = read_id, .write = write_id},
 static const struct mo_field start_rows[] = {
     {"name", MO_FIELD_TEXT, MO_FIELD_NULL, IN(has_controller, controller_name),
      .max = sizeof(((STRUCT *)NULL)->controller_name) - 1},
-    {"sha256", MO_FIELD_OWN, 0, IN(has_controller, controller_sha256), .own = &mo_line_hash},
+    {"sha256", MO_FIELD_OWN, 0, IN(has_controller, controller_sha256), .own = &mo_hash_field},
 };
 static const struct mo_field result_rows[] = {
     {"name", MO_FIELD_OWN, 0, 0, .own = &no_name},
-    {"sha256", MO_FIELD_OWN, 0, IN(has_result, result_sha256), .own = &mo_line_hash},
+    {"sha256", MO_FIELD_OWN, 0, IN(has_result, result_sha256), .own = &mo_hash_field},
 };
 #undef IN
 static const struct mo_fields start = MO_FIELDS(start_rows), result = MO_FIELDS(result_rows);

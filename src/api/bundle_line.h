@@ -4,6 +4,7 @@
 #define MORPHO_API_BUNDLE_LINE_H
 
 #include "api/bundle.h"
+#include "api/requests.h"
 
 struct mo_bundle_lines {
   const struct mo_lattice *lattice;
@@ -18,7 +19,6 @@ struct mo_bundle_lines {
 /* Skips what follows from other members, and is compared when it is written again. */
 void mo_line_skip(struct mo_json *json, void *value);
 extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store */
-    mo_line_hash,                               /* struct mo_sha256 */
     mo_line_genotype; /* struct mo_bits that is placed as bodies are scored */
 
 /* Reads a text; one that is refused leaves `text` as it is. */

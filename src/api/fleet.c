@@ -65,23 +65,13 @@ struct parsed {
   struct mo_fleet_offer offer;
 };
 
-static void read_hash(struct mo_json *json, void *value)
-{
-  const unsigned depth = json->depth;
-  struct mo_json_slice digits;
-  if (mo_json_string(json, &digits) &&
-      mo_sha256_from_hex(digits.bytes, digits.size, value) != MO_OK)
-    mo_json_fault_at(json, depth, "", "64 hexadecimal digits are expected");
-}
-
-static const struct mo_field_own hash_field = {.read = read_hash};
 #define AT(member)    offsetof(struct parsed, member)
 #define CLASS(member) (AT(offer.classes[0].member) - AT(offer.classes[0]))
 #define TEXT(member)  .min = 1, .max = sizeof(((struct parsed *)NULL)->member) - 1
 static const struct mo_field class_rows[] = {
     {"scores", MO_FIELD_TEXT, 0, CLASS(scores), TEXT(offer.classes[0].scores)},
     {"gradients", MO_FIELD_TEXT, 0, CLASS(gradients), TEXT(offer.classes[0].gradients)},
-    {"canary", MO_FIELD_OWN, 0, CLASS(canary), .own = &hash_field},
+    {"canary", MO_FIELD_OWN, 0, CLASS(canary), .own = &mo_hash_field},
 };
 static const struct mo_fields class_fields = MO_FIELDS(class_rows);
 static const struct mo_field classes_rows[] = {

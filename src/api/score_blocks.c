@@ -40,13 +40,13 @@ static void write_physics_hash(struct mo_text *text, const void *value)
   const struct mo_scored_condition *condition = value;
   struct mo_sha256 hash;
   mo_physics_hash(&condition->physics, condition->precision, condition->sensor, &hash);
-  mo_line_hash.write(text, &hash);
+  mo_hash_field.write(text, &hash);
 }
 static const struct mo_field_own physics_hash = {.read = mo_line_skip, .write = write_physics_hash};
 
 #define AT(member) offsetof(struct mo_scored_condition, member)
 static const struct mo_field condition_rows[] = {
-    {"controller", MO_FIELD_OWN, 0, AT(controller), .own = &mo_line_hash},
+    {"controller", MO_FIELD_OWN, 0, AT(controller), .own = &mo_hash_field},
     {"sensor", MO_FIELD_WORD, 0, AT(sensor), .words = mo_sensor_words},
     {"precision", MO_FIELD_WORD, 0, AT(precision), .words = precisions},
     {"physics_sha256", MO_FIELD_OWN, 0, 0, .own = &physics_hash},
