@@ -6,7 +6,6 @@
 #include <string.h>
 
 #include "api/bundle.h"
-#include "base/json.h"
 #include "store/store.h"
 
 #define ALIVE UINT32_MAX

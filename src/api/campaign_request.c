@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "api/requests.h"
-#include "base/text.h"
 #include "store/fields.h"
 
 /* ---- members of their own ---- */

@@ -5,7 +5,6 @@
 
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 /* Skips the item that is next, and all after it. */
 static void skip_rest(struct mo_json *json)

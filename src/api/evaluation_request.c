@@ -1,6 +1,5 @@
 /* evaluation_request.c: the body of POST /v1/evaluations. Every fault names its place: a cell out
  * of bounds is at /designs/3/cells/7/0. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "api/requests.h"

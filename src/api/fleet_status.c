@@ -2,9 +2,7 @@
  * them. */
 #include "api/fleet.h"
 
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "api/submission.h"
 #include "base/clock.h"

@@ -1,9 +1,7 @@
 /* job_json.c: see job_json.h. */
 #include "api/job_json.h"
-#include "rollout/physics.h"
 
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
 void mo_bits_write(struct mo_text *text, const struct mo_bits *bits)

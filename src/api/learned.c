@@ -1,8 +1,6 @@
 /* learned.c: results of a training: its controller so far, and its held-out designs and
  * environments. */
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "api/handlers.h"
 #include "api/job_json.h"

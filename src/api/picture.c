@@ -1,7 +1,5 @@
 /* picture.c: GET /v1/designs/{id}/picture.svg: the voxels of a design in isometric projection. */
 #include <math.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "api/handlers.h"
 #include "api/scene.h"

@@ -2,7 +2,6 @@
  * (design_request.c). */
 #include "api/requests.h"
 
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 

@@ -1,6 +1,4 @@
 /* rollouts.c: POST /v1/rollouts: rollouts that are stored nowhere, as a scene or as JSON. */
-#include <stdlib.h>
-
 #include "api/scene.h"
 #include "api/submission.h"
 

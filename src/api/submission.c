@@ -2,7 +2,6 @@
 #include "api/submission.h"
 
 #include <stdio.h>
-#include <string.h>
 
 #include "store/runner.h"
 

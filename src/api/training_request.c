@@ -3,7 +3,6 @@
  * The defaults depend on kind and preset, and JSON members have no order. A first pass over the
  * text finds these two; a second pass reads all members over their defaults. Checks that involve
  * several fields come last. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "api/requests.h"
