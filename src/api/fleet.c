@@ -139,6 +139,8 @@ void mo_api_post_session(struct mo_request *request)
   struct mo_message message = {""};
   struct mo_faults faults = {0};
   struct parsed parsed = {.protocol = MO_FLEET_PROTOCOL};
+  if (!mo_check_content(request, "application/json", NULL))
+    return;
   /* A body of another protocol is not looked at further. */
   mo_read_words(request->body, request->body_size, &protocol_field, &parsed, NULL);
   if (parsed.protocol != MO_FLEET_PROTOCOL) {

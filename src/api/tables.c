@@ -58,7 +58,8 @@ struct table {
   struct mo_request *request;
   void (*page)(struct mo_request *request);
   enum mo_form form;
-  bool headed, is_last; /* is_last: no page follows the one in `body` */
+  bool headed, is_limited; /* is_limited: the client says how many rows */
+  bool is_last;            /* no page follows the one in `body` */
   char *body;           /* of a page, malloc; NULL: none is waiting */
   size_t size;
   char cursor[256], limit[24];
@@ -123,13 +124,15 @@ static bool read_page(struct table *table)
   set(&request->query, "format", forms[MO_FORM_JSON]);
   if (table->cursor[0] != '\0')
     set(&request->query, "cursor", table->cursor);
-  if (table->cursor[0] != '\0' ||
-      table->left == UINT64_MAX) { /* else the client's, to be checked */
+  if (table->cursor[0] != '\0' || !table->is_limited) { /* else the client's, to be checked */
     snprintf(table->limit, sizeof(table->limit), "%u",
              table->left < MO_LIST_MAX ? (unsigned)table->left : MO_LIST_MAX);
     set(&request->query, "limit", table->limit);
   }
+  const char *tags = request->framing.if_none_match;
+  request->framing.if_none_match = NULL; /* these are of the table, not of a page */
   table->page(request);
+  request->framing.if_none_match = tags;
   if (request->reply.status != 200 || request->reply.body == NULL)
     return false;
   table->body = request->reply.body;
@@ -425,10 +428,11 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   table->request = request;
   table->page = page;
   table->form = form;
-  table->left = limit != NULL ? strtoull(limit, NULL, 10) : UINT64_MAX;
+  table->is_limited = limit != NULL;
+  table->left = table->is_limited ? strtoull(limit, NULL, 10) : UINT64_MAX;
   request->framing.accept = NULL; /* it is read; pages are JSON */
   read_columns(table, columns, rows);
-  if (!read_page(table)) { /* the problem, or a 304, is the reply */
+  if (!read_page(table)) { /* the problem is the reply */
     free_table(table);
   } else if (form == MO_FORM_COLUMNS) {
     reply_columns(request, table);

@@ -135,7 +135,8 @@ def test_no_cell_is_taken_for_a_number(service, campaign):
 
 def test_refusals_are_problems(service, campaign):
     """A list that cannot be read, and a form that is none, are told as in JSON."""
-    for query in ("?format=tsv", "?format=csv&limit=0", "?format=ndjson&cursor=x",
+    for query in ("?format=tsv", "?format=csv&limit=0", "?format=csv&limit=-1",
+                  f"?format=ndjson&limit={2**64}", "?format=ndjson&cursor=x",
                   "?format=columns&state=odd"):
         assert service.request("GET", "/v1/jobs" + query).status == 400
     assert form(service, "/v1/campaigns/999999/population", "csv").status == 404
