@@ -113,8 +113,8 @@ static bool take_shard(struct mo_compute *compute, struct taken *taken, bool her
 
 static void show(struct taken *taken)
 {
-  if (taken->shard != NULL)
-    return; /* it shows itself */
+  if (taken->shard != NULL || taken->blocks == NULL)
+    return; /* a shard shows itself */
   taken->shown.blocks = taken->blocks;
   taken->shown.identity = taken->blocks[0]->controller;
   taken->shown.controller = mo_compute_controller_weights(taken->blocks[0]->controller);

@@ -42,7 +42,7 @@ void mo_reply_etag(struct mo_request *request, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 /* Sets the ETag to the hash of the body; status 200 and 201. */
 void mo_reply_etag_of_body(struct mo_request *request);
-/* Whether replies of this kind are compressed (pack.h). */
+/* Whether replies of this kind are compressed (pack.c). */
 bool mo_reply_may_pack(const struct mo_request *request);
 /* Whether the client takes a compressed reply. */
 bool mo_accepts_gzip(const struct mo_request *request);

@@ -1,7 +1,7 @@
 /** Dialogs to take things away: commands to copy, pictures and films to save. */
 
 import { announce, button, h } from '../lib/dom.js';
-import { request } from '../lib/api.js';
+import { ApiError, request } from '../lib/api.js';
 import { commandsOf } from '../lib/commands.js';
 import { percent, shellWord } from '../lib/format.js';
 
@@ -12,6 +12,7 @@ export async function announced(work, done) {
     if (done) announce(done);
   } catch (error) {
     announce(error.message);
+    if (!(error instanceof ApiError)) console.error(error);
   }
 }
 

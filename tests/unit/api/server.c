@@ -194,23 +194,25 @@ static void addresses(void)
   struct mo_message message;
   char path[300], where[320];
   int fd, other;
+  char unused[128];
   bool beyond;
   static const char *const bad[] = {"",           "127.0.0.1",       ":80",
                                     "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:8x",
                                     "::1:80",     "unix:relative",   "[::1:80"};
   for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
-    CHECK_INT(mo_http_listen(bad[i], &fd, NULL, &message), MO_ERR_INVALID);
+    CHECK_INT(mo_http_listen(bad[i], &fd, address, &message), MO_ERR_INVALID);
   REQUIRE(mo_http_listen("127.0.0.1:0", &fd, address, &message) == MO_OK);
   CHECK(strncmp(address, "http://127.0.0.1:", 17) == 0);
-  CHECK_INT(mo_http_listen(address + 7, &other, NULL, &message), MO_ERR_CONFLICT);
+  CHECK_INT(mo_http_listen(address + 7, &other, unused, &message), MO_ERR_CONFLICT);
   CHECK(mo_http_describe(fd, address, &beyond, &message) == MO_OK && !beyond);
   close(fd);
-  CHECK_INT(mo_http_describe(0, NULL, &beyond, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_http_describe(0, address, &beyond, &message), MO_ERR_INVALID);
   snprintf(path, sizeof(path), "%s/socket", fixture.path);
   snprintf(where, sizeof(where), "unix:%s", path);
   REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK);
   CHECK_TEXT(address, where);
-  CHECK_INT(mo_http_listen(where, &other, NULL, &message), MO_ERR_CONFLICT); /* somebody listens */
+  /* Somebody listens. */
+  CHECK_INT(mo_http_listen(where, &other, unused, &message), MO_ERR_CONFLICT);
   close(fd);
   REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK); /* nobody does any more */
   close(fd);
