@@ -18,6 +18,7 @@ class Contract:
     def __init__(self):
         with open(SOURCE / "schema" / "openapi.yaml", encoding="utf-8") as file:
             self.document = yaml.safe_load(file)
+        del self.document["x-shared"]  # as the build does
         self.resolver = jsonschema.RefResolver("", self.document)
         self.templates = []
         for path, item in self.document["paths"].items():
