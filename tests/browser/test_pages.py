@@ -251,7 +251,7 @@ def test_the_leaderboard_from_both_ends(service, browser):
     for order, expected in (("best", told), ("worst", told[::-1])):
         browser.run("const order = document.querySelector('select'); order.value = arguments[0];"
                     "order.dispatchEvent(new Event('change'))", order)
-        browser.until(f"{cards} === {' '.join(expected)!r}")
+        browser.until(f"{cards} === {' '.join(expected[:48])!r}")  # a page
         assert f"order={order}" in browser.driver.current_url
 
 
