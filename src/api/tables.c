@@ -60,7 +60,7 @@ struct table {
   enum mo_form form;
   bool headed, is_limited; /* is_limited: the client says how many rows */
   bool is_last;            /* no page follows the one in `body` */
-  char *body;           /* of a page, malloc; NULL: none is waiting */
+  char *body;              /* of a page, malloc; NULL: none is waiting */
   size_t size;
   char cursor[256], limit[24];
   uint64_t left; /* rows that may still be taken */
