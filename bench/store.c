@@ -194,9 +194,10 @@ static void fill_jobs(struct bed *bed)
       "jobs(kind,state,priority,weight,back_end,version,epoch,attempts,created_us,started_us,"
       "finished_us,error)"
       " SELECT 0,3,0,1,0,1,1,0,i,i,i,0 FROM n;"
-      "INSERT OR IGNORE INTO evaluations SELECT "
-      "j.id,e.controller,e.controller_name,e.physics,e.environment_set,1,10,0,0,1,"
-      "10,0,0,NULL,NULL FROM jobs j, (SELECT * FROM evaluations LIMIT 1) e; COMMIT";
+      "INSERT OR IGNORE INTO evaluations(job,controller,controller_name,physics,environment_set,"
+      "n_designs,n_environments,verify,record,record_stride,done,cached,diverged)"
+      " SELECT j.id,e.controller,e.controller_name,e.physics,e.environment_set,1,10,0,0,1,10,0,0"
+      " FROM jobs j, (SELECT * FROM evaluations LIMIT 1) e; COMMIT";
   const struct mo_store_config config = {.path = bed->path};
   char path[600];
   sqlite3 *db = NULL;
