@@ -253,5 +253,8 @@ void mo_upkeep(struct mo_store *store)
   if (now - store->last_upkeep_us < UPKEEP_US)
     return;
   store->last_upkeep_us = now;
-  mo_upkeep_begin(store);
+  run(store, delete_some);
+  run(store, expire);
+  if (store->keep_recordings_us > 0) /* else only what is recorded changes what must go */
+    mo_recordings_check(store);
 }

@@ -140,7 +140,7 @@ bool mo_reserve_free(struct mo_store *store);
 /* Queues deletions that are due, also those that the last process left. When the writer has
  * started. */
 void mo_upkeep_begin(struct mo_store *store);
-/* The same once a minute: the writer calls it between batches. */
+/* The same once a minute, recordings only by age: the writer calls it between batches. */
 void mo_upkeep(struct mo_store *store);
 /* Makes the paper's test set if it is missing. When the writer has started. */
 int mo_make_paper_test(struct mo_store *store);
