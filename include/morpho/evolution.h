@@ -262,7 +262,11 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
                   struct mo_race *race);
 /* Returns how many rollouts' time a race saves with a child, negative: takes more, whether it was
  * cut, or all its losses are known. */
-int mo_race_saved(const struct mo_race *race, const double *losses);
+int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device);
+/* Returns how many rollouts' time a generation loses by its race: a device computes thousands of
+ * rollouts at once, and is idle at the end of a wave on which the next one waits. parents_first:
+ * the first wave waits for the scores of parents. */
+uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first);
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
 double mo_race_score(const double *losses, uint32_t n);
 

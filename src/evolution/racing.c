@@ -9,8 +9,11 @@
 
 #include <math.h>
 
+/* Time beside that of rollouts, in rollouts (docs/performance.md): of a processor for a block; of a
+ * device for a call that waits for another one. */
 #define BLOCK_LANES    16
-#define BLOCK_ROLLOUTS 2 /* a processor's time for a block beside its rollouts, in rollouts */
+#define BLOCK_ROLLOUTS 2
+#define WAIT_ROLLOUTS  2000
 
 bool mo_race_is_possible(const struct mo_campaign_settings *settings)
 {
@@ -93,12 +96,12 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
   race->ends[0] = (uint8_t)n_environments;
 }
 
-static int time_of(uint32_t n)
+static int time_of(uint32_t n, bool on_device)
 {
-  return (int)(n + BLOCK_ROLLOUTS * ((n + BLOCK_LANES - 1) / BLOCK_LANES));
+  return (int)(n + (on_device ? 0 : BLOCK_ROLLOUTS * ((n + BLOCK_LANES - 1) / BLOCK_LANES)));
 }
 
-int mo_race_saved(const struct mo_race *race, const double *losses)
+int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device)
 {
   double known[MO_RACE_ENVIRONMENTS_MAX];
   int raced = 0;
@@ -106,11 +109,16 @@ int mo_race_saved(const struct mo_race *race, const double *losses)
   for (uint32_t k = 0; k < race->n_environments; k++)
     known[k] = NAN;
   for (uint32_t wave = 0; wave < race->n_waves; wave++) {
-    raced += time_of(race->ends[wave] - n);
+    raced += time_of(race->ends[wave] - n, on_device);
     for (; n < race->ends[wave]; n++)
       known[race->order[n]] = losses[race->order[n]];
     if (mo_race_score(known, race->n_environments) > race->bound)
       break;
   }
-  return time_of(race->n_environments) - raced;
+  return time_of(race->n_environments, on_device) - raced;
+}
+
+uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first)
+{
+  return on_device ? WAIT_ROLLOUTS * (race->n_waves - 1 + parents_first) : 0;
 }

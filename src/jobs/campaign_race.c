@@ -3,7 +3,8 @@
  *
  * The cells of the children are closed at first. The race begins when the scores of all parents are
  * known: at once where they keep their scores, after their scoring where the controller has
- * learned. Then each child goes its own way, and no worker waits for a wave to end. */
+ * learned. Then each child goes its own way, and no worker waits for a wave to end. In a generation
+ * that does not race, children are scored beside parents that have learned. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,7 +21,9 @@ static uint32_t n_parents_scored(const struct mo_campaign_run *run)
 int mo_race_close(struct mo_campaign_run *run)
 {
   run->races = mo_race_is_possible(run->settings) && run->n_parents > 0;
-  return run->races ? mo_grid_close(&run->scoring.grid, n_parents_scored(run)) : MO_OK;
+  return run->races && (run->race_pays || n_parents_scored(run) == 0)
+             ? mo_grid_close(&run->scoring.grid, n_parents_scored(run))
+             : MO_OK;
 }
 
 /* Opens the next wave of a candidate, or all. */
@@ -107,12 +110,13 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
 
 bool mo_race_pays(const struct mo_campaign_run *run)
 {
+  const bool on_device = run->status.job.back_end == MO_ON_DEVICE;
   int64_t saved = 0;
   if (!run->races || isinf(run->race.bound))
     return run->race_pays;
   for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
-    saved += mo_race_saved(&run->race, run->losses[i].losses);
-  return saved > 0;
+    saved += mo_race_saved(&run->race, run->losses[i].losses, on_device);
+  return saved > mo_race_lost(&run->race, on_device, n_parents_scored(run) > 0);
 }
 
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)

@@ -160,6 +160,16 @@ def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  
     assert again["lower_bound"] and again["score"] == bound["score"]
 
 
+def test_few_children_on_a_device(start, whole):
+    """A device is idle at the end of each wave, so that a race of few children takes longer."""
+    service = start(*FLAGS, environment=fake(devices=1))
+    id = run(service, "campaigns", CAMPAIGN | {"device": "cuda"})["id"]
+    assert [row["children_cut"] for row in generations(service, id)] == [0] * 5
+    other, same = whole
+    assert [lives(row) for row in service.pages(f"/v1/campaigns/{id}/phylogeny")] == [
+        lives(row) for row in other.pages(f"/v1/campaigns/{same}/phylogeny")]
+
+
 @pytest.mark.parametrize("selection", ["tournament", "novelty", "age-layered"])
 def test_only_truncation_has_a_bound(service, selection):
     value = run(service, "campaigns", CAMPAIGN | {"generations": 1, "selection": selection})

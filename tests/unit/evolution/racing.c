@@ -44,8 +44,9 @@ static double race_child(const struct mo_race *race, const double *all, uint32_t
       break;
   }
   const int saved = (int)(race->n_environments + 2 * whole) - (int)(*needed + 2 * blocks);
-  CHECK_INT(mo_race_saved(race, known), saved);
-  CHECK_INT(mo_race_saved(race, all), saved);
+  CHECK_INT(mo_race_saved(race, known, false), saved);
+  CHECK_INT(mo_race_saved(race, all, false), saved);
+  CHECK_INT(mo_race_saved(race, known, true), (int)(race->n_environments - *needed));
   return mo_race_score(known, race->n_environments);
 }
 
@@ -140,6 +141,20 @@ static void without_a_bound(void)
   CHECK(!mo_race_is_possible(&settings));
 }
 
+/* Each wave after the first waits for the one before it, and costs a device as long as 2000
+ * rollouts; so does the first where it waits for parents. */
+static void waits(void)
+{
+  const struct mo_campaign_settings settings = settings_of(2);
+  const double none[2 * 30] = {0};
+  struct mo_race race;
+  mo_race_plan(&settings, none, (const double[]){0, 0}, 2, 30, true, &race);
+  CHECK_INT(race.n_waves, 4);
+  CHECK_INT(mo_race_lost(&race, true, false), 6000);
+  CHECK_INT(mo_race_lost(&race, true, true), 8000);
+  CHECK_INT(mo_race_lost(&race, false, true), 0);
+}
+
 /* Losses that are not known neither lead the order nor poison it. */
 static void unknown_losses(void)
 {
@@ -228,10 +243,8 @@ static void the_best(void)
 }
 
 static const struct check_case cases[] = {
-    {"the same survivors", same_survivors},
-    {"plans", plans},
-    {"without a bound", without_a_bound},
-    {"unknown losses", unknown_losses},
-    {"the best", the_best},
+    {"the same survivors", same_survivors}, {"plans", plans},
+    {"without a bound", without_a_bound},   {"waits of a device", waits},
+    {"unknown losses", unknown_losses},     {"the best", the_best},
 };
 CHECK_MAIN(cases)
