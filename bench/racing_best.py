@@ -11,13 +11,8 @@ PLANS = ((1, 2, 7), (1, 3, 6), (2, 3, 5), (2, 8), (4, 6), (1,) * 10)  # waves of
 
 def evaluate(daemon, value):
     begin = time.monotonic()
-    id = daemon.get("/v1/evaluations", value)["id"]
-    while daemon.get(f"/v1/jobs/{id}")["state"] in ("queued", "running"):
-        time.sleep(0.05)
-    seconds = time.monotonic() - begin
-    told = daemon.get(f"/v1/evaluations/{id}")
-    assert told["state"] == "succeeded", told["state"]
-    return told, seconds
+    told = daemon.score(value, timeout_s=86400)
+    return told, time.monotonic() - begin
 
 
 def read_losses(folder):
@@ -99,13 +94,11 @@ def measure(options, start):
     found = {}
     for best in (None, options.best):
         with tempfile.TemporaryDirectory(prefix="morphod-racing-") as folder:
-            daemon = start(options, folder)
-            try:
-                bodies = daemon.get("/v1/bodies/random", {"count": options.designs,
-                                                          "seed": options.seed})["items"]
+            with start(options, folder) as daemon:
+                bodies = daemon.post("/v1/bodies/random", {"count": options.designs,
+                                                           "seed": options.seed})["items"]
                 value = {"designs": [{"voxels": body["genotype"]} for body in bodies]}
                 told, seconds = evaluate(daemon, value | ({"best": best} if best else {}))
-            finally:
                 daemon.stop()
             if best is None:
                 designs = read_losses(folder)
