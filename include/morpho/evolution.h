@@ -261,10 +261,11 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
                   const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race);
 /* Returns how many rollouts' time a race saves with a child, negative: takes more, whether it was
- * cut, or all its losses are known. */
+ * cut, or all its losses are known. A loss is NaN where it was not computed: stored losses may cut
+ * a child before a wave. */
 int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device);
-/* Returns how many rollouts' time a generation loses by its race: a device computes thousands of
- * rollouts at once, and is idle at the end of a wave on which the next one waits. parents_first:
+/* Returns how many rollouts' time a generation loses by its race: one device computes thousands
+ * of rollouts at once, and is idle at the end of a wave on which the next one waits. parents_first:
  * the first wave waits for the scores of parents. */
 uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first);
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */

@@ -109,10 +109,14 @@ int mo_race_saved(const struct mo_race *race, const double *losses, bool on_devi
   for (uint32_t k = 0; k < race->n_environments; k++)
     known[k] = NAN;
   for (uint32_t wave = 0; wave < race->n_waves; wave++) {
-    raced += time_of(race->ends[wave] - n, on_device);
-    for (; n < race->ends[wave]; n++)
+    const uint32_t first = n;
+    bool is_cut = false; /* before this wave, by losses that were stored */
+    for (; n < race->ends[wave]; n++) {
       known[race->order[n]] = losses[race->order[n]];
-    if (mo_race_score(known, race->n_environments) > race->bound)
+      is_cut = is_cut || isnan(losses[race->order[n]]);
+    }
+    raced += is_cut ? 0 : time_of(n - first, on_device);
+    if (is_cut || mo_race_score(known, race->n_environments) > race->bound)
       break;
   }
   return time_of(race->n_environments, on_device) - raced;

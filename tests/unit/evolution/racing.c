@@ -155,6 +155,22 @@ static void waits(void)
   CHECK_INT(mo_race_lost(&race, false, true), 0);
 }
 
+/* A child that stored losses cut before a wave needs nothing of that wave. */
+static void stored_losses(void)
+{
+  const struct mo_campaign_settings settings = settings_of(2);
+  double none[2 * 10] = {0}, losses_of[10];
+  struct mo_race race;
+  mo_race_plan(&settings, none, (const double[]){0.1, 0.1}, 2, 10, true, &race);
+  for (uint32_t k = 0; k < 10; k++)
+    losses_of[k] = NAN;
+  losses_of[race.order[9]] = 1.2;
+  CHECK_INT(mo_race_saved(&race, losses_of, false), 12);
+  losses_of[race.order[0]] = losses_of[race.order[1]] = 0;
+  CHECK_INT(mo_race_saved(&race, losses_of, false), 8);
+  CHECK_INT(mo_race_saved(&race, losses_of, true), 8);
+}
+
 /* Losses that are not known neither lead the order nor poison it. */
 static void unknown_losses(void)
 {
@@ -243,8 +259,12 @@ static void the_best(void)
 }
 
 static const struct check_case cases[] = {
-    {"the same survivors", same_survivors}, {"plans", plans},
-    {"without a bound", without_a_bound},   {"waits of a device", waits},
-    {"unknown losses", unknown_losses},     {"the best", the_best},
+    {"the same survivors", same_survivors},
+    {"plans", plans},
+    {"without a bound", without_a_bound},
+    {"waits of a device", waits},
+    {"stored losses", stored_losses},
+    {"unknown losses", unknown_losses},
+    {"the best", the_best},
 };
 CHECK_MAIN(cases)
