@@ -192,11 +192,6 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
     double losses[MO_BLOCK_LANES];
     uint32_t steps[MO_BLOCK_LANES];
     bool is_same;
-    if (*room == 0) {
-      *room = UINT32_MAX; /* there is at least one row more than reported */
-      break;
-    }
-    (*room)--;
     error = mo_score_from_row(statement, 0, &condition, losses, steps);
     if (error == MO_OK &&
         (place < 0 || place >= condition.n || condition.environments[place] != environment))
@@ -206,6 +201,12 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
     is_same = score != NULL && condition.controller == group.controller &&
               condition.physics == group.physics && condition.fingerprint == group.fingerprint &&
               sqlite3_column_int64(statement, SET) == group.set;
+    if (*room == 0) { /* there is at least one row more than reported, perhaps of this score */
+      *room = UINT32_MAX;
+      orientation->n_scores -= is_same && group.set != 0;
+      break;
+    }
+    (*room)--;
     if (is_same && environment == last)
       continue; /* another row computed it first */
     last = environment;

@@ -217,6 +217,25 @@ def test_designs(service):
     service.refuses("/v1/designs", "?sort=score&controller=nobody", status=404)
 
 
+def test_the_first_thousand_rollouts(start):
+    """Of the scores behind them none is shown in part: that would look like a lower bound."""
+    service = start()
+    design = {"cells": [[1, 1, 0]]}
+    lights = [{"light_xy_m": [3 + 0.001 * k, 3], "terrain_sigma_m": 0, "seed": k}
+              for k in range(1000)]
+    for n, shown in ((995, 995), (1000, 1000)):
+        for first in range(0 if n == 995 else 995, n, 60):
+            run(service, "evaluations", {"designs": [design], "physics": {"n_steps": 1},
+                                         "environments": lights[first:min(first + 60, n)]})
+        if n == 995:
+            id = run(service, "evaluations", {"designs": [design], "physics": {"n_steps": 2}})[
+                "results"][0]["id"]
+        value = service.get(f"/v1/designs/{id}")
+        scores = [score for one in value["orientations"] for score in one["scores"]]
+        assert value["truncated"] and len(scores) == shown
+        assert not any(score["lower_bound"] for score in scores)
+
+
 @pytest.mark.parametrize("sort", ("id", "score"))
 def test_designs_from_the_other_end(service, sort):
     """Page by page as at once: the newest first, or the worst."""
