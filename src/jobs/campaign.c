@@ -70,6 +70,7 @@ static int read_history(struct mo_campaign_run *run)
         run->is_warned = false;
       }
       run->is_warned = run->is_warned || rows[i].collapse;
+      run->generation_rollouts = rows[i].rollouts;
       if (rows[i].generation > 0) /* the time of generation 0 includes the preparation */
         run->generation_s = rows[i].seconds;
     }

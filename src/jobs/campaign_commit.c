@@ -193,6 +193,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
     return error;
   const struct mo_campaign_generation *row = &writing->commit.row;
   run->generation_s = row->seconds - run->prepared_s;
+  run->generation_rollouts = row->rollouts;
   mo_campaign_advance(run, 0, 0);
   tell_generation(run, row, writing->generation_data);
   if (row->collapse) {

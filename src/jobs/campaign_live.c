@@ -31,8 +31,8 @@ static double seconds_left(const struct mo_campaign_run *run, const struct mo_li
       run->generation < settings->generations ? settings->generations - run->generation : 0;
   const double passed = (double)(mo_clock_us() - run->begin_us) * 1e-6;
   if (!mo_mode_learns(settings->mode) && live->rate > 0 && run->generation > 0) {
-    double left = after * settings->population + run->n_scored - run->n_done;
-    return left * run->n_environments / live->rate;
+    const double left = after + (run->n_scored - run->n_done) / (double)settings->population;
+    return left * (double)run->generation_rollouts / live->rate;
   }
   if (run->generation_s <= 0)
     return -1;

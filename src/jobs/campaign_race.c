@@ -105,7 +105,7 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
       start(run);
     return is_done;
   }
-  return is_done || go_on(run, place);
+  return is_done || (run->parents_left == 0 && go_on(run, place));
 }
 
 bool mo_race_pays(const struct mo_campaign_run *run)

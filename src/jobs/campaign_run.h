@@ -56,6 +56,7 @@ struct mo_campaign_run {
   double prepared_s;    /* wall time before generation 0, which counts toward it; else 0 */
   int64_t progress_us;  /* time of the last progress event */
   double generation_s;  /* wall time of the newest generation, without prepared_s; 0: unknown */
+  uint64_t generation_rollouts; /* of its scores */
 
   /* Learning (campaign_learn.c). */
   struct mo_learner learner;
@@ -75,7 +76,7 @@ struct mo_campaign_run {
   uint64_t n_cached; /* losses that were found in the table `scores` */
 
   /* The race of the children (campaign_race.c). */
-  bool races;            /* it is possible, and has begun or will */
+  bool races;            /* a race is possible: it is planned, and counted */
   bool race_pays;        /* in the generation before it saved time, or would have */
   uint32_t parents_left; /* parents whose scores the plan waits for */
   struct mo_race race;
