@@ -39,6 +39,7 @@ def rows_of(daemon, campaign):
                 name: row[name]["mean"]
                 for name in ("voxels", "footprint", "masses", "springs")
             }, "parents_mean": row["parents_mean"], "children_mean": row["children_mean"],
+            "children_cut": row["children_cut"],
             "steps": learning.get("steps"), "first_loss": learning.get("first_loss"),
             "last_loss": learning.get("last_loss"), "rollouts": row["rollouts"],
             "cached": row["cached"], "seconds": row["seconds"]

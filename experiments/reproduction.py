@@ -22,8 +22,8 @@ import reproduction_report
 COLUMNS = ("mode", "seed", "generation", "mean", "best", "p5", "p25", "median", "p75", "p95",
            "p100", "diverged", "diversity", "species", "turnover", "mutants_born",
            "mutants_survived", "recombinants_born", "recombinants_survived", "fallbacks", "voxels",
-           "footprint", "masses", "springs", "parents_mean", "children_mean", "steps", "first_loss",
-           "last_loss", "rollouts", "cached", "seconds")
+           "footprint", "masses", "springs", "parents_mean", "children_mean", "children_cut",
+           "steps", "first_loss", "last_loss", "rollouts", "cached", "seconds")
 PAPER_SHOWS = {"zero-shot": 31,
                "few-shot": 6}  # the generations of the paper's figure of distinctive bodies
 EDGES = {
