@@ -170,6 +170,19 @@ def test_few_children_on_a_device(start, whole):
         lives(row) for row in other.pages(f"/v1/campaigns/{same}/phylogeny")]
 
 
+def test_nobody_waits_in_vain(start):
+    """Children that do not race are scored in one call with parents that have learned."""
+    request = {"mode": "simultaneous", "population": 12, "generations": 4, "device": "cuda",
+               "controller": "default", "exclude_pretraining": False, "learning": {"batch": 4},
+               "physics": {"n_steps": 20}}
+    calls = {}
+    for racing in ("off", "lossless"):
+        service = start(*FLAGS, environment=fake(devices=1))
+        run(service, "campaigns", request | {"racing": racing})
+        calls[racing] = service.get("/v1/devices")["items"][0]["calls"]
+    assert calls["off"] == calls["lossless"] >= 5
+
+
 @pytest.mark.parametrize("selection", ["tournament", "novelty", "age-layered"])
 def test_only_truncation_has_a_bound(service, selection):
     value = run(service, "campaigns", CAMPAIGN | {"generations": 1, "selection": selection})

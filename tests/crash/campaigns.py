@@ -38,12 +38,16 @@ def history(daemon, job):
     def table(what):
         return without(daemon.get(f"{path}/{what}?format=csv").text, "seconds", "stored")
 
+    def population(generation):
+        items, cursor = [], ""
+        while cursor is not None:
+            page = daemon.json(f"{path}/population?generation={generation}&limit=1000{cursor}")
+            items += [(item["number"], item["genotype"], item["score"]) for item in page["items"]]
+            cursor = page["next_cursor"] and f"&cursor={page['next_cursor']}"
+        return items
+
     now = daemon.json(path)
-    populations = [
-        [(item["number"], item["genotype"], item["score"]) for item in
-         daemon.json(f"{path}/population?generation={generation}&limit=1000")["items"]]
-        for generation in range(now["settings"]["generations"] + 1)
-    ]
+    populations = [population(i) for i in range(now["settings"]["generations"] + 1)]
     return {
         **{what: table(what) for what in ("generations", "learning", "phylogeny")},
         "populations": populations,
