@@ -17,7 +17,9 @@ def values(mode, soak):
         few = {} if mode == "zero-shot" else {"controller": "default"}
         learning = {"parent_steps": 1, "child_steps": 1, "checkpoint_every_s": 1}
         if not soak:
-            yield value | few | RACE | ({"learning": learning | {"batch": 4}} if few else {})
+            longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut
+            yield value | few | RACE | longer | ({"learning": learning | {"batch": 4}} if few
+                                                 else {})
             continue
         yield value | few | {"preset": "demo"}
         yield value | few | {"preset": "workstation", "generations": 10, "physics": {
