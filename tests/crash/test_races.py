@@ -10,20 +10,18 @@ SEEDS = (1, 2, 3)
 
 
 def values(mode, soak):
-    """Small ones, in whose environments robots differ much after few steps; with --soak the preset
-    "demo", and "workstation" with shorter rollouts and fewer steps of learning."""
+    """Small ones, in whose environments robots differ much after few steps. With --soak also the
+    presets "demo", and "workstation" with shorter rollouts and fewer steps of learning."""
     for seed in SEEDS:
         value = {"mode": mode, "seed": seed, "exclude_pretraining": False}
         few = {} if mode == "zero-shot" else {"controller": "default"}
         learning = {"parent_steps": 1, "child_steps": 1, "checkpoint_every_s": 1}
-        if not soak:
-            longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut
-            yield value | few | RACE | longer | ({"learning": learning | {"batch": 4}} if few
-                                                 else {})
-            continue
-        yield value | few | {"preset": "demo"}
-        yield value | few | {"preset": "workstation", "generations": 10, "physics": {
-            "n_steps": 300}} | ({"learning": learning} if few else {})
+        longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut
+        yield value | few | RACE | longer | ({"learning": learning | {"batch": 4}} if few else {})
+        if soak:
+            yield value | few | {"preset": "demo"}
+            yield value | few | {"preset": "workstation", "generations": 10, "physics": {
+                "n_steps": 300}} | ({"learning": learning} if few else {})
 
 
 def start(one, requests):
@@ -62,4 +60,4 @@ def test_same_campaigns(daemon, soak, seed, mode):
         cut.append(check_same_lives(history(victim, job), expected))
     victim.end()
     print(f"{mode}: {cut} children cut short")
-    assert sum(cut) > 0 or (mode != "zero-shot" and not soak)
+    assert sum(cut) > 0 or mode != "zero-shot"  # what is learned depends on the processor
