@@ -395,7 +395,7 @@ static void takers_compute_shards(void)
     pthread_join(call.thread, NULL);
     atomic_store(&taker.end, 1);
     pthread_join(taker.thread, NULL);
-    CHECK(mode != LATE || call.processor_s < 0.15);
+    CHECK(mode != LATE || call.processor_s < 0.4); /* the shard is a second late */
     CHECK_INT(call.status, mode == CANCELLED ? MO_ERR_CANCELLED : MO_OK);
     CHECK(mode == CANCELLED || SAME(batch.d_parameters, d_parameters[1], controller->n_parameters));
     CHECK_INT(atomic_load(&taker.taken), mode == CANCELLED ? 1 : mode == SOME ? 5 : 3);
