@@ -107,8 +107,8 @@ struct ranked *rank_results(const json_t *results, bool by_score)
   return order;
 }
 
-/* Returns a copy of a result with what the table shows besides: number, name, best, worst,
- * note. */
+/* Returns a copy of a result with what the table shows besides: number, name, note, and of a score
+ * that is not a lower bound the best and the worst loss. */
 static json_t *result_row(const json_t *result, size_t number, const char *name)
 {
   const json_t *losses = json_object_get(result, "losses"), *best = NULL, *worst = NULL, *loss,
@@ -116,10 +116,11 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
   const char *note = json_is_true(agrees)    ? "the same"
                      : json_is_false(agrees) ? "DIFFERENT"
                                              : "nothing stored";
+  const bool is_whole = !json_is_true(json_object_get(result, "lower_bound"));
   size_t k;
   json_array_foreach(losses, k, loss)
   {
-    if (!json_is_number(loss))
+    if (!is_whole || !json_is_number(loss))
       continue;
     if (best == NULL || json_number_value(loss) < json_number_value(best))
       best = loss;
