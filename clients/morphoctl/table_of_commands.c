@@ -20,9 +20,7 @@
       "weight", FIELD_REAL
 #define DEVICE                                                                                     \
   "device", 0, "auto|cpu|cuda",                                                                    \
-      "What computes it: processors, GPUs, or GPUs if one works and it suits them (default: "      \
-      "auto).",                                                                                    \
-      "device"
+      "Where to run: CPU, GPU, or GPU if available and worthwhile (default: auto).", "device"
 #define KEY(job)                                                                                   \
   "idempotency-key", 0, "KEY",                                                                     \
       "Repeating the same request with the same key gives the same " job " (default: a new key)."
@@ -45,12 +43,12 @@
 /* What to do about designs that are no bodies. */
 #define RULES(place)                                                                               \
   {"on-fault", 0, "refuse|skip",                                                                   \
-   "What a design that is no body does to the request: refuse it, or be left out (default: "       \
-   "refuse).",                                                                                     \
+   "How to treat an invalid design: refuse the request, or skip the design (default: refuse).",    \
    place "on_fault"},                                                                              \
   {                                                                                                \
     "repair", 0, "none|largest",                                                                   \
-        "Of a body in several pieces keep none, or the largest (default: none).", place "repair"   \
+        "Body in several pieces: reject it, or keep the largest piece (default: none).",           \
+        place "repair"                                                                             \
   }
 #define LABEL      "label", 'l', "TEXT", "A label to find the job by.", "label"
 #define EXPERIMENT "experiment", 0, "NAME", "What the job belongs to, with others.", "experiment"
@@ -72,7 +70,7 @@
 #define FILTERED                                                                                   \
   {LABELED}, {OF_EXPERIMENT},                                                                      \
   {                                                                                                \
-    "archived", 0, "true|all", "Only those that are archived; all: these, too."                    \
+    "archived", 0, "true|all", "true: only archived jobs; all: archived and others."               \
   }
 #define OF_USER   "submitted-by", 0, "NAME", "Only those submitted with the token of this name."
 #define NEWEST    "limit", 'n', "N", "At most so many, newest first (default: 50)."
@@ -185,8 +183,8 @@ static const struct option_spec wait_options[] = {
     {NULL}};
 static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
-     "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
-     "controller was pretrained; paper, as in the paper.",
+     "Source of all options you leave out: workstation, the defaults below (default); phototaxis, "
+     "as the shipped controller was pretrained; paper, as in the paper.",
      "preset"},
     {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id).",
      "name"},
@@ -402,13 +400,13 @@ const struct command commands[] = {
     {"job label", "ID [TEXT]", "Give a job another label, or none.", run_job_text},
     {"job experiment", "ID [NAME]", "Make a job belong to an experiment, or to none.",
      run_job_text},
-    {"job note", "ID [TEXT]", "Say something of a job; without a text, take it away.", run_job_text,
+    {"job note", "ID [TEXT]", "Set a job's note; without TEXT, delete it.", run_job_text,
      "Plain text of up to 1,000 characters. Rules of retention leave jobs with a note alone."},
     {"job archive", "ID...", "Hide jobs from lists.", run_job_archive, "Nothing else changes."},
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
     {"job delete", "ID...", "Delete jobs that have ended, for good.", run_job_delete,
      "Says what goes, and asks. Designs, scores and controllers stay. What another job needs is "
-     "not deleted: exit status 3. Of replicates the first goes last.",
+     "not deleted: exit status 3. Delete the first replicate of a group last.",
      job_delete_options},
     {"usage", "", "Show how much time of cores and devices jobs have used.", run_usage,
      "Deleted jobs count, too.", usage_options},
@@ -442,9 +440,9 @@ const struct command commands[] = {
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
     {"train prune", "ID...", "Delete checkpoints that are not needed.", run_job_prune,
-     "Of a training that has ended all of them, since its result is a controller of its own; of "
-     "another all but the newest, which it goes on from. A checkpoint takes 12.4 MB. What is "
-     "deleted cannot be exported any more.",
+     "For a finished training all of them, since its result is a controller of its own; otherwise "
+     "all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. What is deleted "
+     "cannot be exported any more.",
      train_prune_options},
     {"train compare", "A B", "Compare two controllers on held-out designs.", run_train_compare,
      "Scores both controllers on designs and environments that no pretraining draws, and tells the "

@@ -279,7 +279,7 @@ static const char *const on_fault_words[] = {"refuse", "skip", NULL}; /* enum mo
 static const char *const repair_words[] = {"none", "largest", NULL};  /* enum mo_repair */
 static const struct mo_field rules[] = {
     {"on_fault", MO_FIELD_WORD, 0, offsetof(struct mo_parts, on_fault), .words = on_fault_words,
-     .unit = "", .help = "what a design that is no body does to the request"},
+     .unit = "", .help = "how to treat an invalid design"},
     {"repair", MO_FIELD_WORD, 0, offsetof(struct mo_parts, repair), .words = repair_words,
      .unit = "", .help = "what is done to a body in several pieces"},
 };

@@ -17,7 +17,7 @@
 
 /* ---- what several bodies share (request_parts.c, design_request.c) ---- */
 
-/* What a design that is no body does to a request, and what is done to one in several pieces. */
+/* How to treat an invalid design, and one in several pieces. */
 enum mo_on_fault { MO_FAULT_REFUSE = 0, MO_FAULT_SKIP = 1 };
 enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 

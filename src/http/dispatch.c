@@ -117,7 +117,7 @@ static bool admitted(struct mo_request *request)
   }
   if (route != NULL && is_open)
     return true;
-  /* Who needs no token may do everything. Who sends one has its name and its right. */
+  /* A client that needs no token has all rights. One that sends a token has its name and right. */
   request->caller.right = MO_RIGHT_ADMIN;
   bool needed = request->connection->transport == MO_TRANSPORT_TCP ||
                 ((http->config.token_on_loopback || http->config.token_if_any) && !is_unix);
