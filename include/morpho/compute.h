@@ -121,7 +121,7 @@ void mo_compute_share_set_weight(struct mo_compute_share *share,
                                  double weight); /* takes effect at once */
 
 struct mo_compute_share_stats {
-  double busy_s;    /* worker seconds in its blocks, without urgent blocks that interrupted them */
+  double busy_s;    /* processor time in its blocks, without urgent blocks that interrupted them */
   double urgent_s;  /* of these, in the share's own urgent blocks: charged to no share */
   double device_s;  /* seconds of devices in its blocks and gradients */
   uint64_t waiting; /* batch blocks */
@@ -236,7 +236,7 @@ struct mo_remote_result {
   const double *losses;       /* (n_rows) in the order of blocks and environments; with MO_OK */
   const uint32_t *diverged;   /* (n_rows) steps of divergence; 0: none */
   int64_t origin;             /* who computed it, by the taker's own numbers; > 0 */
-  double busy_s;              /* worker seconds, charged to the share */
+  double busy_s;              /* processor time, charged to the share */
   const double *d_parameters; /* of a shard: (n_parameters) its sum */
   struct mo_gradient_counts counts;
 };

@@ -15,6 +15,11 @@ uint64_t mo_clock_ns(void)
   return (uint64_t)read_ns(CLOCK_MONOTONIC);
 }
 
+uint64_t mo_clock_thread_ns(void)
+{
+  return (uint64_t)read_ns(CLOCK_THREAD_CPUTIME_ID);
+}
+
 int64_t mo_clock_us(void)
 {
   return read_ns(CLOCK_MONOTONIC) / 1000;

@@ -81,9 +81,9 @@ static void follow_trims(struct worker *worker)
   worker->gradient = NULL;
 }
 
-/* A block that runs on a worker. Its worker time is elapsed time less that of urgent blocks inside
- * it. The counters of the share are updated at every pause point, so that a long block counts
- * before its end. */
+/* A block that runs on a worker. It is charged processor time, which other threads on the same
+ * cores do not lengthen, less that of urgent blocks inside it. The counters of the share are
+ * updated at every pause point, so that a long block counts before its end. */
 struct run {
   struct worker *worker;
   struct mo_block *block;
@@ -105,7 +105,8 @@ static bool is_cancelled(const struct mo_compute *compute, const struct mo_block
 
 static void read_meter(struct run *run)
 {
-  const uint64_t now_ns = mo_clock_ns(), inside_ns = run->worker->overtaken_ns - run->overtaken_ns;
+  const uint64_t now_ns = mo_clock_thread_ns();
+  const uint64_t inside_ns = run->worker->overtaken_ns - run->overtaken_ns;
   const uint64_t own_ns = now_ns - run->read_ns - inside_ns;
   run->read_ns = now_ns;
   run->overtaken_ns = run->worker->overtaken_ns;
@@ -133,9 +134,9 @@ static int look_up(void *context)
       if (block == NULL)
         break;
       atomic_fetch_add(&compute->blocks_preempted, 1);
-      const uint64_t start_ns = mo_clock_ns();
+      const uint64_t start_ns = mo_clock_thread_ns();
       run_block(worker, block, 1, NULL);
-      worker->overtaken_ns += mo_clock_ns() - start_ns;
+      worker->overtaken_ns += mo_clock_thread_ns() - start_ns;
     }
   read_meter(run);
   return is_cancelled(compute, run->block);
@@ -222,7 +223,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
                     .depth = depth,
                     .share = block->share != NULL ? block->share : &compute->own,
                     .urgent = charge == NULL,
-                    .read_ns = mo_clock_ns(),
+                    .read_ns = mo_clock_thread_ns(),
                     .overtaken_ns = worker->overtaken_ns};
   mo_thread_tag = block->tag;
   block->status = is_cancelled(compute, block) ? MO_ERR_CANCELLED

@@ -4,6 +4,8 @@
 
 #include "base/thread.h"
 
+#include <time.h>
+
 static struct mo_environment environments[MO_PAPER_TEST_COUNT];
 
 static void setup(void)
@@ -30,6 +32,14 @@ static void fill_block(struct mo_block *block, const uint64_t *genotype,
                        struct mo_compute_controller *brain, uint32_t steps)
 {
   *block = block_of(genotype, NULL, brain, environments, MO_PAPER_TEST_COUNT, steps);
+}
+
+/* Of all threads of this process. */
+static double processor_s(void)
+{
+  struct timespec used;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &used);
+  return (double)used.tv_sec + 1e-9 * (double)used.tv_nsec;
 }
 
 static void same_bits_for_any_workers_and_order(void)
@@ -71,6 +81,31 @@ static void same_bits_for_any_workers_and_order(void)
     CHECK(stats.worker_bytes_max > 0 && stats.worker_bytes_max <= (16u << 20));
     check_drop_from(compute);
   }
+}
+
+/* More workers than processors: what the share is charged is processor time, not the time in which
+ * its threads waited for a processor. */
+static void charges_processor_time(void)
+{
+  enum { N = 64 };
+  static uint64_t genotypes[N][MO_DEFAULT_WORDS];
+  static struct mo_block blocks[N];
+  struct mo_compute *compute = make_compute(16);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
+  struct mo_compute_share *share = make_compute_share(compute, 1);
+  for (uint32_t i = 0; i < N; i++) {
+    genotype_number(i, genotypes[i]);
+    fill_block(blocks + i, genotypes[i], brain, 120);
+    blocks[i].share = share;
+    blocks[i].urgency = i % 8 == 0 ? MO_INTERACTIVE : MO_BATCH;
+  }
+  const double before_s = processor_s();
+  CHECK_INT(mo_compute_run(compute, blocks, N), MO_OK);
+  const double used_s = processor_s() - before_s;
+  struct mo_compute_share_stats stats;
+  mo_compute_share_get_stats(share, &stats);
+  CHECK(stats.busy_s > 0.5 * used_s && stats.busy_s <= used_s);
+  check_drop_from(compute);
 }
 
 /* One worker, inside a long batch block: an interactive block is done long before it, and the batch
@@ -292,6 +327,7 @@ static void passive_and_faults(void)
 
 static const struct check_case cases[] = {
     {"the same bits for any workers and order", same_bits_for_any_workers_and_order},
+    {"processor time is charged", charges_processor_time},
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"cancelled blocks come back", cancelled_blocks_come_back},
     {"a crowd of submitters", a_crowd_of_submitters},
