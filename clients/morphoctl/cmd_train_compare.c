@@ -1,5 +1,5 @@
-/* cmd_train_compare.c: train compare: compares two controllers on one held-out set, design by
- * design. */
+/* cmd_train_compare.c: train compare: compares two controllers on one held-out set, rollout by
+ * rollout. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -11,8 +11,8 @@
 struct side {
   const char *name; /* as given */
   const json_t *evaluation;
-  double *scores; /* (n) NaN: a rollout of the design diverged */
-  size_t n;
+  double *losses; /* (n, n_environments); NaN: the rollout diverged */
+  size_t n, n_environments;
   size_t diverged; /* number of designs */
   size_t rollouts, rollouts_diverged;
 };
@@ -29,12 +29,21 @@ static void score_side(struct ctl *ctl, const json_t *held_out, struct side *sid
   expect_success("job", side->evaluation);
   const json_t *results = json_object_get(side->evaluation, "results");
   side->n = json_array_size(results);
-  side->scores = keep(calloc(side->n + 1, sizeof(*side->scores)));
+  side->n_environments = json_array_size(json_object_get(held_out, "environments"));
+  side->losses = keep(calloc(side->n * side->n_environments + 1, sizeof(*side->losses)));
   json_array_foreach(results, i, result)
   {
-    side->scores[i] = real_at(result, "score");
-    side->diverged += isnan(side->scores[i]);
-    side->rollouts += json_array_size(json_object_get(result, "losses"));
+    const json_t *losses = json_object_get(result, "losses");
+    if (json_array_size(losses) != side->n_environments)
+      fail(STATUS_ERROR, "the server's reply has %zu losses of a design, expected %zu",
+           json_array_size(losses), side->n_environments);
+    for (size_t k = 0; k < side->n_environments; k++) {
+      const json_t *loss = json_array_get(losses, k);
+      side->losses[i * side->n_environments + k] =
+          json_is_number(loss) ? json_number_value(loss) : NAN;
+    }
+    side->diverged += isnan(real_at(result, "score"));
+    side->rollouts += side->n_environments;
     side->rollouts_diverged += json_array_size(json_object_get(result, "diverged"));
   }
 }
@@ -52,14 +61,15 @@ static void print_comparison_json(const struct side sides[2], const struct paire
                                   int64_t seed, int64_t n_environments)
 {
   print_json(keep(json_pack(
-      "{s:o, s:o, s:{s:I, s:I, s:I}, s:I, s:o, s:o, s:f, s:o, s:o, s:I, s:I, s:s}", "a",
+      "{s:o, s:o, s:{s:I, s:I, s:I}, s:I, s:o, s:o, s:f, s:o, s:o, s:s, s:I, s:I, s:o, s:s}", "a",
       side_json(&sides[0], paired->mean_a), "b", side_json(&sides[1], paired->mean_b), "held_out",
       "seed", (json_int_t)seed, "designs", (json_int_t)sides[0].n, "environments",
       (json_int_t)n_environments, "pairs", (json_int_t)paired->n, "difference",
       real_or_null(paired->difference), "standard_error", real_or_null(paired->error), "confidence",
-      CONFIDENCE, "low", real_or_null(paired->low), "high", real_or_null(paired->high), "improved",
-      (json_int_t)paired->improved, "equal", (json_int_t)paired->equal, "verdict",
-      verdict_of(paired->low, paired->high))));
+      CONFIDENCE, "low", real_or_null(paired->low), "high", real_or_null(paired->high),
+      "interval_for", n_environments < 2 ? "designs" : "designs and environments", "improved",
+      (json_int_t)paired->improved, "equal", (json_int_t)paired->equal, "sign_test_p",
+      real_or_null(paired->sign_p), "verdict", verdict_of(paired->low, paired->high))));
 }
 
 static void print_verdict(const struct side sides[2], const struct paired *paired)
@@ -70,7 +80,7 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
                      "Too few designs have a score with both controllers to say which is better.");
   else if (paired->high < 0 || paired->low > 0)
     print_plain_line(stdout,
-                     "%s is %s than %s on such designs: its mean score is %s by %.4f (%.0f %% "
+                     "%s is %s than %s: its mean score is %s by %.4f (%.0f %% "
                      "confidence: %.4f to %.4f).",
                      b, verdict_of(paired->low, paired->high), a,
                      paired->high < 0 ? "lower" : "higher", fabs(paired->difference),
@@ -79,8 +89,16 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
   else
     print_plain_line(stdout,
                      "Which of %s and %s is better is not shown: the interval of the difference "
-                     "holds 0. More designs make it narrower.",
+                     "holds 0. More designs and environments make it narrower.",
                      a, b);
+  if (paired->n >= 2 && paired->sign_p < 1 - CONFIDENCE &&
+      strcmp(verdict_of(paired->low, paired->high),
+             2 * paired->improved > paired->n - paired->equal ? "better" : "worse") != 0)
+    print_plain_line(
+        stdout,
+        "Yet most designs are better with %s (sign test, p = %.2g): the mean counts how "
+        "much, the sign test how many.",
+        2 * paired->improved > paired->n - paired->equal ? b : a, paired->sign_p);
 }
 
 static void print_comparison(const struct ctl *ctl, const struct side sides[2],
@@ -101,14 +119,18 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
               "|>diverged designs={designs_diverged} of {designs}"
               "|>diverged rollouts={rollouts_diverged} of {rollouts}|sha256={sha256}");
   if (paired->n >= 2)
-    print_fact(ctl, "B - A", "%+.4f, %.0f %% confidence %+.4f to %+.4f (Student t, %zu pairs)",
-               paired->difference, 100 * CONFIDENCE, paired->low, paired->high, paired->n);
+    print_fact(ctl, "B - A",
+               "%+.4f, %.0f %% confidence %+.4f to %+.4f for other designs%s (Student t, %.1f "
+               "degrees of freedom)",
+               paired->difference, 100 * CONFIDENCE, paired->low, paired->high,
+               n_environments < 2 ? " in this environment" : " and environments", paired->freedom);
   if (paired->n > 0)
-    print_fact(ctl, "improved", "%zu of %zu designs (%.1f %%), %zu equal", paired->improved,
-               paired->n, 100 * (double)paired->improved / (double)paired->n, paired->equal);
+    print_fact(ctl, "improved", "%zu of %zu designs (%.1f %%), %zu equal; sign test p = %.2g",
+               paired->improved, paired->n, 100 * (double)paired->improved / (double)paired->n,
+               paired->equal, isnan(paired->sign_p) ? 1 : paired->sign_p);
   if (paired->n < sides[0].n)
     print_fact(ctl, "left out",
-               "%zu design%s that diverged with A or B: no mean and no difference knows of it",
+               "%zu design%s that diverged with A or B: the means and the difference are without",
                sides[0].n - paired->n, sides[0].n - paired->n == 1 ? "" : "s");
   print_verdict(sides, paired);
 }
@@ -118,15 +140,18 @@ void run_train_compare(struct ctl *ctl)
   struct side sides[2] = {{.name = ctl->operands[0]}, {.name = ctl->operands[1]}};
   const int64_t seed = option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, 1),
                 n_designs = option_number(ctl, "designs", 2, 1000, 64),
-                n_environments = option_number(ctl, "environments", 1, 64, 8);
+                n_environments = option_number(ctl, "environments", 1, 64, 16);
   const json_t *held_out =
       get_json(ctl, "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
                n_designs, n_environments);
+  for (int s = 0; s < 2; s++) /* both names, before the first rollout */
+    (void)get_json(ctl, "/v1/controllers/%s", escape(sides[s].name));
   for (int s = 0; s < 2; s++)
     score_side(ctl, held_out, &sides[s]);
   if (sides[0].n != sides[1].n)
     fail(STATUS_ERROR, "the server's replies have different numbers of designs");
-  const struct paired paired = compare_pairs(sides[0].scores, sides[1].scores, sides[0].n);
+  const struct paired paired =
+      compare_crossed(sides[0].losses, sides[1].losses, sides[0].n, sides[0].n_environments);
   if (ctl->json)
     print_comparison_json(sides, &paired, seed, n_environments);
   else

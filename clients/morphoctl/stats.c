@@ -8,6 +8,7 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdbool.h>
 
 /* Returns the continued fraction of I_x(a, b), for x below (a + 1)/(a + b + 2). */
 static double beta_fraction(double a, double b, double x)
@@ -72,38 +73,119 @@ double student_quantile(double p, double freedom)
   return low + (high - low) / 2;
 }
 
-struct paired compare_pairs(const double *a, const double *b, size_t n)
+/* Returns the two-sided p of `lower` successes in n trials with even odds. */
+static double sign_test(size_t lower, size_t n)
 {
-  struct paired paired = {
-      .mean_a = NAN, .mean_b = NAN, .difference = NAN, .error = NAN, .low = NAN, .high = NAN};
-  double sum_a = 0, sum_b = 0, sum = 0, squares = 0;
+  const double least = (double)(lower < n - lower ? lower : n - lower);
+  return n == 0 ? NAN : fmin(1, 2 * incomplete_beta((double)n - least, least + 1, 0.5, 0.5));
+}
+
+/* Returns whether the design has a finite loss with both controllers in every world. */
+static bool is_whole(const double *a, const double *b, size_t worlds)
+{
+  for (size_t w = 0; w < worlds; w++)
+    if (!isfinite(a[w]) || !isfinite(b[w]))
+      return false;
+  return true;
+}
+
+static double mean_difference(const double *a, const double *b, size_t worlds)
+{
+  double sum = 0;
+  for (size_t w = 0; w < worlds; w++)
+    sum += b[w] - a[w];
+  return sum / (double)worlds;
+}
+
+/* Returns the mean difference in one world over the designs that count. */
+static double world_difference(const double *a, const double *b, size_t n, size_t worlds,
+                               size_t world, double count)
+{
+  double sum = 0;
+  for (size_t i = 0; i < n; i++)
+    if (is_whole(a + i * worlds, b + i * worlds, worlds))
+      sum += b[i * worlds + world] - a[i * worlds + world];
+  return sum / count;
+}
+
+/* Fills in the standard error and its degrees of freedom from the mean squares of designs, worlds
+ * and what is left. */
+static void find_error(struct paired *paired, const double *a, const double *b, size_t n,
+                       size_t worlds)
+{
+  const double designs = (double)paired->n, all = designs * (double)worlds;
+  double of_designs = 0, of_worlds = 0, rest = 0;
+  for (size_t i = 0; i < n; i++)
+    if (is_whole(a + i * worlds, b + i * worlds, worlds)) {
+      const double off =
+          mean_difference(a + i * worlds, b + i * worlds, worlds) - paired->difference;
+      of_designs += (double)worlds * off * off;
+    }
+  of_designs /= designs - 1;
+  paired->freedom = designs - 1;
+  paired->error = sqrt(of_designs / all);
+  if (worlds < 2)
+    return;
+  for (size_t w = 0; w < worlds; w++) {
+    const double mean = world_difference(a, b, n, worlds, w, designs);
+    of_worlds += designs * (mean - paired->difference) * (mean - paired->difference);
+    for (size_t i = 0; i < n; i++) {
+      const double *one = a + i * worlds, *other = b + i * worlds;
+      if (!is_whole(one, other, worlds))
+        continue;
+      const double left =
+          other[w] - one[w] - mean - mean_difference(one, other, worlds) + paired->difference;
+      rest += left * left;
+    }
+  }
+  const double world_freedom = (double)worlds - 1, rest_freedom = (designs - 1) * world_freedom;
+  of_worlds /= world_freedom;
+  rest /= rest_freedom;
+  /* A component that is estimated below 0 counts as 0. */
+  const double total = of_designs + of_worlds - fmin(rest, fmin(of_designs, of_worlds));
+  const double squares = of_designs * of_designs / (designs - 1) +
+                         of_worlds * of_worlds / world_freedom + rest * rest / rest_freedom;
+  paired->error = sqrt(total / all);
+  paired->freedom = squares > 0 ? fmax(1, total * total / squares) : designs - 1;
+}
+
+struct paired compare_crossed(const double *a, const double *b, size_t n, size_t worlds)
+{
+  struct paired paired = {.mean_a = NAN,
+                          .mean_b = NAN,
+                          .difference = NAN,
+                          .error = NAN,
+                          .freedom = NAN,
+                          .low = NAN,
+                          .high = NAN,
+                          .sign_p = NAN};
+  double sum_a = 0, sum_b = 0, sum = 0;
   for (size_t i = 0; i < n; i++) {
-    if (!isfinite(a[i]) || !isfinite(b[i]))
+    const double *one = a + i * worlds, *other = b + i * worlds;
+    if (worlds == 0 || !is_whole(one, other, worlds))
       continue;
+    const double difference = mean_difference(one, other, worlds);
     paired.n++;
-    paired.improved += b[i] < a[i];
-    paired.equal += b[i] == a[i];
-    sum_a += a[i];
-    sum_b += b[i];
-    sum += b[i] - a[i];
+    paired.improved += difference < 0;
+    paired.equal += difference == 0;
+    sum += difference;
+    for (size_t w = 0; w < worlds; w++) {
+      sum_a += one[w];
+      sum_b += other[w];
+    }
   }
   if (paired.n == 0)
     return paired;
-  double pairs = (double)paired.n;
-  paired.mean_a = sum_a / pairs;
-  paired.mean_b = sum_b / pairs;
-  paired.difference = sum / pairs;
+  paired.mean_a = sum_a / (double)(paired.n * worlds);
+  paired.mean_b = sum_b / (double)(paired.n * worlds);
+  paired.difference = sum / (double)paired.n;
+  paired.sign_p = sign_test(paired.improved, paired.n - paired.equal);
   if (paired.n < 2)
     return paired;
-  for (size_t i = 0; i < n; i++) {
-    double off = b[i] - a[i] - paired.difference;
-    if (isfinite(a[i]) && isfinite(b[i]))
-      squares += off * off;
-  }
-  paired.error = sqrt(squares / (pairs - 1)) / sqrt(pairs);
-  double t = student_quantile(0.5 + CONFIDENCE / 2, pairs - 1);
-  paired.low = paired.difference - t * paired.error;
-  paired.high = paired.difference + t * paired.error;
+  find_error(&paired, a, b, n, worlds);
+  const double half = paired.error * student_quantile(0.5 + CONFIDENCE / 2, paired.freedom);
+  paired.low = paired.difference - half;
+  paired.high = paired.difference + half;
   return paired;
 }
 

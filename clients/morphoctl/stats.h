@@ -14,15 +14,21 @@ double student_quantile(double p, double freedom);
 double student_probability(double t, double freedom);
 
 struct paired {
-  size_t n;               /* pairs in which both scores are finite; only these count below */
-  double mean_a, mean_b;  /* over these pairs; NaN: none */
+  size_t n;               /* designs with a finite loss in every world; only these count below */
+  double mean_a, mean_b;  /* over these designs and all worlds; NaN: no such design */
   double difference;      /* mean of b − a */
-  double error;           /* its standard error; NaN below two pairs */
-  double low, high;       /* confidence interval of the difference; NaN below two pairs */
-  size_t improved, equal; /* pairs with b < a, with b = a */
+  double error;           /* its standard error; NaN below two designs */
+  double freedom;         /* degrees of freedom of the interval */
+  double low, high;       /* confidence interval of the difference; NaN below two designs */
+  size_t improved, equal; /* designs whose mean is lower with b, the same */
+  double sign_p;          /* two-sided p of the sign test over the designs that differ; NaN: none */
 };
-/* Compares paired scores. a, b: (n); not finite for a missing score. */
-struct paired compare_pairs(const double *a, const double *b, size_t n);
+/* Compares the losses of two controllers over the same designs in the same worlds. a, b: (n,
+ * worlds), row by row; not finite where a rollout diverged. With two worlds or more the interval
+ * holds for other designs in other worlds: both are random effects, crossed (mean squares of the
+ * two-way layout without replication; Satterthwaite 1946 for the degrees of freedom). With one world
+ * it holds for other designs in that world. */
+struct paired compare_crossed(const double *a, const double *b, size_t n, size_t worlds);
 
 struct interval {
   double difference; /* mean of b − mean of a */

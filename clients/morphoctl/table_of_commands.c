@@ -236,7 +236,7 @@ static const struct option_spec train_prune_options[] = {
 static const struct option_spec train_compare_options[] = {
     {"seed", 0, "SEED", "Seed of the held-out set (default: 1)."},
     {"designs", 'd', "N", "Designs of the set, 2 to 1,000 (default: 64)."},
-    {"environments", 'e', "N", "Environments of each design, 1 to 64 (default: 8)."},
+    {"environments", 'e', "N", "Environments of each design, 1 to 64 (default: 16)."},
     {PHYSICS},
     {NULL}};
 static const struct option_spec campaign_start_options[] = {
@@ -445,9 +445,9 @@ const struct command commands[] = {
      "cannot be exported any more.",
      train_prune_options},
     {"train compare", "A B", "Compare two controllers on held-out designs.", run_train_compare,
-     "Scores both controllers on designs and environments that no pretraining draws, and tells the "
-     "mean of the differences over designs with its 95 % confidence interval (Student t). Lower "
-     "scores are better.",
+     "Scores both controllers on designs and environments that no pretraining draws, and shows the "
+     "mean difference with its 95 % confidence interval (Student t), which holds for other designs "
+     "in other environments. Lower scores are better.",
      train_compare_options},
     {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...",
      "Let a population evolve.", run_campaign_start,

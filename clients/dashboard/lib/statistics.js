@@ -62,15 +62,33 @@ export function studentQuantile(p, freedom) {
 const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 const squares = (values, middle) => values.reduce((sum, one) => sum + (one - middle) ** 2, 0);
 
-/** The mean of b − a over the pairs in which both are finite, with its interval; NaN: too few pairs. */
-export function comparePairs(a, b) {
-  const pairs = a.map((one, i) => [one, b[i]]).filter((pair) => pair.every((one) => Number.isFinite(one)));
-  const off = pairs.map(([one, other]) => other - one);
-  const n = off.length;
-  const difference = n ? mean(off) : NaN;
-  const half = n < 2 ? NaN
-    : studentQuantile(0.5 + CONFIDENCE / 2, n - 1) * (Math.sqrt(squares(off, difference) / (n - 1)) / Math.sqrt(n));
-  return { n, difference, low: difference - half, high: difference + half, improved: off.filter((one) => one < 0).length };
+/**
+ * The mean of b − a over designs with a finite loss in every world, and its interval, which holds for
+ * other designs in other worlds (compare_crossed in stats.h). NaN: fewer than two designs.
+ * @param {number[][]} a losses by design and world @param {number[][]} b
+ */
+export function compareCrossed(a, b) {
+  const off = a.map((row, i) => row.map((one, w) => b[i][w] - one))
+    .filter((row) => row.every((one) => Number.isFinite(one)));
+  const [n, worlds] = [off.length, off[0]?.length ?? 0];
+  const designs = off.map(mean);
+  const difference = n ? mean(designs) : NaN;
+  const improved = designs.filter((one) => one < 0).length;
+  if (n < 2) return { n, difference, low: NaN, high: NaN, improved };
+  const ofDesigns = (worlds * squares(designs, difference)) / (n - 1);
+  let [total, freedom] = [ofDesigns, n - 1];
+  if (worlds > 1) {
+    const means = off[0].map((_, w) => mean(off.map((row) => row[w])));
+    const ofWorlds = (n * squares(means, difference)) / (worlds - 1);
+    const left = off.flatMap((row, i) => row.map((one, w) => one - means[w] - designs[i]));
+    const rest = squares(left, -difference) / ((n - 1) * (worlds - 1));
+    total = ofDesigns + ofWorlds - Math.min(rest, ofDesigns, ofWorlds);
+    const all = ofDesigns ** 2 / (n - 1) + ofWorlds ** 2 / (worlds - 1)
+      + rest ** 2 / ((n - 1) * (worlds - 1));
+    if (all > 0) freedom = Math.max(1, total ** 2 / all);
+  }
+  const half = Math.sqrt(total / (n * worlds)) * studentQuantile(0.5 + CONFIDENCE / 2, freedom);
+  return { n, difference, low: difference - half, high: difference + half, improved };
 }
 
 /** The mean of b minus the mean of a, with Welch's interval: two sets that are not paired. */

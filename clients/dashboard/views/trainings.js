@@ -7,7 +7,7 @@ import { coalesced } from '../lib/events.js';
 import { ago, bytes, count, number, percent, score, signed } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
-import { CONFIDENCE, comparePairs } from '../lib/statistics.js';
+import { CONFIDENCE, compareCrossed } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
 import { startButton } from './forms.js';
 import { actions, comparing, editButton, progressBar, remark, stateChip, titleOf, trouble, weightField } from './jobs.js';
@@ -89,7 +89,7 @@ function comparison(app, controllers) {
     go.disabled = true;
     result.textContent = 'Scoring both on the held-out bodies…';
     try {
-      const { designs, environments } = await getJson(`v1/held-out?seed=1&designs=${size}&environments=8`);
+      const { designs, environments } = await getJson(`v1/held-out?seed=1&designs=${size}&environments=16`);
       const evaluate = async (controller) => {
         let evaluation = await patient(() => post('v1/evaluations', {
           designs, environments, controller, label: `comparison of ${a} and ${b}`,
@@ -102,14 +102,16 @@ function comparison(app, controllers) {
         return evaluation;
       };
       const [first, second] = await Promise.all([evaluate(a), evaluate(b)]);
-      const scores = [first, second].map(({ results }) => results.map((one) => one.score ?? NaN));
-      const { n, difference, low, high, improved } = comparePairs(scores[0], scores[1]);
+      const losses = [first, second].map(({ results }) => results.map((one) => one.losses.map(
+        (loss) => loss ?? NaN)));
+      const { n, difference, low, high, improved } = compareCrossed(losses[0], losses[1]);
       const better = high < 0 ? `${b} is better on such bodies` : low > 0 ? `${b} is worse on such bodies`
-        : 'which is better is not shown: more bodies make the interval narrower';
+        : 'which is better is not shown: more bodies and environments make the interval narrower';
       const left = designs.length - n;
       result.textContent = n < 2 ? 'Too few bodies have a score with both controllers to say which is better.'
         : `${b} minus ${a}: ${signed(difference)}, ${percent(CONFIDENCE)} interval ${signed(low)} to ${signed(high)} ` +
-          `(Student t, ${n} held-out bodies in ${environments.length} environments, ${improved} of them improved` +
+          `(for other bodies and environments; Student t, ${n} held-out bodies in ${environments.length} environments, ` +
+          `${improved} of them improved` +
           `${left ? `; ${left} that diverged left out` : ''}). Lower is better: ${better}.`;
       const [design] = designs;
       const [environment] = await environmentSet('paper-test');
@@ -135,8 +137,8 @@ function comparison(app, controllers) {
     h('span.muted', {}, 'on bodies and environments that no training draws'), h('div.actions', {},
       select('First', names, a, (value) => { a = value; }), select('Second', names, b, (value) => { b = value; }),
       select('Bodies', ['16', '64', '256'], size, (value) => { size = value; }), go, copyButton(() => ({
-        path: `v1/held-out?seed=1&designs=${size}&environments=8`, morphoctl: `train compare ${a} ${b} --designs ${size}`,
-        python: `held_out = m.request("GET", "/v1/held-out", seed=1, designs=${size}, environments=8)\n` +
+        path: `v1/held-out?seed=1&designs=${size}&environments=16`, morphoctl: `train compare ${a} ${b} --designs ${size}`,
+        python: `held_out = m.request("GET", "/v1/held-out", seed=1, designs=${size}, environments=16)\n` +
           `for controller in ("${a}", "${b}"):\n` +
           '    print(m.request("POST", "/v1/evaluations", {**held_out, "controller": controller})["id"])',
       })))), result, link, stage);

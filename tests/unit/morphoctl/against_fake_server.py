@@ -542,17 +542,21 @@ def scored(identity, scores):
 def test_train_compare():
     held_out = {"designs": [{"voxels": VOXELS}] * 5,
                 "environments": [{"light_xy_m": [1, 2], "terrain_sigma_m": 0, "seed": 1}] * 2}
-    replies = [held_out, scored("8", [2.0, 4.0, 6.0, 1.0, None]),
-               scored("9", [1.0, 2.0, 3.0, 1.0, 0.5])]
+    known = [held_out, {"name": "old"}, {"name": "new"}]
+    replies = known + [scored("8", [2.0, 4.0, 6.0, 1.0, None]),
+                       scored("9", [1.0, 2.0, 3.0, 1.0, 0.5])]
     out, _, seen = ask(replies,
                        "train compare old new --seed 3 --designs 5 --environments 2")
     assert seen[0][1] == "/v1/held-out?seed=3&designs=5&environments=2"
-    assert [json.loads(s[3]) for s in seen[1:3]] == [{**held_out, "controller": name}
+    assert [s[1] for s in seen[1:3]] == ["/v1/controllers/old", "/v1/controllers/new"]
+    assert [json.loads(s[3]) for s in seen[3:5]] == [{**held_out, "controller": name}
                                                      for name in ("old", "new")]
-    # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446.
+    # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446; both
+    # worlds are alike.
     half = 3.182446305284263 * (5 / 3 / 4)**0.5
     for words in (f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} "
-                  "(Student t, 4 pairs)", "3 of 4 designs (75.0 %), 1 equal",
+                  "for other designs and environments (Student t, 3.0 degrees of freedom)",
+                  "3 of 4 designs (75.0 %), 1 equal; sign test p = 0.25",
                   "1 design that diverged", "is not shown"):
         assert words in out, (words, out)
     assert re.search(r"^A +old +3\.2500 +1 of 5 +1 of 10 ", out, re.M), out
@@ -561,12 +565,22 @@ def test_train_compare():
     assert value["pairs"] == 4 and value["difference"] == -1.5 and value["improved"] == 3
     assert abs(value["high"] - (half - 1.5)) < 1e-12 and value["verdict"] == "undecided"
     assert value["a"]["designs_diverged"] == 1
-    assert value["held_out"] == {"seed": 1, "designs": 5, "environments": 8}
+    assert value["held_out"] == {"seed": 1, "designs": 5, "environments": 16}
+    assert value["interval_for"] == "designs and environments"
+    # Most designs are better with B, one is much worse: the words say both.
+    replies = [{**held_out, "designs": held_out["designs"] * 2}] + known[1:] + [
+        scored("8", [1.0] * 10), scored("9", [0.9] * 9 + [3.0])]
+    out = ask(replies, "train compare old new")[0]
+    assert "is not shown" in out and "most designs are better with new (sign test, p = 0.021)" in out
+    # A name that is not there is said before anything is computed.
+    _, _, seen = ask(known[:2] + [reply(404, {"title": "T", "detail": "D"})],
+                         "train compare old no-such", status=3)
+    assert [s[0] for s in seen] == ["GET"] * 3, seen
     for scores, verdict, words in (
         ([0.5, 0.6, 0.5, 0.6, 0.5], "better", "b is better than a"),
         ([1.5, 1.6, 1.5, 1.6, 1.5], "worse", "b is worse than a"),
         ([None] * 5, "undecided", "Too few designs")):
-        replies = [held_out, scored("8", [1.0] * 5), scored("9", scores)]
+        replies = known + [scored("8", [1.0] * 5), scored("9", scores)]
         assert json.loads(ask(replies, "train compare a b --json")[0])["verdict"] == verdict
         assert words in ask(replies, "train compare a b")[0]
 

@@ -1,7 +1,9 @@
-/* Student's t and paired comparisons. The reference quantiles are those of printed tables (three
+/* Student's t and comparisons. The reference quantiles are those of printed tables (three
  * places and more agree), and of the closed forms for one and two degrees of freedom. */
 #include "stats.h"
 #include "../check.h"
+
+#include <stdlib.h>
 
 static void quantiles(void)
 {
@@ -24,11 +26,12 @@ static void quantiles(void)
   CHECK_NEAR(student_quantile(0.975, 1e8), 1.959963984540054, 1e-7); /* the normal distribution */
 }
 
-static void pairs(void)
+/* In one world the interval is Student's, over designs. */
+static void one_world(void)
 {
   /* Differences −1, −2, −3, 0, and one pair that is not there. */
   const double a[] = {2, 4, 6, 1, NAN, 5}, b[] = {1, 2, 3, 1, 3, INFINITY};
-  struct paired paired = compare_pairs(a, b, 6);
+  struct paired paired = compare_crossed(a, b, 6, 1);
   CHECK_INT(paired.n, 4);
   CHECK_INT(paired.improved, 3);
   CHECK_INT(paired.equal, 1);
@@ -38,10 +41,62 @@ static void pairs(void)
   CHECK_NEAR(paired.error, sqrt(5.0 / 12), 1e-15);
   CHECK_NEAR(paired.high - paired.low, 2 * 3.182446305284263 * sqrt(5.0 / 12), 1e-9);
   CHECK_NEAR(paired.low + paired.high, -3, 1e-12);
-  paired = compare_pairs(a, b, 1);
+  CHECK_NEAR(paired.sign_p, 0.25, 1e-12); /* 3 of 3 */
+  paired = compare_crossed(a, b, 1, 1);
   CHECK(paired.n == 1 && paired.difference == -1 && isnan(paired.low));
-  paired = compare_pairs(a + 4, b + 4, 2);
+  paired = compare_crossed(a + 4, b + 4, 2, 1);
   CHECK(paired.n == 0 && isnan(paired.mean_a) && isnan(paired.difference));
+}
+
+/* By hand: differences 1 2 | 3 6, means 1.5 and 4.5 of designs, 2 and 4 of worlds, 3 in all: mean
+ * squares 9, 4 and 1. The third design has no loss in one world. */
+static void two_worlds(void)
+{
+  const double a[] = {0, 0, 0, 0, 0, NAN}, b[] = {1, 2, 3, 6, 7, 7};
+  const struct paired paired = compare_crossed(a, b, 3, 2);
+  CHECK_INT(paired.n, 2);
+  CHECK_NEAR(paired.difference, 3, 1e-15);
+  CHECK_NEAR(paired.mean_b, 3, 1e-15);
+  CHECK_NEAR(paired.error, sqrt((9 + 4 - 1) / 4.0), 1e-15);
+  CHECK_NEAR(paired.freedom, 12 * 12 / (81 + 16 + 1.0), 1e-12);
+  CHECK_INT(paired.improved, 0);
+  CHECK_NEAR(paired.sign_p, 0.5, 1e-12);
+}
+
+static double normal(void)
+{
+  const double length = sqrt(-2 * log(1 - drand48()));
+  return length * cos(2 * 3.14159265358979323846 * drand48());
+}
+
+/* Of 1000 experiments in which designs, worlds and their pairs all vary, some 950 intervals hold
+ * the true difference, 0. An interval over designs alone, whose worlds are taken as given, holds it
+ * in some 600. */
+static void intervals_hold_for_other_worlds(void)
+{
+  enum { DESIGNS = 20, WORLDS = 8, TIMES = 1000 };
+  static double a[DESIGNS * WORLDS], b[DESIGNS * WORLDS], mean[DESIGNS];
+  int crossed = 0, alone = 0;
+  srand48(3);
+  for (int time = 0; time < TIMES; time++) {
+    double worlds[WORLDS];
+    for (int w = 0; w < WORLDS; w++)
+      worlds[w] = normal();
+    for (int i = 0; i < DESIGNS; i++) {
+      const double design = normal();
+      mean[i] = 0;
+      for (int w = 0; w < WORLDS; w++) {
+        b[i * WORLDS + w] = design + worlds[w] + 0.5 * normal();
+        mean[i] += b[i * WORLDS + w] / WORLDS;
+      }
+    }
+    const struct paired both = compare_crossed(a, b, DESIGNS, WORLDS),
+                        one = compare_crossed(a, mean, DESIGNS, 1);
+    crossed += both.low <= 0 && 0 <= both.high;
+    alone += one.low <= 0 && 0 <= one.high;
+  }
+  CHECK(crossed > 930 && crossed < 975);
+  CHECK(alone < 800);
 }
 
 static void means(void)
@@ -63,5 +118,9 @@ static void means(void)
 }
 
 static const struct check_case cases[] = {
-    {"quantiles of Student's t", quantiles}, {"pairs", pairs}, {"means of two sets", means}};
+    {"quantiles of Student's t", quantiles},
+    {"one world", one_world},
+    {"two worlds", two_worlds},
+    {"intervals hold for other worlds", intervals_hold_for_other_worlds},
+    {"means of two sets", means}};
 CHECK_MAIN(cases)
