@@ -1,6 +1,7 @@
 /* cmd_campaign_compare.c: campaign compare: compares campaigns by their best scores at the newest
  * generation that all have. A campaign with its replicates is one side; their spread gives the
- * interval. */
+ * interval. Scores of different physics or environments do not compare, so these are refused; other
+ * settings that differ are named. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -62,6 +63,93 @@ static void choose_members(struct ctl *ctl, const json_t *campaign, bool alone, 
       keep(json_pack("{s:O, s:O, s:o, s:o}", "campaign", json_object_get(campaign, "id"), "label",
                      json_object_get(campaign, "label"), "replicates", names, "left_out", early));
 }
+
+/* ---- what differs ---- */
+
+/* Appends {"setting", "values": [of a, of b]} for each member of two objects that differs. place:
+ * of the objects, "" or with a dot at its end. */
+static void find_differences(json_t *found, const char *place, const json_t *a, const json_t *b)
+{
+  json_t *all = keep(json_copy((json_t *)a));
+  const char *name;
+  json_t *value;
+  json_object_update_missing(all, (json_t *)b);
+  json_object_foreach(all, name, value)
+  {
+    const json_t *one = json_object_get(a, name), *other = json_object_get(b, name);
+    const char *setting = keep(format_text("%s%s", place, name));
+    if (json_is_object(one) && json_is_object(other))
+      find_differences(found, keep(format_text("%s.", setting)), one, other);
+    else if (!json_equal(one, other))
+      json_array_append_new(
+          found, json_pack("{s:s, s:[O?, O?]}", "setting", setting, "values", one, other));
+  }
+}
+
+/* Returns what decides a campaign's scores, but its seed: members for find_differences. */
+static json_t *conditions_of(struct ctl *ctl, const json_t *campaign)
+{
+  json_t *settings = keep(json_copy(json_object_get(campaign, "settings"))), *worlds = json_array();
+  const json_t *items = json_object_get(
+                   get_json(ctl, "/v1/campaigns/%s/environments", text_of(campaign, "id")),
+                   "items"),
+               *one;
+  size_t i;
+  json_array_foreach(items, i, one) json_array_append(worlds, json_object_get(one, "sha256"));
+  json_object_del(settings, "seed");
+  json_object_set_new(settings, "environments", worlds);
+  return keep(json_pack("{s:O, s:O, s:O?, s:O}", "mode", json_object_get(campaign, "mode"),
+                        "settings", settings, "controller", value_at(campaign, "controller.sha256"),
+                        "device", json_object_get(campaign, "device")));
+}
+
+static const char *short_text(const json_t *value)
+{
+  const char *text =
+      value == NULL
+          ? "-"
+          : keep(json_dumps(value, JSON_COMPACT | JSON_ENCODE_ANY | JSON_REAL_PRECISION(15)));
+  return strlen(text) <= 40 ? text : keep(format_text("%.37s...", text));
+}
+
+/* Adds to a side the settings in which it differs from the first. Ends the program where their
+ * scores do not compare. */
+static void add_differences(struct side *side, const json_t *first, const json_t *own,
+                            const char *a, const char *b)
+{
+  json_t *found = keep(json_array());
+  const json_t *one;
+  size_t i;
+  find_differences(found, "", first, own);
+  json_array_foreach(found, i, one)
+  {
+    const char *setting = text_of(one, "setting");
+    if (strcmp(setting, "settings.environments") == 0)
+      fail(STATUS_NEGATIVE,
+           "campaigns %s and %s are in different environments: their scores do not compare. Score "
+           "their champions in the same ones: campaign champions, eval",
+           a, b);
+    if (strncmp(setting, "settings.physics.", 17) == 0)
+      fail(STATUS_NEGATIVE,
+           "campaigns %s and %s differ in %s (%s, %s): their scores do not compare. Score their "
+           "champions under one physics: campaign champions, eval",
+           a, b, setting + 9, short_text(value_at(one, "values.0")),
+           short_text(value_at(one, "values.1")));
+  }
+  json_object_set(side->json, "differences", found);
+}
+
+static void print_settings_that_differ(const struct ctl *ctl, const struct side *side)
+{
+  const json_t *one;
+  size_t i;
+  json_array_foreach(json_object_get(side->json, "differences"), i, one)
+      print_fact(ctl, "differs", "campaign %s in %s: %s, not %s", text_of(side->json, "campaign"),
+                 text_of(one, "setting"), short_text(value_at(one, "values.1")),
+                 short_text(value_at(one, "values.0")));
+}
+
+/* ---- scores ---- */
 
 /* Lowers *newest to the newest generation that all of a side have. */
 static void find_newest(const struct side *side, int64_t *newest)
@@ -155,6 +243,8 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
         strcmp(text_of(one, "state"), "failed") == 0 ? "ended by a failure" : "cancelled");
   }
   for (size_t i = 1; i < n; i++)
+    print_settings_that_differ(ctl, &sides[i]);
+  for (size_t i = 1; i < n; i++)
     print_verdict(&sides[0], &sides[i]);
 }
 
@@ -170,6 +260,10 @@ void run_campaign_compare(struct ctl *ctl)
     campaigns[i] = get_json(ctl, "/v1/campaigns/%s", job_id(ctl->operands[i]));
   for (size_t i = 0; i < n; i++)
     choose_members(ctl, campaigns[i], shares_group(ctl, campaigns, i), &sides[i]);
+  const json_t *first = conditions_of(ctl, campaigns[0]);
+  for (size_t i = 1; i < n; i++)
+    add_differences(&sides[i], first, conditions_of(ctl, campaigns[i]), ctl->operands[0],
+                    ctl->operands[i]);
   for (size_t i = 0; i < n; i++)
     find_newest(&sides[i], &generation);
   for (size_t i = 0; i < n; i++)

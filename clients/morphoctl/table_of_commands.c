@@ -481,7 +481,8 @@ const struct command commands[] = {
      "At the newest generation that all have: the mean over the replicates of each, and its "
      "difference from the first with the 95 % confidence interval (Welch). Replicates that failed "
      "or were cancelled are left out and named. Two replicates of one group count as one campaign "
-     "each. Lower scores are better."},
+     "each. Settings that differ are named; campaigns with different physics or environments are "
+     "refused, since their scores do not compare. Lower scores are better."},
     {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.",
      run_campaign_export, NULL, campaign_export_options},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,

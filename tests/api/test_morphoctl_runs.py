@@ -281,6 +281,34 @@ def test_campaigns_are_compared(service, ctl):
     assert ctl(f"campaign compare {a[0]} 999999")[0] == 3
 
 
+def test_campaigns_that_do_not_compare(service, ctl):
+    """Other physics or worlds are refused; what else differs is named."""
+    def start(more):
+        job = ctl(f"campaign start zero-shot {SMALL} -n 1 {more} -q")[1].strip()
+        assert ctl("wait", job)[0] == 0
+        return job
+
+    first, larger = start(""), start("--population 7 --mutation-rate 0.1 --seed 3")
+    status, out, err = ctl(f"campaign compare {first} {larger}")
+    assert status == 0, err
+    for words in ("settings.population: 7, not 6", "settings.mutation.rate: 0.1"):
+        assert f"campaign {larger} in {words}" in out, out
+    assert out.count("differs") == 2, out
+    told = json.loads(ctl(f"campaign compare {first} {larger} --json")[1])["sides"]
+    assert told[1]["differences"][0]["setting"].startswith("settings.") and "differences" not in told[0]
+    slippery = service.get(f"/v1/campaigns/{first}")["settings"]
+    slippery = {"mode": "zero-shot", "preset": "demo", "physics": {**slippery["physics"], "friction": 0.1},
+                "population": 6, "generations": 1, "exclude_pretraining": False}
+    elsewhere = {**slippery, "physics": {**slippery["physics"], "friction": 0.9},
+                 "environments": [{"light_xy_m": [1, 1], "terrain_sigma_m": 0, "seed": 1}]}
+    for settings, words in ((slippery, "differ in physics.friction (0.9, 0.1)"),
+                            (elsewhere, "are in different environments")):
+        job = service.request("POST", "/v1/campaigns", settings).json()["id"]
+        assert ctl("wait", job)[0] == 0
+        status, out, err = ctl(f"campaign compare {first} {job}")
+        assert status == 3 and words in err and "do not compare" in err, err
+
+
 def test_wrong_campaigns(ctl):
     for arguments, words in ((["start", "sideways"], "zero-shot"), ([
             "start", "zero-shot", "--population", "1"
