@@ -135,15 +135,22 @@ static void edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
   each_job(ctl, json_request("PATCH", NULL, keep(edit)), "job", "", words, words);
 }
 
-/* job label, experiment, note: without a text, takes the one away that there is. */
+/* job label, experiment, note: prints it, sets it to TEXT, or removes it. */
 void run_job_text(struct ctl *ctl)
 {
   const char *member = strchr(ctl->command->name, ' ') + 1,
-             *text = ctl->n_operands > 1 ? ctl->operands[1] : "";
+             *text = ctl->n_operands > 1 ? ctl->operands[1] : NULL;
+  const bool removes = option_is_set(ctl, "remove");
+  if (removes && text != NULL)
+    fail(STATUS_USAGE, "--remove deletes the %s; give no TEXT with it", member);
   ctl->n_operands = 1;
   const char *words =
       keep(format_text("[ has the %s \"{%s}\"| has no %s]", member, member, member));
-  edit_jobs(ctl, json_pack("{s:s?}", member, *text != 0 ? text : NULL), words);
+  if (text == NULL && !removes)
+    tell(ctl, get_json(ctl, "/v1/jobs/%s", job_id(ctl->operands[0])),
+         keep(format_text("[{%s}|job {id} has no %s]", member, member)));
+  else
+    edit_jobs(ctl, json_pack("{s:s?}", member, text != NULL && *text != 0 ? text : NULL), words);
 }
 
 void run_job_archive(struct ctl *ctl)

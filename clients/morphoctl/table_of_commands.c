@@ -168,6 +168,8 @@ static const struct option_spec mutate_options[] = {
 static const struct option_spec made_options[] = {RULES(""), {NULL}};
 static const struct option_spec job_list_options[] = {{STATE("jobs")}, FILTERED,    {OF_USER},
                                                       {NEWEST},        {UNLIMITED}, {NULL}};
+static const struct option_spec job_text_options[] = {{"remove", 0, NULL, "Delete the text."},
+                                                      {NULL}};
 static const struct option_spec job_delete_options[] = {{"yes", 'y', NULL, "Do not ask."}, {NULL}};
 static const struct option_spec usage_options[] = {
     {"by", 0, "label|experiment|submitted_by|kind", "What the sums are by (default: label)."},
@@ -397,11 +399,13 @@ const struct command commands[] = {
     {"job weight", "ID X", "Give a job another part of the cores.", run_job_weight,
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
      "once, also while the job runs."},
-    {"job label", "ID [TEXT]", "Give a job another label, or none.", run_job_text},
-    {"job experiment", "ID [NAME]", "Make a job belong to an experiment, or to none.",
-     run_job_text},
-    {"job note", "ID [TEXT]", "Set a job's note; without TEXT, delete it.", run_job_text,
-     "Plain text of up to 1,000 characters. Rules of retention leave jobs with a note alone."},
+    {"job label", "ID [TEXT]", "Set a job's label; without TEXT, print it.", run_job_text, NULL,
+     job_text_options},
+    {"job experiment", "ID [NAME]", "Set the experiment of a job; without NAME, print it.",
+     run_job_text, NULL, job_text_options},
+    {"job note", "ID [TEXT]", "Set a job's note; without TEXT, print it.", run_job_text,
+     "Plain text of up to 1,000 characters. Rules of retention leave jobs with a note alone.",
+     job_text_options},
     {"job archive", "ID...", "Hide jobs from lists.", run_job_archive, "Nothing else changes."},
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
     {"job delete", "ID...", "Delete jobs that have ended, for good.", run_job_delete,
