@@ -140,16 +140,22 @@ void run_bundle_verify(struct ctl *ctl)
 
 /* ---- any list ---- */
 
-/* Returns the form that the end of a file's name tells, else csv. */
+/* Returns the form that the end of a file's name says, csv if it has no end. Ends the program for
+ * the end of another form, such as .parquet. */
 static const char *form_of(const char *output)
 {
   static const struct {
     const char *end, *form;
   } ends[] = {{".csv", "csv"}, {".ndjson", "ndjson"}, {".jsonl", "ndjson"}, {".nwk", "newick"}};
-  const char *end = strrchr(output, '.');
+  const char *folder = strrchr(output, '/'), *end = strrchr(folder != NULL ? folder : output, '.');
   for (size_t i = 0; end != NULL && i < sizeof(ends) / sizeof(ends[0]); i++)
     if (strcmp(end, ends[i].end) == 0)
       return ends[i].form;
+  if (end != NULL)
+    fail(STATUS_USAGE,
+         "--output: %s is not the end of a form that is exported: .csv, .ndjson, .jsonl or .nwk; "
+         "for another name give --format",
+         end);
   return "csv";
 }
 
@@ -157,7 +163,9 @@ void run_export(struct ctl *ctl)
 {
   static const char *const forms[] = {"csv", "ndjson", "newick", "columns", NULL};
   const char *list = ctl->operands[0], *output = option_text(ctl, "output", "-");
-  const char *form = option_word(ctl, "format", forms, form_of(output));
+  const char *form = option_word(ctl, "format", forms, NULL);
+  if (form == NULL)
+    form = form_of(output);
   if (strncmp(list, "/v1/", 4) == 0)
     list += 4;
   for (const char *c = list; *c != '\0'; c++)

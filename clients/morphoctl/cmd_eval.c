@@ -206,7 +206,8 @@ void run_eval(struct ctl *ctl)
       print_from(stdout, evaluation, "{id}");
     if (speaks)
       print_from(stderr, evaluation,
-                 "evaluation {id} is accepted: {n_designs} designs, {rollouts_total} rollouts; "
+                 "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
+                 "rollout{rollouts_total:s}; "
                  "morphoctl watch {id}");
     return;
   }

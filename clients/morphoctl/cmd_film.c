@@ -9,6 +9,7 @@
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -206,12 +207,16 @@ static bool is_folder(const char *output)
 static const char no_ffmpeg[] = "%s: ffmpeg is not installed; write a .y4m file or a folder of PNG "
                                 "files (frames/) instead";
 
+static bool ends_with(const char *name, const char *end)
+{
+  const size_t length = strlen(name);
+  return length > strlen(end) && strcasecmp(name + length - strlen(end), end) == 0;
+}
+
 /* Whether ffmpeg makes the film, by the end of the name. */
 static bool needs_ffmpeg(const char *output)
 {
-  const size_t length = strlen(output);
-  return strcmp(output, "-") != 0 && !is_folder(output) &&
-         !(length > 4 && strcmp(output + length - 4, ".y4m") == 0);
+  return strcmp(output, "-") != 0 && !is_folder(output) && !ends_with(output, ".y4m");
 }
 
 /* Opens what takes the stream: standard output, a file, or ffmpeg. */
@@ -391,10 +396,15 @@ void run_picture(struct ctl *ctl)
 {
   static struct film film;
   const char *output = option_text(ctl, "output", NULL);
-  const double time_s = option_real(ctl, "time", 0, 1e6, 2);
+  const double asked_s = option_real(ctl, "time", 0, 1e6, -1);
   if (output == NULL)
     fail(STATUS_USAGE, "--output is missing: picture.png, or - for standard output");
+  if (strcmp(output, "-") != 0 && !ends_with(output, ".png"))
+    fail(STATUS_USAGE, "--output: a picture is a PNG file; name it .png, not \"%s\"", output);
   prepare(ctl, &film);
-  draw(&film, time_s);
+  const double end_s = duration_s(&film);
+  if (asked_s > end_s)
+    fail(STATUS_USAGE, "--time: the rollout ends after %g s; %g is behind its end", end_s, asked_s);
+  draw(&film, asked_s >= 0 ? asked_s : fmin(2, end_s));
   save_png(&film, output);
 }

@@ -74,9 +74,9 @@ void live_line(const struct live *live, const json_t *at, const char *text)
   if (live->is_drawn || live->ctl->quiet)
     return;
   if (at == NULL && localtime_r(&seconds, &local) != NULL)
-    (void)strftime(now, sizeof(now), "%Y-%m-%d %H:%M:%S", &local);
+    (void)strftime(now, sizeof(now), "%Y-%m-%d %H:%M:%S %Z", &local);
   char *time = json_is_string(at) ? text_from(at, "{:time}") : NULL;
-  printf("%-19s  ", time != NULL ? time : now);
+  printf("%-23s  ", time != NULL ? time : now);
   print_plain_line(stdout, "%s", text);
   fflush(stdout);
   free(time);

@@ -1,5 +1,6 @@
 /* main.c: morphoctl, the command line of morphod. It reaches the server only over HTTP. */
 #include <errno.h>
+#include <fcntl.h>
 #include <langinfo.h>
 #include <locale.h>
 #include <stdlib.h>
@@ -78,9 +79,19 @@ static void read_surroundings(struct ctl *ctl)
   read_token(ctl);
 }
 
+/* Fills standard descriptors that the caller closed. A socket must not get one of their numbers,
+ * and writing must fail: what is opened here is for reading. */
+static void fill_standard_descriptors(void)
+{
+  for (int fd = 0; fd <= STDERR_FILENO; fd++)
+    if (fcntl(fd, F_GETFD) == -1)
+      (void)open("/dev/null", O_RDONLY | O_CLOEXEC); /* takes the lowest number, fd */
+}
+
 int main(int argc, char **argv)
 {
   struct ctl ctl = {0};
+  fill_standard_descriptors();
   setlocale(LC_CTYPE, "");
   options_parse(&ctl, argc, (const char *const *)argv);
   read_surroundings(&ctl);

@@ -26,8 +26,8 @@ struct paired {
 /* Compares the losses of two controllers over the same designs in the same worlds. a, b: (n,
  * worlds), row by row; not finite where a rollout diverged. With two worlds or more the interval
  * holds for other designs in other worlds: both are random effects, crossed (mean squares of the
- * two-way layout without replication; Satterthwaite 1946 for the degrees of freedom). With one world
- * it holds for other designs in that world. */
+ * two-way layout without replication; Satterthwaite 1946 for the degrees of freedom). With one
+ * world it holds for other designs in that world. */
 struct paired compare_crossed(const double *a, const double *b, size_t n, size_t worlds);
 
 struct interval {

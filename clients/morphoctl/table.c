@@ -53,7 +53,7 @@ static void put_time(FILE *file, const char *value)
   const char *rest = strptime(value, "%Y-%m-%dT%H:%M:%S", &utc);
   const time_t seconds = rest != NULL ? timegm(&utc) : 0;
   if (rest == NULL || localtime_r(&seconds, &local) == NULL ||
-      strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &local) == 0)
+      strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S %Z", &local) == 0)
     snprintf(text, sizeof(text), "%s", value);
   print_plain(file, "%s", text);
 }
@@ -95,7 +95,11 @@ static void put_value(FILE *file, const json_t *value, const char *form)
   if (*form == '#')
     fputs(count_text((int64_t)json_array_size(value), digits), file);
   else if (*form == 's')
-    fputs(json_array_size(value) == 1 ? "" : "s", file);
+    fputs((json_is_array(value) ? (json_int_t)json_array_size(value) : json_integer_value(value)) ==
+                  1
+              ? ""
+              : "s",
+          file);
   else if (*form == ',')
     fputs(count_text(json_integer_value(value), digits), file);
   else if (json_is_string(value) && strcmp(form, "time") == 0)

@@ -30,7 +30,10 @@
       {"light", 0, NULL, "Draw on a bright background (default: dark)."},                          \
       {"yaw", 0, "DEGREES", "Turn of the camera away from the light (default: 20)."},              \
       {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 23)."},            \
-      {"distance", 0, "M", "Distance of the camera in meters (default: 2.2)."},                    \
+  {                                                                                                \
+    "distance", 0, "M", "Distance of the camera in meters (default: 2.2)."                         \
+  }
+#define RATE                                                                                       \
   {                                                                                                \
     "rate", 0, "FPS", "Frames per second of a film (default: 25)."                                 \
   }
@@ -39,7 +42,7 @@
    "Then draw what was recorded of up to 16 designs, the best where there are more: film.mp4 (or " \
    "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
       {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
-      LOOK
+      LOOK, RATE
 /* What to do about designs that are no bodies. */
 #define RULES(place)                                                                               \
   {"on-fault", 0, "refuse|skip",                                                                   \
@@ -144,17 +147,20 @@ static const struct option_spec export_options[] = {
      "The form (default: as the end of FILE says: .csv, .ndjson, .jsonl, .nwk; else csv). newick "
      "is for phylogenies."},
     {NULL}};
-static const struct option_spec film_options[] = {
-    {CONTROLLER},
-    {ENVIRONMENTS},
-    {"environment", 0, "N", "Which of the environments, from 0 (default: 0)."},
-    {PHYSICS},
-    {"random", 0, "N", "Draw N random bodies (besides those given)."},
-    {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
+#define WALKERS                                                                                    \
+  {CONTROLLER}, {ENVIRONMENTS},                                                                    \
+      {"environment", 0, "N", "Which of the environments, from 0 (default: 0)."}, {PHYSICS},       \
+      {"random", 0, "N", "Draw N random bodies (besides those given)."},                           \
+      {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},                              \
+  {                                                                                                \
+    "output", 'o', "FILE", "Where to put it."                                                      \
+  }
+static const struct option_spec film_options[] = {WALKERS, LOOK, RATE, {NULL}};
+static const struct option_spec picture_options[] = {
+    WALKERS,
     LOOK,
-    {"time", 0, "S", "Of a picture: seconds after the start (default: 2)."},
-    {"output", 'o', "FILE", "Where to put it."},
-    {NULL, 0, NULL, NULL}};
+    {"time", 0, "S", "Seconds after the start (default: 2, or the end of a shorter rollout)."},
+    {NULL}};
 #define SEED "seed", 0, "SEED", "Seed (default: 1).", "seed", FIELD_WHOLE
 static const struct option_spec random_options[] = {
     {"count", 'n', "N", "How many (default: 1).", "count", FIELD_WHOLE}, {SEED}, {NULL}};
@@ -370,7 +376,7 @@ const struct command commands[] = {
      "standard output, or a folder, ending with /, for PNG files.",
      film_options},
     {"picture", "[DESIGN]...", "Draw up to 16 robots as they walk, without a display.", run_picture,
-     NULL, film_options},
+     "--output is a PNG file, or - for standard output.", picture_options},
     {"dashboard", "", "Print the address of the server's pages, with the token.", run_dashboard,
      "For a server on a unix socket, also the tunnel to type on the machine with the browser."},
     {"design random", "", "Print random bodies, one JSON design per line.", run_design_random,

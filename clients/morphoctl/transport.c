@@ -262,10 +262,14 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
     complain(0, "%s replied with status %ld", ctl->server, reply->status);
   size_t i;
   json_t *fault;
-  json_array_foreach(json_object_get(problem, "errors"), i, fault)
-  {
-    print_from(stderr, fault, "  [{pointer}: |{parameter}: |{header}: ]{detail}");
-  }
+  const json_t *faults = json_object_get(problem, "errors");
+  const json_t *first = json_array_size(faults) == 1 ? json_array_get(faults, 0) : NULL;
+  const char *only = json_string_value(json_object_get(first, "detail"));
+  if (detail == NULL || only == NULL || strstr(detail, only) == NULL) /* each fault once */
+    json_array_foreach(faults, i, fault)
+    {
+      print_from(stderr, fault, "  [{pointer}: |{parameter}: |{header}: ]{detail}");
+    }
   if (reply->status >= 500 && *reply->request_id != 0)
     print_plain_line(stderr, "  request %s", reply->request_id);
   json_decref(problem);

@@ -21,6 +21,13 @@ def test_a_picture(ctl, tmp_path):  # noqa: F811
     assert png_size(file.read_bytes()) == (96, 64)
     short = "picture --size 96x64 --physics n_steps=3 --output"
     assert ctl(short, str(file), CELLS)[0] == 0
+    for wrong, words in (("picture --output a.jpg", "name it .png"),
+                         (f"picture {SMALL} --time 60 --output a.png", "the rollout ends after"),
+                         ("film --time 1 --output a.y4m", "--time is not an option of film")):
+        status, _, err = ctl(wrong, CELLS)
+        assert status == 2 and words in err, (wrong, err)
+    status, _, err = ctl("export designs --output g.parquet")
+    assert status == 2 and ".csv, .ndjson" in err, err
 
 
 def test_films(ctl, tmp_path):  # noqa: F811

@@ -269,6 +269,19 @@ def test_faults_are_printed():
     out, err, _ = ask([reply(422, problem)], "eval", status=6, input_text="[[0,0,0],[5,5,3]]")
     assert out == "" and "/designs/0/cells/1: not contiguous" in err, err
     assert "Prefer: unknown" in err, err
+    one = {"title": "Unprocessable Content", "detail": "/device: no such device",
+           "errors": [{"detail": "no such device", "pointer": "/device"}]}
+    err = ask([reply(422, one)], "eval", status=6, input_text="[[0,0,0]]")[1]
+    assert err.count("no such device") == 1, err
+
+
+def test_closed_standard_output():
+    """The reply must not be written into the connection that got the descriptor's number."""
+    with Server([JOB]) as server:
+        run = subprocess.run(["sh", "-c", 'exec "$0" job show 7 >&-', MORPHOCTL],
+                             env={**os.environ, "MORPHOD_SERVER": server.address},
+                             capture_output=True, text=True, check=False)
+    assert run.returncode == 1 and "standard output" in run.stderr, run
 
 
 def test_exit_statuses():
@@ -298,7 +311,7 @@ def test_watch_goes_on_after_a_break():
         stream(event(3, "job.created", state="queued") + "id: 4\nevent: job.pro"),
         stream(event(4, "job.progress", state="running", rollouts_done=1, rollouts_total=2) +
                event(5, "job.finished", state="succeeded"))], "watch 7")
-    assert [l.split()[2] for l in out.splitlines()
+    assert [l.split()[3] for l in out.splitlines()
             ] == ["job.created", "job.progress", "job.finished"], out
     assert seen[1][1] == "/v1/events?job=7&after=0" and seen[2][2]["Last-Event-ID"] == "3"
     failed = stream(event(5, "job.finished", state="failed"))
@@ -430,7 +443,7 @@ def test_train_watch_goes_on_after_a_break():
         paused, NO_ROWS, NO_ROWS, paused, NO_ROWS, NO_ROWS,
         stream(event(46, "job.finished", state="succeeded")), DONE, NO_ROWS, NO_ROWS
     ], "train watch 7")
-    assert [line.removeprefix("2026-11-21 10:00:00  ") for line in out.splitlines()] == [
+    assert [line.removeprefix("2026-11-21 10:00:00 UTC  ") for line in out.splitlines()] == [
         "training 7 (pretrain walker) is running, step 2 of 1,400",
         "step 4 of 1,400  loss 0.5000  gradient 0.25  rate 0.002  clipped 12.5 %  123.4 bodies/s  "
         "25:01:01 left",
@@ -616,7 +629,7 @@ def test_watch_tells_what_happened():
          "  running  3 of 1,234 rollouts"), ("training.other", {"x": 1}, "")]
     events = "".join(event(n, kind, **data) for n, (kind, data, _) in enumerate(told, 1))
     out = ask([stream(events)], "watch --retry 0", status=4)[0]
-    assert [line[21:] for line in out.splitlines()
+    assert [line[25:] for line in out.splitlines()
             ] == [f"{kind:<15} job 7{words}" for kind, _, words in told], out
 
 
