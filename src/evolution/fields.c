@@ -162,7 +162,7 @@ static const struct mo_field mutation_rows[] = {
      .help = "share of the population that mutates; the rest recombines"},
     {"rate", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN | MO_FIELD_NULL, AT(mutation_rate), .min = 0,
      .max = 0.5, .unit = "",
-     .help = "probability that a voxel flips; null (default): one voxel on average"},
+     .help = "probability that a voxel flips (default: one voxel on average)"},
     {"growth", MO_FIELD_NUMBER, 0, AT(mutation_growth), .min = 1, .max = 2, .unit = "",
      .help = "factor of the rate after an attempt that gave nothing new"},
 };
@@ -195,7 +195,7 @@ static const struct mo_field learning_rows[] = {
     {"child_steps", MO_FIELD_COUNT, 0, AT(child_steps), .min = 0, .max = MO_CAMPAIGN_STEPS_MAX,
      .unit = "steps", .help = "steps of learning on the children in each generation"},
     {"batch", MO_FIELD_COUNT, MO_FIELD_NULL, AT(batch), .min = 1, .max = MO_TRAINING_BATCH_MAX,
-     .unit = "robots", .help = "robots in each step; null (default): the population"},
+     .unit = "robots", .help = "robots in each step (default: the population)"},
     {NULL, MO_FIELD_INLINE, 0, AT(learning), .group = &mo_learning_fields},
     {"sensor", MO_FIELD_WORD, MO_FIELD_NULL, AT(sensor), .words = mo_sensor_words, .unit = "",
      .help = "sensor of a controller that starts from random weights"},
