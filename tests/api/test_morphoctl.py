@@ -181,7 +181,8 @@ def test_jobs_in_order(service, ctl):
     shown = ctl(f"job show {job}")[1]
     assert re.search(r"^note +a \?\[31mred note$", shown, re.M) and "core time" in shown
     assert ctl(f"job label {job} new")[1] == f'job {job} has the label "new"\n'
-    assert ctl(f"job note {job}")[1] == "a ?[31mred note\n" and ctl(f"job label {job}")[1] == "new\n"
+    assert ctl(f"job note {job}")[1] == "a ?[31mred note\n"
+    assert ctl(f"job label {job}")[1] == "new\n"
     assert ctl(f"job note {job} --remove x")[0] == 2
     assert ctl(f"job note {job} --remove")[1] == f"job {job} has no note\n"
     assert ctl(f"job note {job}")[1] == f"job {job} has no note\n"

@@ -295,11 +295,12 @@ def test_campaigns_that_do_not_compare(service, ctl):
         assert f"campaign {larger} in {words}" in out, out
     assert out.count("differs") == 2, out
     told = json.loads(ctl(f"campaign compare {first} {larger} --json")[1])["sides"]
-    assert told[1]["differences"][0]["setting"].startswith("settings.") and "differences" not in told[0]
-    slippery = service.get(f"/v1/campaigns/{first}")["settings"]
-    slippery = {"mode": "zero-shot", "preset": "demo", "physics": {**slippery["physics"], "friction": 0.1},
+    assert told[1]["differences"][0]["setting"].startswith("settings.")
+    assert "differences" not in told[0]
+    physics = service.get(f"/v1/campaigns/{first}")["settings"]["physics"]
+    slippery = {"mode": "zero-shot", "preset": "demo", "physics": {**physics, "friction": 0.1},
                 "population": 6, "generations": 1, "exclude_pretraining": False}
-    elsewhere = {**slippery, "physics": {**slippery["physics"], "friction": 0.9},
+    elsewhere = {**slippery, "physics": physics,
                  "environments": [{"light_xy_m": [1, 1], "terrain_sigma_m": 0, "seed": 1}]}
     for settings, words in ((slippery, "differ in physics.friction (0.9, 0.1)"),
                             (elsewhere, "are in different environments")):

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Runs clang-tidy over the sources that BUILD compiles (default: build), and over faults that it must
-# find. Exit status 1 on a finding, or on a fault that was not found. NODES: the states of a function
-# that the analyzer visits (default: 30000, a fifth of the processor time of clang's own 225000).
+# Runs clang-tidy over the sources that BUILD compiles (default: build), and over faults that it
+# must find. Exit status 1 on a finding, or on a fault that was not found. NODES: the states of a
+# function that the analyzer visits (default: 30000, a fifth of the processor time of clang's own
+# 225000).
 # Sources that are compiled several times (kernels) are checked once. One file per call: with
 # several, clang-tidy 14 takes the va_list of later ones for uninitialized.
 set -u
