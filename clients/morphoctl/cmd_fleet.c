@@ -44,8 +44,9 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
     print_table(
         stdout, ctl, shown,
         "id={id}|name={name}|host={host}|version={version}|state={state}|>threads={n_threads:,}"
-        "|>GPUs={n_devices:,}|>rollouts/s={rollouts_per_s:.0f}|>leases={leases:,}"
-        "|>done={rollouts_done:,}|>lost={leases_lost:,}|since={joined_at:time}|why={why}");
+        "|>GPUs={n_devices:,}|>rollouts/s={rollouts_per_s:.0f}|>leases held={leases:,}"
+        "|>rollouts={rollouts_done:,}|>leases "
+        "lost={leases_lost:,}|since={joined_at:time}|why={why}");
   if (json_array_size(json_object_get(fleet, "quarantine")) > 0) {
     print_plain_line(stdout, "In quarantine:");
     print_table(stdout, ctl, json_object_get(fleet, "quarantine"),

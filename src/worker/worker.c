@@ -148,7 +148,10 @@ static bool is_good(struct mo_worker *worker, const struct mo_link_reply *reply)
     return true;
   if (reply->error == MO_OK)
     mo_protocol_get_detail((const char *)reply->body, reply->size, &detail);
-  snprintf(why, sizeof(why), "%d: %.240s", reply->status, detail.text);
+  snprintf(why, sizeof(why), "%d: %.160s%s", reply->status, detail.text,
+           worker->phase == JOINING && reply->status == 404
+               ? "; --server must be the address of the daemon's fleet_listen, not of its API"
+               : "");
   if (reply->error == MO_ERR_INVALID)
     finish(worker, MO_WORKER_DENIED, reply->why);
   else if (reply->error != MO_OK)

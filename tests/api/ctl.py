@@ -26,7 +26,7 @@ def ctl(service):
                               input=input_text,
                               capture_output=True,
                               text=True,
-                              timeout=60,
+                              timeout=300,
                               env=environment)
         return done.returncode, done.stdout, done.stderr
 

@@ -138,7 +138,7 @@ class FakeDaemon:
             self.out.clear()
             self.changed.notify_all()
 
-    def until(self, holds, seconds=30):
+    def until(self, holds, seconds=300):
         with self.changed:
             seen = self.changed.wait_for(holds, seconds)
         assert seen, f"it never comes: {self.requests[-5:]}, {len(self.results)} results"
@@ -307,7 +307,7 @@ class Worker:
     def log_text(self):
         return pathlib.Path(self.log.name).read_text(errors="replace")
 
-    def ends(self, seconds=20):
+    def ends(self, seconds=300):
         """The exit status."""
         try:
             return self.process.wait(seconds)

@@ -79,7 +79,7 @@ class Service:
             command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
         self.process = subprocess.Popen(command, stdout=self.log, stderr=stderr or self.log,
                                         env=inherited | (environment or {}))
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE_S
         while wait and not (port_file.exists() and
                             port_file.read_text().count("\n") >= len(listen)):
             if self.process.poll() is not None or time.monotonic() > deadline:
@@ -107,7 +107,7 @@ class Service:
     def stop(self, number=signal.SIGTERM):
         if self.process.poll() is None:
             self.process.send_signal(number)
-        return self.process.wait(timeout=30)
+        return self.process.wait(timeout=PATIENCE_S)
 
     def close(self):
         try:
@@ -116,7 +116,7 @@ class Service:
             self.log.close()
             self.folder.cleanup()
 
-    def connection(self, timeout=30, unix=False):
+    def connection(self, timeout=PATIENCE_S, unix=False):
         if unix:
             return UnixConnection(self.unix, timeout)
         return http.client.HTTPConnection(self.host, self.port, timeout=timeout)
@@ -227,7 +227,12 @@ class Service:
             return received, ended
 
 
-def until(holds, seconds=60, every=0.02):
+# Waits end with their condition. The limit says when a test gives up: on a slow machine with other
+# work, too, so it is far above what a wait takes.
+PATIENCE_S = 300
+
+
+def until(holds, seconds=PATIENCE_S, every=0.02):
     """Waits until holds(); what it gave then."""
     deadline = time.monotonic() + seconds
     while not (seen := holds()):
@@ -236,7 +241,7 @@ def until(holds, seconds=60, every=0.02):
     return seen
 
 
-def awaited(service, path, holds, seconds=60):
+def awaited(service, path, holds, seconds=PATIENCE_S):
     """What GET gives as soon as holds(it)."""
     deadline = time.monotonic() + seconds
     while not holds(seen := service.get(path)):
@@ -245,7 +250,7 @@ def awaited(service, path, holds, seconds=60):
     return seen
 
 
-def await_end(service, path, seconds=60):
+def await_end(service, path, seconds=PATIENCE_S):
     """The reply that tells of the end of a job."""
     deadline = time.monotonic() + seconds
     while True:
@@ -255,7 +260,7 @@ def await_end(service, path, seconds=60):
         assert time.monotonic() < deadline, reply.body
 
 
-def run(service, kind, value, seconds=60):
+def run(service, kind, value, seconds=PATIENCE_S):
     """A job that has succeeded."""
     path = f"/v1/{kind}/{service.post(f'/v1/{kind}', value)['id']}"
     done = await_end(service, path, seconds).json()

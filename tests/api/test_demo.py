@@ -29,7 +29,7 @@ def demo(tmp_path):
 
     def run(*options):
         done = subprocess.run(["bash", tmp_path / "tools/demo", "--no-install", *options],
-                              capture_output=True, text=True, timeout=120, check=False)
+                              capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.splitlines()
 
@@ -67,12 +67,12 @@ def test_state_of_an_older_program(demo, start, tmp_path):
         0] == f"Controller: bootstrap, sha256 {hash_of(OLD)[:16]}…, the default of this daemon."
     words, command = told[1].split(" by: ")
     assert words == "It is not the shipped one, phototaxis, which becomes the default"
-    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60,
+    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=300,
                    capture_output=True)
     told, _ = short(demo)
     assert told[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
                        "the default of this daemon.")
     assert "shipped" not in told[1]
     names = subprocess.run([MORPHOCTL, "controller", "list", "--server", address], check=True,
-                           capture_output=True, text=True, timeout=60).stdout
+                           capture_output=True, text=True, timeout=300).stdout
     assert hash_of(OLD) in names

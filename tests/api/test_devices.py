@@ -50,7 +50,7 @@ def fake(**what):
     return {f"MORPHO_FAKE_{name.upper()}": str(value) for name, value in what.items()}
 
 
-def await_state(service, path, *states, seconds=60):
+def await_state(service, path, *states, seconds=300):
     return awaited(service, path, lambda seen: seen["state"] in states, seconds)
 
 
@@ -67,7 +67,7 @@ def refused(service, kind, request):
 def show(service):
     """What morphoctl says of the devices."""
     return subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"],
-                          capture_output=True, text=True, timeout=30, check=False)
+                          capture_output=True, text=True, timeout=300, check=False)
 
 
 def check_results(service, jobs, undisturbed):
@@ -305,7 +305,7 @@ class Cluster:
         def waits(shown):
             return shown["state"] == "running" and (shown["reason"] or "").startswith(
                 'waits for a worker of class "fake float32 score-1 sm90"')
-        awaited(self.service, f"/v1/{kind}/{job}", waits, 30)
+        awaited(self.service, f"/v1/{kind}/{job}", waits)
 
     def close(self):
         for worker in self.workers:

@@ -23,7 +23,7 @@ def test_examples(start, tmp_path):
     assert script.count(weight) == 1
     script = script.replace(weight, weight + " || test $? = 22")
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True,
-                          timeout=60, check=False)
+                          timeout=300, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     assert '"pointer":"/designs/0/cells/1/2"' in done.stdout
     assert "Morphod-Shape: 11,8,3" in done.stdout

@@ -12,7 +12,7 @@ from service import CONTRACT, DESIGN, SHORT, until
 
 class Stream:
     """A reader of /v1/events on a socket of its own."""
-    def __init__(self, service, query="", headers="", timeout=20):
+    def __init__(self, service, query="", headers="", timeout=300):
         self.sock = socket.create_connection((service.host, service.port), timeout=timeout)
         self.sock.sendall(
             f"GET /v1/events{query} HTTP/1.0\r\nHost: localhost\r\n{headers}\r\n".encode())
@@ -181,7 +181,7 @@ def test_streams_end_with_the_service(start):
     time.sleep(0.3)
     begun = time.monotonic()
     assert running.stop() == 0
-    thread.join(timeout=10)
+    thread.join(timeout=300)
     assert not thread.is_alive() and time.monotonic() - begun < 10
 
 
@@ -197,7 +197,7 @@ def test_slow_reader_gets_everything_later(service):
         assert service.request("GET", "/healthz").status == 200
     service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 65}})
     newest = page(service, "&after=0&limit=1000")["items"][-1]["id"]
-    sock.settimeout(10)
+    sock.settimeout(300)
     data = b""
     while f"id: {newest}\n".encode() not in data:
         piece = sock.recv(65536)

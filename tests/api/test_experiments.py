@@ -36,7 +36,7 @@ def command(name, *arguments):
 
 
 def bench(name, *arguments, status=0, **environment):
-    done = subprocess.run(command(name, *arguments), capture_output=True, text=True, timeout=120,
+    done = subprocess.run(command(name, *arguments), capture_output=True, text=True, timeout=300,
                           env={**os.environ, **environment}, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     return done
@@ -229,7 +229,7 @@ def is_gone_soon(address):
 
 def is_there(address):
     try:
-        with urllib.request.urlopen(address + "/healthz", timeout=20) as reply:
+        with urllib.request.urlopen(address + "/healthz", timeout=300) as reply:
             return reply.status == 200
     except OSError:
         return False
@@ -240,7 +240,7 @@ def test_stopped_by_a_signal(long_card, number):
     process, address = long_card
     assert is_there(address)
     process.send_signal(number)
-    said = process.communicate(timeout=60)
+    said = process.communicate(timeout=300)
     if number == signal.SIGKILL:
         assert process.returncode == -number and is_gone_soon(address)
     else:
@@ -253,7 +253,7 @@ def test_evaluation_that_is_paused_by_somebody(long_card):
         job = json.load(reply)["items"][0]["id"]
     urllib.request.urlopen(urllib.request.Request(f"{address}/v1/jobs/{job}/pause",
                                                   method="POST")).close()
-    said = process.communicate(timeout=30)
+    said = process.communicate(timeout=300)
     assert process.returncode == 1 and "paused" in said[1] and not is_there(address), said
 
 

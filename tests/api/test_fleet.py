@@ -71,7 +71,7 @@ def test_only_tls_1_3(fleet):
     old.maximum_version = ssl.TLSVersion.TLSv1_2
     with pytest.raises(ssl.SSLError):
         fleet.request("GET", "/healthz", connection=fleet.connection(old))
-    plain = http.client.HTTPConnection(fleet.host, fleet.port, timeout=30)
+    plain = http.client.HTTPConnection(fleet.host, fleet.port, timeout=300)
     with pytest.raises((http.client.HTTPException, ConnectionError)):
         fleet.request("GET", "/healthz", connection=plain)
     # Refusals that bypass the library are encrypted, too.
@@ -323,7 +323,7 @@ def test_a_request_waits_for_work(free):
 def test_morphoctl_shows_and_changes_workers(free):
     def ctl(*words):
         return subprocess.run([CTL, "--server", free.service.addresses[0], *words],
-                              capture_output=True, text=True, timeout=30)
+                              capture_output=True, text=True, timeout=300)
 
     session = free.join(name="odd one").rsplit("/", 1)[1]
     gone = free.join(name="gone")
@@ -372,7 +372,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
 
     def ctl(*words):
         return subprocess.run([CTL, "--server", service.addresses[0], "fleet", "verify", *words],
-                              capture_output=True, text=True, timeout=60)
+                              capture_output=True, text=True, timeout=300)
 
     def best():
         items = service.get("/v1/designs?sort=score&environments=paper-test")["items"]

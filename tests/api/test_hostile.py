@@ -43,7 +43,7 @@ def attack(service, n, at_once=100):
         with contextlib.ExitStack() as stack:
             group = [
                 stack.enter_context(
-                    socket.create_connection((service.host, service.port), timeout=30))
+                    socket.create_connection((service.host, service.port), timeout=300))
                 for _ in range(min(at_once, n - first))
             ]
             for i, sock in enumerate(group):
@@ -69,7 +69,7 @@ def test_hostile_connections_leave_nothing_behind(start):
     before = memory(service)
     attack(service, N_CONNECTIONS)
     await_quiet(service)
-    until(lambda: memory(service) - before <= 8 << 20, 10)
+    until(lambda: memory(service) - before <= 8 << 20)
     print(f"{N_CONNECTIONS} connections: {memory(service) - before} bytes more than {before}")
     assert service.metric("morphod_http_requests_in_flight") == 1
 

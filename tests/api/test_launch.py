@@ -30,7 +30,7 @@ def test_a_slurm_job_starts_a_worker(tmp_path):
                  "--signal=B:USR1@30"):
         assert "#SBATCH " + line in comments
     (tmp_path / "morphod").symlink_to(BINARY)
-    done = subprocess.run(["bash", script], capture_output=True, text=True, timeout=30, env={
+    done = subprocess.run(["bash", script], capture_output=True, text=True, timeout=300, env={
         "PATH": f"{tmp_path}:/usr/bin:/bin", "SLURM_CPUS_PER_TASK": "1", "HOME": str(tmp_path),
         "MORPHOD_WORKER_TOKEN_FILE": "", "MORPHOD_WORKER_DEVICES": "none"})
     assert done.returncode == 0 and daemon.offers[0]["n_threads"] == 1, done.stderr

@@ -35,7 +35,7 @@ def user(uid):
 
 def dial(service, uid=None):
     with user(uid) if uid is not None else contextlib.nullcontext():
-        return socket.create_connection((service.host, service.port), timeout=30)
+        return socket.create_connection((service.host, service.port), timeout=300)
 
 
 def half(sock, size, sent):

@@ -26,14 +26,14 @@ def unread():
 
 
 def ask(service, n):
-    connection = http.client.HTTPConnection(service.host, service.port, timeout=20)
+    connection = http.client.HTTPConnection(service.host, service.port, timeout=300)
     for _ in range(n):
         connection.request("GET", PATH)
         assert connection.getresponse().read()
     connection.close()
 
 
-def read_until(end, pattern, seconds=30):
+def read_until(end, pattern, seconds=300):
     text, deadline = "", time.monotonic() + seconds
     os.set_blocking(end, False)
     while not re.search(pattern, text):

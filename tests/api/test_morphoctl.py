@@ -282,7 +282,7 @@ def test_wait_over_a_restart(start, ctl, tmp_path):
     first.stop(signal.SIGKILL)
     again = start(state=tmp_path, listen=(address.removeprefix("http://"), ))
     assert waiting.poll() is None and again.act(job, "cancel").status == 200
-    assert waiting.communicate(timeout=60)[0] == f"job {job} has been cancelled\n"
+    assert waiting.communicate(timeout=300)[0] == f"job {job} has been cancelled\n"
     assert waiting.returncode == 3 and marks.read_text() == f"{done} {job} cancelled\n"
     assert ctl("wait 999999", server=address)[0] == 3
 

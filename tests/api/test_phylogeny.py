@@ -388,6 +388,6 @@ def test_a_service_that_stops_in_the_middle(start):
         running.process.terminate()
         while piece := sock.recv(65536):
             received += piece
-    assert running.process.wait(timeout=30) == 0
+    assert running.process.wait(timeout=300) == 0
     assert received.startswith(b"HTTP/1.1 200")
     assert received.endswith(b"\r\n0\r\n\r\n") == (received.count(b"\n4095,") == 1)

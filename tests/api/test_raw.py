@@ -225,7 +225,7 @@ def test_early_ends(service):
 def test_endless_chunked_body_is_answered(service):
     """It is longer than what is read for nothing: the reply comes in the middle of it."""
     chunk = b"100000\r\n" + bytes(1 << 20) + b"\r\n"
-    with socket.create_connection((service.host, service.port), timeout=30) as sock:
+    with socket.create_connection((service.host, service.port), timeout=300) as sock:
         sock.sendall(b"POST /v1/jobs/1/pause HTTP/1.1\r\n" + HOST +
                      b"Transfer-Encoding: chunked\r\n\r\n")
         for _ in range(200):
@@ -243,7 +243,7 @@ def test_last_replies_survive_what_is_still_sent(service):
     """Closing with unread bytes resets a connection, which may take the reply back."""
     for data in (GET + b"X: " + b"a" * 2000000, b"GET /" + b"a" * 2000000,
                  POST + b"Content-Length: x\r\n\r\n" + bytes(2000000)):
-        with socket.create_connection((service.host, service.port), timeout=30) as sock:
+        with socket.create_connection((service.host, service.port), timeout=300) as sock:
             sock.sendall(data)
             (status, _, _), = split_replies(sock.makefile("rb").read())
             assert status in (400, 414, 431)

@@ -19,7 +19,7 @@ def morphod(state, *arguments, user=None, text=""):
     command = [BINARY, *arguments, f"--state-dir={state}"]
     if user is not None:
         command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
-    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=60,
+    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=300,
                           env=ENVIRONMENT, check=False)
 
 

@@ -154,7 +154,7 @@ def test_a_session_that_is_gone_is_replaced(daemon, launch, known):
     running(daemon, (1, 0))
     daemon.forget()
     daemon.give(lease(known, 2))
-    daemon.until(lambda: daemon.done((1, 2)), 3)
+    daemon.until(lambda: daemon.done((1, 2)))
     assert len(daemon.offers) == 2 and daemon.done((1, 0)) is None
 
 
@@ -245,6 +245,11 @@ def test_a_refusal_ends_the_worker_with_its_reason(daemon, launch, end, reply, s
     assert worker.ends() == status and f"{reply}: version 9.9 is wanted" in worker.log_text()
 
 
+def test_the_address_of_the_api_is_named_as_such(service, launch):  # noqa: F811
+    worker = launch(Worker, service.addresses[0])
+    assert worker.ends() == 78 and "the daemon's fleet_listen, not of its API" in worker.log_text()
+
+
 @pytest.mark.skipif(LIAR is None, reason="MORPHO_LIAR names no program with other arithmetic")
 def test_a_worker_with_other_arithmetic_is_refused(launch, start):
     service = start("--fleet-listen=127.0.0.1:0")
@@ -252,7 +257,7 @@ def test_a_worker_with_other_arithmetic_is_refused(launch, start):
     if "avx512" not in kind:
         pytest.skip(f"fused operations have the same bits in {kind}")
     worker = launch(Worker, service.addresses[-1], binary=LIAR)
-    assert worker.ends(60) == 76 and len(re.findall("[0-9a-f]{64}", worker.log_text())) >= 1
+    assert worker.ends() == 76 and len(re.findall("[0-9a-f]{64}", worker.log_text())) >= 1
     assert service.get("/v1/fleet")["joined"] == 0
 
 
@@ -306,10 +311,10 @@ def test_reasons_to_leave(daemon, launch, known, tmp_path):
     for environment in ({"SLURM_JOB_END_TIME": str(int(time.time()) + 32)},
                         {"SLURM_JOB_ID": "17", "PATH": f"{tmp_path}:/usr/bin:/bin"}):
         slurm = launch(Worker, daemon.url, "--until-slurm", environment=environment)
-        assert slurm.ends(10) == 0 and daemon.sessions == {}
+        assert slurm.ends() == 0 and daemon.sessions == {}
         assert "time of the job" in slurm.log_text()
     nobody = launch(Worker, "http://127.0.0.1:1", "--give-up=300ms")
-    assert nobody.ends(5) == 75
+    assert nobody.ends() == 75
 
 
 @pytest.fixture(scope="module")

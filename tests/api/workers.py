@@ -65,8 +65,8 @@ class Workers:
     def connection(self, context=None):
         context = context or self.context
         if context:
-            return http.client.HTTPSConnection(self.host, self.port, timeout=30, context=context)
-        return http.client.HTTPConnection(self.host, self.port, timeout=30)
+            return http.client.HTTPSConnection(self.host, self.port, timeout=300, context=context)
+        return http.client.HTTPConnection(self.host, self.port, timeout=300)
 
     def send(self, connection, method, path, body=None, **headers):
         headers = {name.replace("_", "-"): value for name, value in headers.items() if value}

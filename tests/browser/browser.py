@@ -74,14 +74,14 @@ class Browser:
         self.driver.get(self.base + "#/" + view)
         self.until("document.querySelector('main h1')")
 
-    def until(self, condition, seconds=30):
+    def until(self, condition, seconds=300):
         """Waits until a script says so."""
         deadline = time.monotonic() + seconds
         while not self.run(f"return Boolean({condition})"):
             assert time.monotonic() < deadline, f"never true: {condition}; {self.faults()}"
             time.sleep(0.05)
 
-    def until_walking(self, seconds=30):
+    def until_walking(self, seconds=300):
         """Waits for robots on the stage."""
         self.until("document.querySelector('.stage')?.player?.stage.robots.length", seconds)
 
@@ -99,7 +99,7 @@ class Browser:
         slow(latency_ms)
         try:
             self.driver.get(self.base + "#/" + view)
-            deadline = time.monotonic() + 30
+            deadline = time.monotonic() + 300
             while (length := self.run(CHAIN % shown)) is None:
                 assert time.monotonic() < deadline, self.faults()
                 time.sleep(0.02)

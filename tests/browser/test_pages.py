@@ -405,7 +405,7 @@ def check_commands(browser, folder, button="Copy"):
     path = f"{SOURCE / 'build' / 'clients' / 'morphoctl'}:{os.environ['PATH']}"
     for line in [curl, *(line for line in morphoctl.split("\n") if " watch " not in line)]:
         done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True,
-                              timeout=60, env=os.environ | {"PATH": path})
+                              timeout=300, env=os.environ | {"PATH": path})
         assert done.returncode == 0 and '"status":4' not in done.stdout, (line, done)
     compile(python, "copied", "exec")
 
@@ -478,7 +478,7 @@ def test_two_controllers_are_compared(service, browser):
         }
     """)
     browser.click("Compare")
-    browser.until("/95 % interval/.test(document.body.innerText)", 90)
+    browser.until("/95 % interval/.test(document.body.innerText)")
     browser.until_walking()
     command = "train compare default tuned --designs 16 --json"
     done = subprocess.run([SOURCE / "build/clients/morphoctl/morphoctl", *command.split(),
@@ -532,7 +532,7 @@ def test_machines_are_shown_and_changed(start):
         (outcast, ) = page.run(rows % "Quarantine")
         assert outcast.startswith("two node.test by an operator") and outcast.endswith("Release")
         page.run("""document.querySelector('[aria-label="Release two"]').click()""")
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 300
         while service.get("/v1/fleet")["n_quarantined"] and time.monotonic() < deadline:
             time.sleep(0.05)
         assert workers.join(name="two")

@@ -127,7 +127,7 @@ class Daemon:
     # ---- requests ----
 
     def get(self, path, **options):
-        return self.session.get(self.address + path, timeout=60, **options)
+        return self.session.get(self.address + path, timeout=300, **options)
 
     def json(self, path):
         reply = self.get(path)
@@ -172,7 +172,7 @@ class Daemon:
         """What GET gives as soon as it fulfills the condition."""
         return self.until(lambda: self.json(path), timeout_s, condition, every_s)
 
-    def until(self, look, timeout_s=60, holds=bool, every_s=0.005):
+    def until(self, look, timeout_s=300, holds=bool, every_s=0.005):
         """What look() gives as soon as that holds."""
         end = time.monotonic() + timeout_s
         while not holds(seen := look()):

@@ -13,13 +13,13 @@ CAMPAIGN = {"mode": "zero-shot", "population": 500, "generations": 8, "physics":
 def send(daemon, bundle, replies):
     try:
         replies.append(requests.post(daemon.address + "/v1/bundles", data=bundle,
-                                     headers={"Content-Type": "application/zstd"}, timeout=120))
+                                     headers={"Content-Type": "application/zstd"}, timeout=300))
     except requests.RequestException:
         replies.append(None)
 
 
 def recordings(daemon, id):
-    return requests.get(f"{daemon.address}/v1/evaluations/{id}/trajectories", timeout=60).content
+    return requests.get(f"{daemon.address}/v1/evaluations/{id}/trajectories", timeout=300).content
 
 
 def test_kill_while_a_bundle_enters(daemon, soak, seed):
@@ -33,9 +33,9 @@ def test_kill_while_a_bundle_enters(daemon, soak, seed):
                            "environments": CAMPAIGN["environments"], "record": ["masses"],
                            "physics": CAMPAIGN["physics"]})
         recorded = recordings(home, seen["id"])
-        bundle = requests.get(home.address + "/v1/bundles?recordings=true", timeout=60).content
+        bundle = requests.get(home.address + "/v1/bundles?recordings=true", timeout=300).content
         designs = requests.get(
-            f"{home.address}/v1/campaigns/{campaign['id']}/phylogeny?format=csv", timeout=60).text
+            f"{home.address}/v1/campaigns/{campaign['id']}/phylogeny?format=csv", timeout=300).text
         home.end()
     victim = daemon("victim")
     seconds = 2.0
@@ -58,7 +58,7 @@ def test_kill_while_a_bundle_enters(daemon, soak, seed):
         seen.add(len(items))
         if items:
             table = f"{victim.address}/v1/campaigns/{items[0]['id']}/phylogeny?format=csv"
-            assert requests.get(table, timeout=60).text == designs
+            assert requests.get(table, timeout=300).text == designs
             entered = victim.json("/v1/evaluations")["items"][0]["id"]
             assert recordings(victim, entered) == recorded
         else:

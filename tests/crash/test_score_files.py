@@ -16,12 +16,12 @@ CAMPAIGN = {"mode": "zero-shot", "population": 2000, "generations": 8, "physics"
 
 
 def enter(daemon, block):
-    return requests.post(daemon.address + "/v1/scores", data=block, timeout=120,
+    return requests.post(daemon.address + "/v1/scores", data=block, timeout=300,
                          headers={"Content-Type": "application/zstd"})
 
 
 def computed(daemon):
-    text = requests.get(daemon.address + "/metrics", timeout=60).text
+    text = requests.get(daemon.address + "/metrics", timeout=300).text
     return int(re.search("^morphod_rollouts_total (.*)$", text, re.M)[1])
 
 

@@ -44,7 +44,7 @@ class Proxy:
 
             def setup(self):
                 super().setup()
-                self.daemon = http.client.HTTPConnection(proxy.address, timeout=60)
+                self.daemon = http.client.HTTPConnection(proxy.address, timeout=300)
                 proxy.connections.append(self.daemon)
 
             def pass_on(self):

@@ -15,7 +15,7 @@ HUB = "10.77.0.1"
 
 
 def run(*words):
-    return subprocess.run(words, check=True, capture_output=True, text=True, timeout=30)
+    return subprocess.run(words, check=True, capture_output=True, text=True, timeout=300)
 
 
 class Network:

@@ -77,7 +77,7 @@ def test_of_a_dead_worker(scene):
 
 def test_of_a_silent_worker(scene):
     one, _, witness, stopped = scene
-    one.until(lambda: one.json("/v1/fleet")["lost"] == 1, 20)
+    one.until(lambda: one.json("/v1/fleet")["lost"] == 1)
     one.until(lambda: witness.moment is not None, 20, every_s=0.001)
     (session, ) = [s for s in one.json("/v1/fleet")["sessions"] if s["name"] == "victim"]
     assert session["state"] == "lost" and session["why"] == "it was silent"

@@ -29,7 +29,7 @@ def test_same_bits(daemon, worker, seed, mode):
                 names += 1
                 workers.append(worker(fleet_address(one), f"node-{names}"))
             one.until(lambda n=n: one.json("/v1/fleet")["n_sessions"] == n)
-            one.until(lambda least=last * phase // len(NUMBERS): generation(one, job) >= least, 120)
+            one.until(lambda least=last * phase // len(NUMBERS): generation(one, job) >= least)
         one.succeed(job, "campaigns")
         result = history(one, job)
         for part, what in expected.items():
@@ -60,7 +60,7 @@ def test_the_best_of_many(daemon, worker, seed):
         lost, *_ = [worker(fleet_address(one), name) for name in ("lost", "left", "right")]
         one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 3)
         job = one.submit(value)
-        one.until(lambda: one.json(f"/v1/jobs/{job}")["rollouts_done"] > needed / 3, 120)
+        one.until(lambda: one.json(f"/v1/jobs/{job}")["rollouts_done"] > needed / 3)
         lost.kill()
         result = one.succeed(job)
         assert result["results"] == expected["results"]

@@ -40,7 +40,7 @@ class Supervisor(threading.Thread):
 
 def drain(daemon, *flags):
     return subprocess.run([MORPHOCTL, "--server", daemon.address, "fleet", "drain", *flags],
-                          capture_output=True, text=True, timeout=120)
+                          capture_output=True, text=True, timeout=300)
 
 
 def test_a_campaign_outlives_upgrades(daemon, worker, seed):
@@ -59,7 +59,7 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
         return {s["name"]: (s["version"], s["older"]) for s in shown}
 
     def await_sessions(*wanted):
-        one.until(lambda: sessions() == {n.name: w for n, w in zip(nodes, wanted)}, 30)
+        one.until(lambda: sessions() == {n.name: w for n, w in zip(nodes, wanted)})
 
     for node in nodes:
         node.name = node.worker.name

@@ -9,7 +9,7 @@ import numpy as np
 from service import BINARY, BOOTSTRAP
 
 
-def all_succeeded(client, seconds=60):
+def all_succeeded(client, seconds=300):
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         jobs = client.jobs()

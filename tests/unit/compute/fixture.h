@@ -39,7 +39,7 @@ static inline struct mo_block block_of(const uint64_t *genotype, const struct mo
 /* Whether a number has come to n within a minute or two. */
 static inline bool await(atomic_int *number, int n)
 {
-  const double late_s = now_s() + 120;
+  const double late_s = now_s() + 600;
   while (atomic_load(number) != n && now_s() < late_s)
     usleep(200);
   return atomic_load(number) == n;

@@ -115,7 +115,7 @@ static double busy_s(const struct mo_compute_share *share)
 static bool gets(struct mo_compute_share *const *shares, int n, double seconds,
                  const double *wanted)
 {
-  double before[4], part[4] = {0}, sum = 0, late_s = now_s() + 60;
+  double before[4], part[4] = {0}, sum = 0, late_s = now_s() + 600;
   bool right = false;
   for (int i = 0; i < n; i++)
     before[i] = busy_s(shares[i]);

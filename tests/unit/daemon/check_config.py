@@ -22,7 +22,7 @@ def run(*arguments, file=None, **variables):
     if file is not None:
         path.write_text(file)
         arguments = (*arguments, f"--config={path}")
-    done = subprocess.run([MORPHOD, *arguments], capture_output=True, text=True, timeout=30,
+    done = subprocess.run([MORPHOD, *arguments], capture_output=True, text=True, timeout=300,
                           env=environment)
     return done.returncode, done.stdout, done.stderr
 

@@ -139,7 +139,7 @@ static void real_queues(void)
   lose_session();
   for (intptr_t i = 0; i < 4; i++)
     make_check(mo_thread_create(&threads[i], NULL, run_session, (void *)i), "a thread");
-  const double end_s = now_s() + 60;
+  const double end_s = now_s() + 600;
   while (now_s() < end_s && atomic_load(&n_done) < BLOCKS) {
     mo_fleet_tick(fleet, mo_clock_ns());
     usleep(5000);

@@ -11,7 +11,7 @@
 #include "jobs/state.h"
 #include "jobs/trainings.h"
 
-#define END_S 120 /* jobs take at most so long, also on a busy machine under a sanitizer */
+#define END_S 600 /* jobs take at most so long, also on a busy machine under a sanitizer */
 
 static struct {
   struct mo_compute *compute;

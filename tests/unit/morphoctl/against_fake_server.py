@@ -112,7 +112,7 @@ def run(server, command, input_text="", **variables):
     address = server if isinstance(server, str) else server.address
     environment.update({"MORPHOD_SERVER": address, "TZ": "UTC", "LC_ALL": "C.UTF-8"}, **variables)
     done = subprocess.run([MORPHOCTL, *shlex.split(command)], input=input_text, text=True,
-                          capture_output=True, timeout=60, env=environment)
+                          capture_output=True, timeout=300, env=environment)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -482,7 +482,7 @@ def test_train_watch_is_left_with_an_interrupt():
         assert process.stdout.readline().startswith("training 7")
         assert "step 3" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=300)
         assert process.returncode == 130, err
         assert all(f"morphoctl train {verb} 7" in err for verb in ("watch", "pause", "cancel")), err
 
