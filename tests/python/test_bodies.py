@@ -1,6 +1,7 @@
 """Bodies from what people keep them in."""
 
 import numpy as np
+import pandas
 import pytest
 from morphod import Body, BodyError
 from morphod.bodies import (
@@ -61,17 +62,62 @@ def test_one_body_in_all_forms(same):
 
 
 def test_evogym_rows_come_from_the_top():
-    body = Body.of(np.array([[0, 0, 3], [1, 1, 1]]))
+    body = Body.evogym(np.array([[0, 0, 3], [1, 1, 1]]))
     assert set(body.cells) == {(x, y, 0) for x in range(3) for y in (2, 3)} | {(2, 2, 1), (2, 3, 1)}
     assert body.lost == ("materials 1, 3 became one", )
+
+
+def test_evogym_connections():
+    """What EvoGym's `sample_robot` gives; voxels that it leaves apart are said."""
+    robot = np.array([[3.0, 3.0], [3.0, 0.0]])
+    joined = Body.evogym((robot, np.array([[0, 0], [1, 2]])))
+    assert joined == Body.evogym(robot.tolist()) and (
+        joined.lost == ("material 3 became morphod's only one", ))
+    apart = Body.evogym(robot, np.array([[0], [1]]))
+    assert apart == joined and apart.lost[1:] == (
+        "1 pair of adjacent voxels that was not connected became connected", )
+    assert Body.evogym(robot, np.empty((0, 2)).T).lost[1].startswith("2 pairs of adjacent voxels")
+    assert Body.evogym(np.array([[1, 0, 1]]), repair="largest").lost == (
+        "material 1 became morphod's only one",
+        "2 voxels that did not belong to the largest piece")
+
+
+@pytest.mark.parametrize("wrong, said", [
+    ((np.ones((5, 5)), ), "5 voxels high (axis 0 of the array); the workspace has 4 along z"),
+    ((np.ones((2, 7)), ), "7 voxels long on axis 0 (x); the workspace has 6"),
+    (([[1, 1], [1]], ), "different lengths"),
+    (([[1, 6]], ), "the value at [0, 1] is 6: the materials of EvoGym are 0"),
+    (([[1, float("nan")]], ), "[0, 1] is nan"),
+    (([[0.5]], ), "[0, 0] is 0.5"),
+    (([["1"]], ), "texts"),
+    ((np.ones((2, 2, 2)), ), "2 dimensions [row, column], not 3"),
+    (([[0, 0]], ), "at least one voxel"),
+    (("33", ), "str is not a robot"),
+    (([[1, 1]], [[0, 1]]), "(2, n)"),
+    (([[1, 1]], [[0], [2]]), "places from 0 to 1"),
+    (([[1, 0, 1]], [[0], [2]]), "join the places 0 and 2"),
+])
+def test_wrong_robots_of_evogym(wrong, said):
+    with pytest.raises(BodyError) as caught:
+        Body.evogym(*wrong)
+    assert said in str(caught.value)
 
 
 @pytest.mark.parametrize("wrong, said", [
     (np.ones((7, 1, 1)), "7 voxels long on axis 0 (x); the workspace has 6"),
     (np.ones((1, 7, 1)), "axis 1 (y)"),
     (np.ones((1, 1, 5)), "axis 2 (z); the workspace has 4"),
-    (np.ones((5, 5)), "5 voxels high (axis 0 of the array)"),
-    (np.ones((2, 7)), "axis 0 (x)"),
+    (np.ones((2, 7)), "Body.evogym(it) reads rows of EvoGym"),
+    (np.array([[0, 2, 0], [1, 2, 0]]), '{"cells": it} reads cells'),
+    ([[0, 3, 3], [1, 1, 0], [4, 0, 0]], "two things: Body.evogym(it)"),
+    ([[3, 3, 3], [3, 3, 3]], "two things: Body.evogym(it)"),
+    ([[5, 3, 3], [5, 3, 3]], "cell 1 is given twice: it equals cell 0"),
+    ((np.ones((2, 2)), np.zeros((2, 4))), "Body.evogym(pair)"),
+    (np.full(WORKSPACE, np.nan), "the value at [0, 0, 0] is nan"),
+    (np.full(WORKSPACE, 0.3), "array > 0.5"),
+    (np.ones((4, 6, 6)), "another order"),
+    (np.ma.array(np.ones(WORKSPACE), mask=True), "filled(0)"),
+    (np.full(WORKSPACE, "0"), "an array of texts: convert it"),
     (np.ones(3), "3 dimensions"),
     (np.zeros((2, 2, 2)), "at least one voxel"),
     ([], "at least one voxel"),
@@ -82,6 +128,7 @@ def test_evogym_rows_come_from_the_top():
     ("01", "neither a genotype"),
     ("2" * 144, "neither a genotype"),
     ({"cell": []}, '"cells", "voxels" and "id"'),
+    ({"cells": [[0, 0, 0]], "genotype": "0"}, "perhaps a name, but no 'genotype'"),
     (7, "int is not a body"),
 ])
 def test_errors_name_what_is_wrong(wrong, said):
@@ -96,8 +143,48 @@ def test_errors_name_the_body():
     bodies = np.stack([ALL, ~ALL])
     with pytest.raises(BodyError, match="body 1: a body needs"):
         requests_of(bodies)
-    with pytest.raises(BodyError, match="brackets"):
-        requests_of("0" * 36)
+    bodies = np.zeros((3, *WORKSPACE))
+    bodies[:, 0, 0, 0] = 1
+    bodies[2, 1, 2, 3] = 0.5
+    with pytest.raises(BodyError, match=r"body 2: the value at \[1, 2, 3\] is 0.5"):
+        requests_of(bodies)
+    assert list(requests_of(bodies, "skip")[2]) == [2]
+
+
+@pytest.mark.parametrize("one", ["0" * 36, Body(ALL), {"id": "0" * 36}, ALL, np.ones((2, 2, 2)),
+                                 [[0, 0, 0], [1, 0, 0]], np.argwhere(ALL).tolist(), b"0"])
+def test_one_body_is_not_a_list(one):
+    with pytest.raises(BodyError, match="put this one in brackets"):
+        requests_of(one)
+
+
+@pytest.mark.parametrize("wrong, said", [
+    (np.argwhere(ALL), '{"cells": it} reads cells'),
+    (np.ones((5, 144)), r"the shape \(n, 6, 6, 4\), not \(5, 144\)"),
+    (np.ones((2, 4, 6, 6)), "body 0: the shape .* in another order"),
+    (np.ma.ones((2, *WORKSPACE)), "body 0: a masked array"),
+    (pandas.DataFrame({"genotype": ["0" * 144]}), 'such as table."genotype"'),
+    ({"0" * 36}, "no order"),
+    (7, "int is not a list of bodies"),
+])
+def test_what_is_not_a_list_of_bodies(wrong, said):
+    with pytest.raises(BodyError, match=said):
+        requests_of(wrong)
+
+
+def test_columns_and_generators_are_lists():
+    genotypes = genotypes_of(np.stack([ALL, ALL]))
+    designs = [{"voxels": genotype} for genotype in genotypes]
+    for bodies in (pandas.Series(genotypes), np.array(genotypes), iter(genotypes),
+                   np.array(genotypes, dtype=object)):
+        assert requests_of(bodies)[0] == designs
+    assert requests_of([{"id": "8" + "0" * 35}])[0] == [{"id": "8" + "0" * 35}]
+
+
+def test_a_body_has_booleans():
+    for voxels in (np.ones(WORKSPACE), np.ones((2, 2, 2), dtype=bool), [[0, 0, 0]]):
+        with pytest.raises(BodyError, match="Body.of reads other forms"):
+            Body(voxels)
 
 
 def test_largest_piece():

@@ -1,8 +1,8 @@
 """Bodies: voxel robots in the workspace of 6 × 6 × 4 voxels.
 
-Anything that people keep bodies in becomes a `Body`: boolean arrays, arrays of materials (EvoGym,
-voxcraft), lists of cells, genotypes and ids. morphod has one material, so other materials become
-that one; `Body.lost` tells what a conversion left out.
+Arrays of booleans or materials, lists of cells, genotypes, ids and robots of EvoGym become a
+`Body`. What could mean several things is refused. morphod has one material, so other materials
+become that one; `Body.lost` says what a conversion left out.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal, Union
 
 import numpy as np
 
+from .arrays import numbers, occupied
 from .errors import BodyError
+from .evogym import is_pair, lost_of, rows_of, upright
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,6 +28,7 @@ VOXEL_M = 0.1
 
 _AXES = "xyz"
 _VOXELS = 144
+_MATERIAL_MAX = 4  # of a robot of EvoGym
 
 BodyLike = Union["Body", str, Mapping[str, Any], "NDArray[Any]", Sequence[Any]]
 """What stands for a body; see `Body.of`."""
@@ -37,6 +40,8 @@ OnFault = Literal["refuse", "skip"]
 """What something that is no body does to the others: they are refused, or it is left out."""
 
 _EMPTY = "a body needs at least one voxel, and this one has none"
+_BRACKETS = "a list of bodies is expected: put this one in brackets"
+_TWO_WAYS = ('Body.evogym(it) reads rows of EvoGym, and {"cells": it} reads cells [x, y, z]')
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,29 +49,58 @@ class Body:
     """A body in the workspace.
 
     `voxels` is a boolean array of the shape (6, 6, 4) with indices [x, y, z], z upwards. `lost` has
-    a sentence for each thing that the conversion from another format could not keep.
+    a sentence for each thing that the conversion from another format could not keep. `name` is the
+    body's name in the file that it was read from.
     """
 
     voxels: NDArray[np.bool_]
     lost: tuple[str, ...] = ()
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.voxels, np.ndarray) or self.voxels.shape != WORKSPACE or (
+                self.voxels.dtype != np.bool_):
+            raise BodyError(f"Body(voxels) takes an array of booleans of the shape {WORKSPACE}; "
+                            "Body.of reads other forms")
 
     @classmethod
     def of(cls, body: BodyLike, repair: Repair | None = None) -> Body:
         """The body that a value stands for.
 
-        - a NumPy array of 3 dimensions: voxels [x, y, z], nonzero where there is one. It may be
+        - a NumPy array of 3 dimensions: voxels [x, y, z]. Booleans, materials (integers, 0 is
+          empty), or floats that are exactly 0 or 1; of a density give `density > 0.5`. It may be
           smaller than the workspace, and larger if what is outside is empty.
-        - a NumPy array of 2 dimensions: a body of EvoGym, rows of materials from the top. It gets a
-          depth of two voxels, as in the dashboard.
         - a list of cells `[[x, y, z], …]`, or one of the service's `{"cells": …}`, `{"voxels": …}`
-          and `{"id": …}`
+          and `{"id": …}`. In `{"cells": …}` cells may be an array (n, 3), as `np.argwhere` gives.
         - a text: a genotype of 144 digits, or an id of 36 hexadecimal digits; the letters g and d
           that CSV puts in front are taken off.
+
+        A robot of EvoGym is read by `Body.evogym` only. Arrays of 2 dimensions, and lists of rows
+        that could be both cells and a robot, are refused.
 
         `repair="largest"` keeps the largest piece of a body that is not in one piece, and says so
         in `lost`. Raises `BodyError`, which names the axis or the place at fault.
         """
-        made = _convert(body)
+        return cls._kept(_convert(body), repair)
+
+    @classmethod
+    def evogym(cls, body: Any, connections: Any = None, *, repair: Repair | None = None) -> Body:
+        """The body of a robot of EvoGym: rows of materials 0 to 5, from the top. It gets a depth of
+        two voxels, as in the dashboard.
+
+        `connections` are its pairs of connected voxels, as EvoGym keeps them; without them all
+        adjacent voxels are connected. `Body.evogym(sample_robot((4, 4)))` takes both as a pair.
+        `lost` has the materials, and says where voxels that EvoGym leaves apart are connected now.
+        """
+        if connections is None and is_pair(body):
+            body, connections = body
+        rows = rows_of(body)
+        made = Body(_fitted(upright(_lowered(rows))), lost_of(rows, connections))
+        return cls._kept(made, repair)
+
+    @classmethod
+    def _kept(cls, made: Body, repair: Repair | None) -> Body:
+        """The body, or its largest piece."""
         if not made.voxels.any():
             raise BodyError(_EMPTY)
         if repair is None:
@@ -74,7 +108,7 @@ class Body:
         if repair != "largest":
             raise BodyError(f'repair is "largest" or None, not {repair!r}')
         kept = largest_pieces(made.voxels[np.newaxis])[0]
-        return cls(kept, made.lost + dropped(int(made.voxels.sum() - kept.sum())))
+        return cls(kept, made.lost + dropped(int(made.voxels.sum() - kept.sum())), made.name)
 
     @property
     def genotype(self) -> str:
@@ -97,8 +131,9 @@ class Body:
         return hash(self.voxels.tobytes())
 
     def __repr__(self) -> str:
+        name = f", name={self.name!r}" if self.name else ""
         lost = f", lost={list(self.lost)!r}" if self.lost else ""
-        return f"Body(cells={self.cells!r}{lost})"
+        return f"Body(cells={self.cells!r}{name}{lost})"
 
     def footprint(self) -> int:
         """Columns (x, y) that hold a voxel."""
@@ -149,36 +184,83 @@ def requests_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "
     """Bodies as designs of a request, for each what its conversion lost, and what is wrong with
     those that have to be skipped, by place.
 
-    An array of the shape (n, 6, 6, 4) is converted as a whole. Raises `BodyError`, which names the
-    place of the body, unless it is to be skipped.
+    Raises `BodyError`, which names the place of the body, unless it is to be skipped.
     """
-    if isinstance(bodies, np.ndarray) and bodies.ndim == 4 and bodies.shape[1:] == WORKSPACE:
-        voxels = bodies != 0
-        empty = np.flatnonzero(~voxels.reshape(len(voxels), -1).any(axis=1))
+    whole = _whole_array(bodies)
+    if whole is not None:
+        empty = np.flatnonzero(~whole.any(axis=(1, 2, 3)))
         if empty.size and on_fault != "skip":
             raise BodyError(f"body {empty[0]}: {_EMPTY}")
-        designs = [{"voxels": genotype} for genotype in genotypes_of(voxels)]
-        return designs, [_materials(bodies)] * len(bodies), {}
-    if isinstance(bodies, (str, Mapping, Body)):
-        raise BodyError("a list of bodies is expected: put this one in brackets")
+        return [{"voxels": genotype} for genotype in genotypes_of(whole)], [()] * len(whole), {}
     designs = []
     lost: list[tuple[str, ...]] = []
     faults: dict[int, str] = {}
-    for place, body in enumerate(bodies):
-        if isinstance(body, str) and _is_id(body):
-            designs.append({"id": body})
-            lost.append(())
-            continue
+    for place, body in enumerate(_listed(bodies)):
         try:
-            made = Body.of(body)
+            design, made = _design(body)
         except BodyError as error:
             if on_fault != "skip":
                 raise BodyError(f"body {place}: {error}") from None
             faults[place] = str(error)
-            made = Body(np.zeros(WORKSPACE, dtype=np.bool_))  # which the service skips
-        designs.append({"voxels": made.genotype})
-        lost.append(made.lost)
+            design, made = {"voxels": "0" * _VOXELS}, ()  # which the service skips
+        designs.append(design)
+        lost.append(made)
     return designs, lost, faults
+
+
+def _whole_array(bodies: Any) -> NDArray[np.bool_] | None:
+    """An array (n, 6, 6, 4) of zeros and ones, which is the fastest to read; None: it is another
+    array, or none."""
+    if not isinstance(bodies, np.ndarray) or isinstance(bodies, np.ma.MaskedArray) or (
+            bodies.ndim != 4 or bodies.shape[1:] != WORKSPACE or bodies.dtype.kind not in "biuf"):
+        return None
+    voxels: NDArray[np.bool_] = bodies == 1
+    return voxels if bool((voxels | (bodies == 0)).all()) else None
+
+
+def _listed(bodies: Any) -> Iterable[Any]:
+    """The bodies one by one. Raises `BodyError` for what is one body, or has no order."""
+    if isinstance(bodies, (str, bytes, Mapping, Body)):
+        raise BodyError(_BRACKETS)
+    if isinstance(bodies, (set, frozenset)):
+        raise BodyError("a set of bodies has no order: give a list")
+    dimensions = getattr(bodies, "ndim", None)
+    if isinstance(bodies, np.ndarray):
+        if dimensions == 3:
+            raise BodyError(_BRACKETS)
+        if dimensions != 4 and (dimensions != 1 or bodies.dtype.kind not in "OU"):
+            raise BodyError(f"an array of bodies has the shape (n, 6, 6, 4), not {bodies.shape}" + (
+                f"; of one body, {_TWO_WAYS}" if dimensions == 2 else ": reshape it"))
+    elif dimensions == 2:
+        raise BodyError("a table is not a list of bodies: give its column of genotypes, such as "
+                        'table["genotype"]')
+    if isinstance(bodies, (list, tuple)) and bodies and all(map(_is_cell, bodies)):
+        raise BodyError(_BRACKETS)
+    if not isinstance(bodies, Iterable):
+        raise BodyError(f"{type(bodies).__name__} is not a list of bodies")
+    return bodies
+
+
+def _is_triple(value: Any) -> bool:
+    is_flat = value.ndim == 1 if isinstance(value, np.ndarray) else (
+        isinstance(value, Sequence) and not isinstance(value, (str, bytes)))
+    return is_flat and len(value) == 3
+
+
+def _is_cell(value: Any) -> bool:
+    return _is_triple(value) and all(map(_is_integer, value))
+
+
+def _design(body: Any) -> tuple[dict[str, str], tuple[str, ...]]:
+    """A body as a design of a request, and what its conversion lost. Ids stay ids, which the
+    service checks."""
+    if isinstance(body, str) and _is_id(body):
+        return {"id": body}, ()
+    if isinstance(body, Mapping) and "id" in body:
+        Body.of(body)
+        return {"id": body["id"]}, ()
+    made = Body.of(body)
+    return {"voxels": made.genotype}, made.lost
 
 
 def voxels_of(genotypes: Iterable[str | None]) -> NDArray[np.bool_]:
@@ -201,15 +283,33 @@ def _convert(body: BodyLike) -> Body:
     if isinstance(body, Mapping):
         return _from_mapping(body)
     if isinstance(body, np.ndarray):
-        if body.ndim == 3:
-            return Body(_fitted(body != 0), _materials(body))
-        if body.ndim == 2:
-            return _from_evogym(body)
-        raise BodyError(f"an array of a body has 3 dimensions, or 2 for EvoGym, not {body.ndim}")
-    if isinstance(body, Sequence):
-        return Body(_from_cells(body))
-    raise BodyError(f"{type(body).__name__} is not a body: give an array, a list of cells, a "
-                    "genotype or an id")
+        return _from_array(body)
+    if isinstance(body, Sequence) and not isinstance(body, (bytes, bytearray)):
+        return Body(_from_list(body))
+    how = ("an array of NumPy, as by np.asarray(it)" if getattr(body, "ndim", 0) > 0 else
+           "an array, a list of cells, a genotype or an id")
+    raise BodyError(f"{type(body).__name__} is not a body: give {how}")
+
+
+def _from_array(array: NDArray[Any]) -> Body:
+    if array.ndim == 4:
+        raise BodyError("an array of 4 dimensions has many bodies: take one of them, such as "
+                        "array[0]")
+    if array.ndim == 2:
+        if array.shape[1] == 3:
+            raise BodyError(f"an array with 3 columns can be two things: {_TWO_WAYS}")
+        raise BodyError("an array of a body has 3 dimensions [x, y, z], not 2; Body.evogym(it) "
+                        "reads rows of EvoGym")
+    if array.shape == (_VOXELS, ):
+        raise BodyError(f"an array of a body has 3 dimensions; of {_VOXELS} numbers give "
+                        "array.reshape(6, 6, 4)")
+    if array.ndim != 3:
+        raise BodyError(f"an array of a body has 3 dimensions [x, y, z], not {array.ndim}")
+    if array.shape != WORKSPACE and sorted(array.shape) == sorted(WORKSPACE):
+        raise BodyError(f"the shape {array.shape} has the sides of the workspace in another order; "
+                        f"axes are [x, y, z] with the shape {WORKSPACE}: transpose the array")
+    voxels, lost = occupied(array)
+    return Body(_fitted(voxels), lost)
 
 
 def _from_text(text: str) -> NDArray[np.bool_]:
@@ -226,24 +326,81 @@ def _from_text(text: str) -> NDArray[np.bool_]:
 
 def _from_mapping(body: Mapping[str, Any]) -> Body:
     kinds = set(body) & {"cells", "voxels", "id"}
-    if len(kinds) != 1:
-        raise BodyError('an object of a body has one of "cells", "voxels" and "id"')
-    value = body[kinds.pop()]
-    return Body(_from_text(value) if isinstance(value, str) else _from_cells(value))
+    others = sorted(map(str, set(body) - {"cells", "voxels", "id", "name", "description"}))
+    if len(kinds) != 1 or others:
+        raise BodyError('an object of a body has one of "cells", "voxels" and "id"' + (
+            f", perhaps a name, but no {others[0]!r}" if others else ""))
+    kind = kinds.pop()
+    value = body[kind]
+    if kind == "cells":
+        return Body(_from_cells(value))
+    if not isinstance(value, str) or _is_id(value) != (kind == "id"):
+        raise BodyError('"voxels" is a genotype of 144 digits' if kind == "voxels" else
+                        '"id" is an id of 36 hexadecimal digits')
+    return Body(_from_text(value))
 
 
-def _from_cells(cells: Sequence[Any]) -> NDArray[np.bool_]:
+def _from_list(rows: Sequence[Any]) -> NDArray[np.bool_]:
+    """The voxels of a list of cells. It is refused if it is not one piece, and could be a robot of
+    EvoGym: such a robot has three columns and materials up to 4, and its highest row is not
+    empty."""
+    if any(isinstance(row, np.ndarray) and row.ndim > 1 for row in rows):
+        raise BodyError("a list of arrays is not a body: give one of them; of a pair (body, "
+                        "connections) of EvoGym give Body.evogym(pair)")
+    try:
+        voxels = _from_cells(rows)
+    except _TwiceError as error:
+        if not _can_be_rows(rows):
+            raise BodyError(str(error)) from None
+    else:
+        if not _can_be_rows(rows) or (voxels == largest_pieces(voxels[np.newaxis])[0]).all():
+            return voxels
+    raise BodyError(f"this list can be two things: {_TWO_WAYS}")
+
+
+def _can_be_rows(cells: Sequence[Any]) -> bool:
+    return len(cells) > 1 and all(map(_is_cell, cells)) and any(cells[0]) and all(
+        at <= _MATERIAL_MAX for cell in cells for at in cell)
+
+
+class _TwiceError(BodyError):
+    """A cell is given twice."""
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _from_cells(cells: Any) -> NDArray[np.bool_]:
     voxels = np.zeros(WORKSPACE, dtype=np.bool_)
+    if isinstance(cells, np.ndarray):
+        if numbers(cells).dtype.kind not in "iu" or cells.ndim != 2:
+            raise BodyError("an array of cells has the shape (n, 3), and integers")
+    elif not isinstance(cells, Sequence) or isinstance(cells, (str, bytes)):
+        raise BodyError(f"cells are a list [[x, y, z], …], not {type(cells).__name__}")
+    places: dict[tuple[int, ...], int] = {}
     for place, cell in enumerate(cells):
-        if not isinstance(cell, (Sequence, np.ndarray)) or len(cell) != 3:
-            raise BodyError(f"cell {place} is not [x, y, z]: {cell!r}")
+        if not _is_triple(cell):
+            raise BodyError(f"cell {place} is not [x, y, z]: {_short(cell)}; np.array(…) makes "
+                            "voxels of nested lists, and Body.evogym(…) reads rows of EvoGym")
         for axis, (at, side) in enumerate(zip(cell, WORKSPACE)):
-            if not 0 <= at < side or at != int(at):
-                raise BodyError(f"cell {place} has {_AXES[axis]} = {at}; the workspace has 0 to "
-                                f"{side - 1}")
+            if not _is_integer(at):
+                raise BodyError(f"cell {place} has {_AXES[axis]} = {_short(at)}; a coordinate is "
+                                f"an integer from 0 to {side - 1}")
+            if not 0 <= at < side:
+                raise BodyError(f"cell {place} has {_AXES[axis]} = {_short(at)}; the workspace has "
+                                f"0 to {side - 1}")
         x, y, z = (int(at) for at in cell)
+        if voxels[x, y, z]:
+            raise _TwiceError(f"cell {place} is given twice: it equals cell {places[x, y, z]}")
         voxels[x, y, z] = True
+        places[x, y, z] = place
     return voxels
+
+
+def _short(value: Any) -> str:
+    text = str(value) if isinstance(value, (float, np.generic)) else repr(value)
+    return text if len(text) <= 40 else text[:39] + "…"
 
 
 def _fitted(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -262,22 +419,13 @@ def _fitted(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return fitted
 
 
-def _from_evogym(rows: NDArray[Any]) -> Body:
-    upright = (rows[::-1] != 0).T  # [x, z]
-    if upright.shape[1] > WORKSPACE[2]:
-        used = np.flatnonzero(upright.any(axis=0))
-        if used.size and used[-1] - used[0] >= WORKSPACE[2]:
-            raise BodyError(f"the EvoGym body is {used[-1] - used[0] + 1} voxels high (axis 0 of "
-                            f"the array); the workspace has {WORKSPACE[2]} along z")
-    deep = np.zeros((upright.shape[0], 4, upright.shape[1]), dtype=np.bool_)
-    deep[:, 2:4] = upright[:, np.newaxis]
-    return Body(_fitted(deep), _materials(rows))
-
-
-def _materials(values: NDArray[Any]) -> tuple[str, ...]:
-    if values.dtype == np.bool_:
-        return ()
-    kinds = [value for value in np.unique(values).tolist() if value != 0]
-    if len(kinds) < 2:
-        return ()
-    return (f"materials {', '.join(str(kind) for kind in kinds)} became one",)
+def _lowered(rows: NDArray[Any]) -> NDArray[Any]:
+    """The rows of a robot of EvoGym without empty ones, where it has more than fit."""
+    used = np.flatnonzero((rows != 0).any(axis=1))
+    if rows.shape[0] <= WORKSPACE[2] or not used.size:
+        return rows
+    height = int(used[-1] - used[0]) + 1
+    if height > WORKSPACE[2]:
+        raise BodyError(f"the EvoGym body is {height} voxels high (axis 0 of the array); the "
+                        f"workspace has {WORKSPACE[2]} along z: leave out rows")
+    return rows[used[0]:used[-1] + 1]

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import base64
 import binascii
+import dataclasses
 import hashlib
 import json
 import os
 import pathlib
+import zipfile
 import zlib
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from .bodies import Body
+from . import evogym
+from .bodies import Body, OnFault
 from .errors import BodyError
 
 if TYPE_CHECKING:
@@ -23,83 +27,153 @@ if TYPE_CHECKING:
 _SIDES = ("X_Voxels", "Y_Voxels", "Z_Voxels")
 _ASCII_ZERO = 48
 _SIDE_MAX = 1000  # of a file's box; what is larger is no robot
+_NAMES_MAX = 3  # in a sentence of what was left out
 
 
-def read_bodies(path: str | os.PathLike[str]) -> list[Body]:
-    """The bodies in a file of another program:
+def read_bodies(path: str | os.PathLike[str], names: str | Iterable[str] | None = None, *,
+                on_fault: OnFault = "refuse") -> list[Body]:
+    """The bodies in a file of another program, each with its `name` in the file:
 
-    - `.json`: a world or a robot of EvoGym; each of its objects is a body
+    - `.json`: a world of EvoGym; each of its objects is a body. Fixed objects, such as the ground,
+      are left out unless they are named.
     - `.vxd`, `.vxa`, `.vxc`: the structure of voxcraft or VoxCAD, in one piece or not
     - `.h5`, `.hdf5`: a population of the paper's authors (`robots/polycubes`, `robots/pc_hashes`).
       Needs h5py.
     - `.npy`: an array of bodies, such as their `polycubes.npy`; all but its last three axes number
       them
+    - `.npz`: a robot of EvoGym, as `np.savez(path, body, connections)` saves it, or arrays of
+      bodies
 
-    Materials become one, as `Body.lost` tells. Raises `BodyError`, which names the axis of a body
-    that is larger than the workspace.
+    `names` are those of the bodies to read; without them all are read. What is not a body that fits
+    the workspace is refused or, with `on_fault="skip"`, left out. `Body.lost` says what was left
+    out, and which materials became one. Raises `BodyError`, which names the axis of a body that is
+    larger than the workspace.
     """
     path = pathlib.Path(path)
     kind = path.suffix.lower()
     if kind == ".json":
-        return _bodies(_evogym(json.loads(path.read_text(encoding="utf-8"))))
-    if kind in (".vxd", ".vxa", ".vxc"):
-        return _bodies({path.name: _voxcraft(path.read_bytes())})
-    if kind in (".h5", ".hdf5"):
-        return _bodies(_places(_population(path)))
-    if kind == ".npy":
-        array = np.load(path, allow_pickle=False)
-        if array.ndim < 3:
-            raise BodyError(f"{path.name} has {array.ndim} axes; an array of bodies has 3 or more")
-        return _bodies(_places(array.reshape(-1, *array.shape[-3:])))
-    raise BodyError(f"{path.name} is not a file of bodies: .json, .vxd, .vxa, .vxc, .h5, .hdf5 or "
-                    ".npy is expected")
+        found = _world(path)
+    elif kind in (".vxd", ".vxa", ".vxc"):
+        found = [_voxcraft(path)]
+    elif kind in (".h5", ".hdf5"):
+        found = _places(_population(path))
+    elif kind in (".npy", ".npz"):
+        found = _arrays(path)
+    else:
+        raise BodyError(f"{path.name} is not a file of bodies: .json, .vxd, .vxa, .vxc, .h5, "
+                        ".hdf5, .npy or .npz is expected")
+    return _bodies(found, names, on_fault)
 
 
-def _places(arrays: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    return {f"body {place}": array for place, array in enumerate(arrays)}
+@dataclasses.dataclass
+class _Found:
+    """Something in a file: rows of EvoGym, or voxels [x, y, z]."""
+
+    name: str
+    array: NDArray[Any]
+    lost: tuple[str, ...] = ()
+    connections: NDArray[Any] | None = None
+    is_evogym: bool = False
+    is_fixed: bool = False
+
+    def body(self) -> Body:
+        made = (Body.evogym(self.array, self.connections) if self.is_evogym else
+                Body.of(self.array))
+        return Body(made.voxels, made.lost + self.lost, self.name)
 
 
-def _bodies(found: dict[str, NDArray[Any]]) -> list[Body]:
-    bodies = []
-    for name, array in found.items():
+def _bodies(found: Sequence[_Found], names: str | Iterable[str] | None,
+            on_fault: OnFault) -> list[Body]:
+    left_out: list[str] = []
+    if names is not None:
+        wanted = [names] if isinstance(names, str) else list(names)
+        by_name = {one.name: one for one in found}
+        missing = [name for name in wanted if name not in by_name]
+        if missing:
+            raise BodyError(f"the file has no body {missing[0]!r}, but {_some(list(by_name))}")
+        found = [by_name[name] for name in wanted]
+    else:
+        left_out = [f"{one.name} (fixed)" for one in found if one.is_fixed]
+        found = [one for one in found if not one.is_fixed]
+        if left_out and not found:
+            raise BodyError(f"there are only fixed objects in this file: {_some(left_out)}; names= "
+                            "reads one anyway")
+    bodies: list[Body] = []
+    for one in found:
         try:
-            bodies.append(Body.of(array))
+            bodies.append(one.body())
         except BodyError as error:
-            raise BodyError(f"{name}: {error}") from None
+            if on_fault != "skip" or not bodies and one is found[-1]:
+                raise BodyError(f"{one.name}: {error}" + (
+                    '; names= or on_fault="skip" reads the others' if len(found) > 1 and
+                    on_fault != "skip" else "")) from None
+            left_out.append(f"{one.name} ({error})")
+    if left_out:
+        lost = f"left out of the file: {_some(left_out)}"
+        bodies = [Body(body.voxels, (*body.lost, lost), body.name) for body in bodies]
     return bodies
 
 
-# ---- EvoGym: voxels by index in a grid whose rows go upwards ----
+def _some(names: Sequence[str]) -> str:
+    """Names for a message, not too many."""
+    more = len(names) - _NAMES_MAX
+    return ", ".join(names[:_NAMES_MAX]) + (f" and {more} more" if more > 0 else "")
 
 
-def _evogym(world: Any) -> dict[str, NDArray[np.int64]]:
+def _places(arrays: NDArray[Any], name: str = "body") -> list[_Found]:
+    return [_Found(f"{name} {place}", array) for place, array in enumerate(arrays)]
+
+
+# ---- EvoGym and NumPy ----
+
+
+def _world(path: pathlib.Path) -> list[_Found]:
     try:
-        width, objects = int(world["grid_width"]), dict(world["objects"])
-        return {name: _rows(width, thing["indices"], thing["types"])
-                for name, thing in objects.items()}
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise BodyError(f"this JSON is not a world of EvoGym: {error!r}") from None
+        world = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise BodyError(f"{path.name} is not JSON: {error}") from None
+    return [_Found(name, thing.rows, thing.lost, is_evogym=True, is_fixed=thing.is_fixed)
+            for name, thing in evogym.things(world).items()]
 
 
-def _rows(width: int, indices: list[int], types: list[int]) -> NDArray[np.int64]:
-    """Rows of materials from the top, as the arrays of EvoGym."""
-    if len(indices) != len(types) or not indices or width < 1 or min(indices) < 0:
-        raise ValueError("indices and types of an object do not fit")
-    z, x = np.divmod(np.array(indices, dtype=np.int64), width)
-    z, x = z - z.min(), x - x.min()
-    if max(z.max(), x.max()) >= _SIDE_MAX:
-        raise ValueError("an object is too large")
-    grid = np.zeros((z.max() + 1, x.max() + 1), dtype=np.int64)
-    grid[z, x] = types
-    return grid[::-1]
+def _arrays(path: pathlib.Path) -> list[_Found]:
+    """The arrays of a file of NumPy. Pickled objects are not loaded: they can run programs."""
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            arrays = {path.name: loaded}
+        else:
+            with loaded:
+                arrays = {name: loaded[name] for name in loaded.files}
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise BodyError(f"{path.name} cannot be read: {error}") from None
+    pair = list(arrays.values())
+    if len(pair) == 2 and pair[0].ndim == pair[1].ndim == 2 and len(pair[1]) == 2:
+        return [_Found(path.name, pair[0], connections=pair[1], is_evogym=True)]
+    found = []
+    for name, array in arrays.items():
+        if array.ndim < 3:
+            raise BodyError(f"{name} has {array.ndim} axes; an array of bodies has 3 or more. "
+                            "Load a robot of EvoGym by np.load, and give it to Body.evogym")
+        found += _places(array.reshape(-1, *array.shape[-3:]),
+                         "body" if len(arrays) == 1 else name)
+    return found
 
 
 # ---- voxcraft: a layer per z, in it rows of x ----
 
 
-def _voxcraft(text: bytes) -> NDArray[np.uint8]:
+_OF_VOXCRAFT = {
+    "phase offsets": ("PhaseOffset", "TempPhase", "MaterialTempPhase"),
+    "stiffness": ("Stiffness", "Elastic_Mod"),
+    "cilia": ("Cilia", "CiliaForce", "BaseCiliaForce", "ShiftCiliaForce"),
+}
+"""What the programs know of a body besides its materials, by the tags that hold it."""
+
+
+def _voxcraft(path: pathlib.Path) -> _Found:
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(path.read_bytes())
     except ElementTree.ParseError as error:
         raise BodyError(f"this is not XML: {error}") from None
     structure = next(root.iter("Structure"), None)
@@ -118,7 +192,17 @@ def _voxcraft(text: bytes) -> NDArray[np.uint8]:
         raise BodyError(f"the file has {len(layers)} layers for Z_Voxels = {sides[2]}")
     compression = structure.get("Compression", "BASE64")
     values = [_layer(layer.text or "", compression, sides[0] * sides[1]) for layer in layers]
-    return np.stack(values).reshape(sides[2], sides[1], sides[0]).transpose(2, 1, 0)
+    array = np.stack(values).reshape(sides[2], sides[1], sides[0]).transpose(2, 1, 0)
+    lost = [what for what, tags in _OF_VOXCRAFT.items()
+            if any(_says(element) for tag in tags for element in root.iter(tag))]
+    known = {*_SIDES, "Data", *(tag for tags in _OF_VOXCRAFT.values() for tag in tags)}
+    lost += [child.tag for child in structure if child.tag not in known and _says(child)]
+    return _Found(path.name, array, (f"left out of the file: {', '.join(lost)}", ) if lost else ())
+
+
+def _says(element: ElementTree.Element) -> bool:
+    """Whether an element has more than zeros."""
+    return any(set(text) - set("0., \t\r\n") for text in element.itertext())
 
 
 def _layer(text: str, compression: str, n: int) -> NDArray[np.uint8]:
@@ -126,8 +210,10 @@ def _layer(text: str, compression: str, n: int) -> NDArray[np.uint8]:
     text = text.strip()
     try:
         if compression == "ASCII_READABLE":
-            digits = np.frombuffer(text.encode("latin-1"), np.uint8)
-            return _sized((digits - _ASCII_ZERO).astype(np.uint8), n)
+            digits = np.frombuffer(text.encode("latin-1"), np.uint8) - np.uint8(_ASCII_ZERO)
+            if (digits > 9).any():
+                raise BodyError("a layer that is ASCII_READABLE has other characters than digits")
+            return _sized(digits, n)
         content = base64.b64decode("".join(text.split()), validate=True)
         if compression in ("ZLIB", "QT_ZLIB"):  # Qt puts the size in front
             unpacker = zlib.decompressobj()
@@ -148,7 +234,7 @@ def _sized(values: NDArray[np.uint8], n: int) -> NDArray[np.uint8]:
 # ---- the paper's authors: HDF5 ----
 
 
-def _population(path: pathlib.Path) -> NDArray[np.uint8]:
+def _population(path: pathlib.Path) -> NDArray[Any]:
     try:
         import h5py
     except ImportError:
@@ -161,7 +247,7 @@ def _population(path: pathlib.Path) -> NDArray[np.uint8]:
     return check_hashes(polycubes, hashes)
 
 
-def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[np.uint8]:
+def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[Any]:
     """The bodies (n, X, Y, Z) of a population, after a look whether the axes are those that its
     hashes were made with: of the first bodies, since each takes 0.1 ms."""
     if polycubes.ndim != 4 or len(polycubes) != len(hashes):
@@ -171,7 +257,7 @@ def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[np.uint8
         if _hash(polycube) != told:
             raise BodyError(f"body {place} has another hash than robots/pc_hashes tells: the file "
                             "has another format")
-    return polycubes.astype(np.uint8)
+    return polycubes
 
 
 def _hash(polycube: NDArray[Any]) -> str:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import above_half
 from .bodies import WORKSPACE, Body, BodyLike
 from .errors import BodyError
 
 _PATH = "path_length_m"
+_VOXELS = 144
+_SHAPES = "(144,) or (6, 6, 4) for one solution, (n, 144) or (n, 6, 6, 4) for many,"
 _OF_BODY: dict[str, Callable[[Body], float]] = {
     "voxels": lambda body: float(len(body)),
     "footprint": lambda body: float(body.footprint()),
@@ -37,34 +40,43 @@ class Plan:
     def read(self, solutions: Any) -> tuple[list[Body | None], bool]:
         """The bodies, None for a solution without a voxel, and whether there is one solution that
         is not in a list."""
+        if self.decode is None:
+            solutions = _listed(solutions)
         single = self._is_single(solutions)
-        return [self._body(solution) for solution in ([solutions] if single else solutions)], single
+        bodies: list[Body | None] = []
+        for place, solution in enumerate([solutions] if single else solutions):
+            try:
+                bodies.append(self._body(solution))
+            except BodyError as error:
+                raise BodyError(f"solution {place} is not a body: {error}" + (
+                    "" if self.decode else "; give decode= a function that makes one")) from None
+        return bodies, single
 
     def _is_single(self, solutions: Any) -> bool:
+        single = _is_one(solutions)
         if self.measures is not None:
+            if single and self.decode is None:
+                raise BodyError("with measures, an objective takes many solutions: put this one in "
+                                "brackets")
             return False
-        if isinstance(solutions, np.ndarray):
-            return solutions.ndim == 1 or solutions.shape == WORKSPACE
-        if isinstance(solutions, (str, Body, dict)):
-            return True
-        # A list of numbers is one vector, a list of cells one body.
-        first = solutions[0] if len(solutions) else None
-        return np.isscalar(first) or (isinstance(first, (list, tuple)) and len(first) == 3 and
-                                      all(np.isscalar(part) for part in first))
+        return single
 
     def _body(self, solution: Any) -> Body | None:
         if self.decode is not None:
             solution = self.decode(solution)
-        elif not isinstance(solution, (str, Body, dict)) and np.size(solution) == 144 and (
-                np.ndim(solution) == 1):
-            solution = np.asarray(solution, dtype=float).reshape(WORKSPACE) > 0.5
-        if isinstance(solution, np.ndarray) and not solution.any():
-            return None
-        try:
-            return Body.of(solution, repair="largest")
-        except BodyError as error:
-            raise BodyError(f"a solution is no body: {error}; give decode= a function that makes "
-                            "one") from None
+        if isinstance(solution, (list, tuple)) and solution and all(map(_is_number, solution)):
+            solution = np.array(solution)
+        elif getattr(solution, "ndim", 0) > 0 and not isinstance(solution, np.ndarray):
+            solution = np.asarray(solution)  # of a table or a tensor
+        if isinstance(solution, np.ndarray):
+            if solution.ndim != 3 and solution.shape != (_VOXELS, ):
+                raise BodyError(f"an array of the shape {solution.shape} is given; {_SHAPES} are "
+                                "expected")
+            voxels = above_half(solution)
+            solution = voxels.reshape(WORKSPACE) if voxels.ndim == 1 else voxels
+            if not voxels.any():
+                return None
+        return Body.of(solution, repair="largest")
 
     def write(self, bodies: list[Body | None], scores: NDArray[np.float64] | None, paths: Any,
               single: bool) -> Any:
@@ -98,3 +110,34 @@ class Plan:
                 count = measure if callable(measure) else _OF_BODY[measure]
                 table[:, column] = [0.0 if body is None else float(count(body)) for body in bodies]
         return table
+
+
+def _listed(solutions: Any) -> Any:
+    """One solution, or solutions with a length and an order."""
+    if getattr(solutions, "ndim", 0) > 0 and not isinstance(solutions, np.ndarray):
+        solutions = np.asarray(solutions)  # of a table or a tensor
+    if isinstance(solutions, np.ndarray) and solutions.ndim == 1 and solutions.dtype.kind in "OU":
+        return list(solutions)
+    if isinstance(solutions, (set, frozenset)):
+        raise BodyError("a set of solutions has no order: give a list")
+    if isinstance(solutions, (str, bytes, Body, Mapping, Sequence)) or (
+            isinstance(solutions, np.ndarray) and solutions.ndim > 0):
+        return solutions
+    if not isinstance(solutions, Iterable) or isinstance(solutions, np.ndarray):
+        raise BodyError(f"{type(solutions).__name__} is not a solution: {_SHAPES} are expected")
+    return list(solutions)
+
+
+def _is_one(solutions: Any) -> bool:
+    if isinstance(solutions, np.ndarray):
+        return solutions.ndim == 1 or solutions.shape == WORKSPACE
+    if isinstance(solutions, (str, bytes, Body, Mapping)):
+        return True
+    # A list of numbers is one vector, a list of cells one body.
+    first = solutions[0] if len(solutions) else None
+    return _is_number(first) or (isinstance(first, (list, tuple)) and len(first) == 3 and
+                                 all(map(_is_number, first)))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.bool_, np.number))

@@ -475,10 +475,11 @@ class Objective:
     solution a number. With `measures` it gives two arrays, the objective (n,) and the measures
     (n, measures), as pyribs takes them: `scheduler.tell(*objective(scheduler.ask()))`.
 
-    A solution is whatever `Body.of` takes, or a vector of 144 numbers, a voxel where one is above
-    0.5; `decode` turns others into bodies. The largest piece counts; a solution without a voxel,
-    and one that diverges, gets the loss `worst`. Losses are to be minimized; `maximize=True`, the
-    default with measures, gives them with the other sign.
+    A solution is a vector of 144 finite numbers or an array [x, y, z], a voxel where a value is
+    above 0.5 whatever the shape, or another form that `Body.of` takes; `decode` turns others into
+    bodies. The largest piece counts; a solution without a voxel, and one that diverges, gets the
+    loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures, gives them
+    with the other sign.
 
     Measures are "voxels", "footprint", "height", "path_length_m" (mean way of the center of mass
     over the environments), or functions of a `Body`.

@@ -1,0 +1,84 @@
+"""Arrays as voxels: which values are a voxel, and which arrays are refused because they could mean
+several things."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import BodyError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SHOWN = 5  # of many materials
+
+_UNREADABLE = {
+    "U": "texts: convert it, as in array.astype(int)",
+    "S": "texts: convert it, as in array.astype(int)",
+    "O": "objects: convert it, as in array.astype(int)",
+    "c": "complex numbers: give booleans, as in abs(array) > 0.5",
+    "M": "dates: give booleans or materials as integers",
+    "m": "durations: give booleans or materials as integers",
+    "V": "records: take the field with the voxels, as in array[\"voxels\"]",
+}
+
+
+def numbers(array: NDArray[Any]) -> NDArray[Any]:
+    """An array of booleans, integers or floats as it is. Raises `BodyError` for any other."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise BodyError("a masked array does not say what its masked voxels are: fill it, as in "
+                        "array.filled(0)")
+    if array.dtype.kind not in "biuf":
+        what = _UNREADABLE.get(array.dtype.kind, f"{array.dtype}: give booleans")
+        raise BodyError(f"this is an array of {what}")
+    return np.asarray(array)
+
+
+def occupied(array: NDArray[Any]) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
+    """Where an array has voxels, and what that loses. Integers are materials; floats have to be 0
+    or 1, because it is not known where a density becomes a voxel."""
+    array = numbers(array)
+    if array.dtype.kind == "b":
+        return array, ()
+    if array.dtype.kind == "f":
+        wrong = (array != 0) & (array != 1)
+        if wrong.any():
+            raise BodyError(f"{first(array, wrong)}: a float is a voxel if it is exactly 1, and "
+                            "empty if it is exactly 0; give booleans, such as array > 0.5")
+        return array == 1, ()
+    if (array < 0).any():
+        raise BodyError(f"{first(array, array < 0)}: 0 is empty, and materials are positive; give "
+                        "booleans, such as array > 0")
+    return array != 0, materials(array, plain=1)
+
+
+def above_half(array: NDArray[Any]) -> NDArray[np.bool_]:
+    """The voxels of an optimizer's numbers: those above 0.5."""
+    array = numbers(array)
+    wrong = ~np.isfinite(array)
+    if wrong.any():
+        raise BodyError(f"{first(array, wrong)}: finite numbers are expected, a voxel where one is "
+                        "above 0.5")
+    voxels: NDArray[np.bool_] = array > 0.5
+    return voxels
+
+
+def materials(values: NDArray[Any], plain: int | None = None) -> tuple[str, ...]:
+    """What is lost when materials become one. `plain`: the material that is morphod's own."""
+    kinds = [kind for kind in np.unique(values).tolist() if kind != 0]
+    if not kinds or kinds == [plain]:
+        return ()
+    if len(kinds) == 1:
+        return (f"material {kinds[0]} became morphod's only one",)
+    shown = ", ".join(str(kind) for kind in kinds[:_SHOWN])
+    if len(kinds) > _SHOWN:
+        return (f"{len(kinds)} materials ({shown}, …) became one",)
+    return (f"materials {shown} became one",)
+
+
+def first(array: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
+    """The first wrong value and its place, for a message."""
+    place = tuple(int(at) for at in np.argwhere(wrong)[0])
+    return f"the value at [{', '.join(map(str, place))}] is {array[place]}"

@@ -1,0 +1,155 @@
+"""Robots of EvoGym: rows of materials from the top, with the connections of their voxels, and
+worlds, the JSON files that hold robots and what is around them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .arrays import first, materials, numbers
+from .errors import BodyError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_FIXED = 5  # the material of grounds and walls
+_SIDE_MAX = 1000  # of an object; a larger one is no robot
+
+
+def is_pair(body: Any) -> bool:
+    """Whether this is a pair (body, connections), as EvoGym's `sample_robot` gives: its items have
+    items that have items."""
+    many = (list, tuple, np.ndarray)
+    return isinstance(body, (list, tuple)) and len(body) == 2 and isinstance(body[0], many) and (
+        len(body[0]) > 0 and isinstance(body[0][0], many))
+
+
+def rows_of(body: Any) -> NDArray[Any]:
+    """The materials of a robot as an array [row, column]: integers, or booleans."""
+    if not isinstance(body, np.ndarray):
+        if not isinstance(body, Sequence) or isinstance(body, (str, bytes)):
+            raise BodyError(f"{type(body).__name__} is not a robot of EvoGym: give rows of "
+                            "materials, from the top")
+        try:
+            body = np.array(body)
+        except ValueError:
+            raise BodyError("the rows of a robot of EvoGym have different lengths") from None
+    rows = numbers(body)
+    if rows.ndim != 2:
+        raise BodyError(f"a robot of EvoGym has 2 dimensions [row, column], not {rows.ndim}")
+    if rows.dtype.kind == "b":
+        return rows
+    wrong = ~((rows >= 0) & (rows <= _FIXED))  # also for NaN
+    if rows.dtype.kind == "f":
+        wrong |= rows != np.floor(rows)
+    if wrong.any():
+        raise BodyError(f"{first(rows, wrong)}: the materials of EvoGym are 0 (empty) to "
+                        f"{_FIXED} (fixed)")
+    return rows.astype(np.int64)
+
+
+def upright(rows: NDArray[Any]) -> NDArray[np.bool_]:
+    """The voxels [x, y, z] of a robot, which gets a depth of two voxels."""
+    plane = (rows[::-1] != 0).T  # [x, z]
+    deep = np.zeros((plane.shape[0], 4, plane.shape[1]), dtype=np.bool_)
+    deep[:, 2:4] = plane[:, np.newaxis]
+    return deep
+
+
+def lost_of(rows: NDArray[Any], connections: Any = None) -> tuple[str, ...]:
+    """What a robot loses: its materials, and where adjacent voxels are not joined."""
+    lost = () if rows.dtype.kind == "b" else materials(rows)
+    if connections is None:
+        return lost
+    pairs = np.asarray(connections)
+    if pairs.ndim != 2 or pairs.shape[0] != 2 or pairs.dtype.kind not in "iuf":
+        raise BodyError("connections have the shape (2, n): pairs of places in the flat body, from "
+                        f"0; these have the shape {pairs.shape}")
+    if pairs.size and ((pairs != np.floor(pairs)) | (pairs < 0) | (pairs >= rows.size)).any():
+        raise BodyError(f"connections name places from 0 to {rows.size - 1}; these have others")
+    joined = {frozenset(pair) for pair in pairs.astype(np.int64).T.tolist()}
+    touching = _touching(rows)
+    if not joined <= touching:
+        pair = sorted(min(joined - touching, key=sorted))
+        raise BodyError(f"connections join the places {pair[0]} and {pair[-1]}, which are not "
+                        "adjacent voxels of this body")
+    return lost + _apart(len(touching - joined))
+
+
+def _touching(rows: NDArray[Any]) -> set[frozenset[int]]:
+    """The pairs of adjacent voxels, by their places in the flat array."""
+    places = np.arange(rows.size).reshape(rows.shape)
+    there = rows != 0
+    right, down = there[:, 1:] & there[:, :-1], there[1:] & there[:-1]
+    return {frozenset(pair) for one, other in
+            ((places[:, :-1][right], places[:, 1:][right]), (places[:-1][down], places[1:][down]))
+            for pair in zip(one.tolist(), other.tolist())}
+
+
+def _apart(n: int) -> tuple[str, ...]:
+    if n == 0:
+        return ()
+    pairs = "1 pair of adjacent voxels that was" if n == 1 else (
+        f"{n} pairs of adjacent voxels that were")
+    return (f"{pairs} not connected became connected",)
+
+
+# ---- worlds: voxels by index in a grid; its rows go upwards ----
+
+
+class Thing:
+    """An object of a world."""
+
+    def __init__(self, width: int, data: Mapping[str, Any]) -> None:
+        indices = _whole(data["indices"], "indices")
+        types = _whole(data["types"], "types")
+        if len(indices) != len(types) or not len(indices):
+            raise ValueError("indices and types of an object do not fit")
+        if indices.min() < 0 or len(np.unique(indices)) != len(indices):
+            raise ValueError("an index is negative, or given twice")
+        z, x = np.divmod(indices, width)
+        z, x = z - z.min(), x - x.min()
+        if max(z.max(), x.max()) >= _SIDE_MAX:
+            raise ValueError("an object is too large")
+        grid = np.zeros((z.max() + 1, x.max() + 1), dtype=np.int64)
+        grid[z, x] = types
+        self.rows = rows_of(grid[::-1])
+        """Materials from the top, as the arrays of EvoGym."""
+        self.is_fixed = bool((types == _FIXED).all())
+        self.lost = _apart(self._unjoined(indices, x, z, data))
+
+    def _unjoined(self, indices: NDArray[np.int64], x: NDArray[np.int64], z: NDArray[np.int64],
+                  data: Mapping[str, Any]) -> int:
+        """Pairs of adjacent voxels that `neighbors` leaves apart; a file without it joins all."""
+        neighbors = data.get("neighbors")
+        if not neighbors:
+            return 0
+        height, width = self.rows.shape
+        place_of = dict(zip(indices.tolist(), ((height - 1 - z) * width + x).tolist()))
+        joined = {frozenset((place_of.get(int(one), -1), place_of.get(int(other), -1)))
+                  for one, others in neighbors.items() for other in others}
+        return len(_touching(self.rows) - joined)
+
+
+def things(world: Any) -> dict[str, Thing]:
+    """The objects of a world by name."""
+    if not isinstance(world, Mapping) or not {"grid_width", "objects"} <= set(world):
+        raise BodyError("this JSON is not a world of EvoGym: it has no grid_width and objects")
+    try:
+        width = int(_whole([world["grid_width"]], "grid_width")[0])
+        if width < 1:
+            raise ValueError("grid_width is not positive")
+        return {name: Thing(width, data) for name, data in dict(world["objects"]).items()}
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise BodyError(f"this JSON is not a world of EvoGym: {error}") from None
+
+
+def _whole(values: Iterable[Any], what: str) -> NDArray[np.int64]:
+    """Whole numbers of a file."""
+    values = list(values)
+    if any(isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value)
+           for value in values):
+        raise ValueError(f"{what} are not whole numbers")
+    return np.array([int(value) for value in values], dtype=np.int64)
