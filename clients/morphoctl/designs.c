@@ -12,6 +12,10 @@
 #include "base/words.h"
 #include "commands.h"
 
+/* Ends a message about what is not a design. */
+#define OTHER_PROGRAMS                                                                             \
+  "; morphod.read_bodies of the Python package reads files of EvoGym, voxcraft and NumPy"
+
 char *read_input(const char *path, size_t limit, size_t *length)
 {
   bool standard = strcmp(path, "-") == 0;
@@ -72,6 +76,53 @@ static bool is_point(const json_t *json)
   return json_array_size(json) == 3 && json_is_number(json_array_get(json, 0));
 }
 
+#define MATERIAL_MAX 4 /* of a robot of EvoGym */
+#define CELLS_MAX    ((MATERIAL_MAX + 1) * (MATERIAL_MAX + 1) * (MATERIAL_MAX + 1))
+
+static bool are_adjacent(const int a[3], const int b[3])
+{
+  return abs(a[0] - b[0]) + abs(a[1] - b[1]) + abs(a[2] - b[2]) == 1;
+}
+
+/* Whether these rows, which are no body in one piece as cells, can be a robot of EvoGym with three
+ * columns: materials up to 4, of which the highest row has at least one. */
+static bool can_be_robot(const json_t *rows)
+{
+  const size_t n = json_array_size(rows);
+  int cells[CELLS_MAX][3];
+  size_t n_reached = 1;
+  for (size_t i = 0; i < n; i++) {
+    const json_t *row = json_array_get(rows, i);
+    int cell[3];
+    for (size_t k = 0; k < 3; k++) {
+      const json_t *number = json_array_get(row, k);
+      if (json_array_size(row) != 3 || !json_is_integer(number) || json_integer_value(number) < 0 ||
+          json_integer_value(number) > MATERIAL_MAX)
+        return false;
+      cell[k] = (int)json_integer_value(number);
+    }
+    if (i < CELLS_MAX)
+      memcpy(cells[i], cell, sizeof(cell));
+  }
+  if (n < 2 || (cells[0][0] == 0 && cells[0][1] == 0 && cells[0][2] == 0))
+    return false;
+  if (n > CELLS_MAX)
+    return true; /* a cell is given twice */
+  for (size_t i = 0; i < n; i++)
+    for (size_t j = 0; j < i; j++)
+      if (memcmp(cells[i], cells[j], sizeof(cells[i])) == 0)
+        return true;
+  for (size_t from = 0; from < n_reached; from++) /* cells that are reached come first */
+    for (size_t i = n_reached; i < n; i++)
+      if (are_adjacent(cells[from], cells[i])) {
+        int reached[3];
+        memcpy(reached, cells[i], sizeof(reached));
+        memcpy(cells[i], cells[n_reached], sizeof(reached));
+        memcpy(cells[n_reached++], reached, sizeof(reached));
+      }
+  return n_reached < n;
+}
+
 static void add_json(struct designs *designs, const char *source, size_t line, json_t *json,
                      int depth)
 {
@@ -86,6 +137,11 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
     return;
   }
   if (json_is_array(json) && json_array_size(json) > 0 && is_point(json_array_get(json, 0))) {
+    if (can_be_robot(json))
+      fail(STATUS_USAGE,
+           "%s:%zu: this list can be cells [x, y, z] or rows of EvoGym: write {\"cells\": [...]} "
+           "for cells; Body.evogym of the Python package reads rows",
+           source, line);
     add(designs, json_pack("{s:O}", "cells", json), NULL);
     return;
   }
@@ -99,12 +155,15 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
     return;
   }
   if (!json_is_object(json))
-    fail(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source, line);
+    fail(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id" OTHER_PROGRAMS,
+         source, line);
   json_t *many = json_object_get(json, "designs");
   if (many != NULL && depth == 0) {
     add_json(designs, source, line, many, 0);
     return;
   }
+  if (json_object_get(json, "grid_width") != NULL)
+    fail(STATUS_USAGE, "%s:%zu: a world of EvoGym is not a design" OTHER_PROGRAMS, source, line);
   json_t *design = keep(json_object());
   const char *key;
   json_t *value;
@@ -165,7 +224,7 @@ void designs_add_text(struct designs *designs, const char *source, const char *t
       else
         fail(STATUS_USAGE,
              "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 hexadecimal "
-             "digits",
+             "digits" OTHER_PROGRAMS,
              source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
       i += n;
     }

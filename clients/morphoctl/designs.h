@@ -3,7 +3,8 @@
  * Accepted, in any mixture, one after the other:
  * - {"cells": [[x,y,z], …]}, {"voxels": "…"}, {"id": "…"}: one design; "name" is only for tables
  * - [design, …], {"designs": [design, …]}: many designs
- * - [[x,y,z], …]: the cells of one design
+ * - [[x,y,z], …]: the cells of one design. It is refused if they are not in one piece, and could
+ *   be rows of materials of EvoGym
  * - 144 digits 0 and 1, optionally after a g: the voxels of one design
  * - 36 hexadecimal digits, optionally after a d: an id
  * - # to the end of the line: ignored */

@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 
+import pytest
 from archives import blocks, lies
 from ctl import CELLS, MORPHOCTL, SHORT, ctl  # noqa: F401
 from service import BOOTSTRAP, DESIGN, SOURCE, run
@@ -83,6 +84,29 @@ def test_faults_name_their_place(ctl):
     assert status in (3, 6) and "nobody" in err, err
     status, _, err = ctl("eval --physics dt_s=7", input_text=CELLS)
     assert status == 6 and "/physics/dt_s" in err, err
+
+
+@pytest.mark.parametrize("text, said", [
+    ("[[0,3,3],[1,1,0],[4,0,0]]", 'cells [x, y, z] or rows of EvoGym: write {"cells": [...]}'),
+    ("[[3,3,3],[3,3,3]]", "rows of EvoGym"),
+    (json.dumps([[4, 4, 4]] * 200), "rows of EvoGym"),
+    ("[[3,3,0,3],[1,1,0,1]]", "morphod.read_bodies of the Python package"),
+    ("[[[3,3],[4,0]],[[0,0],[1,2]]]", "morphod.read_bodies of the Python package"),
+    ('{"grid_width": 9, "grid_height": 9, "objects": {}}', "a world of EvoGym is not a design"),
+    ("<VXD></VXD>", "morphod.read_bodies of the Python package"),
+])
+def test_bodies_of_other_programs_are_refused(ctl, text, said):
+    status, out, err = ctl(f"eval {SHORT} --repair largest", input_text=text)
+    assert (status, out) == (2, "") and said in err, err
+
+
+def test_lists_of_cells_are_read(ctl):
+    """Cells in one piece, in any order; those that are named, or cannot be a robot, in several."""
+    for text in ("[[2,2,0],[3,2,0]]", "[[3,3,1],[1,3,1],[2,3,1]]", "[[4,4,3]]",
+                 '{"cells": [[0,3,3],[1,1,0],[4,0,0]]}', "[[0,0,0],[1,0,0],[4,0,0]]",
+                 "[[5,3,3],[1,1,0]]"):
+        status, _, err = ctl(f"eval {SHORT} --repair largest", input_text=text)
+        assert status == 0, err
 
 
 def test_verify(ctl):
