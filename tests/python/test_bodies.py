@@ -72,13 +72,13 @@ def test_evogym_connections():
     robot = np.array([[3.0, 3.0], [3.0, 0.0]])
     joined = Body.evogym((robot, np.array([[0, 0], [1, 2]])))
     assert joined == Body.evogym(robot.tolist()) and (
-        joined.lost == ("material 3 became morphod's only one", ))
+        joined.lost == ("material 3 became morphod's only material", ))
     apart = Body.evogym(robot, np.array([[0], [1]]))
     assert apart == joined and apart.lost[1:] == (
         "1 pair of adjacent voxels that was not connected became connected", )
     assert Body.evogym(robot, np.empty((0, 2)).T).lost[1].startswith("2 pairs of adjacent voxels")
     assert Body.evogym(np.array([[1, 0, 1]]), repair="largest").lost == (
-        "material 1 became morphod's only one",
+        "material 1 became morphod's only material",
         "2 voxels that did not belong to the largest piece")
 
 
@@ -94,6 +94,7 @@ def test_evogym_connections():
     (([[0, 0]], ), "at least one voxel"),
     (("33", ), "str is not a robot"),
     (([[1, 1]], [[0, 1]]), "(2, n)"),
+    (([[1, 1]], [[0, 1], [1]]), "(2, n)"),
     (([[1, 1]], [[0], [2]]), "places from 0 to 1"),
     (([[1, 0, 1]], [[0], [2]]), "join the places 0 and 2"),
 ])

@@ -5,6 +5,7 @@ import json
 import math
 import re
 import time
+import warnings
 
 import morphod
 import networkx
@@ -92,10 +93,24 @@ def test_faults_are_told_per_design(m):
     path = np.linalg.norm(np.diff(evaluation.recordings("com")[1], axis=1), axis=-1).sum(axis=1)
     told = evaluation.frame()["path_length_m"]
     assert math.isclose(told[1], path.mean(), rel_tol=1e-12) and told.isna().sum() == 4
-    group = m.campaign("zero-shot", preset="demo", population=4, generations=0, physics=SHORT,
-                       initial=bodies, on_fault="skip", repair="largest")
+    with pytest.warns(UserWarning, match="body 0: skipped, the body is 7 .* axis 0 .x."):
+        group = m.campaign("zero-shot", preset="demo", population=4, generations=0, physics=SHORT,
+                           initial=bodies, on_fault="skip", repair="largest")
     assert [row["place"] for row in group[0].data["founders"]] == [0, 2, 3, 4]
     group.wait()
+
+
+def test_what_is_lost_is_a_warning(m):
+    """Where a result has no place for it; a `Body` has said it already."""
+    materials = np.zeros((2, 6, 6, 4), dtype=int)
+    materials[:, 2:4, 2, 0] = [1, 3]
+    for use in (m.canonical, m.mutate, lambda bodies: m.cross(bodies, [[[0, 0, 0]]] * 2),
+                lambda bodies: m.rollouts(bodies, WORLD, physics=SHORT)):
+        with pytest.warns(UserWarning, match="body 0: materials 1, 3 became one .and 1 more bod"):
+            use(materials)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            use([morphod.Body.of(body) for body in materials])
 
 
 def test_bodies_of_the_service(m):

@@ -94,7 +94,7 @@ def test_evogym_objects_by_name(tmp_path):
     with pytest.raises(BodyError, match="bridge: the body is 15 .* names= or on_fault"):
         read_bodies(file)
     assert [body.name for body in read_bodies(file, names=["box", "robot"])] == ["box", "robot"]
-    assert read_bodies(file, "box")[0].lost == ("material 1 became morphod's only one", )
+    assert read_bodies(file, "box")[0].lost == ("material 1 became morphod's only material", )
     with pytest.raises(BodyError, match="no body 'rob', but ground, robot, bridge and 1 more"):
         read_bodies(file, "rob")
     bodies = read_bodies(file, on_fault="skip")

@@ -71,7 +71,7 @@ def materials(values: NDArray[Any], plain: int | None = None) -> tuple[str, ...]
     if not kinds or kinds == [plain]:
         return ()
     if len(kinds) == 1:
-        return (f"material {kinds[0]} became morphod's only one",)
+        return (f"material {kinds[0]} became morphod's only material",)
     shown = ", ".join(str(kind) for kind in kinds[:_SHOWN])
     if len(kinds) > _SHOWN:
         return (f"{len(kinds)} materials ({shown}, …) became one",)

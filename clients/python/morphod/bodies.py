@@ -8,6 +8,7 @@ become that one; `Body.lost` says what a conversion left out.
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Union
 
@@ -206,6 +207,24 @@ def requests_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "
         designs.append(design)
         lost.append(made)
     return designs, lost, faults
+
+
+def designs_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "refuse"
+               ) -> list[dict[str, str]]:
+    """Bodies as designs of a request with a result that has no place for what a conversion lost,
+    and for why a body could not be read. Both become warnings, unless a `Body` of the caller says
+    the one, or the service notes the other: that a body is empty."""
+    given = bodies if isinstance(bodies, np.ndarray) else list(_listed(bodies))
+    designs, lost, faults = requests_of(given, on_fault)
+    told = {place: "; ".join(sentences) for place, sentences in enumerate(lost)
+            if sentences and not isinstance(given[place], Body)}
+    skipped = {place: fault for place, fault in faults.items() if fault != _EMPTY}
+    for kind, said in (("", told), ("skipped, ", skipped)):
+        if said:
+            place, text = next(iter(said.items()))
+            more = f" (and {len(said) - 1} more bodies)" if len(said) > 1 else ""
+            warnings.warn(f"body {place}: {kind}{text}{more}", stacklevel=3)
+    return designs
 
 
 def _whole_array(bodies: Any) -> NDArray[np.bool_] | None:

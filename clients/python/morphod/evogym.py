@@ -63,10 +63,13 @@ def lost_of(rows: NDArray[Any], connections: Any = None) -> tuple[str, ...]:
     lost = () if rows.dtype.kind == "b" else materials(rows)
     if connections is None:
         return lost
-    pairs = np.asarray(connections)
+    try:
+        pairs = np.asarray(connections)
+    except ValueError:
+        pairs = np.empty(0)  # of different lengths
     if pairs.ndim != 2 or pairs.shape[0] != 2 or pairs.dtype.kind not in "iuf":
-        raise BodyError("connections have the shape (2, n): pairs of places in the flat body, from "
-                        f"0; these have the shape {pairs.shape}")
+        raise BodyError("connections have the shape (2, n), not "
+                        f"{pairs.shape}: pairs of places in the flat body, from 0")
     if pairs.size and ((pairs != np.floor(pairs)) | (pairs < 0) | (pairs >= rows.size)).any():
         raise BodyError(f"connections name places from 0 to {rows.size - 1}; these have others")
     joined = {frozenset(pair) for pair in pairs.astype(np.int64).T.tolist()}
@@ -117,7 +120,7 @@ class Thing:
         grid[z, x] = types
         self.rows = rows_of(grid[::-1])
         """Materials from the top, as the arrays of EvoGym."""
-        self.is_fixed = bool((types == _FIXED).all())
+        self.is_fixed = set(types.tolist()) - {0} == {_FIXED}
         self.lost = _apart(self._unjoined(indices, x, z, data))
 
     def _unjoined(self, indices: NDArray[np.int64], x: NDArray[np.int64], z: NDArray[np.int64],

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..bodies import BodyLike, OnFault, Repair, requests_of, voxels_of
+from ..bodies import BodyLike, OnFault, Repair, designs_of, requests_of, voxels_of
 from ..errors import MorphodError
 from ..frames import frame
 from ..objectives import Plan
@@ -118,9 +118,8 @@ class AsyncClient:
                        repair: Repair | None = None) -> Scene:
         """Up to 64 rollouts that are stored nowhere, with what they recorded: for viewers and
         editors. The losses are those of an evaluation, bit for bit."""
-        designs, _, _ = requests_of(bodies)
         request = Request.post("/v1/rollouts", {
-            "designs": designs, "environments": environments, "controller": controller,
+            "designs": designs_of(bodies), "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
             **_given(physics=physics, repair=repair),
         }, accept=MEDIA_TYPE)
@@ -153,14 +152,14 @@ class AsyncClient:
         the order of the bodies. Each differs from all bodies and all other mutants. `rate` is the
         probability that a voxel flips; without it 1/144."""
         return voxels_of(row["genotype"] for row in await self._make("mutate", {
-            "designs": requests_of(bodies)[0], "seed": seed, "children": children,
+            "designs": designs_of(bodies), "seed": seed, "children": children,
             **_given(rate=rate)}))
 
     async def cross(self, bodies: Iterable[BodyLike] | NDArray[Any],
                     others: Iterable[BodyLike] | NDArray[Any]) -> NDArray[np.bool_]:
         """The children (n, 6, 6, 4) of n bodies and n others: the voxels that exactly one parent
         has, the largest piece of them. Equal parents have none: their child is empty."""
-        first, second = requests_of(bodies)[0], requests_of(others)[0]
+        first, second = designs_of(bodies), designs_of(others)
         if len(first) != len(second):
             raise ValueError(f"{len(first)} bodies cannot be crossed with {len(second)}")
         pairs = [[place, len(first) + place] for place in range(len(first))]
@@ -171,7 +170,7 @@ class AsyncClient:
         """The ids of bodies: their canonical forms, which rotations about z and reflections in x
         and y do not change. `Body.of` turns one into a body."""
         return [row["id"] for row in
-                await self._make("canonical", {"designs": requests_of(bodies)[0]})]
+                await self._make("canonical", {"designs": designs_of(bodies)})]
 
     async def _make(self, how: str, value: Mapping[str, Any]) -> list[dict[str, Any]]:
         made = await self._connection.json(Request.post(f"/v1/bodies/{how}", value))
@@ -217,7 +216,7 @@ class AsyncClient:
         if isinstance(initial, AsyncCampaign):
             value["initial"] = {"campaign": initial.id}
         elif initial is not None:
-            value["initial"] = {"designs": requests_of(initial, on_fault)[0],
+            value["initial"] = {"designs": designs_of(initial, on_fault),
                                 "on_fault": on_fault, **_given(repair=repair)}
         first = await self._connection.json(Request.submit("/v1/campaigns", value))
         members = [AsyncCampaign(self._connection, first)]
@@ -356,7 +355,7 @@ class AsyncClient:
         """Starts the training of a controller on bodies, or on a `population` of the service such
         as `{"campaign": "12"}`."""
         if bodies is not None:
-            settings["designs"] = requests_of(bodies)[0]
+            settings["designs"] = designs_of(bodies)
         return await self._train("finetune", settings, preset=preset, name=name, label=label)
 
     async def _train(self, kind: str, settings: dict[str, Any], **given: Any) -> AsyncTraining:

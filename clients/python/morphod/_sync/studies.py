@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..bodies import Body, BodyLike, OnFault, Repair, requests_of
+from ..bodies import Body, BodyLike, OnFault, Repair, designs_of
 from ..errors import MorphodError
 from ..objectives import Plan
 from ..results import Asked, Batch, children_of
@@ -71,8 +71,7 @@ class Study(Campaign):
             children = children.bodies
         value: dict[str, Any] = {
             "batch": self.next_batch, "on_fault": on_fault,
-            "children": children_of(requests_of(children, on_fault)[0], parents, operator,
-                                    measures),
+            "children": children_of(designs_of(children, on_fault), parents, operator, measures),
             **given(repair=repair),
         }
         if survivors is not None:
