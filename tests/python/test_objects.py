@@ -342,6 +342,16 @@ def test_a_solution_has_a_voxel_above_one_half():
             plan.read(wrong)
 
 
+def test_decoded_arrays_have_the_same_threshold():
+    density = np.random.default_rng(25).random(SIDES)
+    for decoded in (density, density.ravel(), density.ravel().tolist()):
+        shown = Body.of(np.reshape(decoded, SIDES) > 0.5, "largest")
+        assert Plan(None, lambda key: decoded, 10.0, False).read(["a", "b"]) == ([shown] * 2, False)
+    assert Plan(None, lambda key: density * 0.5, 10.0, False).read([3.0]) == ([None], True)
+    with pytest.raises(BodyError, match="solution 0 is not a body: an array of the shape .6, 4."):
+        Plan(None, lambda key: density[0], 10.0, False).read(["a"])
+
+
 @pytest.mark.parametrize("wrong", [
     np.zeros(143), np.zeros((4, 143)), np.zeros((2, 2, 2)), np.zeros((5, 3), dtype=int),
     np.zeros((1, 1, 6, 6, 4)), np.array(0.7), 0.7, [0.7] * 143, [[0.7] * 143],

@@ -360,30 +360,27 @@ def _from_mapping(body: Mapping[str, Any]) -> Body:
 
 
 def _from_list(rows: Sequence[Any]) -> NDArray[np.bool_]:
-    """The voxels of a list of cells. It is refused if it is not one piece, and could be a robot of
-    EvoGym: such a robot has three columns and materials up to 4, and its highest row is not
-    empty."""
+    """The voxels of a list of cells. It is refused if it is not one piece, and can be a robot of
+    EvoGym with three columns."""
     if any(isinstance(row, np.ndarray) and row.ndim > 1 for row in rows):
         raise BodyError("a list of arrays is not a body: give one of them; of a pair (body, "
                         "connections) of EvoGym give Body.evogym(pair)")
     try:
         voxels = _from_cells(rows)
-    except _TwiceError as error:
+    except BodyError as error:
         if not _can_be_rows(rows):
-            raise BodyError(str(error)) from None
-    else:
-        if not _can_be_rows(rows) or (voxels == largest_pieces(voxels[np.newaxis])[0]).all():
-            return voxels
-    raise BodyError(f"this list can be two things: {_TWO_WAYS}")
+            raise
+        raise BodyError(f"{error}; Body.evogym(it) reads rows of EvoGym") from None
+    if _can_be_rows(rows) and (voxels != largest_pieces(voxels[np.newaxis])[0]).any():
+        raise BodyError(f"this list can be two things: {_TWO_WAYS}")
+    return voxels
 
 
-def _can_be_rows(cells: Sequence[Any]) -> bool:
-    return len(cells) > 1 and all(map(_is_cell, cells)) and any(cells[0]) and all(
-        at <= _MATERIAL_MAX for cell in cells for at in cell)
-
-
-class _TwiceError(BodyError):
-    """A cell is given twice."""
+def _can_be_rows(rows: Sequence[Any]) -> bool:
+    """Whether rows can be a robot of EvoGym: materials up to 4, of which the highest row has at
+    least one."""
+    return len(rows) > 1 and all(map(_is_cell, rows)) and any(rows[0]) and all(
+        0 <= material <= _MATERIAL_MAX for row in rows for material in row)
 
 
 def _is_integer(value: Any) -> bool:
@@ -411,7 +408,7 @@ def _from_cells(cells: Any) -> NDArray[np.bool_]:
                                 f"0 to {side - 1}")
         x, y, z = (int(at) for at in cell)
         if voxels[x, y, z]:
-            raise _TwiceError(f"cell {place} is given twice: it equals cell {places[x, y, z]}")
+            raise BodyError(f"cell {place} is given twice: it equals cell {places[x, y, z]}")
         voxels[x, y, z] = True
         places[x, y, z] = place
     return voxels

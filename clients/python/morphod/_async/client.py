@@ -476,9 +476,9 @@ class AsyncObjective:
 
     A solution is a vector of 144 finite numbers or an array [x, y, z], a voxel where a value is
     above 0.5 whatever the shape, or another form that `Body.of` takes; `decode` turns others into
-    bodies. The largest piece counts; a solution without a voxel, and one that diverges, gets the
-    loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures, gives them
-    with the other sign.
+    one of these. The largest piece counts; a solution without a voxel, and one that diverges, gets
+    the loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures, gives
+    them with the other sign.
 
     Measures are "voxels", "footprint", "height", "path_length_m" (mean way of the center of mass
     over the environments), or functions of a `Body`.
