@@ -4,7 +4,8 @@
 #                               root, or with sudo)
 #   fetch_promtool              puts Prometheus's checker, build/promtool, in its place once; tests
 #                               that find none are skipped
-#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments
+#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments; the module for
+#                               GPUs has code for all of them, but where tools/test is without a GPU
 #   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
 
 set -euo pipefail
@@ -63,11 +64,13 @@ fetch_promtool() {
 export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
 
 configure_in() {
-  local folder=$1; shift
+  local folder=$1 output; shift
   if [ ! -f "$folder/build.ninja" ]; then
-    local output
-    output=$(meson setup "$folder" "$@" 2>&1) ||
+    output=$(meson setup "$folder" "-Dgpu_code=${gpu_code:-all}" "$@" 2>&1) ||
       { printf '%s\n' "$output"; fail "meson could not configure $folder"; }
+  elif [ "${gpu_code:-all}" = all ] && meson introspect "$folder" --buildoptions |
+      grep -q '"name": "gpu_code", "value": "check"'; then # left by tools/test
+    meson configure "$folder" -Dgpu_code=all || fail "meson could not configure $folder"
   fi
 }
 
