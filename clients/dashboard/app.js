@@ -1,7 +1,9 @@
 /** The dashboard: its frame, its routes, and what all views share. */
 
-import { connection, decoded, getJson, getToken, setToken, storing, tokenOfAddress } from './lib/api.js';
-import { button, fill, h, svg } from './lib/dom.js';
+import {
+  ApiError, LinkError, connection, decoded, getJson, getToken, setToken, storing, tokenOfAddress,
+} from './lib/api.js';
+import { announce, button, fill, h, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
 
@@ -17,11 +19,18 @@ const VIEWS = {
 
 /** Loads a view and all that it imports at once; the page has the list. */
 function load(module) {
-  const names = /** @type {HTMLMetaElement} */ (document.querySelector(`meta[name="${module}"]`))?.content;
-  for (const name of names?.split(' ') ?? []) {
-    document.head.append(h('link', { rel: 'modulepreload', href: new URL(name, import.meta.url).href }));
+  /** @type {HTMLMetaElement} */
+  const names = document.querySelector(`meta[name="${module}"]`);
+  for (const name of names?.content.split(' ') ?? []) {
+    const { href } = new URL(name, import.meta.url);
+    document.head.append(h('link', { rel: 'modulepreload', href }));
   }
-  return import(module);
+  return import(module).catch(async () => {
+    await getJson('healthz'); // fails with what is the matter where the service is down
+    throw new ApiError(404, {
+      detail: 'The service has another version of this page by now: reload the page.',
+    });
+  });
 }
 
 /** What views use of the page. */
@@ -52,10 +61,24 @@ export const app = {
       else all.set(key, value);
     }
     const text = all.toString();
-    history.replaceState(null, '', `#/${path}${text ? `?${text}` : ''}`);
+    history.replaceState(history.state, '', `#/${path}${text ? `?${text}` : ''}`);
+  },
+  /** What the view kept with this entry of the history; {}: it is a new one. */
+  remembered() {
+    return history.state ?? {};
+  },
+  /** Keeps things for when a person comes back to this entry of the history. */
+  remember(things) {
+    history.replaceState({ ...history.state, ...things }, '');
+  },
+  /** Names the tab, as the history and bookmarks have it. */
+  setTitle(text) {
+    document.title = `${text} · morphod`;
   },
 };
 
+/** A place on the page is kept once it has stayed for this time: browsers limit how often. */
+const SCROLL_MS = 150;
 const THEME_KEY = 'morphod-theme';
 
 function setTheme(theme) {
@@ -85,19 +108,37 @@ function brand() {
     svg('path', { fill: '#c97d14', d: 'M25 9l-9 5v11l9-5z' })), 'morphod');
 }
 
+/**
+ * Asks for a token, in one dialog, until the service accepts one; `retry` follows. Who closes the
+ * dialog finds a button on the page.
+ */
 function askForToken(retry) {
-  const input = h('input', { type: 'password', autocomplete: 'off', required: true, 'aria-label': 'Token' });
-  const dialog = h('dialog', { 'aria-label': 'Token' }, h('form', {
-    method: 'dialog',
-    onsubmit: () => {
-      setToken(input.value.trim());
-      dialog.remove();
+  const input = h('input', {
+    type: 'password', autocomplete: 'off', required: true, 'aria-label': 'Token',
+  });
+  const fault = h('p.error.wide', { role: 'alert' },
+    getToken() ? 'The service does not accept the token that this tab has.' : '');
+  async function submit(event) {
+    event.preventDefault();
+    setToken(input.value.trim());
+    try {
+      await whoAmI();
+      dialog.close();
       retry();
-    },
-  }, h('p.wide', {}, 'This service asks for a token. The command ', h('code', {}, 'morphoctl dashboard'),
-    ' opens the page with it. It is kept until this tab is closed.'),
-  h('label.field.wide', {}, h('span', {}, 'Token'), input),
-  h('button.primary', { type: 'submit' }, 'Continue')));
+    } catch (error) {
+      fault.textContent = error.status === 401
+        ? 'The service does not accept this token. Check that all of it was copied.'
+        : error.message;
+      input.select();
+    }
+  }
+  const dialog = h('dialog', { 'aria-label': 'Token', onclose: () => dialog.remove() },
+    h('form', { onsubmit: submit }, h('h2.wide', {}, 'This service asks for a token'),
+      h('p.wide', {}, 'The command ', h('code', {}, 'morphoctl dashboard'),
+        ' opens the page with it. It is kept until this tab is closed.'),
+      h('label.field.wide', {}, h('span', {}, 'Token'), input), fault,
+      h('div.row.ends.wide', {}, button('Cancel', () => dialog.close()),
+        h('button.primary', { type: 'submit' }, 'Continue'))));
   document.body.append(dialog);
   dialog.showModal();
 }
@@ -126,6 +167,8 @@ async function takeToken() {
   setToken(token);
 }
 
+const HOME = () => h('p', {}, h('a', { href: '#/' }, 'To the overview'));
+
 class Frame {
   constructor(chooseTheme) {
     this.links = Object.entries(VIEWS).map(([key, view]) =>
@@ -133,8 +176,9 @@ class Frame {
     this.banner = h('div.banner', { role: 'status', hidden: true });
     this.main = h('main', { id: 'main', tabindex: -1 });
     const theme = button('', () => chooseTheme(app.theme === 'dark' ? 'light' : 'dark'));
-    const nameTheme = () => { theme.textContent = app.theme === 'dark' ? 'Light' : 'Dark'; };
-    theme.setAttribute('aria-label', 'Change between dark and light');
+    const nameTheme = () => {
+      theme.textContent = `Switch to ${app.theme === 'dark' ? 'light' : 'dark'}`;
+    };
     app.themeListeners.add(nameTheme);
     nameTheme();
     this.caller = h('span.muted.caller');
@@ -142,13 +186,18 @@ class Frame {
     fill(document.getElementById('frame'), h('header.bar', {}, brand(),
       h('nav', { 'aria-label': 'Views' }, this.links.map(([, link]) => link)),
       h('div.side', {}, this.caller, theme)), this.banner, this.note, this.main);
-    document.getElementById('frame').style.display = 'contents';
     connection.listeners.add((up) => this.#tell(up));
     document.getElementById('skip').addEventListener('click', (event) => {
       event.preventDefault();
       this.main.focus();
     });
     this.view = null;
+    history.scrollRestoration = 'manual'; // pages fill up after the browser would have scrolled
+    addEventListener('scroll', () => {
+      clearTimeout(this.scrolled);
+      if (this.view) this.scrolled = setTimeout(() => app.remember({ scrollY }), SCROLL_MS);
+    }, { passive: true });
+    document.querySelector('#toast button').addEventListener('click', () => announce(''));
   }
 
   #tell(up) {
@@ -167,47 +216,82 @@ class Frame {
     this.probe = setInterval(() => getJson('healthz').catch(() => {}), 1500);
   }
 
-  /** Shows the view that the address names. */
-  async route() {
+  /** Shows the view that the address names. isMove: a person came here from another view. */
+  async route({ isMove = false } = {}) {
     const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
     const [key, ...rest] = path.split('/').map(decoded);
     const name = key || 'overview';
-    const entry = VIEWS[name];
+    const entry = Object.hasOwn(VIEWS, name) ? VIEWS[name] : null;
     const parameters = new URLSearchParams(query);
     this.view?.unmount?.();
     this.view = null;
+    clearTimeout(this.scrolled);
+    document.querySelectorAll('dialog').forEach((dialog) => dialog.close());
+    if (isMove) announce('');
     this.main.classList.toggle('full', name === 'stage');
     for (const [other, link] of this.links) {
       if (other === name) link.setAttribute('aria-current', 'page');
       else link.removeAttribute('aria-current');
     }
-    document.title = `${entry?.name ?? 'Not found'} · morphod`;
     if (!entry) {
-      fill(this.main, h('h1', {}, 'There is no such page'), h('p', {}, h('a', { href: '#/' }, 'To the overview')));
+      this.#say('There is no such page', HOME());
+      if (isMove) this.#arrive();
       return;
     }
     const turn = (this.turn = (this.turn ?? 0) + 1);
     fill(this.main, h('p.muted', { role: 'status' }, 'Loading…'));
     try {
-      const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(), this.#identify()]);
+      const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(),
+        this.#identify()]);
       if (turn !== this.turn) return;
       const { last } = app.events;
+      const { scrollY: place = 0 } = app.remembered();
+      app.setTitle(entry.name);
       const view = await mount(this.main, rest.filter(Boolean), parameters, app);
       if (turn !== this.turn) {
         view?.unmount?.();
         return;
       }
-      this.view = view;
+      this.view = view ?? {};
+      if (document.title === `${entry.name} · morphod`) {
+        app.setTitle(this.main.querySelector('h1')?.textContent ?? entry.name);
+      }
+      scrollTo(0, place);
+      if (isMove) this.#arrive();
       // What happened while the view loaded may be newer than what it shows.
       if (app.events.last !== last) view?.update?.({ type: 'reset' });
     } catch (error) {
       if (turn !== this.turn) return;
-      if (error.status === 401) askForToken(() => this.route());
-      fill(this.main, h('h1', {}, error.status === 404 ? 'Not found' : 'This page could not be shown'),
-        h('p.error', { role: 'alert' }, error.message),
-        h('p', {}, button('Try again', () => this.route())));
-      if (!error.status && error.name !== 'ApiError' && !(error.status === 0)) console.error(error);
+      const again = button('Try again', () => this.route());
+      const what = h('p.error', { role: 'alert' }, error.message);
+      if (error.status === 401) {
+        const ask = () => askForToken(() => this.start());
+        this.#say('This service asks for a token', h('p', {}, button('Enter a token', ask)));
+        ask();
+      } else if (error instanceof LinkError) {
+        this.#say('This link cannot be shown', what, HOME());
+      } else {
+        this.#say(error.status === 404 ? 'Not found' : 'This page could not be shown', what,
+          h('p', {}, again), HOME());
+      }
+      if (isMove) this.#arrive();
+      if (error.status === undefined && !(error instanceof LinkError)) {
+        console.error(error);
+      }
     }
+  }
+
+  /** Shows a heading with a few words in place of a view. */
+  #say(title, ...children) {
+    app.setTitle(title);
+    fill(this.main, h('h1', {}, title), children);
+  }
+
+  /** The heading of a view that a person came to takes the focus: screen readers read it. */
+  #arrive() {
+    const heading = this.main.querySelector('h1');
+    heading?.setAttribute('tabindex', '-1');
+    heading?.focus({ preventScroll: true });
   }
 
   /** Begins to follow the events, once. Views load behind that, so that they miss no change. */
@@ -246,6 +330,6 @@ app.events.listen((event) => {
 const begin = () => takeToken().then(() => frame.start());
 window.addEventListener('hashchange', () => {
   if (/[#&]token=/.test(location.hash)) begin();
-  else frame.route();
+  else frame.route({ isMove: true });
 });
 begin();

@@ -68,6 +68,7 @@ class Browser:
         self.driver.get("about:blank")
         self.driver.get_log("browser")  # of pages before this one
         self.driver.get(self.base)
+        self.run("sessionStorage.removeItem('morphod-editor')")
         if theme:
             self.run("localStorage.setItem('morphod-theme', arguments[0])", theme)
         self.driver.get("about:blank")

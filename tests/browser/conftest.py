@@ -38,6 +38,8 @@ def service():
     """A daemon with something of everything."""
     running = Service()
     running.campaign = run(running, "campaigns", CAMPAIGN)["id"]
+    running.request("PATCH", f"/v1/jobs/{running.campaign}",
+                    {"experiment": "first steps", "note": "It falls.\nIt gets up."})
     running.study = make_study(running)
     running.training = run(running, "trainings", TRAINING)["id"]
     running.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]})

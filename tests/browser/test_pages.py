@@ -105,8 +105,8 @@ def test_curves_agree_with_the_api(service, browser):
 def test_the_score_of_the_editor_is_that_of_an_evaluation(service, browser):
     voxels = service.evaluate({"designs": [DESIGN]}).json()["results"][0]
     browser.open("editor?voxels=" + voxels["genotype"])
-    browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
-    text = browser.texts("main p[aria-live]")[0]
+    browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
+    text = browser.texts("main p.result")[0]
     assert text.startswith(f"score {voxels['score']:.4f} over ten environments, 4 voxels")
 
 
@@ -157,15 +157,15 @@ def test_what_the_editor_does(service, browser):
     voxels = "new URLSearchParams(location.hash.split('?')[1]).get('voxels')"
     browser.click("Import")
     browser.run("document.querySelector('dialog textarea').value = '[[0, 0, 0], [1, 0, 0]]';"
-                "[...document.querySelectorAll('dialog button')][0].click()")
+                "document.querySelector('dialog form').requestSubmit()")
     bar = "1" + "0" * 23 + "1" + "0" * 119
     browser.until(f"{voxels} === '{bar}'")
-    browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
+    browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.click("Keep")
     browser.click("→")
     moved = "0" * 24 + "1" + "0" * 23 + "1" + "0" * 95
     assert browser.run(f"return {voxels}") == moved
-    browser.until("/^score/.test(document.querySelector('main p[aria-live]').textContent)")
+    browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.click("Keep")  # the same form, and so the same founder
     assert browser.run("return document.querySelectorAll('.card').length") == 1
     browser.click("Cross")
@@ -286,13 +286,13 @@ def test_chosen_champions_found_a_campaign(service, browser):
 def test_bodies_of_the_editor_and_robots_of_the_stage_found_campaigns(service, browser):
     results = service.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()
     ids = sorted(result["id"] for result in results["results"])
-    scored = "/^score/.test(document.querySelector('main p[aria-live]').textContent)"
+    scored = "/^score/.test(document.querySelector('main p.result').textContent)"
     browser.open("editor?voxels=" + results["results"][0]["genotype"])
     browser.until(scored)
     browser.click("Keep")
     browser.click("Import")
     browser.run("document.querySelector('dialog textarea').value = arguments[0];"
-                "document.querySelector('dialog button').click()", "[[3, 3, 1], [3, 4, 1]]")
+                "document.querySelector('dialog form').requestSubmit()", "[[3, 3, 1], [3, 4, 1]]")
     browser.until(scored)  # the same form as the second, elsewhere and turned
     browser.click("Keep")
     assert bred(service, browser, "of the editor") == ids
@@ -330,7 +330,7 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
     browser.open(f"campaigns/{service.study}")
     browser.until("[...document.querySelectorAll('option')].some((e) => e.innerText === 'reach')")
     text = browser.run("return document.querySelector('main').innerText")
-    assert "2 batches told" in text and "Extend" not in browser.texts("main button")
+    assert "2 batches received" in text and "Extend" not in browser.texts("main button")
     assert browser.texts("section.chart .legend") == ["dice"]
     browser.open(f"campaigns/{service.study}/phylogeny")
     browser.until("document.querySelector('.flush > .legend').innerText")
@@ -397,7 +397,7 @@ def test_every_view_can_be_copied(service, browser, tmp_path, view):
     check_commands(browser, tmp_path)
 
 
-def check_commands(browser, folder, button="Copy"):
+def check_commands(browser, folder, button="Commands"):
     browser.click(button)
     browser.until("document.querySelector('dialog[open] pre')")
     assert browser.texts("dialog[open] h3") == ["curl", "morphoctl", "Python"]
@@ -520,7 +520,7 @@ def test_machines_are_shown_and_changed(start):
         at_work = page.run(rows % "At work")
         assert [name in row for name, row in zip(["this machine", *names], at_work)] == 3 * [True]
         assert all("0.0.1 (older)" in row for row in at_work[1:])
-        assert "gone node.test" in page.run(rows % "Gone")[0]
+        assert "gone node.test" in page.run(rows % "Past workers")[0]
         assert page.faults() == [] and page.run(ACCESSIBILITY) == []
         page.run("""document.querySelector('[aria-label="Drain two"]').click()""")
         page.until("document.querySelector('.state.paused')")
@@ -597,4 +597,4 @@ def test_jobs_in_order(service, browser):
     browser.click("Delete the job")
     browser.until(f"{rows} === 0")
     assert service.request("GET", f"/v1/jobs/{job}").status == 404
-    assert browser.texts("[aria-label=Use] tbody td") != [] and browser.faults() == []
+    assert browser.texts("[aria-label=Usage] tbody td") != [] and browser.faults() == []

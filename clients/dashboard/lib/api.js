@@ -16,6 +16,9 @@ export class ApiError extends Error {
   }
 }
 
+/** A link that names what is not there, or not as it must be: the page shows nothing else. */
+export class LinkError extends Error {}
+
 let memoryToken = null;
 
 /** Uses the storage of the browser; undefined where that is forbidden. What it keeps then lasts as long as the page. */

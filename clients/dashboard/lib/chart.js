@@ -23,6 +23,8 @@ import { number } from './format.js';
 
 const MARGIN = { left: 52, right: 12, top: 10, bottom: 26 };
 const LINE_PX = 1.8;
+/** Radius of a value that stands alone. */
+const POINT_PX = 3;
 /** A line with more points in a pixel than these is drawn as the range of each column of pixels. */
 const DENSE = 2;
 
@@ -68,8 +70,9 @@ export class Chart {
   /**
    * @param {{title: string, unit?: string, xName?: string, log?: boolean, height?: number,
    *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
-   *          xText?: function(number): string, yText?: function(number): string}} options isWhole: false where
-   *          the axis has values between whole numbers
+   *          xRange?: [number, number], xText?: function(number): string,
+   *          yText?: function(number): string}} options isWhole: false where the axis has values
+   *          between whole numbers; xRange: of the axis, whatever values there are
    */
   constructor(options) {
     this.options = { xName: 'generation', height: 220, empty: 'No values yet.', xText: (x) => number(x, 6), yText: number, ...options };
@@ -139,7 +142,8 @@ export class Chart {
       }
     }
     if (!Number.isFinite(x0) || !Number.isFinite(y0)) return null;
-    if (x1 === x0) x1 = x0 + 1;
+    if (this.options.xRange) [x0, x1] = this.options.xRange;
+    else if (x1 === x0) x1 = x0 + 1;
     if (this.options.log) {
       if (y1 / y0 < 1.2) [y0, y1] = [y0 / 1.2, y1 * 1.2];
       return { x0, x1, y0: y0 * 0.94, y1: y1 * 1.06 };
@@ -167,7 +171,9 @@ export class Chart {
     this.#axes(context, scale, width, height, color);
     context.save();
     context.beginPath();
-    context.rect(MARGIN.left, 0, width - MARGIN.left - MARGIN.right + 1, height - MARGIN.bottom + 1);
+    // A single value at the edge is a whole point.
+    context.rect(MARGIN.left - POINT_PX, 0, width - MARGIN.left - MARGIN.right + 2 * POINT_PX + 1,
+      height - MARGIN.bottom + POINT_PX);
     context.clip();
     for (const s of this.series) {
       context.globalAlpha = s.opacity ?? 1;
@@ -243,7 +249,7 @@ export class Chart {
     if (s.x.length === 1) {
       context.fillStyle = color;
       context.beginPath();
-      context.arc(scale.x(s.x[0]), scale.y(s.y[0]), 3, 0, 7);
+      context.arc(scale.x(s.x[0]), scale.y(s.y[0]), POINT_PX, 0, 7);
       context.fill();
     }
   }

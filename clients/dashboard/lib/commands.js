@@ -22,12 +22,13 @@ export function pythonOf(value) {
 /**
  * Commands of curl, morphoctl and Python for one request.
  * @param {{path: string, body?: any, headers?: string[], output?: string, morphoctl: string,
- *          python?: string}} request
+ *          python?: string, input?: string}} request
  *   path: relative, like "v1/jobs"; body: sent by POST; morphoctl: arguments, each line a command;
+ *   input: what each line of morphoctl reads from its standard input;
  *   python: what is done with the client m, instead of the request itself
  * @returns {[string, string][]}
  */
-export function commandsOf({ path, body, headers = [], output, morphoctl, python }) {
+export function commandsOf({ path, body, headers = [], output, morphoctl, python, input }) {
   const curl = ['curl -s', shellWord(address(path))];
   // The token itself is not written down: commands are kept in histories and pasted in chats.
   if (getToken()) curl.push('-H "Authorization: Bearer $MORPHOD_TOKEN"');
@@ -36,12 +37,13 @@ export function commandsOf({ path, body, headers = [], output, morphoctl, python
   if (body !== undefined) curl.push(`-d ${shellWord(JSON.stringify(body))}`);
   if (output) curl.push(`-o ${shellWord(output)}`);
   const at = server() === DEFAULT_SERVER ? '' : ` --server ${shellWord(location.origin)}`;
+  const given = input ? `echo ${shellWord(input)} | ` : '';
   const { pathname, searchParams } = new URL(path, 'http://any');
   const values = [...searchParams].map(([key, one]) => `${key}=${pythonOf(one)}`);
   const words = [body === undefined ? 'GET' : 'POST', pathname].map(pythonOf).concat(body === undefined ? values : pythonOf(body));
   return [
     ['curl', curl.join(' ')],
-    ['morphoctl', morphoctl.split('\n').map((line) => `morphoctl ${line}${at}`).join('\n')],
+    ['morphoctl', morphoctl.split('\n').map((line) => `${given}morphoctl ${line}${at}`).join('\n')],
     ['Python', `import morphod\nm = morphod.Client(${at ? pythonOf(server()) : ''})\n` +
       (python ?? `print(m.request(${words.join(', ')}))`)],
   ];

@@ -5,6 +5,8 @@ const SVG = 'http://www.w3.org/2000/svg';
 function setAttributes(element, attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === undefined || value === null || value === false) continue;
+    // The page's policy forbids the attribute, and the browser drops it: use a class.
+    if (name === 'style') throw new Error('The policy of the page forbids the attribute style.');
     if (name.startsWith('on')) element.addEventListener(name.slice(2), value);
     else if (name === 'value' || name === 'checked') element[name] = value;
     else element.setAttribute(name, value === true ? '' : String(value));
@@ -49,6 +51,64 @@ export function fill(element, ...children) {
   element.replaceChildren();
   appendAll(element, children);
   return element;
+}
+
+/** Sets a text in place; one that is the same stays untouched, with what is selected in it. */
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Whether a person is at an element: it has the focus, or is being pressed. */
+export const isInUse = (element) => element.matches(':focus-within, :active');
+
+/**
+ * Shows a list in place. Each item has one element, made once and found again by its key, so that a
+ * refresh takes away neither focus, nor input, nor a press. An element in use does not even move:
+ * the others move around it.
+ * @template T
+ * @param {Element} parent has the elements of the list only
+ * @param {T[]} list
+ * @param {function(T): string|number} key
+ * @param {function(T): Element} make
+ * @param {function(any, T): void} [update] brings an element to its item, also a new one
+ */
+export function patch(parent, list, key, make, update = () => {}) {
+  /** @type {Map<string, Element>} */
+  const before = parents.get(parent) ?? new Map();
+  const now = new Map();
+  for (const item of list) {
+    const name = String(key(item));
+    const element = before.get(name) ?? make(item);
+    now.set(name, element);
+    update(element, item);
+  }
+  parents.set(parent, now);
+  const kept = new Set(now.values());
+  for (const child of [...parent.childNodes]) {
+    if (!kept.has(/** @type {Element} */ (child))) child.remove();
+  }
+  let at = parent.firstElementChild;
+  for (const element of kept) {
+    if (element !== at && isInUse(element)) {
+      while (at !== element) {
+        const next = at.nextElementSibling;
+        parent.append(at);
+        at = next;
+      }
+    }
+    if (element === at) at = at.nextElementSibling;
+    else parent.insertBefore(element, at);
+  }
+}
+const parents = new WeakMap();
+
+/** Gives a row its cells. Those that are as before stay: their listeners may use the key alone. */
+export function patchRow(row, cells) {
+  [...cells].forEach((cell, i) => {
+    const own = row.cells[i];
+    if (!own) row.append(cell);
+    else if (own.outerHTML !== cell.outerHTML) own.replaceWith(cell);
+  });
 }
 
 /** A button with a text that names what it does. */
@@ -108,8 +168,23 @@ export function paint(canvas) {
   return { context, width, height, color };
 }
 
-/** Tells a screen reader what happened, politely. */
-export function announce(text) {
-  const region = document.getElementById('announcer');
-  if (region) region.textContent = text;
+/** A note stays for this time; a refusal stays until it is closed, or until the next page. */
+const TOAST_MS = 6000;
+let toastEnds;
+
+/**
+ * Says what happened or was refused, in one line that all see and screen readers read. It lies
+ * above an open dialog.
+ */
+export function announce(text, { isRefusal = false } = {}) {
+  /** @type {any} */ // popovers are newer than the types
+  const toast = document.getElementById('toast');
+  clearTimeout(toastEnds);
+  toast.classList.toggle('refusal', isRefusal);
+  toast.firstElementChild.textContent = text;
+  if (toast.matches('[data-open]')) toast.hidePopover?.();
+  toast.toggleAttribute('data-open', Boolean(text));
+  if (!text) return;
+  toast.showPopover?.();
+  if (!isRefusal) toastEnds = setTimeout(() => announce(''), TOAST_MS);
 }

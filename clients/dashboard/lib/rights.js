@@ -24,7 +24,8 @@ export function may(right) {
 /** Why jobs cannot be submitted here; '' where they can. */
 export function whyNot() {
   if (may('submit')) return '';
-  return me.dashboard === 'on' ? `The token “${me.name}” has the right ${me.right}: it may look, and change nothing.`
+  return me.dashboard === 'on'
+    ? `The token “${me.name}” has the right ${me.right}: these pages are read-only.`
     : 'These pages only show: the service has the setting dashboard = read-only.';
 }
 

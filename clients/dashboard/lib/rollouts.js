@@ -1,6 +1,7 @@
 /** Brings robots to the stage: rollouts that the daemon computes and stores nowhere, and recordings. */
 
 import { getJson, patient, request } from './api.js';
+import { countOf } from './format.js';
 import { decodeScene, robotsOf } from './scene.js';
 
 const lists = new Map();
@@ -64,13 +65,42 @@ export async function roll(designs, environment, options = {}) {
   return robots;
 }
 
-/** Rolls designs of a campaign out in its first environment, under the newest controller that it has. */
+/** The controller that rollouts have when none is named. */
+const DEFAULT_CONTROLLER = 'default';
+
+/** A named set of environments, with the physics and a controller of its own choice. */
+export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
+  return {
+    set, environments: await environmentSet(set), controller, physics: undefined,
+    words: `World: ${set}, default physics, controller ${controller.split(',').join(' and ')}`,
+  };
+}
+
+/**
+ * The world in which a campaign or an evaluation scored its designs: environments, physics, and the
+ * controller, of a campaign the newest that it has.
+ */
+export async function worldOfJob(kind, job) {
+  const physics = job.settings?.physics ?? job.physics;
+  const named = job.settings?.environments ?? job.environments;
+  const set = typeof named === 'string' ? named : null;
+  const environments = await (set ? environmentSet(set)
+    : environmentsAt(`v1/${kind}s/${encodeURIComponent(job.id)}/environments`));
+  const file = job.result?.controller ?? job.controller;
+  return {
+    set, environments, physics,
+    controller: file?.sha256 ? `sha256:${file.sha256}` : DEFAULT_CONTROLLER,
+    words: `World of ${kind} ${job.id}: ` +
+      `${set ?? `${countOf(environments.length, 'environment')} of its own`}, ` +
+      `${physics.n_steps} steps of ${physics.dt_s} s, ` +
+      `controller ${file?.name ?? file?.sha256?.slice(0, 12) ?? DEFAULT_CONTROLLER}`,
+  };
+}
+
+/** Rolls designs of a campaign out in the first environment of its world. */
 export async function rollOfCampaign(campaign, designs, signal) {
-  const { environments: named, physics } = campaign.settings;
-  const [environment] = await (named === 'paper-test' ? environmentSet(named)
-    : environmentsAt(`v1/campaigns/${campaign.id}/environments`));
-  const file = campaign.result?.controller ?? campaign.controller;
-  const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), environment,
-    { controller: file?.sha256 ? `sha256:${file.sha256}` : 'default', physics, signal });
+  const { environments, controller, physics } = await worldOfJob('campaign', campaign);
+  const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), environments[0],
+    { controller, physics, signal });
   return robots.map((robot, i) => ({ ...robot, label: `#${designs[i].number}` }));
 }

@@ -1,12 +1,12 @@
 /** A stage with its controls: play, scrub, slow motion, what is shown, who is followed. */
 
-import { announce, button, fill, h, select, swatch, toggle } from '../lib/dom.js';
+import { button, fill, h, select, swatch, toggle } from '../lib/dom.js';
 import { score } from '../lib/format.js';
 import { driveCamera } from './camera.js';
 import { Stage } from './stage.js';
 import { Tags } from './tags.js';
 
-const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
+export const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
 const SLOW_FRAME_S = 0.028;
 /** The ground is drawn without robots only when none came in that time: without a GPU it delays them. */
@@ -220,7 +220,7 @@ export class Player {
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
-    fill(this.names, h('div.muted', {}, 'loss in this environment'), this.stage.robots.map((robot, i) => this.#name(robot, i)));
+    fill(this.names, h('div.muted', {}, 'score in this environment'), this.stage.robots.map((robot, i) => this.#name(robot, i)));
     this.#showNames();
     const text = robots.length === 0 ? 'no robots yet'
       : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ${duration.toFixed(1)} s: ` +
@@ -267,8 +267,7 @@ export class Player {
   }
 
   setNote(text) {
-    this.note.textContent = text;
-    if (text) announce(text);
+    this.note.textContent = text; // a live region: screen readers read it
   }
 
   #wake() {

@@ -2,22 +2,26 @@
 
 import { Curve, getJson, post, withQuery } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
-import { announce, button, fill, h, table } from '../lib/dom.js';
+import { announce, button, fill, h, patch, patchRow, say, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
-import { ago, count, number, percent, score, voxels } from '../lib/format.js';
+import { ago, count, countOf, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
 import { rollOfCampaign } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
-import { actions, comparing, editButton, progressBar, remark, stateChip, submitter, titleOf, trouble, weightField } from './jobs.js';
-import { Comparison } from './comparison.js';
+import {
+  JobParts, comparedIn, comparing, progressBar, replicateOf, shortProgress, stateChip, stateOf,
+  submitter, titleOf,
+} from './jobs.js';
+import { Comparison, DASHES, HUES } from './comparison.js';
 import { Scatter } from './scatter.js';
-import { actDialog, copyButton, saveLink, showDialog } from './share.js';
+import { copyButton, formDialog, saveLink, showDialog } from './share.js';
 
 const CHAMPIONS = 8;
-const HUES = ['--blue', '--green', '--pink', '--grey'];
-const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
+/** A campaign that runs is asked about itself: not each phase has events. */
+const POLL_MS = 2000;
+const DASH_NAMES = ['dashed', 'dotted', 'dash and dot'];
 
 export async function mount(main, [id, part], parameters, app) {
   if (!id) return mountList(main, app);
@@ -27,31 +31,85 @@ export async function mount(main, [id, part], parameters, app) {
 
 async function mountList(main, app) {
   const stop = new AbortController();
-  const list = h('div');
+  const body = h('tbody');
+  const panel = h('section.panel.scroll', {}, table(
+    ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'], body,
+    (name) => /Population|Best/.test(name)));
+  const start = may('submit') ? '; the button above starts one' : '';
+  const none = h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs ' +
+    `over generations${start}.`);
   const { compare, box } = comparing(app, 'campaigns', 'Compare');
+  const opened = new Set(); // groups whose replicates are shown
+  let items = [];
 
-  const row = (job) => h('tr', {},
-    box(job),
-    h('td.main', {}, h('a', { href: `#/campaigns/${job.id}` }, titleOf(job)), h('div.muted', {}, job.mode)),
-    h('td', {}, stateChip(job)), h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
-    h('td.wide', {}, progressBar(job)),
-    h('td.right', { 'data-name': 'Best score' }, job.newest ? score(job.newest.score.quantiles.p0) : '–'),
-    h('td', {}, ago(job.created_at)));
+  /** A row of cells for a campaign, or for the replicates of one request. */
+  function cellsOf({ job, members, isMember }) {
+    const all = members ?? [job];
+    const bests = all.map((one) => one.newest?.score.quantiles.p0 ?? Infinity);
+    const best = Math.min(...bests);
+    const states = [...new Set(all.map(stateOf))].map((state) => all.filter((one) =>
+      stateOf(one) === state));
+    const slowest = all.reduce((a, b) => ((a.progress.generation ?? -1) <=
+      (b.progress.generation ?? -1) ? a : b));
+    const link = h('a', { href: `#/campaigns/${all[0].id}` },
+      isMember ? replicateOf(job).slice(2) : titleOf(all[0]));
+    const about = members ? `${job.mode}, ${countOf(members.length, 'replicate')}`
+      : isMember ? `campaign ${job.id}, seed ${job.settings.seed}` : job.mode;
+    return [
+      members && opened.has(job.group.id) ? h('td') : box(all[0]),
+      h(`td.main${isMember ? '.member' : ''}`, {}, link, h('div.row.muted', {}, about,
+        members ? expander(job.group.id, titleOf(job)) : null)),
+      h('td', {}, states.map((same) => (members
+        ? h(`span.state.${same[0].state}`, {}, `${same.length} ${stateOf(same[0])}`)
+        : stateChip(same[0])))),
+      h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
+      h('td.wide', {}, progressBar(slowest),
+        members ? h('div.muted', {}, 'the slowest of them') : null),
+      h('td.right', { 'data-name': 'Best score' }, best === Infinity ? '–' : score(best)),
+      h('td', {}, ago(job.created_at)),
+    ];
+  }
+
+  function expander(group, title) {
+    const isOpen = opened.has(group);
+    return button(isOpen ? 'Hide them' : 'Show them', () => {
+      if (!opened.delete(group)) opened.add(group);
+      show();
+      body.querySelector(`[data-group="${group}"]`)?.focus();
+    }, {
+      class: 'small', 'aria-expanded': String(isOpen), 'data-group': group,
+      'aria-label': `${isOpen ? 'Hide' : 'Show'} the replicates of ${title}`,
+    });
+  }
+
+  function show() {
+    const groups = new Map();
+    for (const job of items) {
+      groups.set(job.group.id, [job, ...(groups.get(job.group.id) ?? [])]);
+    }
+    const rows = [...groups].flatMap(([id, members]) => {
+      members.sort((a, b) => a.group.replicate - b.group.replicate);
+      const single = members.map((job) => ({ key: job.id, job, isMember: members.length > 1 }));
+      if (members.length === 1) return single;
+      return [{ key: `group ${id}`, job: members[0], members }, ...(opened.has(id) ? single : [])];
+    });
+    none.hidden = items.length > 0;
+    panel.hidden = !none.hidden;
+    patch(body, rows, ({ key }) => key, () => h('tr'), (row, one) => patchRow(row, cellsOf(one)));
+  }
 
   async function refresh() {
-    const { items } = await getJson('v1/campaigns?limit=200', { signal: stop.signal });
-    fill(list, items.length ? h('section.panel.scroll', {}, table(
-      ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'],
-      h('tbody', {}, items.map((job) => row({ ...job, kind: 'campaign' }))), (name) => /Population|Best/.test(name)))
-      : h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs over generations' +
-        `${may('submit') ? '; the button above starts one' : ''}.`));
+    const page = await getJson('v1/campaigns?limit=200', { signal: stop.signal });
+    items = page.items.map((job) => ({ ...job, kind: 'campaign' }));
+    show();
   }
 
   await refresh();
-  main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
-      copyButton(() => ({ path: 'v1/campaigns', morphoctl: 'campaign list', python: 'print(m.campaigns())' })),
-      startButton(app, 'campaign', { class: 'primary' }))), list);
+  const copy = copyButton(() => ({
+    path: 'v1/campaigns', morphoctl: 'campaign list', python: 'print(m.campaigns())',
+  }));
+  main.replaceChildren(h('div.title', {}, h('h1', {}, 'Campaigns'), h('div.actions', {}, compare,
+    copy, startButton(app, 'campaign', { class: 'primary' }))), panel, none);
   const later = coalesced(refresh, stop.signal);
   return {
     update({ type }) {
@@ -66,7 +124,7 @@ async function mountOne(main, id, parameters, app) {
   const get = (url) => getJson(url, { signal: stop.signal });
   let campaign = await get(`v1/campaigns/${id}`);
   campaign.kind = 'campaign';
-  const others = (parameters.get('compare') ?? '').split(',').filter(Boolean).slice(0, 3);
+  const others = comparedIn(parameters, id);
   const ids = [id, ...others];
   const curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
   const isGroup = campaign.group.replicates > 1;
@@ -75,7 +133,9 @@ async function mountOne(main, id, parameters, app) {
   const learns = campaign.settings.learning !== null;
 
   const head = h('div.title');
-  const status = h('section.panel.stack', { 'aria-label': 'State' });
+  const parts = new JobParts(() => refreshJob());
+  const status = h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble,
+    parts.remark, parts.row);
   const charts = {
     scores: new Chart({ title: 'Score', note: 'lower is better', log: true, height: 260, empty: 'No generation has ended yet.' }),
     diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260, empty: 'No generation has ended yet.' }),
@@ -88,29 +148,54 @@ async function mountOne(main, id, parameters, app) {
   }
   if (learns) charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
   const champions = h('div.grid.small');
-  const chosen = new Map(); // genotypes by number
-  const walkChosen = button('Let the chosen walk', () => app.go('stage', { designs: [...chosen.values()].join(',') }), { disabled: true });
-  const breed = breedButton(app, 'Breed these', () => [...chosen.values()].map((voxels) => ({ voxels })), { disabled: true });
+  const nothing = h('p.empty', {}, 'The first champions come with the first generation.');
+  const chosen = new Map(); // designs by number
+  const genotypes = () => [...chosen.values()].map(({ genotype }) => genotype);
+  const watch = button('Watch selected', () => app.go('stage', {
+    designs: genotypes().join(','), world: `campaign-${id}`,
+  }), { disabled: true, title: 'On the stage, in the world of this campaign' });
+  const breed = breedButton(app, 'Breed these', () =>
+    genotypes().map((voxels) => ({ voxels })), { disabled: true });
   const player = new Player(app, { compact: true, height: 420 });
   const scatter = new Scatter((numbers) => walk(numbers));
-  const announceState = h('div.visually-hidden', { 'aria-live': 'polite' });
 
-  main.replaceChildren(head, status, ...(compared ? [compared.element] : []), h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
-    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
-      h('span.muted', {}, 'the most distinct of the best; touch one to see it walk'), h('div.actions', {}, walkChosen, breed)), champions),
-    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element), scatter.element, announceState);
+  main.replaceChildren(head, status, ...(compared ? [compared.element] : []),
+    h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
+    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'), h('span.muted', {},
+      'the best, then the most distinct of the good ones; select one to see it walk'),
+    h('div.actions', {}, watch, breed)), champions, nothing),
+    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element), scatter.element);
+
+  const title = h('h1');
+  const about = h('span.muted');
+  const siblings = h('span.row');
+  fill(head, title, about, parts.chip, siblings, others.map(comparedChip),
+    h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
+      button('Export', () => exports()),
+      may('submit') && !campaign.study ? button('Extend', () => extend()) : null,
+      copyButton(() => requestOf(campaign.id))));
+
+  /** A campaign that is compared with this one, and how to leave it out. */
+  function comparedChip(other, i) {
+    const rest = others.filter((one) => one !== other).join(',');
+    return h('span.state', {}, h('a', { href: `#/campaigns/${other}` }, `with campaign ${other}`),
+      `(${DASH_NAMES[i]})`, h('a', { href: `#/campaigns/${id}${rest && `?compare=${rest}`}`,
+        'aria-label': `Leave out campaign ${other}` }, '×'));
+  }
+
+  /** Links to the other replicates of the request. */
+  async function showSiblings() {
+    const { items } = await get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
+    fill(siblings, items.filter((one) => one.id !== id).reverse().map((one) =>
+      h('a', { href: `#/campaigns/${one.id}` }, `replicate ${one.group.replicate + 1}`)));
+  }
 
   function showHead() {
-    fill(head, h('h1', {}, titleOf(campaign)),
-      h('span.muted', {}, `${campaign.mode}, ${count(campaign.settings.population)} designs, ${count(campaign.progress.designs)} born${submitter(campaign)}`), stateChip(campaign),
-      others.map((other, i) => h('a.state', { href: `#/campaigns/${other}` }, `with campaign ${other} (${['dashed', 'dotted', 'dash and dot'][i]})`)),
-      h('div.actions', {}, h('a.button', { href: `#/campaigns/${id}/phylogeny` }, 'Phylogeny'),
-        button('Export', () => exports()),
-        may('submit') && !campaign.study ? button('Extend', () => extend()) : null,
-        copyButton(() => requestOf(campaign.id))));
-    fill(status, h('div', {}, progressBar(campaign)), trouble(campaign), remark(campaign),
-      h('div.row', {}, actions(campaign, refreshJob), editButton(campaign, refreshJob), weightField(campaign, refreshJob),
-        campaign.progress.rollouts_per_s ? h('span.muted', {}, `${number(campaign.progress.rollouts_per_s)} rollouts a second`) : null));
+    parts.update(campaign);
+    say(title, titleOf(campaign));
+    say(about, `${campaign.mode}, ${count(campaign.settings.population)} designs, ` +
+      `${count(campaign.progress.designs)} born${replicateOf(campaign)}${submitter(campaign)}`);
+    app.setTitle(`${titleOf(campaign)}, ${shortProgress(campaign)}`);
   }
 
   function exports() {
@@ -124,11 +209,12 @@ async function mountOne(main, id, parameters, app) {
 
   function extend() {
     const input = h('input', { type: 'number', min: 1, max: 100000, value: 10, required: true });
-    actDialog('Extend the campaign', 'Extend', async () => {
+    formDialog('Extend the campaign', 'Extend', async () => {
       await post(`v1/campaigns/${id}/extend`, { generations: Number(input.value) });
-      announce(`Extended by ${input.value} generations`);
+      announce(`Extended by ${countOf(Number(input.value), 'generation')}`);
       refreshJob();
-    }, h('p', {}, 'It goes on from its last generation.'), h('label.field', {}, h('span', {}, 'Further generations'), input));
+    }, h('p.wide', {}, 'It goes on from its last generation.'),
+    h('label.field', {}, h('span', {}, 'Further generations'), input));
   }
 
   function showCharts() {
@@ -145,8 +231,12 @@ async function mountOne(main, id, parameters, app) {
     if (replicates?.rows.length) {
       const r = replicates.rows;
       const rx = column(r, (row) => row.generation);
-      scores.unshift({ name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band', x: rx, y: rx,
-        low: column(r, (row) => row.mean_score.least), high: column(r, (row) => row.mean_score.most), color: '--blue-softer' });
+      scores.unshift({
+        name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band',
+        x: rx, y: rx, color: '--green', opacity: 0.3,
+        low: column(r, (row) => row.mean_score.least),
+        high: column(r, (row) => row.mean_score.most),
+      });
     }
     others.forEach((other, i) => {
       const { rows: r } = curves[i + 1];
@@ -181,18 +271,21 @@ async function mountOne(main, id, parameters, app) {
   }
 
   let population = [];
+  let bestNumber = -1;
   async function showChampions() {
-    const generation = campaign.progress.generation;
-    if (generation === null) {
-      fill(champions, h('p.empty', {}, 'The first champions come with the first generation.'));
-      return;
-    }
+    nothing.hidden = campaign.progress.generation !== null;
+    if (!nothing.hidden) return;
     const { items } = await get(`v1/campaigns/${id}/champions?count=${CHAMPIONS}`);
-    fill(champions, items.map((design) => h('div.pick', {}, h('button.card', {
-      type: 'button', title: `Design ${design.id}`,
-      onclick: () => walk([design.number], items),
-    }, picture(design.genotype, `Champion ${design.number}`), h('strong.number', {}, score(design.score)),
-    h('span.muted', {}, `#${design.number}, ${voxels(design.voxels)}`), h('span.muted', {}, design.operator)), pick(design))));
+    const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
+    // The best come first; what is chosen stays, also when it is no champion any more.
+    const shown = [best, ...items.filter((one) => one !== best)];
+    for (const design of chosen.values()) {
+      if (!shown.some((one) => one.number === design.number)) shown.push(design);
+    }
+    bestNumber = best.number;
+    patch(champions, shown, (design) => design.number, champion, (element, design) => {
+      element.querySelector('.crown').hidden = design.number !== bestNumber;
+    });
     population = [];
     let cursor;
     do {
@@ -201,16 +294,25 @@ async function mountOne(main, id, parameters, app) {
       cursor = page.next_cursor;
     } while (cursor !== null && population.length < 10000);
     scatter.set(population);
-    if (!player.stage?.robots.length) await walk(items.slice(0, 4).map((design) => design.number), items);
+    if (!player.stage?.robots.length) {
+      await walk(shown.slice(0, 4).map(({ number }) => number), shown);
+    }
   }
 
-  /** Chooses a champion for the stage, or as a founder of another campaign. */
-  function pick({ number: which, genotype }) {
-    return h('label.row', {}, h('input', { type: 'checkbox', checked: chosen.has(which), onchange: (event) => {
-      if (event.target.checked) chosen.set(which, genotype);
-      else chosen.delete(which);
-      walkChosen.disabled = breed.disabled = chosen.size === 0;
-    }, 'aria-label': `Choose #${which}` }), 'choose');
+  /** The card of a champion: it walks here, or is chosen for the stage or as a founder. */
+  function champion(design) {
+    const { number, genotype, operator } = design;
+    const card = h('button.card', {
+      type: 'button', title: `Design ${design.id}`, onclick: () => walk([number], [design]),
+    }, picture(genotype, `Champion ${number}`), h('strong.number', {}, score(design.score)),
+    h('span.crown', { hidden: true }, '♛ best'),
+    h('span.muted', {}, `#${number}, ${voxels(design.voxels)}`), h('span.muted', {}, operator));
+    const box = h('input', { type: 'checkbox', 'aria-label': `Choose #${number}`, onchange() {
+      if (box.checked) chosen.set(number, design);
+      else chosen.delete(number);
+      watch.disabled = breed.disabled = chosen.size === 0;
+    } });
+    return h('div.pick', {}, card, h('label.row', {}, box, 'choose'));
   }
 
   /** Lets designs walk, by their numbers. */
@@ -229,7 +331,7 @@ async function mountOne(main, id, parameters, app) {
   async function refreshJob() {
     const was = campaign.state;
     campaign = { ...await get(`v1/campaigns/${id}`), kind: 'campaign' };
-    if (was !== campaign.state) announceState.textContent = `The campaign is ${campaign.state}`;
+    if (was !== campaign.state) announce(`${titleOf(campaign)}: ${stateOf(campaign)}`);
     showHead();
   }
 
@@ -243,20 +345,25 @@ async function mountOne(main, id, parameters, app) {
   }
 
   showHead();
+  if (isGroup) showSiblings().catch(() => {}); // they are links only
   showCharts();
   await refreshCurves();
-  showChampions().catch((error) => { if (!stop.signal.aborted) fill(champions, h('p.error', {}, error.message)); });
+  showChampions().catch((error) => { if (!stop.signal.aborted) fill(nothing, error.message); });
 
   // New generations are drawn together, at most twice a second.
   const later = coalesced(async () => {
     await refreshJob();
     if (await refreshCurves()) await showChampions();
   }, stop.signal);
+  const timer = setInterval(() => {
+    if (!document.hidden && campaign.state === 'running') refreshJob().catch(() => {});
+  }, POLL_MS);
   return {
     update(event) {
       if (event.type === 'reset' || event.job === id || others.includes(event.job)) later();
     },
     unmount() {
+      clearInterval(timer);
       stop.abort();
       Object.values(charts).forEach((chart) => chart.destroy());
       compared?.destroy();

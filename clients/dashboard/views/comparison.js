@@ -2,11 +2,14 @@
 
 import { Chart } from '../lib/chart.js';
 import { fill, h, table } from '../lib/dom.js';
-import { score, signed } from '../lib/format.js';
+import { countOf, score, signed } from '../lib/format.js';
+import { replicateOf, titleOf } from './jobs.js';
 import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
 import { Curve } from '../lib/api.js';
 
-const HUES = ['--blue', '--green', '--pink', '--grey'];
+/** Of this campaign and of those that are compared with it, in every chart. */
+export const HUES = ['--blue', '--green', '--pink', '--grey'];
+export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
 /** Replicates of a campaign are one side: their mean, and the spread that gives the interval. */
 export class Comparison {
@@ -14,14 +17,14 @@ export class Comparison {
   constructor(ids, get) {
     this.ids = ids;
     this.get = get;
-    /** @type {{id: string, name: string, group: string, members: string[], early: string[], curves: Curve[]}[]|null} */
+    /** @type {{id: string, campaign: Object, group: string, members: string[], early: string[], curves: Curve[]}[]|null} */
     this.sides = null;
     this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true, empty: 'No generation has ended yet.' });
     this.body = h('tbody');
     this.note = h('p.muted');
     this.element = h('section.grid', { 'aria-label': 'Comparison' }, this.chart.element,
       h('section.panel.stack', {}, h('h2', {}, 'Comparison'), this.note, h('div.scroll', {}, table(
-        ['Campaign', 'Replicates', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`], this.body, (name, i) => i > 0, 'table'))));
+        ['Campaign', 'Runs', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`], this.body, (name, i) => i > 0, 'table'))));
   }
 
   /** The campaigns of a side, with their curves. */
@@ -32,12 +35,16 @@ export class Comparison {
       // Replicates that ended early are only named, unless all did.
       const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed').map((one) => one.id);
       const counted = items.map((one) => one.id).filter((one) => !early.includes(one));
-      return { id, name: campaign.label ?? `campaign ${id}`, group: campaign.group.id, members: counted.length ? counted : early,
-        early: counted.length ? early : [], curves: [] };
+      return {
+        id, campaign: { ...campaign, kind: 'campaign' }, group: campaign.group.id,
+        members: counted.length ? counted : early, early: counted.length ? early : [], curves: [],
+      };
     }));
     for (const side of sides) {
       // Two replicates of one group are compared as what they are: one campaign each.
-      if (sides.some((other) => other !== side && other.group === side.group)) [side.members, side.early] = [[side.id], []];
+      if (sides.some((other) => other !== side && other.group === side.group)) {
+        [side.members, side.early] = [[side.id], []];
+      }
       side.curves = side.members.map((id) => new Curve(`v1/campaigns/${id}/generations`));
     }
     return sides;
@@ -57,22 +64,27 @@ export class Comparison {
       return [
         ...(all.length > 1 ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true, x, y: x, color: HUES[i],
           opacity: 0.2, low: at((values) => Math.min(...values)), high: at((values) => Math.max(...values)) }] : []),
-        { name: `campaign ${id}`, x, color: HUES[i], y: at((values) => values.reduce((sum, one) => sum + one, 0) / values.length) },
+        { name: `campaign ${id}`, x, color: HUES[i], dash: DASHES[i],
+          y: at((values) => values.reduce((sum, one) => sum + one, 0) / values.length) },
       ];
     }));
-    this.#tell(last, this.sides.map(({ curves }) => curves.map((curve) => best(curve)[last])));
+    this.#showTable(last, this.sides.map(({ curves }) => curves.map((curve) => best(curve)[last])));
   }
 
-  #tell(generation, values) {
+  #showTable(generation, values) {
     const early = this.sides.flatMap((side) => side.early);
     this.note.textContent = `At generation ${generation}, the newest that all have; lower is better.${
       early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}`;
-    fill(this.body, this.sides.map(({ id, name }, i) => {
+    fill(this.body, this.sides.map(({ id, campaign }, i) => {
       const { difference, low, high } = compareMeans(values[0], values[i]);
       const mean = values[i].reduce((sum, one) => sum + one, 0) / values[i].length;
-      const interval = Number.isFinite(low) ? `${signed(low)} to ${signed(high)}` : 'needs replicates';
-      return h('tr', {}, h('td', {}, h('a', { href: `#/campaigns/${id}` }, name), h('div.muted', {}, `campaign ${id}`)),
-        h('td.right', {}, values[i].length), h('td.right', {}, score(mean)),
+      const n = Math.min(values[0].length, values[i].length);
+      const interval = Number.isFinite(low) ? `${signed(low)} to ${signed(high)}`
+        : `${countOf(n, 'run')}: no interval`;
+      const single = values[i].length === 1 ? replicateOf(campaign) : '';
+      return h('tr', {}, h('td', {}, h('a', { href: `#/campaigns/${id}` }, titleOf(campaign)),
+        h('div.muted', {}, `campaign ${id}${single}`)),
+      h('td.right', {}, values[i].length), h('td.right', {}, score(mean)),
         h('td.right', {}, i ? signed(difference) : '–'), h('td.right', {}, i ? interval : '–'));
     }));
   }

@@ -1,15 +1,17 @@
 /** Designs: the leaderboard, the results of one evaluation, and one design. */
 
-import { getJson, withQuery } from '../lib/api.js';
-import { button, fill, h, select, table } from '../lib/dom.js';
+import { LinkError, getJson, withQuery } from '../lib/api.js';
+import { button, fill, h, say, select, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { pythonOf } from '../lib/commands.js';
-import { ago, bytes, count, countOf, score, scoreOf, shellWord, voxels as inVoxels } from '../lib/format.js';
+import {
+  ago, bytes, count, countOf, score, scoreOf, shellWord, voxels as inVoxels,
+} from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
-import { actions, progressBar, stateChip, titleOf, trouble } from './jobs.js';
+import { JobParts, shortProgress, titleOf } from './jobs.js';
 import { copyButton } from './share.js';
 
 const PAGE = 48;
@@ -25,34 +27,46 @@ export async function mount(main, [id], parameters, app) {
   return mountBoard(main, parameters, app);
 }
 
-/** Cards of designs that can be chosen for the stage. */
+/** Cards of designs that can be chosen for the stage. What is chosen is kept with the history. */
 class Wall {
   constructor(app) {
     this.app = app;
-    /** What the stage is told besides the designs: the controller whose scores are shown. */
+    /** What the stage is given besides the designs: the controller, or the world of the scores. */
     this.options = {};
-    this.chosen = new Map(); // {id, row} by genotype
+    this.chosen = new Map(app.remembered().chosen); // {id, row} by genotype
     this.element = h('div.grid.small');
-    this.walk = button('Let the chosen walk', () => app.go('stage', {
+    this.watch = button('Watch selected', () => app.go('stage', {
       designs: [...this.chosen.keys()].join(','), ...this.options,
-    }), { class: 'primary', disabled: true });
-    this.breed = breedButton(app, 'Breed these', () => this.#founders(), { disabled: true });
+    }), { class: 'primary' });
+    this.breed = breedButton(app, 'Breed these', () => this.#founders());
+    this.#offer();
+  }
+
+  #offer() {
+    const n = this.chosen.size;
+    this.watch.disabled = this.breed.disabled = n === 0;
+    this.watch.title = n ? `${countOf(n, 'design')} selected` : 'Select designs first';
   }
 
   card(design) {
     const { id, genotype, voxels, row } = design;
-    const told = design.score === undefined ? '–' : scoreOf(design);
+    const shown = design.score === undefined ? '–' : scoreOf(design);
     const card = h('button.card', {
-      type: 'button', 'aria-pressed': 'false', 'aria-label': `Design ${id}, score ${told}, ${inVoxels(voxels)}`,
+      type: 'button', 'aria-pressed': String(this.chosen.has(genotype)),
+      'aria-label': `Design ${id}, score ${shown}, ${inVoxels(voxels)}`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
         if (on) this.chosen.set(genotype, { id, row });
         card.setAttribute('aria-pressed', String(on));
-        this.walk.disabled = this.breed.disabled = this.chosen.size === 0;
+        this.#offer();
+        this.app.remember({ chosen: [...this.chosen] });
       },
       ondblclick: () => this.app.go(`designs/${id}`),
-    }, picture(genotype), h('strong.number', {}, told), h('span.muted', {}, inVoxels(voxels)));
-    return h('div.pick', {}, card, h('a', { href: `#/designs/${id}`, 'aria-label': `Design ${id}` }, `${id.slice(0, 10)}…`));
+    }, picture(genotype), h('strong.number', {}, shown),
+    design.isBest ? h('span.crown', {}, '♛ of the best') : null,
+    h('span.muted', {}, inVoxels(voxels)));
+    const link = { href: `#/designs/${id}`, 'aria-label': `Design ${id}` };
+    return h('div.pick', {}, card, h('a', link, `${id.slice(0, 10)}…`));
   }
 
   /** The chosen, each form once: a design may be here in several orientations. */
@@ -68,56 +82,73 @@ class Wall {
 
 async function mountBoard(main, parameters, app) {
   let controller = parameters.get('controller') ?? 'default';
-  let order = Object.hasOwn(ORDERS, parameters.get('order') ?? '') ? parameters.get('order') : 'best';
-  const controllers = (await getJson('v1/controllers?limit=200')).items.map(({ name }) => name).filter(Boolean);
+  let order = parameters.get('order') ?? 'best';
+  if (!Object.hasOwn(ORDERS, order)) {
+    throw new LinkError(`order=${order}: one of ${Object.keys(ORDERS).join(', ')} is expected.`);
+  }
+  const controllers = (await getJson('v1/controllers?limit=200')).items.map(({ name }) => name)
+    .filter(Boolean);
+  if (!controllers.includes(controller)) {
+    throw new LinkError(`controller=${controller}: no controller has this name.`);
+  }
   const wall = new Wall(app);
   const foot = h('div.row');
+  const panel = h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element);
   let cursor;
 
   const asked = () => ({ ...ORDERS[order], controller: ORDERS[order].sort === 'score' ? controller : null });
 
-  async function more() {
-    const page = await getJson(withQuery('v1/designs', { ...asked(), cursor, limit: PAGE }));
+  async function more(limit = PAGE) {
+    const page = await getJson(withQuery('v1/designs', { ...asked(), cursor, limit }));
     cursor = page.next_cursor;
     wall.add(page.items.map((design) => ({ ...design, genotype: design.scored_genotype ?? design.genotype })));
     const shown = wall.element.childElementCount;
-    fill(foot, cursor === null ? null : button('Show more', more),
-      h('span.muted', {}, shown ? `${count(shown)} designs shown` :
-        'No design has a score with this controller yet. An evaluation or a campaign, started on the overview, gives scores.'));
+    panel.hidden = shown === 0;
+    app.remember({ shown });
+    fill(foot, cursor === null ? null : button('Show more', () => more()),
+      h('span.muted', {}, shown ? `${countOf(shown, 'design')} shown`
+        : 'No design has a score with this controller yet. An evaluation or a campaign, started ' +
+          'on the overview, gives scores.'));
   }
 
-  async function again() {
+  async function again(limit = PAGE) {
     wall.options = controller === 'default' ? {} : { controller };
     cursor = undefined;
     wall.element.replaceChildren();
     app.keep({ controller, order });
-    await more();
+    await more(limit);
   }
 
   main.replaceChildren(h('div.title', {}, h('h1', {}, 'Designs'),
-    h('span.muted', {}, 'mean loss over the ten environments of the set paper-test; lower is better'), h('div.actions', {},
+    h('span.muted', {}, 'score: mean over the ten environments of paper-test; lower is better'),
+    h('div.actions', {},
     select('Order', Object.keys(ORDERS).map((key) => [key, `${key} first`]), order, (value) => {
       order = value;
       again();
     }), select('Controller', controllers, controller, (value) => {
       controller = value;
       again();
-    }), wall.walk, wall.breed, copyButton(() => ({
+    }), wall.watch, wall.breed, copyButton(() => ({
       path: withQuery('v1/designs', { ...asked(), limit: PAGE }),
       morphoctl: ['design list', ...Object.entries(asked()).filter(([, value]) => value).flatMap(([key, value]) =>
         [`--${key}`, shellWord(value)])].join(' '),
       python: `print(m.designs(${Object.entries(asked()).filter(([, value]) => value).map(([key, value]) =>
         `${key}=${pythonOf(value)}`).join(', ')}))`,
-    })))), h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element), foot);
-  await again();
+    })))), panel, foot);
+  // A person who comes back finds as many as before.
+  await again(Math.min(1000, app.remembered().shown || PAGE));
   return {};
 }
 
 async function mountEvaluation(main, id, app) {
   const stop = new AbortController();
   const wall = new Wall(app);
-  const title = h('div.title');
-  const head = h('section.panel.stack', { 'aria-label': 'State' });
+  wall.options = { world: `evaluation-${id}` };
+  const parts = new JobParts(() => refresh());
+  const title = h('h1');
+  const about = h('p.muted');
+  const record = h('p.muted', { hidden: true });
+  const notes = h('div.stack', { hidden: true });
   let done = false;
   let best = []; // rows, best first
 
@@ -128,15 +159,20 @@ async function mountEvaluation(main, id, app) {
   }, { hidden: true });
 
   async function refresh() {
-    const job = { ...(await getJson(`v1/evaluations/${encodeURIComponent(id)}`, { signal: stop.signal })), kind: 'evaluation' };
+    const path = `v1/evaluations/${encodeURIComponent(id)}`;
+    const job = { ...(await getJson(path, { signal: stop.signal })), kind: 'evaluation' };
     const isRecorded = job.record.includes('masses') && job.recorded_bytes > 0 && !job.recordings_removed_at;
     recordings.hidden = !isRecorded || !job.results;
-    wall.options = job.controller.name === 'default' ? {} : { controller: `sha256:${job.controller.sha256}` };
-    fill(title, h('h1', {}, titleOf(job)), stateChip(job), h('div.actions', {}, actions(job, refresh), recordings, wall.walk, wall.breed,
-      copyButton(() => ({ path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`, python: `print(m.evaluation(${id}).frame())` }))));
-    fill(head, progressBar(job), trouble(job),
-      job.record.length ? h('p.muted', {}, job.recordings_removed_at ? `Its recordings were removed ${ago(job.recordings_removed_at)}; its scores stay.`
-        : `Recorded: ${job.record.join(', ')}, ${bytes(job.recorded_bytes)}.`) : null);
+    parts.update(job);
+    say(title, titleOf(job));
+    app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);
+    const { name, sha256 } = job.controller;
+    say(about, `${countOf(job.n_designs, 'design')} under the controller ` +
+      `${name ?? sha256.slice(0, 12)}, ${placesOf(job.environments)}`);
+    record.hidden = !job.record.length;
+    say(record, job.recordings_removed_at
+      ? `Its recordings were removed ${ago(job.recordings_removed_at)}; its scores stay.`
+      : `Recorded: ${job.record.join(', ')}, ${bytes(job.recorded_bytes)}.`);
     if (job.results && !done) {
       done = true;
       const order = job.results.map((result, row) => ({ ...result, row }))
@@ -144,18 +180,31 @@ async function mountEvaluation(main, id, app) {
         .sort((x, y) => Number(x.lower_bound) - Number(y.lower_bound) || (x.score ?? Infinity) - (y.score ?? Infinity))
         .slice(0, 500);
       best = order.map(({ row }) => row);
-      wall.add(order);
+      const last = job.best === null ? -Infinity : order[job.best - 1]?.score ?? Infinity;
+      wall.add(order.map((one) => ({ ...one, isBest: isAmong(one, last) })));
       if (job.best !== null) {
-        head.append(h('p.muted', {}, `The best ${count(job.best)} were asked for; ${count(job.rollouts_cut)} rollouts of the others were not computed. A score after ≥ is a lower bound.`));
+        note(`The best ${count(job.best)} were asked for; ${count(job.rollouts_cut)} rollouts of ` +
+          'the others were not computed. A score after ≥ is a lower bound.');
       }
-      if (job.n_skipped > 0) head.append(h('p.muted', {}, `${count(job.n_skipped)} designs were skipped.`));
+      if (job.n_skipped > 0) note(`${countOf(job.n_skipped, 'design')} skipped.`);
       if (job.n_designs - job.n_skipped > order.length) {
-        head.append(h('p.muted', {}, `The best ${order.length} of ${count(job.n_designs)} designs are shown.`));
+        note(`The best ${order.length} of ${count(job.n_designs)} designs are shown.`);
       }
     }
   }
 
-  main.replaceChildren(title, head, h('section.panel', { 'aria-label': 'Results' }, wall.element));
+  function note(text) {
+    notes.append(h('p.muted', {}, text));
+    notes.hidden = false;
+  }
+
+  main.replaceChildren(h('div.title', {}, title, parts.chip, h('div.actions', {}, recordings,
+    wall.watch, wall.breed, copyButton(() => ({
+      path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`,
+      python: `print(m.evaluation(${id}).frame())`,
+    })))), h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble, about,
+    record, notes, parts.remark, parts.row),
+  h('section.panel', { 'aria-label': 'Results' }, wall.element));
   await refresh();
   const later = coalesced(refresh, stop.signal);
   return {
@@ -165,6 +214,15 @@ async function mountEvaluation(main, id, app) {
     unmount: () => stop.abort(),
   };
 }
+
+/** Whether a design is one of the best that were asked for: none of them is only bounded. */
+const isAmong = ({ score: own, lower_bound: isBound }, last) =>
+  !isBound && own !== null && own <= last;
+
+/** Where designs are scored, in words. */
+const placesOf = (environments) => (typeof environments === 'string'
+  ? `in the environments of ${environments}`
+  : `in ${countOf(environments.count ?? environments.length, 'environment')} of its own`);
 
 async function mountDesign(main, id, app) {
   const stop = new AbortController();
@@ -182,6 +240,7 @@ async function mountDesign(main, id, app) {
       h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)), h('div', {}, `${design.masses} masses`),
         h('div', {}, `${design.springs} springs`), h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
+    h('p.muted', {}, 'It walks in environment 0 of paper-test, under the controller default.'),
     h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, table(['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'],
       h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, scoreOf(one)), h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
         h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
@@ -190,7 +249,8 @@ async function mountDesign(main, id, app) {
     h('section.panel.stack', {}, h('h2', {}, 'Campaigns'), design.campaigns.length ? h('ul', {}, design.campaigns.map((one) =>
       h('li', {}, h('a', { href: `#/campaigns/${one.campaign}` }, `campaign ${one.campaign}`),
         `: number ${one.number}, ${one.operator}, born in generation ${one.born}, score ${scoreOf(one)}`)))
-      : h('p.empty', {}, 'No campaign has born it.')));
+      : h('p.empty', {}, 'It was not born in a campaign.')));
+  app.setTitle(`Design ${design.id.slice(0, 10)}`);
   const environments = await environmentSet('paper-test');
   roll([{ voxels: design.orientations[0]?.genotype ?? design.genotype }], environments[0], { signal: stop.signal })
     .then((robots) => player.setRobots(robots.map((robot) => ({ ...robot, label: 'this design' }))))

@@ -1,24 +1,37 @@
 /** The editor: a body, voxel by voxel, that walks and is scored at every click. */
 
-import { getJson, patient, post } from '../lib/api.js';
+import { LinkError, getJson, patient, post, storing } from '../lib/api.js';
 import { WORKSPACE, bodyOf, cellsOf, genotypeOf, genotypeOfId, hasVoxel } from '../lib/body.js';
 import { announce, button, fill, h, toggle } from '../lib/dom.js';
-import { count, score, voxels } from '../lib/format.js';
+import { count, countOf, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
-import { actDialog, copyButton } from './share.js';
+import { copyButton, formDialog } from './share.js';
 
 const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
 
+/** Where the kept bodies, the steps back and the body itself stay while the tab is open. */
+const SHELF_KEY = 'morphod-editor';
+const PAST_MAX = 100;
+const isBody = (text) => /^[01]{144}$/.test(text) && text.includes('1');
+
+/**
+ * What the editor had when it was left.
+ * @returns {{kept: Object[], past: string[], body: ?string}}
+ */
+function shelfOf() {
+  const text = storing(() => sessionStorage.getItem(SHELF_KEY));
+  return text ? JSON.parse(text) : { kept: [], past: [], body: null };
+}
+
 export async function mount(main, path, parameters, app) {
   const player = new Player(app, { compact: true });
-  let genotype = await startBody(parameters);
-  const past = [];
-  const kept = [];
+  const { kept, past, body: last } = shelfOf();
+  let genotype = await startBody(parameters, last);
   const known = new Map(); // ids by genotype
   let mirrored = false;
   let stop = new AbortController();
@@ -28,6 +41,13 @@ export async function mount(main, path, parameters, app) {
   const shelf = h('div.grid.small');
   const environments = await environmentSet('paper-test');
 
+  /** Keeps the shelf, the steps back and the body for a person who comes back. */
+  function store() {
+    past.splice(0, past.length - PAST_MAX);
+    const text = JSON.stringify({ kept, past, body: genotype });
+    storing(() => sessionStorage.setItem(SHELF_KEY, text));
+  }
+
   function change(next, { undo = false } = {}) {
     if (!next || !next.includes('1')) {
       announce('A body needs a voxel.');
@@ -36,6 +56,7 @@ export async function mount(main, path, parameters, app) {
     if (!undo) past.push(genotype);
     genotype = next;
     app.keep({ voxels: genotype });
+    store();
     drawLayers();
     walk();
   }
@@ -154,16 +175,18 @@ export async function mount(main, path, parameters, app) {
       return;
     }
     kept.push({ id, genotype, note: /^score \S+/.exec(result.textContent)?.[0] ?? voxels(cellsOf(genotype).length) });
+    store();
     drawShelf();
-    announce(`${kept.length} bodies kept`);
+    announce(`${countOf(kept.length, 'body', 'bodies')} kept`);
   }
 
   function importBody() {
     const text = h('textarea', { rows: 6, 'aria-label': 'Body' });
-    actDialog('Import a body', 'Import', () => {
+    formDialog('Import a body', 'Import', () => {
       const body = readBody(text.value);
       change(body.genotype ?? genotypeOfId(body.id));
-    }, h('p', {}, 'An id, 144 digits of voxels, a list of cells as [[x,y,z], …], or an array of EvoGym (it becomes two voxels deep).'), text);
+    }, h('p.wide', {}, 'An id, 144 digits of voxels, a list of cells as [[x,y,z], …], or an ' +
+      'array of EvoGym (it becomes two voxels deep).'), h('div.stack.wide', {}, text));
   }
 
   const move = (name, step) => button(name, () => {
@@ -200,6 +223,9 @@ export async function mount(main, path, parameters, app) {
   drawShelf();
   walk();
   return {
+    update({ type }) {
+      if (type === 'reset') walk(); // the service was away, and with it the score
+    },
     unmount() {
       stop.abort();
       player.destroy();
@@ -207,14 +233,17 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** The body that the link names, or a small walker. */
-async function startBody(parameters) {
+/** The body that the link names, or the last one here, or a small walker. */
+async function startBody(parameters, last) {
   const voxels = parameters.get('voxels');
-  if (/^[01]{144}$/.test(voxels ?? '') && voxels.includes('1')) return voxels;
+  if (voxels !== null) {
+    if (isBody(voxels)) return voxels;
+    throw new LinkError('voxels: 144 digits, 0 or 1, with at least one 1, are expected.');
+  }
   const id = parameters.get('design');
   if (id) {
     const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
     return design.orientations[0]?.genotype ?? design.genotype;
   }
-  return genotypeOf(FIRST);
+  return last ?? genotypeOf(FIRST);
 }

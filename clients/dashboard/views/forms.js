@@ -1,20 +1,39 @@
 /** Forms that start jobs. Names, bounds and defaults come from the contract that the daemon serves. */
 
 import { getJson, post } from '../lib/api.js';
-import { button, fill, h } from '../lib/dom.js';
+import { button, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { copyDialog } from './share.js';
 
-/** What each form asks for, in the order shown; the contract knows all else. */
-const FIELDS = {
-  evaluation: ['controller', 'precision', 'priority', 'weight', 'device', 'label'],
-  training: ['kind', 'preset', 'name', 'controller', 'steps', 'batch', 'seed', 'weight', 'device', 'label'],
-  campaign: ['mode', 'preset', 'population', 'generations', 'seed', 'replicates', 'controller', 'selection', 'name',
-    'weight', 'device', 'label'],
+/**
+ * What each form asks for, in the order shown: first, and under More. The contract knows all else.
+ */
+const FIRST = {
+  evaluation: ['controller', 'label'],
+  training: ['kind', 'preset', 'name', 'controller', 'label'],
+  campaign: ['mode', 'preset', 'population', 'generations', 'label'],
 };
-const SCHEMAS = { evaluation: 'EvaluationRequest', training: 'TrainingRequest', campaign: 'CampaignRequest' };
+const MORE = {
+  evaluation: ['precision', 'priority', 'weight', 'device', 'experiment'],
+  training: ['steps', 'batch', 'seed', 'weight', 'device', 'experiment'],
+  campaign: ['controller', 'seed', 'replicates', 'selection', 'name', 'weight', 'device',
+    'experiment'],
+};
+/** Names of fields where the contract's own does not say enough. */
+const NAMES = { name: 'Name of the new controller', label: 'Label of the job' };
+/** A study is fed by its client, which no page is. */
+const LEFT_OUT = { mode: ['study'] };
+/** What the presets say of a campaign, by mode: the contract has it in words. */
+const PRESETS = {
+  paper: { population: '8192', 'zero-shot': '100', 'few-shot': '7', simultaneous: '180' },
+  workstation: { population: '512', 'zero-shot': '100', 'few-shot': '10', simultaneous: '180' },
+  demo: { population: '64', 'zero-shot': '30', 'few-shot': '3', simultaneous: '30' },
+};
+const SCHEMAS = {
+  evaluation: 'EvaluationRequest', training: 'TrainingRequest', campaign: 'CampaignRequest',
+};
 
 /** A schema with its references followed, and its alternatives reduced to the plain one. */
 export function resolve(contract, schema) {
@@ -26,24 +45,39 @@ export function resolve(contract, schema) {
   }
   const alternatives = result.oneOf ?? result.anyOf;
   if (alternatives) {
-    const plain = alternatives.map((one) => resolve(contract, one)).find((one) => one.enum || one.type === 'string' || one.const);
+    const plain = alternatives.map((one) => resolve(contract, one))
+      .find((one) => one.enum || one.type === 'string' || one.const);
     if (plain) result = { ...plain, description: result.description, default: result.default };
   }
   return result;
 }
 
-function inputFor(name, schema, isRequired) {
+/** What an empty field stands for. */
+function unsaid(kind, name, schema) {
+  if (schema.default !== undefined) return String(schema.default);
+  if (name === 'priority') return 'interactive up to 64 rollouts';
+  return ['integer', 'number'].includes(schema.type) && kind !== 'evaluation'
+    ? 'as the preset says' : '';
+}
+
+function inputFor(kind, name, schema, isRequired, controllers) {
   const described = { 'aria-describedby': `hint-${name}`, name };
+  if (name === 'controller') {
+    return h('select', described, h('option', { value: '' }, 'default'),
+      controllers.map((one) => h('option', { value: one }, one)));
+  }
   if (schema.enum) {
-    const choices = schema.default === undefined && !isRequired ? ['', ...schema.enum] : schema.enum;
-    return h('select', described, choices.map((value) =>
-      h('option', { value, selected: value === (schema.default ?? '') }, value === '' ? 'as the preset says' : value)));
+    const offered = schema.enum.filter((value) => !LEFT_OUT[name]?.includes(value));
+    const isOpen = schema.default === undefined && !isRequired;
+    return h('select', described, (isOpen ? ['', ...offered] : offered).map((value) =>
+      h('option', { value, selected: value === (schema.default ?? '') },
+        value || unsaid(kind, name, schema))));
   }
   const isNumber = schema.type === 'integer' || schema.type === 'number';
   return h('input', {
-    ...described, list: name === 'controller' ? 'controllers' : null, type: isNumber ? 'number' : 'text', min: schema.minimum, max: schema.maximum,
+    ...described, type: isNumber ? 'number' : 'text', min: schema.minimum, max: schema.maximum,
     step: schema.type === 'integer' ? 1 : 'any', maxlength: schema.maxLength,
-    placeholder: schema.default !== undefined ? String(schema.default) : isNumber ? 'as the preset says' : name === 'controller' ? 'default' : '',
+    placeholder: unsaid(kind, name, schema),
   });
 }
 
@@ -57,15 +91,16 @@ function hintOf(schema) {
 }
 
 /** The arguments of morphoctl that send a request; its options are named like the fields. */
-function morphoctlOf(kind, request) {
+function morphoctlOf(kind, request, learnedOn) {
   const words = {
     evaluation: () => ['eval'], training: () => ['train', 'start', request.kind],
     campaign: () => ['campaign', 'start', request.mode],
   }[kind]();
-  for (const name of FIELDS[kind]) {
+  for (const name of [...FIRST[kind], ...MORE[kind]]) {
     if (request[name] === undefined || ['kind', 'mode'].includes(name)) continue;
     words.push(`--${name}`, String(request[name]));
   }
+  if (learnedOn) return [...words, ...learnedOn].map(shellWord).join(' ');
   const designs = request.designs ?? request.initial?.designs ?? [];
   return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
 }
@@ -73,6 +108,93 @@ function morphoctlOf(kind, request) {
 /** The button that begins a job of a kind; null where the caller may not. */
 export function startButton(app, kind, attributes = {}) {
   return may('submit') ? button(`New ${kind}`, () => startDialog(app, kind), attributes) : null;
+}
+
+/** Designs of a text, one a line. */
+const designsIn = (text) => text.split('\n').map((line) => line.trim()).filter(Boolean)
+  .map((line) => (line.length === 144 ? { voxels: line } : { id: line }));
+const DESIGNS_HINT = 'one design a line: an id of 36 digits, or 144 digits of voxels';
+
+/** What a finetuning learns on: fields, what the request has of them, and what morphoctl has. */
+class LearnedOn {
+  constructor() {
+    const number = (name, value, max) => h('input', { type: 'number', name, min: 1, max, value });
+    this.random = number('random', 64, 10000);
+    this.designs = h('textarea', { rows: 3, name: 'designs', placeholder: DESIGNS_HINT });
+    this.job = number('job', '', null);
+    this.best = number('best', '', 10000);
+    this.best.placeholder = 'all';
+    const field = (name, input, kind = '') =>
+      h(`label.field${kind}`, {}, h('span', {}, name), input);
+    this.parts = {
+      random: [field('Random bodies', this.random)],
+      designs: [field('Designs', this.designs, '.wide')],
+      population: [field('Number of the campaign or evaluation', this.job),
+        field('Only the best', this.best)],
+    };
+    this.choice = h('select', { name: 'learn-on', onchange: () => this.show(true) },
+      [['random', 'random bodies'], ['designs', 'these designs'],
+        ['population', 'a population']].map(([value, text]) => h('option', { value }, text)));
+    this.head = field('Bodies to learn on', this.choice);
+    this.elements = [this.head, ...Object.values(this.parts).flat()];
+    this.show(false);
+  }
+
+  /** Shows the fields of the choice; what is hidden is not asked for. */
+  show(isAsked) {
+    this.isAsked = isAsked;
+    this.head.hidden = !isAsked;
+    for (const [name, parts] of Object.entries(this.parts)) {
+      for (const part of parts) part.hidden = !isAsked || name !== this.choice.value;
+    }
+    const is = (name) => isAsked && this.choice.value === name;
+    this.random.required = is('random');
+    this.designs.required = is('designs');
+    this.job.required = is('population');
+  }
+
+  async request() {
+    if (!this.isAsked) return {};
+    if (this.choice.value === 'designs') return { designs: designsIn(this.designs.value) };
+    if (this.choice.value === 'random') {
+      const { items } = await post('v1/bodies/random', { count: Number(this.random.value) });
+      return { designs: items.map(({ genotype }) => ({ voxels: genotype })) };
+    }
+    const { kind } = await getJson(`v1/jobs/${Number(this.job.value)}`);
+    if (!['campaign', 'evaluation'].includes(kind)) {
+      throw new Error(`Job ${this.job.value} is a ${kind}: it has no population.`);
+    }
+    const best = this.best.value ? { best: Number(this.best.value) } : {};
+    return { population: { [kind]: String(Number(this.job.value)), ...best } };
+  }
+
+  /** The same as arguments; null: the request has no such fields. */
+  words() {
+    if (!this.isAsked) return null;
+    if (this.choice.value === 'random') return ['--random', this.random.value];
+    if (this.choice.value === 'designs') {
+      return designsIn(this.designs.value).map(({ id, voxels }) => id ?? voxels);
+    }
+    const best = this.best.value ? ['--best', this.best.value] : [];
+    return ['--population', this.job.value, ...best];
+  }
+}
+
+/** The fields of a form, of the contract, with what the service says against each. */
+function fieldsOf(kind, names, contract, controllers, proposed) {
+  const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
+  return names.map((name) => {
+    const schema = resolve(contract, properties[name]);
+    const fault = h('span.fault', { role: 'alert' });
+    const input = inputFor(kind, name, schema, required.includes(name), controllers);
+    if (required.includes(name)) input.required = true;
+    if (name in proposed) input.value = proposed[name];
+    const plain = name.replaceAll('_', ' ');
+    const title = NAMES[name] ?? plain[0].toUpperCase() + plain.slice(1);
+    return { name, schema, input, fault, element: h('label.field', { title: hintOf(schema) },
+      h('span', {}, title), input,
+      h('span.visually-hidden', { id: `hint-${name}` }, hintOf(schema)), fault) };
+  });
 }
 
 /**
@@ -83,75 +205,102 @@ export function startButton(app, kind, attributes = {}) {
  * @param {Object<string, any>} [proposed] what the fields begin with
  */
 export async function startDialog(app, kind, fixed = {}, proposed = {}) {
-  const contract = await app.contract();
-  const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
-  const fields = FIELDS[kind].filter((name) => !(name in fixed)).map((name) => {
-    const schema = resolve(contract, properties[name]);
-    const fault = h('span.fault', { role: 'alert' });
-    const input = inputFor(name, schema, required.includes(name));
-    if (required.includes(name)) input.required = true;
-    if (name in proposed) input.value = proposed[name];
-    return { name, schema, input, fault, element: h('label.field', { title: hintOf(schema) },
-      h('span', {}, name.replaceAll('_', ' ')), input, h('span.visually-hidden', { id: `hint-${name}` }, hintOf(schema)),
-      fault) };
-  });
-  const names = h('datalist', { id: 'controllers' });
-  getJson('v1/controllers?limit=200').then(({ items }) => fill(names, items.filter(({ name }) => name)
-    .map(({ name }) => h('option', { value: name }))), () => {}); // a name can be typed, too
-  const designs = kind === 'evaluation' && !fixed.designs ? h('textarea', {
-    rows: 4, required: true, placeholder: 'one design a line: an id of 36 digits, or 144 digits of voxels',
-  }) : null;
+  const [contract, { items }] = await Promise.all([app.contract(),
+    getJson('v1/controllers?limit=1000')]);
+  const controllers = items.map(({ name }) => name).filter(Boolean);
+  const [first, others] = [FIRST[kind], MORE[kind]].map((names) =>
+    fieldsOf(kind, names.filter((name) => !(name in fixed)), contract, controllers, proposed));
+  const fields = [...first, ...others];
+  const inputOf = (name) => fields.find((field) => field.name === name)?.input;
+  const designs = kind === 'evaluation' && !fixed.designs
+    ? h('textarea', { rows: 4, required: true, placeholder: DESIGNS_HINT }) : null;
+  const learnedOn = kind === 'training' ? new LearnedOn() : null;
   const message = h('p.error.wide', { role: 'alert' });
+  const more = h('details.wide', {}, h('summary', {}, 'More'),
+    h('div.fields', {}, others.map(({ element }) => element)));
   /** What the field in focus means; screen readers have it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
-  function body() {
+  async function body() {
     /** @type {any} */
-    const result = { ...fixed };
+    const result = { ...fixed, ...await learnedOn?.request() };
     for (const { name, schema, input } of fields) {
       if (input.value === '') continue;
-      result[name] = ['integer', 'number'].includes(schema.type) ? Number(input.value) : input.value;
+      const isNumber = ['integer', 'number'].includes(schema.type);
+      result[name] = isNumber ? Number(input.value) : input.value;
     }
-    if (designs) {
-      result.designs = designs.value.split('\n').map((line) => line.trim()).filter(Boolean)
-        .map((line) => (line.length === 144 ? { voxels: line } : { id: line }));
-    }
+    if (designs) result.designs = designsIn(designs.value);
     return result;
   }
 
-  function commands() {
-    const request = body();
-    return commandsOf({ path: `v1/${kind}s`, body: request, morphoctl: morphoctlOf(kind, request) });
-  }
-
-  async function submit(event) {
-    event.preventDefault();
+  /** Does something with the request; what is refused stands at its field, or below all. */
+  async function attempt(work) {
     message.textContent = '';
     for (const field of fields) field.fault.textContent = '';
     try {
-      const job = await post(`v1/${kind}s`, body());
-      const id = job.id ?? job.items?.[0]?.id;
-      dialog.close();
-      app.go(kind === 'evaluation' ? 'designs' : `${kind}s/${id}`, kind === 'evaluation' ? { evaluation: id } : {});
+      await work(await body());
     } catch (error) {
-      message.textContent = error.message;
-      for (const fault of error.faults ?? []) {
-        const field = fields.find(({ name }) => fault.pointer?.split('/')[1] === name);
+      const rest = (error.faults ?? []).filter((fault) => {
+        const name = fault.pointer?.split('/')[1];
+        const field = fields.find((one) => one.name === name);
         if (field) field.fault.textContent = fault.detail;
-        else message.textContent += ` ${fault.pointer}: ${fault.detail}`;
-      }
+        if (others.includes(field)) more.open = true;
+        return !field;
+      });
+      message.textContent = rest.length
+        ? rest.map(({ pointer, detail }) => `${pointer}: ${detail}`).join(' ')
+        : error.faults?.length ? '' : error.message;
+    }
+  }
+
+  async function start(request) {
+    const job = await post(`v1/${kind}s`, request);
+    const id = job.id ?? job.items?.[0]?.id;
+    dialog.close();
+    app.go(kind === 'evaluation' ? 'designs' : `${kind}s/${id}`,
+      kind === 'evaluation' ? { evaluation: id } : {});
+  }
+
+  const copy = (request) => copyDialog(commandsOf({
+    path: `v1/${kind}s`, body: request,
+    morphoctl: morphoctlOf(kind, request, learnedOn?.words()),
+  }));
+
+  /** Says what empty fields stand for under the present choices. */
+  function adapt() {
+    if (kind === 'training') {
+      const isFinetune = inputOf('kind').value === 'finetune';
+      learnedOn.show(isFinetune);
+      inputOf('controller').options[0].text = isFinetune ? 'default' : 'random weights';
+    }
+    if (kind === 'campaign') {
+      const [mode, preset] = [inputOf('mode').value, inputOf('preset').value];
+      inputOf('controller').options[0].text =
+        mode === 'simultaneous' ? 'random weights' : 'default';
+      inputOf('population').placeholder = PRESETS[preset]?.population ?? 'as the preset says';
+      inputOf('generations').placeholder = PRESETS[preset]?.[mode] ?? 'as the preset says';
     }
   }
 
   const dialog = h('dialog', { 'aria-label': `New ${kind}`, onclose: () => dialog.remove() },
-    h('form', { onsubmit: submit, onfocusin: (event) => {
-      const field = fields.find(({ input }) => input === event.target);
-      hint.textContent = field ? hintOf(field.schema) : '';
-    } }, h('h2.wide', {}, `New ${kind}`),
-      fixed.initial ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null, fields.map(({ element }) => element),
-      designs ? h('label.field.wide', {}, h('span', {}, 'designs'), designs) : null, names, hint, message,
-      h('div.row.wide', {}, h('button.primary', { type: 'submit' }, 'Start'),
-        button('Cancel', () => dialog.close()), button('Copy as a command', () => copyDialog(commands())))));
+    h('form', {
+      onsubmit: (event) => {
+        event.preventDefault();
+        attempt(start);
+      },
+      onchange: adapt,
+      onfocusin: (event) => {
+        const field = fields.find(({ input }) => input === event.target);
+        hint.textContent = field ? hintOf(field.schema) : '';
+      },
+    }, h('h2.wide', {}, `New ${kind}`),
+    fixed.initial ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null,
+    first.map(({ element }) => element), learnedOn?.elements,
+    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, hint,
+    message, h('div.row.ends.wide', {}, button('Copy as a command', () => attempt(copy)),
+      button('Cancel', () => dialog.close()),
+      h('button.primary', { type: 'submit' }, 'Start'))));
+  adapt();
   document.body.append(dialog);
   dialog.showModal();
 }

@@ -1,10 +1,13 @@
 /** What views of jobs share: their state, progress, and the buttons that change them. */
 
-import { post, request } from '../lib/api.js';
-import { announce, button, fill, h, table } from '../lib/dom.js';
-import { ago, count, countOf, duration } from '../lib/format.js';
+import { LinkError, post, request } from '../lib/api.js';
+import { announce, button, h, isInUse, patch, say, table } from '../lib/dom.js';
+import { ago, count, countOf, duration, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { announced, confirmDialog, showDialog } from './share.js';
+import { announced, confirmDialog, formDialog } from './share.js';
+
+/** Jobs beside the first on one page: as many as have colors of their own. */
+const COMPARED_MAX = 3;
 
 /** The page of a job. */
 export function linkOf(job) {
@@ -23,11 +26,25 @@ export function submitter(job) {
   return job.submitted_by ? `, by ${job.submitted_by}` : '';
 }
 
-export function stateChip(job) {
-  return h(`span.state.${job.state}`, {}, job.state);
+/** Which of several replicates a campaign is: ", replicate 1 of 3". */
+export function replicateOf({ group }) {
+  return group?.replicates > 1 ? `, replicate ${group.replicate + 1} of ${group.replicates}` : '';
 }
 
-/** How far a job is: {share, text, secondsLeft}. */
+const isStudy = (job) => (job.mode ?? job.campaign?.mode) === 'study';
+
+/** The state in words. */
+export function stateOf(job) {
+  return isStudy(job) && job.state === 'queued' && job.reason ? 'waits for its client' : job.state;
+}
+
+/** What a campaign does within a generation, by its phase, with what is counted. */
+const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
+
+/**
+ * How far a job is: {share, text, secondsLeft}. share: null where nobody knows, undefined where
+ * there is no end to come near to.
+ */
 export function progressOf(job) {
   if (job.kind === 'evaluation') {
     return {
@@ -36,60 +53,167 @@ export function progressOf(job) {
       secondsLeft: job.progress?.seconds_left,
     };
   }
-  // A list of jobs tells less than the job itself.
+  // A list of jobs says less than the job itself.
   const progress = job.progress ?? { under_way: null, total: 0, ...job[job.kind] };
+  const secondsLeft = progress.seconds_left;
   if (job.kind === 'training') {
-    return {
-      share: progress.step / progress.steps,
-      text: `step ${count(progress.step)} of ${count(progress.steps)}`,
-      secondsLeft: progress.seconds_left,
-    };
+    const text = `step ${count(progress.step)} of ${count(progress.steps)}`;
+    if (job.phase === 'replaying' && progress.replay_total) {
+      return {
+        share: progress.replayed / progress.replay_total, secondsLeft,
+        text: `${text}; drawing the bodies before it again: ${count(progress.replayed)} of ` +
+          count(progress.replay_total),
+      };
+    }
+    return { share: progress.step / progress.steps, text, secondsLeft };
   }
-  if ((job.mode ?? job.campaign?.mode) === 'study') {
-    return { share: 1, text: `${countOf((progress.generation ?? -1) + 1, 'batch', 'batches')} told`, secondsLeft: null };
+  if (isStudy(job)) {
+    const batches = countOf((progress.generation ?? -1) + 1, 'batch', 'batches');
+    return { share: undefined, text: `${batches} received`, secondsLeft: null };
+  }
+  if (job.phase === 'preparing') {
+    const { done, total } = progress;
+    return {
+      share: total ? done / total : null, secondsLeft,
+      text: 'Leaving out the bodies of pretraining' +
+        (total ? `: ${count(done)} of ${count(total)} drawn again` : ''),
+    };
   }
   const within = progress.total > 0 ? progress.done / progress.total : 0;
   const generation = progress.generation ?? 0;
+  const begun = generation + (progress.under_way === null ? 0 : within);
+  const what = progress.total > 0 ? WITHIN[job.phase] : undefined;
   return {
-    share: Math.min(1, (generation + (progress.under_way === null ? 0 : within)) / Math.max(1, progress.generations)),
-    text: `generation ${count(generation)} of ${count(progress.generations)}`,
-    secondsLeft: progress.seconds_left,
+    share: Math.min(1, begun / Math.max(1, progress.generations)),
+    text: `generation ${count(generation)} of ${count(progress.generations)}` +
+      (what ? `; ${count(progress.done)} of ${count(progress.total)} ${what}` : ''),
+    secondsLeft,
   };
 }
 
+/** Progress in a few words, as the title of a tab has it. */
+export function shortProgress(job) {
+  return job.state === 'running' ? progressOf(job).text.split(/[;:]/)[0] : stateOf(job);
+}
+
+/** A chip with the state, for a row that is made again when it differs. */
+export const stateChip = (job) => h(`span.state.${job.state}`, {}, stateOf(job));
+
+/** A bar with what it says, brought up to date in place. */
+function progressMeter() {
+  const bar = h('progress', { max: 1 });
+  const said = h('div.muted.number');
+  return {
+    element: h('div', {}, bar, said),
+    update(job) {
+      const { share, text, secondsLeft } = progressOf(job);
+      bar.hidden = share === undefined;
+      if (share === null) bar.removeAttribute('value');
+      else bar.value = share ?? 0;
+      bar.setAttribute('aria-label', `${titleOf(job)}: ${text}`);
+      const isTimed = job.state === 'running' && secondsLeft;
+      say(said, text + (isTimed ? `, ${duration(secondsLeft)} left` : ''));
+    },
+  };
+}
+
+/** The same, for a row that is made again when it differs. */
 export function progressBar(job) {
-  const { share, text, secondsLeft } = progressOf(job);
-  const left = job.state === 'running' && secondsLeft ? `, ${duration(secondsLeft)} left` : '';
-  return h('div', {}, h('progress', { value: share, max: 1, 'aria-label': `${titleOf(job)}: ${text}` }),
-    h('div.muted.number', {}, text + left));
+  const { element, update } = progressMeter();
+  update(job);
+  return element;
 }
 
-/** Why a job failed or waits, if it does. */
-export function trouble(job) {
-  if (job.error) return h('p.error', { role: 'alert' }, `${job.error.detail ?? job.error.code ?? job.error}`);
-  if (job.reason) return h('p.muted', {}, job.reason);
-  return null;
-}
-
-/** Pause, resume and cancel, as the state and the caller's right allow. `changed` is called after each. */
-export function actions(job, changed) {
-  const act = (name, done) => async () => {
-    await announced(() => post(`v1/jobs/${job.id}/${name}`), `${titleOf(job)} ${done}`);
-    changed();
-  };
-  if (!may('submit')) return [];
-  const label = (verb) => ({ 'aria-label': `${verb} ${titleOf(job)}` });
-  const list = [];
-  if (['queued', 'running'].includes(job.state)) list.push(button('Pause', act('pause', 'paused'), label('Pause')));
-  if (['paused', 'failed'].includes(job.state)) list.push(button('Resume', act('resume', 'resumed'), label('Resume')));
-  if (['queued', 'running', 'paused'].includes(job.state)) {
-    list.push(button('Cancel', async () => {
-      const sure = await confirmDialog(`Cancel ${titleOf(job)}?`,
+/**
+ * What pages show of a job, and the buttons that change it as its state and the caller's right
+ * allow. Each part is made once and brought up to date in place: what is typed, pressed or has the
+ * focus stays.
+ */
+export class JobParts {
+  /** @param {function(): any} changed called after each change that a person made */
+  constructor(changed) {
+    this.changed = changed;
+    this.job = null;
+    this.chip = h('span.state');
+    this.progress = progressMeter();
+    this.bar = this.progress.element;
+    this.trouble = h('p');
+    this.remark = h('p.remark.muted');
+    this.rate = h('span.muted');
+    this.pause = button('', () => (this.#isPaused() ? this.#act('resume', 'resumed')
+      : this.#act('pause', 'paused')));
+    this.cancel = button('Cancel', async () => {
+      const sure = await confirmDialog(`Cancel ${titleOf(this.job)}?`,
         'It cannot be resumed. What it has computed so far stays.', 'Cancel the job');
-      if (sure) await act('cancel', 'cancelled')();
-    }, { class: 'danger', ...label('Cancel') }));
+      if (sure) await this.#act('cancel', 'cancelled');
+    }, { class: 'danger' });
+    this.edit = button('Edit', () => editDialog(this.job, changed));
+    this.weight = h('input', {
+      type: 'number', min: 0.001, max: 1000, step: 'any', size: 6, onchange: () => this.#weigh(),
+    });
+    this.weightField = h('label.field.inline', {}, h('span', {}, 'Weight'), this.weight);
+    /** Pause or resume, and cancel. */
+    this.actions = [this.pause, this.cancel];
+    this.row = h('div.row', {}, this.actions, this.edit, this.weightField, this.rate);
   }
-  return list;
+
+  #isPaused() {
+    return ['paused', 'failed'].includes(this.job.state);
+  }
+
+  async #act(name, done) {
+    await announced(() => post(`v1/jobs/${this.job.id}/${name}`), `${titleOf(this.job)} ${done}`);
+    this.changed();
+  }
+
+  /** The weight of a job among others: twice the weight gets twice the time. */
+  async #weigh() {
+    const weight = Number(this.weight.value);
+    const isDone = await announced(() => post(`v1/jobs/${this.job.id}/weight`, { weight }),
+      `Weight of ${titleOf(this.job)} is ${weight}`);
+    if (isDone) this.changed();
+    else this.weight.value = this.job.weight;
+  }
+
+  /** @returns {this} */
+  update(job) {
+    this.job = job;
+    const title = titleOf(job);
+    this.chip.className = `state ${job.state}`;
+    say(this.chip, stateOf(job));
+    this.progress.update(job);
+    const { error } = job;
+    say(this.trouble, error ? `${error.detail ?? error.code ?? error}` : job.reason ?? '');
+    this.trouble.className = error ? 'error' : 'muted';
+    this.trouble.hidden = !this.trouble.textContent;
+    say(this.remark, [job.experiment && `in ${job.experiment}`, job.note,
+      job.archived_at && 'archived'].filter(Boolean).join(' – '));
+    this.remark.hidden = !this.remark.textContent;
+    say(this.rate, rateOf(job));
+    this.#offer(title);
+    return this;
+  }
+
+  #offer(title) {
+    const { state, weight } = this.job;
+    const mayChange = may('submit');
+    const isOpen = ['queued', 'running', 'paused'].includes(state);
+    const verb = this.#isPaused() ? 'Resume' : 'Pause';
+    say(this.pause, verb);
+    this.pause.setAttribute('aria-label', `${verb} ${title}`);
+    this.cancel.setAttribute('aria-label', `Cancel ${title}`);
+    this.edit.setAttribute('aria-label', `Edit ${title}`);
+    this.pause.hidden = !mayChange || !(isOpen || state === 'failed');
+    this.cancel.hidden = this.weightField.hidden = !mayChange || !isOpen;
+    this.edit.hidden = !mayChange;
+    if (!isInUse(this.weight)) this.weight.value = weight;
+  }
+}
+
+function rateOf(job) {
+  const rate = job.progress?.rollouts_per_s ?? job.progress?.bodies_per_s;
+  if (!rate) return '';
+  return `${number(rate)} ${job.kind === 'training' ? 'bodies' : 'rollouts'} a second`;
 }
 
 /** Boxes that choose jobs of a list, and the button that shows the chosen on one page. */
@@ -99,19 +223,30 @@ export function comparing(app, path, text) {
     const [first, ...others] = chosen;
     app.go(`${path}/${first}`, { compare: others.join(',') });
   }, { disabled: true });
-  const box = (job) => h('td', {}, h('input', { type: 'checkbox', checked: chosen.has(job.id), 'aria-label': `Compare ${titleOf(job)}`,
+  const box = (job) => h('td', {}, h('input', {
+    type: 'checkbox', checked: chosen.has(job.id),
+    'aria-label': `Compare ${titleOf(job)}${replicateOf(job)}`,
     onchange: (event) => {
       if (event.target.checked) chosen.add(job.id);
       else chosen.delete(job.id);
       compare.disabled = chosen.size < 2;
-    } }));
-  return { compare, box };
+    },
+  }));
+  return { compare, box, chosen };
 }
 
-/** What somebody said of a job, and to what it belongs. Text, never markup. */
-export function remark(job) {
-  const parts = [job.experiment && `in ${job.experiment}`, job.note, job.archived_at && 'archived'].filter(Boolean);
-  return parts.length ? h('p.muted', { style: 'white-space: pre-wrap' }, parts.join(' – ')) : null;
+/** The jobs that a link compares with the first: at most three. */
+export function comparedIn(parameters, id) {
+  const ids = (parameters.get('compare') ?? '').split(',').filter(Boolean);
+  const wrong = ids.find((one) => !/^\d+$/.test(one));
+  if (wrong !== undefined) {
+    throw new LinkError(`compare=${wrong}: the number of a job is expected.`);
+  }
+  if (ids.length > COMPARED_MAX) {
+    throw new LinkError(`compare names ${ids.length} jobs; ${COMPARED_MAX} can be compared with ` +
+      `${id} on one page.`);
+  }
+  return ids;
 }
 
 /** Asks, naming what is lost, and deletes a job that has ended. */
@@ -128,81 +263,60 @@ async function remove(job) {
   return true;
 }
 
-/** A button that opens what can be said of a job: label, experiment, note; the archive; deletion. */
-export function editButton(job, changed) {
-  if (!may('submit')) return null;
-  return button('Edit', () => {
-    const text = (tag, name, most) => h(tag, { name, maxlength: most, value: job[name] ?? '', ...(tag === 'textarea' ? { rows: 4 } : {}) });
-    const fields = { label: text('input', 'label', 200), experiment: text('input', 'experiment', 100), note: text('textarea', 'note', 1000) };
-    const archived = h('input', { type: 'checkbox', checked: job.archived_at !== null });
-    const fault = h('p.error', { role: 'alert' });
-    const attempt = (act) => async () => {
-      try {
-        if (await act() === false) return;
-        dialog.close();
-        changed();
-      } catch (error) {
-        fault.textContent = error.message;
-      }
-    };
-    const save = attempt(() => request(`v1/jobs/${job.id}`, { method: 'PATCH', body: {
-      ...Object.fromEntries(Object.entries(fields).map(([name, field]) => [name, field.value || null])), archived: archived.checked,
-    } }));
-    const dialog = showDialog(titleOf(job),
-      ...Object.entries(fields).map(([name, field]) => h('label.field', {}, h('span', {}, name[0].toUpperCase() + name.slice(1)), field)),
-      h('label.row', {}, archived, 'Archived: hidden from lists'), fault,
-      h('div.row', {}, button('Save', save, { class: 'primary' }),
-        may('admin') && ['succeeded', 'failed', 'cancelled'].includes(job.state)
-          ? button('Delete', attempt(() => remove(job)), { class: 'danger' }) : null));
-  }, { 'aria-label': `Edit ${titleOf(job)}` });
-}
-
-/** The weight of a job among others: twice the weight gets twice the time. */
-export function weightField(job, changed) {
-  if (!may('submit') || !['queued', 'running', 'paused'].includes(job.state)) return null;
-  return h('label.field.inline', {}, h('span', {}, 'Weight'), h('input', {
-    type: 'number', min: 0.001, max: 1000, step: 'any', value: job.weight, size: 6,
-    onchange: async ({ target: { value } }) => {
-      await announced(() => post(`v1/jobs/${job.id}/weight`, { weight: Number(value) }), `Weight of ${titleOf(job)} is ${value}`);
-      changed();
-    },
-  }));
+/** Changes what can be said of a job: label, experiment, note; the archive; deletion. */
+function editDialog(job, changed) {
+  const text = (tag, name, most) => h(tag, {
+    name, maxlength: most, value: job[name] ?? '', ...(tag === 'textarea' ? { rows: 4 } : {}),
+  });
+  const fields = {
+    label: text('input', 'label', 200), experiment: text('input', 'experiment', 100),
+    note: text('textarea', 'note', 1000),
+  };
+  const archived = h('input', { type: 'checkbox', checked: job.archived_at !== null });
+  const save = async () => {
+    const body = { archived: archived.checked };
+    for (const [name, field] of Object.entries(fields)) body[name] = field.value || null;
+    await request(`v1/jobs/${job.id}`, { method: 'PATCH', body });
+    changed();
+  };
+  const isOver = ['succeeded', 'failed', 'cancelled'].includes(job.state);
+  const named = Object.entries(fields).map(([name, field]) =>
+    h('label.field.wide', {}, h('span', {}, name[0].toUpperCase() + name.slice(1)), field));
+  const dialog = formDialog(titleOf(job), 'Save', save, named,
+  h('label.row.wide', {}, archived, 'Archived: hidden from lists'),
+  may('admin') && isOver ? h('div.wide', {}, button('Delete', () => announced(async () => {
+    if (!await remove(job)) return;
+    dialog.close();
+    changed();
+  }), { class: 'danger' })) : null);
 }
 
 /**
- * A table of jobs whose rows are drawn only where they are seen, so that a thousand scroll like ten.
+ * A table of jobs, drawn only in rows that are seen, so that a thousand scroll like ten.
  */
 export class JobTable {
   constructor(changed) {
     this.changed = changed;
     this.body = h('tbody');
-    this.element = h('div.scroll', {}, table(['Job', 'State', 'Progress', 'Created', ''], this.body, undefined, 'table.cards.jobs'));
+    this.element = h('div.scroll', {}, table(['Job', 'State', 'Progress', 'Created', ''], this.body,
+      undefined, 'table.cards.jobs'));
     this.rows = new Map();
-    // An observer of intersections would tell of a row after the frame in which it appears.
+    // An observer of intersections would report a row after the frame in which it appears.
     this.onScroll = () => this.#drawSeen();
     addEventListener('scroll', this.onScroll, { passive: true });
     addEventListener('resize', this.onScroll);
   }
 
-  /** Replaces the jobs; rows whose job is unchanged stay. */
+  /** Takes the jobs; the rows of those that were there stay. */
   set(jobs) {
     const before = this.rows;
     this.rows = new Map();
-    const elements = jobs.map((job) => {
-      const key = JSON.stringify(job);
-      const old = before.get(job.id);
-      if (old?.key === key) {
-        this.rows.set(job.id, old);
-        return old.element;
-      }
-      const element = old?.element ?? h('tr');
-      element.style.height = '58px';
-      this.rows.set(job.id, { key, element, job, drawn: false });
-      element.jobId = job.id;
-      if (old) this.#draw(element);
-      return element;
-    });
-    this.body.replaceChildren(...elements);
+    patch(this.body, jobs, ({ id }) => id, ({ id }) => Object.assign(h('tr'), { jobId: id }),
+      (row, job) => {
+        const parts = before.get(job.id)?.parts;
+        this.rows.set(job.id, { job, parts });
+        if (parts) this.#draw(row);
+      });
     this.#drawSeen();
   }
 
@@ -218,19 +332,32 @@ export class JobTable {
       }
       return low;
     };
-    rows.slice(at(-2 * innerHeight), at(3 * innerHeight) + 1).forEach((row) => this.#draw(row));
+    for (const row of rows.slice(at(-2 * innerHeight), at(3 * innerHeight) + 1)) {
+      if (!this.rows.get(row.jobId)?.parts) this.#draw(row);
+    }
   }
 
   #draw(element) {
     const row = this.rows.get(element.jobId);
-    if (!row || row.drawn) return;
-    row.drawn = true;
+    if (!row) return;
     const { job } = row;
-    fill(element,
-      h('td.main', {}, h('a', { href: linkOf(job) }, titleOf(job)), h('div.muted', {}, `${job.kind} ${job.id}${submitter(job)}${
-        job.core_seconds >= 1 ? `, ${duration(job.core_seconds)} of cores` : ''}${job.note ? `: ${job.note.slice(0, 60)}` : ''}`)),
-      h('td', {}, stateChip(job)), h('td.wide', {}, progressBar(job), trouble(job)),
-      h('td.muted', {}, ago(job.created_at)), h('td', {}, h('div.row', {}, actions(job, this.changed), editButton(job, this.changed))));
+    if (!row.parts) {
+      row.parts = new JobParts(this.changed);
+      const { chip, bar, trouble, actions, edit } = row.parts;
+      row.parts.link = h('a');
+      row.parts.about = h('div.muted');
+      row.parts.age = h('td.muted');
+      element.append(h('td.main', {}, row.parts.link, row.parts.about), h('td', {}, chip),
+        h('td.wide', {}, bar, trouble), row.parts.age,
+        h('td', {}, h('div.row', {}, actions, edit)));
+    }
+    const { link, about, age } = row.parts.update(job);
+    link.href = linkOf(job);
+    say(link, titleOf(job));
+    const note = job.note ? `: ${job.note.slice(0, 60)}` : '';
+    const cores = job.core_seconds >= 1 ? `, ${duration(job.core_seconds)} of cores` : '';
+    say(about, `${job.kind} ${job.id}${submitter(job)}${cores}${note}`);
+    say(age, ago(job.created_at));
   }
 
   destroy() {

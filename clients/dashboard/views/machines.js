@@ -1,7 +1,7 @@
 /** Machines: who computes what, since when, how fast, and what was lost. */
 
 import { getJson, post, request, shared } from '../lib/api.js';
-import { button, fill, h, table, tile } from '../lib/dom.js';
+import { button, h, patch, patchRow, say, table, tile } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, duration, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
@@ -23,7 +23,8 @@ export async function mount(main, path, parameters, app) {
   const outcastsPanel = h('section.panel.stack', { 'aria-label': 'Quarantine' }, h('h2', {}, 'Quarantine'),
     h('p.muted', {}, 'Workers of these names cannot join until somebody releases them, also after a restart of the service.'),
     table(['Machine', 'Why', 'When', ''], outcasts));
-  const endedPanel = h('section.panel.stack', { 'aria-label': 'Gone' }, h('h2', {}, 'Gone'),
+  const endedPanel = h('section.panel.stack', { 'aria-label': 'Past workers' },
+    h('h2', {}, 'Past workers'),
     listOf(['Machine', 'State', 'Done', 'Lost', 'Worked for', 'Ended'], ended));
 
   main.replaceChildren(
@@ -49,7 +50,8 @@ export async function mount(main, path, parameters, app) {
   function ownRow(threads, devices, fleet) {
     const only = fleet.compute === 'fleet';
     return h('tr', {}, h('td.main', {}, 'this machine', h('div.muted', {}, only ? 'what workers cannot compute' : 'the service itself')),
-      h('td', {}, h('span.state.running', {}, threads.n_busy ? 'computing' : 'idle')),
+      h('td', {}, threads.n_busy ? h('span.state.running', {}, 'computing')
+        : h('span.state', {}, 'idle')),
       h('td', {}, powerOf(threads.n_threads, devices.items.length)),
       numberCell('Rollouts a second', '–'), numberCell('Done', count(threads.rollouts_done)),
       numberCell('Now', countOf(threads.n_busy, 'block')), numberCell('Lost', '–'), h('td'), h('td'));
@@ -99,19 +101,28 @@ export async function mount(main, path, parameters, app) {
     const open = fleet.sessions.filter((session) => !session.ended_at)
       .sort((a, b) => a.state.localeCompare(b.state) || a.name.localeCompare(b.name));
     const gone = fleet.sessions.filter((session) => session.ended_at);
-    fill(tiles,
-      tile('Workers', count(fleet.n_sessions), powerOf(fleet.n_threads, fleet.n_devices) || 'of other machines'),
-      tile('Rollouts a second', number(fleet.rollouts_per_s), `${count(fleet.rollouts_out)} are out`),
-      tile('Computed elsewhere', count(fleet.rollouts_done), 'rollouts since the start'),
-      tile('Lost', count(fleet.lost), `of ${countOf(fleet.joined, 'session')}; ${countOf(fleet.leases_again, 'lease')} given out again`),
-      tile('Compared', count(fleet.audits), fleet.audits_failed ? `${count(fleet.audits_failed)} with other bits`
-        : fleet.audits ? 'leases, all with the same bits' : 'leases that two workers compute'));
+    const again = `${countOf(fleet.leases_again, 'lease')} given out again`;
+    const all = [
+      ['Workers', count(fleet.n_sessions),
+        powerOf(fleet.n_threads, fleet.n_devices) || 'of other machines'],
+      ['Rollouts a second', number(fleet.rollouts_per_s), `${count(fleet.rollouts_out)} in flight`],
+      ['Computed elsewhere', count(fleet.rollouts_done), 'rollouts since the start'],
+      ['Lost', count(fleet.lost), `of ${countOf(fleet.joined, 'session')}; ${again}`],
+      ['Compared', count(fleet.audits), fleet.audits_failed
+        ? `${count(fleet.audits_failed)} with other bits`
+        : fleet.audits ? 'leases, all with the same bits' : 'leases that two workers compute'],
+    ];
+    patch(tiles, all, ([name]) => name, (one) => tile(...one), (element, values) =>
+      values.forEach((text, i) => say(element.children[i], text)));
     note.textContent = fleet.listening
       ? (fleet.n_older ? `${countOf(fleet.n_older, 'worker')} of an older version than ${fleet.version}, with the same bits; morphoctl fleet drain --older lets them be upgraded. ` : '') + Object.values(fleet.classes).filter(Boolean).map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`).join('; ')
       : 'Only this machine computes. With the setting fleet_listen, workers of other machines can join (morphod worker).';
-    fill(machines, ownRow(threads, devices, fleet), open.map(row));
-    fill(ended, gone.slice(0, 50).map(endedRow));
-    fill(outcasts, fleet.quarantine.map(outcastRow));
+    const list = (body, items, key, make) => patch(body, items, key, () => h('tr'),
+      (element, item) => patchRow(element, [...make(item).cells]));
+    list(machines, [{ id: 'own' }, ...open], ({ id }) => id, (session) =>
+      (session.id === 'own' ? ownRow(threads, devices, fleet) : row(session)));
+    list(ended, gone.slice(0, 50), ({ id }) => id, endedRow);
+    list(outcasts, fleet.quarantine, ({ name }) => name, outcastRow);
     outcastsPanel.hidden = fleet.quarantine.length === 0;
     endedPanel.hidden = gone.length === 0;
   }
@@ -121,8 +132,7 @@ export async function mount(main, path, parameters, app) {
   const later = coalesced(refresh, stop.signal);
   await refresh();
   const timer = setInterval(() => {
-    // Buttons are made anew: one that has the focus would lose it.
-    if (!document.hidden && ![machines, outcasts].some((body) => body.contains(document.activeElement))) refresh().catch(() => {});
+    if (!document.hidden) refresh().catch(() => {});
   }, REFRESH_MS);
   return {
     update(event) {

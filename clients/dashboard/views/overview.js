@@ -1,15 +1,18 @@
 /** The overview: is the service well, what does it do, how far is it, and what happened. */
 
-import { getJson, shared, withQuery } from '../lib/api.js';
+import { LinkError, getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
-import { button, fill, h, table as tableOf, tile } from '../lib/dom.js';
-import { ago, bytes, count, duration, number, percent, shellWord } from '../lib/format.js';
+import { button, fill, h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
+import { ago, bytes, count, countOf, duration, number, percent, shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { startButton } from './forms.js';
 import { copyButton } from './share.js';
-import { JobTable, actions, progressBar, stateChip, titleOf, trouble, weightField, linkOf } from './jobs.js';
+import { JobParts, JobTable, linkOf, titleOf } from './jobs.js';
 
 const REFRESH_MS = 2000;
+const LOAD_S = 3600;
+const STATES = ['', 'queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
+const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including archived']];
 
 export async function mount(main, path, parameters, app) {
   const stop = new AbortController();
@@ -18,43 +21,55 @@ export async function mount(main, path, parameters, app) {
   const running = h('section.grid', { 'aria-label': 'Running jobs' });
   const events = h('tbody');
   const load = new Chart({
-    title: 'Load of the last hour', xName: 'minutes ago', height: 150, minimum: 0, maximum: 1, isWhole: false,
-    xText: (x) => number(-x), yText: percent, empty: 'The first samples come within seconds.',
+    title: 'Load of the last hour', xName: 'minutes ago', height: 150, minimum: 0, maximum: 1,
+    isWhole: false, xRange: [-LOAD_S / 60, 0], xText: (x) => number(-x), yText: percent,
+    empty: 'The first samples come within seconds.',
   });
-  let state = parameters.get('state') ?? '';
+  let state = choiceIn(parameters, 'state', STATES);
   const table = new JobTable(() => refresh());
-  const states = ['', 'queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
   /** A choice without a visible name. */
   const choice = (label, choices, value, chosen) =>
     h('select', { 'aria-label': label, onchange: (event) => chosen(event.target.value) },
       choices.map(([key, text]) => h('option', { value: key, selected: key === value }, text)));
-  const filter = choice('State of the jobs', states.map((name) => [name, name || 'all states']), state, (value) => {
+  const offered = STATES.map((name) => [name, name || 'all states']);
+  const filter = choice('State of the jobs', offered, state, (value) => {
     state = value;
     app.keep({ state });
     refresh();
   });
   let search = parameters.get('label') ?? '';
-  let archived = parameters.get('archived') ?? '';
-  const searched = h('input', { type: 'search', value: search, placeholder: 'label begins with', 'aria-label': 'Labels that begin with',
+  let archived = choiceIn(parameters, 'archived', ARCHIVES.map(([key]) => key));
+  const searched = h('input', {
+    type: 'search', value: search, placeholder: 'label begins with',
+    'aria-label': 'Labels that begin with',
     oninput: (event) => {
       search = event.target.value;
       app.keep({ label: search });
       refresh();
     } });
-  const archive = choice('Archived jobs', [['', 'not archived'], ['true', 'archived'], ['all', 'archived, too']], archived, (value) => {
+  const archive = choice('Archived jobs', ARCHIVES, archived, (value) => {
     archived = value;
     app.keep({ archived });
     refresh();
   });
   /** What the list is filtered by, as the contract names it. */
   const filters = () => ({ state, label: search && `${search}*`, archived });
+  const titles = new Map(); // of the jobs of the list, by id
   let by = 'experiment';
   const usage = h('tbody');
-  const usageBy = choice('Use by', ['experiment', 'label', 'submitted_by', 'kind'].map((name) => [name, name.replace('_', ' ')]), by, (value) => {
+  const groupings = ['experiment', 'label', 'submitted_by', 'kind']
+    .map((name) => [name, name.replace('_', ' ')]);
+  const usageBy = choice('Usage by', groupings, by, (value) => {
     by = value;
     showUsage();
   });
-  const more = h('div.row');
+  const none = h('p.empty');
+  const shown = h('span.muted');
+  const showMore = button('Show more', () => {
+    wanted += 1000;
+    refresh();
+  });
+  const more = h('div.row', {}, none, showMore, shown);
   let wanted = 100;
 
   main.replaceChildren(
@@ -73,77 +88,100 @@ export async function mount(main, path, parameters, app) {
         h('div.scroll', {}, h('table', {}, events)))),
     h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, searched, filter, archive)),
       table.element, more),
-    h('section.panel.stack', { 'aria-label': 'Use' }, h('div.title', {}, h('h2', {}, 'Use of cores and devices'), h('div.actions', {}, usageBy)),
-      h('div.scroll', {}, tableOf(['Name', 'Jobs', 'Core time', 'Device time'], usage, (name, i) => i > 0, 'table'))));
+    h('section.panel.stack', { 'aria-label': 'Usage' },
+      h('div.title', {}, h('h2', {}, 'Usage'), h('div.actions', {}, usageBy)),
+      h('div.scroll', {}, tableOf(['Name', 'Jobs', 'Core time', 'Device time'], usage,
+        (name, i) => i > 0, 'table'))));
 
   async function showUsage() {
     const { items } = await get(withQuery('v1/usage', { by, limit: 20 }));
-    fill(usage, items.length ? items.map((row) => h('tr', {}, h('td', {}, row.name ?? '–'), h('td.right', {}, count(row.jobs)),
-      h('td.right', {}, duration(row.core_seconds)), h('td.right', {}, duration(row.device_seconds))))
-      : h('tr', {}, h('td.empty', {}, 'No job yet.')));
+    const rows = items.length ? items.map((row) => ({ key: row.name ?? '', cells: [
+      h('td', {}, row.name ?? '–'), h('td.right', {}, count(row.jobs)),
+      h('td.right', {}, duration(row.core_seconds)),
+      h('td.right', {}, duration(row.device_seconds))] }))
+      : [{ key: 'none', cells: [h('td.empty', { colspan: 4 }, 'No job yet.')] }];
+    showRows(usage, rows);
   }
 
   function showEvents() {
-    const rows = app.recent.slice(-6).reverse();
-    fill(events, rows.length ? rows.map((event) => h('tr', {},
-      h('td', {}, linkTo(event), h('div.muted', {}, event.type)), h('td', {}, detailOf(event)), h('td.right.muted', {}, ago(event.at))))
-      : h('tr', {}, h('td.empty', {}, 'Nothing has happened yet.')));
+    const news = app.recent.slice(-6).reverse();
+    showRows(events, news.length ? news.map((event) => ({ key: event.id, cells: [
+      h('td', {}, linkTo(event, titles), h('div.muted', {}, nameOf(event))), h('td', {}, detailOf(event)),
+      h('td.right.muted', {}, ago(event.at))] }))
+      : [{ key: 'none', cells: [h('td.empty', {}, 'Nothing has happened yet.')] }]);
   }
 
   function showTiles(health, threads, devices) {
-    fill(tiles,
-      tile('Service', health.status === 'ready' ? 'ready' : health.status, `version ${health.version}`),
-      tile('Threads', `${threads.n_busy} of ${threads.n_threads}`, threads.n_busy ? 'computing' : 'idle'),
-      tile('Rollouts', count(threads.rollouts_done), 'since the service started'),
-      tile('Waiting', count(threads.queued_batch + threads.queued_interactive), 'blocks of rollouts'),
-      devices.items.map((device) => tile(device.name, percent(device.load),
-        device.error ?? `${bytes(device.free_bytes)} of ${bytes(device.memory_bytes)} free`)));
+    const waiting = threads.queued_batch + threads.queued_interactive;
+    const all = [
+      ['Service', health.status, `version ${health.version}`],
+      ['Threads', `${threads.n_busy} of ${threads.n_threads}`,
+        threads.n_busy ? 'computing' : 'idle'],
+      ['Rollouts', count(threads.rollouts_done), 'since the service started'],
+      ['Queue', count(waiting), `${waiting === 1 ? 'block' : 'blocks'} of rollouts to compute`],
+      ...devices.items.map((device) => [device.name, percent(device.load),
+        device.error ?? `${bytes(device.free_bytes)} of ${bytes(device.memory_bytes)} free`]),
+    ];
+    patch(tiles, all, ([name]) => name, (one) => tile(...one), (element, values) =>
+      values.forEach((text, i) => say(element.children[i], String(text))));
   }
 
   function showRunning(jobs) {
-    fill(running, jobs.map((job) => h('article.panel.stack', {},
-      h('div.title', {}, h('h2', {}, h('a', { href: linkOf(job) }, titleOf(job))), stateChip(job)),
-      progressBar(job), trouble(job),
-      h('div.row', {}, actions(job, () => refresh()), weightField(job, () => refresh()),
-        rateOf(job) ? h('span.muted', {}, rateOf(job)) : null))));
+    patch(running, jobs, ({ id }) => id, runningCard, (card, job) => card.show(job));
     running.hidden = jobs.length === 0;
   }
 
-  /** The job with its rate and time left, which the list does not tell. */
+  function runningCard() {
+    const parts = new JobParts(() => refresh());
+    const { chip, bar, trouble, actions, weightField, rate } = parts;
+    const link = h('a');
+    const card = h('article.panel.stack', {}, h('div.title', {}, h('h2', {}, link), chip), bar,
+      trouble, h('div.row', {}, actions, weightField, rate));
+    return Object.assign(card, { show(job) {
+      parts.update(job);
+      link.href = linkOf(job);
+      say(link, titleOf(job));
+    } });
+  }
+
+  /** The job with its phase, rate and time left, which the list leaves out. */
   async function whole(job) {
     const full = await get(`v1/${job.kind}s/${job.id}`);
     return { ...full, kind: job.kind };
   }
 
   async function showLoad() {
-    const { items } = await get('v1/load?seconds=3600');
+    const { items } = await get(`v1/load?seconds=${LOAD_S}`);
     const x = items.map((sample) => -sample.age_s / 60);
-    load.set([{ name: 'busy threads', x, y: items.map((sample) => sample.busy_share), color: '--blue' }]);
+    const y = items.map((sample) => sample.busy_share);
+    load.set([{ name: 'busy threads', x, y, color: '--blue' }]);
   }
 
   async function showJobs() {
     const jobs = [];
     let cursor;
     do {
-      const page = await get(withQuery('v1/jobs', { ...filters(), limit: Math.min(1000, wanted - jobs.length), cursor }));
+      const limit = Math.min(1000, wanted - jobs.length);
+      const page = await get(withQuery('v1/jobs', { ...filters(), limit, cursor }));
       jobs.push(...page.items);
       cursor = page.next_cursor;
     } while (cursor !== null && jobs.length < wanted);
     table.set(jobs);
-    if (!jobs.length) {
-      fill(more, h('p.empty', {}, search || archived ? 'No job is like that.' : state ? `No job is ${state}.` : `No job yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`));
-    } else {
-      fill(more, cursor === null ? null : button('Show more', () => {
-        wanted += 1000;
-        refresh();
-      }), h('span.muted', {}, `${count(jobs.length)} ${jobs.length === 1 ? 'job' : 'jobs'} shown`));
-    }
+    jobs.forEach((job) => titles.set(job.id, titleOf(job)));
+    none.hidden = jobs.length > 0;
+    shown.hidden = !none.hidden;
+    showMore.hidden = cursor === null;
+    const start = may('submit') ? ' Start one above, or with morphoctl.' : '';
+    say(none, search || archived ? 'No job matches.' : state ? `No job is ${state}.`
+      : `No job yet.${start}`);
+    say(shown, `${countOf(jobs.length, 'job')} shown`);
   }
 
   const refresh = shared(() => Promise.all([
-    Promise.all([get('readyz').catch((error) => ({ status: error.message, version: '' })), get('v1/threads'),
-      get('v1/devices')]).then((all) => showTiles(...all)),
-    get('v1/jobs?state=running&limit=12').then((page) => Promise.all(page.items.map(whole))).then(showRunning),
+    Promise.all([get('readyz').catch((error) => ({ status: error.message, version: '' })),
+      get('v1/threads'), get('v1/devices')]).then((all) => showTiles(...all)),
+    get('v1/jobs?state=running&limit=12').then((page) => Promise.all(page.items.map(whole)))
+      .then(showRunning),
     showJobs(), showLoad(), showUsage(),
   ]));
 
@@ -166,19 +204,30 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-function rateOf(job) {
-  const rate = job.progress?.rollouts_per_s ?? job.progress?.bodies_per_s;
-  if (!rate) return '';
-  return job.kind === 'training' ? `${number(rate)} bodies a second` : `${number(rate)} rollouts a second`;
+/** A choice that the link holds. @param {string[]} choices */
+function choiceIn(parameters, name, choices) {
+  const value = parameters.get(name) ?? '';
+  if (choices.includes(value)) return value;
+  const names = choices.filter(Boolean).join(', ');
+  throw new LinkError(`${name}=${value}: one of ${names} is expected.`);
 }
 
-/** A link to the job of an event; its kind is in the event, or in the name of its type. */
-function linkTo({ type, job, data }) {
+/** Shows rows by their keys; the cells that differ are replaced. */
+function showRows(body, rows) {
+  patch(body, rows, ({ key }) => key, () => h('tr'), (row, { cells }) => patchRow(row, cells));
+}
+
+/** What kind of event it is, in words. */
+const nameOf = ({ type }) => type.replace('.', ': ').replaceAll('_', ' ');
+
+/** A link to the job of an event: its kind is in the event, or in the name of its type. */
+function linkTo({ type, job, data }, titles) {
   if (type.startsWith('fleet.')) return h('a', { href: '#/machines' }, data.name ?? 'machines');
   if (!job) return '';
   const kind = data.kind ?? type.split('.')[0];
   const known = ['evaluation', 'training', 'campaign'].includes(kind);
-  return known ? h('a', { href: linkOf({ kind, id: job }) }, `${kind} ${job}`) : `job ${job}`;
+  const name = titles.get(job) ?? `${kind} ${job}`;
+  return known ? h('a', { href: linkOf({ kind, id: job }) }, name) : `job ${job}`;
 }
 
 function detailOf({ type, data }) {

@@ -1,8 +1,8 @@
 /** The phylogeny of a campaign: every design from birth to death, in one draw call. */
 
 import { getJson, request, withQuery } from '../lib/api.js';
-import { announce, button, fill, h, select } from '../lib/dom.js';
-import { count, score, scoreOf } from '../lib/format.js';
+import { button, fill, h, say, select } from '../lib/dom.js';
+import { count, countOf, score, scoreOf } from '../lib/format.js';
 import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
 import { rollOfCampaign } from '../lib/rollouts.js';
@@ -170,6 +170,16 @@ export class PhylogenyCanvas {
     ];
   }
 
+  /** Moves the view to a row if it lies outside. */
+  reveal(row) {
+    const { clientWidth: w, clientHeight: hgt } = this.canvas;
+    const [born, y] = [this.columns.born[row], this.layout.y[row]];
+    const [px, py] = this.placeOf(born, y);
+    if (px > 0 && px < w && py > 0 && py < hgt) return;
+    this.center = [(born + 0.5) / (this.last + 1), y];
+    this.draw();
+  }
+
   /** The row under a place; -1 if none is near. */
   pick(px, py) {
     const [x, y] = this.at(px, py);
@@ -237,28 +247,36 @@ export async function loadColumns(id, keep, signal) {
 export async function mount(main, id, parameters, app) {
   const stop = new AbortController();
   const campaign = await getJson(`v1/campaigns/${encodeURIComponent(id)}`);
-  const canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Phylogeny: loading' });
-  canvas.style.cssText = 'width:100%;height:min(62vh,640px);display:block;touch-action:none';
+  const canvas = h('canvas.lives', {
+    tabindex: 0, role: 'img', 'aria-label': 'Phylogeny: loading',
+  });
   const view = new PhylogenyCanvas(canvas, campaign.progress.designs);
   const marks = new PhylogenyMarks(view);
   const note = h('p.muted', { 'aria-live': 'polite' }, 'Loading the ancestors of the living…');
   const player = new Player(app, { compact: true, height: 360 });
-  const detail = h('div.stack');
+  const title = campaign.label ?? `Campaign ${id}`;
+  app.setTitle(`Phylogeny of ${title}`);
+  const missing = h('p.error', { role: 'status' });
+  const fresh = button('', () => showNew(), { hidden: true });
+  let shownTo = campaign.progress.generation ?? -1;
+  let newest = shownTo;
+  const detail = h('div.stack', { 'aria-live': 'polite' });
   const ancestry = h('div.grid.small');
   const search = h('input', { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Phylogeny'), h('a', { href: `#/campaigns/${id}` }, campaign.label ?? `Campaign ${id}`), note,
+    h('div.title', {}, h('h1', {}, 'Phylogeny'), h('a', { href: `#/campaigns/${id}` }, title), note, fresh,
+      missing,
       h('div.actions', {}, copyButton(() => ({
         path: `v1/campaigns/${id}/phylogeny?format=csv`, output: `phylogeny-${id}.csv`,
         morphoctl: `campaign export ${id} --phylogeny phylogeny-${id}.csv`,
         python: `print(m.get_campaign(${id}).phylogeny().frame())`,
       })), select('Color', [...COLOR_BY, ...(campaign.study?.measures ?? []).map((name) => [`measures.${name}`, name])], 'score', (by) => { view.setColor(by); view.draw(); marks.tell(); }),
         h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
-        button('Whole', () => { view.reset(); view.draw(); }))),
+        button('Fit', () => { view.reset(); view.draw(); }))),
     h('section.panel.flush', {}, h('div.overlaid', {}, canvas, marks.canvas), marks.legend),
     h('div.grid', {}, h('section.panel.stack', {}, detail, h('h3', {}, 'Ancestry'), ancestry),
       h('section.panel.flush.beside', { 'aria-label': 'Stage' }, player.element)));
-  fill(detail, h('p.empty', {}, 'Touch a design: its robot walks, and its line of descent is shown. Drag to move, wheel or pinch to zoom. ' +
+  fill(detail, h('p.empty', {}, 'Select a design: its robot walks, and its line of descent is shown. Drag to move, wheel or pinch to zoom. ' +
     'Arrow keys go from design to design.'));
   const redraw = () => view.draw();
   app.themeListeners.add(redraw);
@@ -275,11 +293,36 @@ export async function mount(main, id, parameters, app) {
     canvas.setAttribute('aria-label', `Phylogeny of ${text}`);
   }
 
+  async function loadAll() {
+    const all = await loadColumns(id, 'all', stop.signal);
+    show(all, `${countOf(all.number.length, 'design')}, ${count(view.layout.nLineage)} of them ` +
+      'ancestors of the living');
+  }
+
+  /** Generations that came since are drawn when a person asks: the picture changes as a whole. */
+  function offerNew() {
+    fresh.hidden = newest <= shownTo;
+    say(fresh, `${countOf(newest - shownTo, 'new generation')}: show`);
+  }
+
+  async function showNew() {
+    const number = selected < 0 ? null : view.columns.number[selected];
+    const to = newest;
+    try {
+      await loadAll();
+      shownTo = to;
+      offerNew();
+      if (number !== null) selected = marks.selected = view.columns.number.indexOf(number);
+      marks.draw();
+    } catch (error) {
+      if (!stop.signal.aborted) note.textContent = error.message;
+    }
+  }
+
   async function load() {
     const lineages = await loadColumns(id, 'lineages', stop.signal);
     show(lineages, `${count(lineages.number.length)} ancestors of the living; loading the rest…`);
-    const all = await loadColumns(id, 'all', stop.signal);
-    show(all, `${count(all.number.length)} designs, ${count(view.layout.nLineage)} of them ancestors of the living`);
+    await loadAll();
   }
 
   async function choose(row) {
@@ -289,10 +332,10 @@ export async function mount(main, id, parameters, app) {
     const number = view.columns.number[row];
     app.keep({ design: number });
     const design = await getJson(`v1/campaigns/${id}/designs/${number}?limit=1`, { signal: stop.signal });
-    announce(`Design ${number}, score ${scoreOf(design)}`);
     fill(detail, h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)), h('div.stack', {},
       h('h2', {}, `Design #${number}`), h('div', {}, `score ${scoreOf(design)}, ${design.voxels} voxels, ${design.operator}`),
-      h('div.muted', {}, `born in generation ${design.born}, ${design.died === null ? 'it lives' : `died in ${design.died}`}`),
+      h('div.muted', {}, `born in generation ${design.born}, ` +
+        `${design.died === null ? 'alive' : `died in ${design.died}`}`),
       design.lower_bound ? h('div.muted', {}, 'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
       h('a', { href: `#/designs/${design.id}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
     const [robots, ancestors] = await Promise.all([rollOfCampaign(campaign, [design], stop.signal),
@@ -313,8 +356,11 @@ export async function mount(main, id, parameters, app) {
       number = design?.campaigns.find((one) => one.campaign === id)?.number ?? NaN;
     }
     const row = view.columns?.number.indexOf(number) ?? -1;
-    if (row < 0) note.textContent = `There is no design ${text} in this campaign.`;
-    else chosen(row);
+    say(missing, row < 0 ? `There is no design ${text} in this campaign.` : '');
+    if (row < 0) return;
+    view.reveal(row);
+    chosen(row);
+    marks.pulse();
   }
 
   drive(canvas, view, chosen);
@@ -329,6 +375,17 @@ export async function mount(main, id, parameters, app) {
     if (wanted) find(wanted);
   }).catch((error) => { if (!stop.signal.aborted) note.textContent = error.message; });
   return {
+    update({ type, job, data }) {
+      if (type === 'campaign.generation' && job === id) {
+        newest = data.generation;
+        offerNew();
+      } else if (type === 'reset') {
+        getJson(`v1/campaigns/${encodeURIComponent(id)}`, { signal: stop.signal }).then((now) => {
+          newest = now.progress.generation ?? -1;
+          offerNew();
+        }, () => {});
+      }
+    },
     unmount() {
       stop.abort();
       app.themeListeners.delete(redraw);

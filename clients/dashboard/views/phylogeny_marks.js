@@ -6,6 +6,8 @@ import { count, number } from '../lib/format.js';
 import { OPERATOR_HUES } from '../lib/lineage.js';
 
 const FOOT_PX = 22;
+const PULSE_MS = 1200;
+
 export class PhylogenyMarks {
   /** @param {import('./phylogeny.js').PhylogenyCanvas} view */
   constructor(view) {
@@ -14,6 +16,17 @@ export class PhylogenyMarks {
     this.canvas = h('canvas.over', { 'aria-hidden': 'true' });
     this.legend = h('div.legend');
     view.drawn = () => this.draw();
+  }
+
+  /** Shows for a moment where the chosen design is. */
+  pulse() {
+    if (matchMedia('(prefers-reduced-motion: reduce)').matches) return;
+    this.pulseStart = performance.now();
+    const frame = () => {
+      this.draw();
+      if (performance.now() - this.pulseStart < PULSE_MS) requestAnimationFrame(frame);
+    };
+    frame();
   }
 
   /** Says what the colors mean. */
@@ -73,7 +86,15 @@ export class PhylogenyMarks {
     }
     context.stroke();
     context.beginPath();
-    context.arc(...place(columns.born[this.selected], this.selected), 5, 0, 7);
+    const at = place(columns.born[this.selected], this.selected);
+    context.arc(...at, 5, 0, 7);
     context.fill();
+    const share = (performance.now() - (this.pulseStart ?? -Infinity)) / PULSE_MS;
+    if (share >= 1) return;
+    context.globalAlpha = 1 - share;
+    context.beginPath();
+    context.arc(...at, 5 + 40 * share, 0, 7);
+    context.stroke();
+    context.globalAlpha = 1;
   }
 }

@@ -20,7 +20,7 @@ export class Scatter {
     this.brush = null;
     this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Population: no designs yet' });
     this.canvas.style.minHeight = '340px';
-    this.walk = button('Let the chosen walk', () => this.#choose(), { disabled: true });
+    this.walk = button('Watch here', () => this.#choose(), { disabled: true });
     this.legend = h('div.legend');
     this.traits = TRAITS;
     this.selects = h('span.row');
@@ -67,7 +67,7 @@ export class Scatter {
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
     this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${this.traits[this.axes[1]]} ` +
-      `over ${this.traits[this.axes[0]]}. Enter lets the eight best walk.`);
+      `over ${this.traits[this.axes[0]]}. Enter shows the eight best walking.`);
     this.draw();
   }
 

@@ -3,60 +3,83 @@
 import { announce, button, h } from '../lib/dom.js';
 import { ApiError, request } from '../lib/api.js';
 import { commandsOf } from '../lib/commands.js';
+import { requested } from '../lib/rollouts.js';
 import { percent, shellWord } from '../lib/format.js';
 
-/** Does something, and announces that it is done, or what failed. */
+/** Does something, and says that it is done, or why not; true if it is done. */
 export async function announced(work, done) {
   try {
     await work();
     if (done) announce(done);
+    return true;
   } catch (error) {
-    announce(error.message);
+    announce(error.message, { isRefusal: true });
     if (!(error instanceof ApiError)) console.error(error);
+    return false;
   }
 }
 
-/** Shows a dialog with a title; resolves when it is closed. */
-export function showDialog(title, ...children) {
-  const dialog = h('dialog', { 'aria-label': title, onclose: () => dialog.remove() },
-    h('div.stack', {}, h('div.row', {}, h('h2', {}, title)), ...children,
-      h('div.row', {}, button('Close', () => dialog.close()))));
+/** Opens a dialog that goes away when it is closed. */
+function open(title, attributes, ...children) {
+  const dialog = h('dialog', { 'aria-label': title, ...attributes }, children);
+  dialog.addEventListener('close', () => dialog.remove());
   document.body.append(dialog);
   dialog.showModal();
   return dialog;
 }
 
-/** A dialog that does something and closes; what fails is told in it. */
-export function actDialog(title, action, work, ...children) {
-  const fault = h('p.error', { role: 'alert' });
-  const dialog = showDialog(title, ...children, fault, button(action, async () => {
+/** Shows a dialog with a title. */
+export function showDialog(title, ...children) {
+  const dialog = open(title, {}, h('div.stack', {}, h('h2', {}, title), ...children,
+    h('div.row.ends', {}, button('Close', () => dialog.close()))));
+  return dialog;
+}
+
+/**
+ * A dialog with a form that does something and closes: Enter sends it, the browser checks the
+ * bounds of its fields, and what fails is said in it.
+ * @param {string} title
+ * @param {string} action name of the button
+ * @param {() => any} work
+ * @param {...any} children fields; those of class wide take a row
+ */
+export function formDialog(title, action, work, ...children) {
+  const fault = h('p.error.wide', { role: 'alert' });
+  const submit = async (event) => {
+    event.preventDefault();
+    fault.textContent = '';
     try {
       await work();
       dialog.close();
     } catch (error) {
       fault.textContent = error.message;
     }
-  }, { class: 'primary' }));
+  };
+  const dialog = open(title, {}, h('form', { onsubmit: submit }, h('h2.wide', {}, title),
+    ...children, fault, h('div.row.ends.wide', {}, button('Cancel', () => dialog.close()),
+      h('button.primary', { type: 'submit' }, action))));
+  return dialog;
 }
 
 /** Asks before something is lost; true if it is to be done. */
 export function confirmDialog(title, text, action) {
   return new Promise((resolve) => {
-    const dialog = h('dialog', { 'aria-label': title, role: 'alertdialog', onclose: () => {
-      dialog.remove();
-      resolve(dialog.returnValue === 'yes');
-    } }, h('div.stack', {}, h('h2', {}, title), h('p', {}, text), h('div.row', {},
-      button(action, () => dialog.close('yes'), { class: 'danger' }),
-      button('Keep', () => dialog.close('no')))));
-    document.body.append(dialog);
-    dialog.showModal();
-    dialog.querySelectorAll('button')[1].focus();
+    const keep = button('Keep', () => dialog.close('no'));
+    const dialog = open(title, {
+      role: 'alertdialog', onclose: () => resolve(dialog.returnValue === 'yes'),
+    }, h('div.stack', {}, h('h2', {}, title), h('p', {}, text), h('div.row.ends', {}, keep,
+      button(action, () => dialog.close('yes'), { class: 'danger' }))));
+    keep.focus();
   });
 }
 
-/** A button that shows how a shell or a program does the same. @param {function(): any} request as of commandsOf */
+/**
+ * A button that shows how a shell or a program does the same.
+ * @param {function(): any} request as of commandsOf
+ */
 export function copyButton(request) {
-  return button('Copy', () => copyDialog(commandsOf(request())), { title: 'The same with curl, morphoctl or Python' });
+  return button('Commands', () => copyDialog(commandsOf(request())),
+    { title: 'The same with curl, morphoctl or Python' });
 }
 
 /** Commands that do the same from a shell. @param {[string, string][]} commands tool and text */
@@ -66,18 +89,33 @@ export function copyDialog(commands) {
       try {
         await navigator.clipboard.writeText(text);
         event.target.textContent = 'Copied';
-        announce(`${tool} command copied`);
       } catch {
-        announce('The browser does not allow copying; select the text instead.');
+        event.target.textContent = 'Not allowed: select the text';
       }
     })), h('pre', { tabindex: 0 }, text))));
 }
 
-/** The command that makes a film of what the stage shows. */
-export function filmCommand(ids, { environment, set, controller, output }) {
-  const words = ['morphoctl', 'film', ...ids, '--environments', set, '--environment', String(environment)];
+/**
+ * The arguments of morphoctl that make a film of what the stage shows, and what goes to its
+ * standard input: environments without a name.
+ */
+export function filmOf(ids, { world, environment, controller, output }) {
+  const words = ['film', ...ids, '--environments', world.set ?? '-'];
+  if (world.set) words.push('--environment', String(environment));
+  for (const [key, value] of Object.entries(world.physics ?? {})) {
+    words.push('--physics', `${key}=${value}`);
+  }
   if (controller !== 'default') words.push('--controller', controller);
-  return [...words, '--output', output].map(shellWord).join(' ');
+  return {
+    words: [...words, '--output', output].map(shellWord).join(' '),
+    input: world.set ? '' : JSON.stringify([requested(world.environments[environment])]),
+  };
+}
+
+/** The command that makes a film of what the stage shows. */
+export function filmCommand(ids, how) {
+  const { words, input } = filmOf(ids, how);
+  return `${input && `echo ${shellWord(input)} | `}morphoctl ${words}`;
 }
 
 /** A link that saves a reply of the service: the token goes along, which a plain link would not send. */

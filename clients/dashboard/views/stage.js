@@ -1,13 +1,16 @@
 /** The stage as a page of its own: any designs, or recordings, side by side or in a race. */
 
-import { announce, button, h, select } from '../lib/dom.js';
-import { CHANNELS, environmentSet, recorded, recordingPath, requested, roll } from '../lib/rollouts.js';
-import { getJson, withQuery } from '../lib/api.js';
-import { Player } from '../stage/player.js';
+import { button, h, select } from '../lib/dom.js';
+import {
+  CHANNELS, recorded, recordingPath, requested, roll, worldOfJob, worldOfSet,
+} from '../lib/rollouts.js';
+import { LinkError, getJson, withQuery } from '../lib/api.js';
+import { Player, SPEEDS } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
+import { countOf } from '../lib/format.js';
 import { breedButton } from './forms.js';
 import { titleOf } from './jobs.js';
-import { actDialog, copyDialog, exportDialog, filmCommand } from './share.js';
+import { copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
 
 /** At most so many robots walk at once. */
 const ROBOTS_MAX = 256;
@@ -15,9 +18,10 @@ const ROBOTS_MAX = 256;
 const KEEP_MS = 300;
 
 export async function mount(main, path, parameters, app) {
-  const source = parameters.get('evaluation') ? await recordings(parameters) : await rollouts(parameters);
+  const source = await (parameters.get('evaluation') ? recordings(parameters)
+    : rollouts(parameters));
+  checkView(parameters, source);
   let environment = Number(parameters.get('environment') ?? 0);
-  if (!Number.isInteger(environment) || environment < 0 || environment >= source.n) environment = 0;
   const stop = new AbortController();
   let known = false;
   let pending;
@@ -48,20 +52,22 @@ export async function mount(main, path, parameters, app) {
     }
   }
 
-  const breed = breedButton(app, 'Breed these', () => source.founders(), { disabled: source.founders().length === 0 });
-  const choose = select('Environment', Array.from({ length: source.n }, (_, i) => [String(i), `environment ${i}`]),
-    String(environment), (value) => {
-      environment = Number(value);
-      announce(`environment ${value}`);
-      load();
-    });
+  const breed = breedButton(app, 'Breed these', () => source.founders(),
+    { disabled: source.founders().length === 0 });
+  const places = Array.from({ length: source.n }, (_, i) => [String(i), `environment ${i}`]);
+  const choose = select('Environment', places, String(environment), (value) => {
+    environment = Number(value);
+    load();
+  });
   choose.firstChild.className = 'visually-hidden';
-  player.toggleRow.append(choose, source.choose ? button('Robots', () => source.choose(() => {
+  const robots = source.choose ? button('Robots', () => source.choose(() => {
     breed.disabled = false;
     load();
-  })) : h('a.button', { href: source.href, title: 'What is shown was recorded by this evaluation' }, source.title), breed,
-  button('Export', () => exportDialog(player, source.exported(environment))),
-  button('Copy', () => copyDialog(source.commands(environment))));
+  })) : null;
+  player.toggleRow.append(choose, ...(robots ? [robots] : []), breed,
+    button('Export', () => exportDialog(player, source.exported(environment))),
+    button('Commands', () => copyDialog(source.commands(environment))),
+    h('span.muted.world', {}, source.world));
   main.replaceChildren(h('h1.visually-hidden', {}, 'Stage'), player.element);
   load(first);
   return {
@@ -73,22 +79,60 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
+/** Refuses a link whose view is none. @param {URLSearchParams} parameters */
+function checkView(parameters, { n, nRobots }) {
+  const check = (name, isRight, expected) => {
+    const value = parameters.get(name);
+    if (value !== null && !isRight(value)) {
+      throw new LinkError(`${name}=${value.slice(0, 60)}: ${expected} is expected.`);
+    }
+  };
+  const isBelow = (end) => (value) => /^\d+$/.test(value) && Number(value) < end;
+  const isAmong = (names) => (value) => value.split(',').every((one) => names.includes(one));
+  check('environment', isBelow(n), `a number from 0 to ${n - 1}`);
+  if (nRobots) check('follow', isBelow(nRobots), `the place of a robot, from 0 to ${nRobots - 1}`);
+  check('time', (value) => value !== '' && Number(value) >= 0, 'a number of seconds');
+  const speeds = SPEEDS.map(([value]) => value);
+  check('speed', isAmong(speeds), `one of ${speeds.join(', ')}`);
+  const names = ['skin', 'springs', 'contacts', 'trails', 'actuation', 'side'];
+  check('show', isAmong(['', ...names]), `a list of ${names.join(', ')}`);
+  const number = String.raw`-?\d+(\.\d+)?`;
+  check('view', (value) => new RegExp(`^${number}(_${number}){5}$`).test(value),
+    'a camera as six numbers');
+}
+
+/** The world that a link names: that of a job, or a set of environments. */
+async function worldIn(parameters) {
+  const name = parameters.get('world');
+  if (!name) {
+    return worldOfSet(parameters.get('set') ?? 'paper-test',
+      parameters.get('controller') ?? 'default');
+  }
+  const [, kind, id] = /^(campaign|evaluation)-(\d+)$/.exec(name) ?? [];
+  if (!kind) {
+    throw new LinkError(`world=${name.slice(0, 60)}: campaign-N or evaluation-N is expected.`);
+  }
+  return worldOfJob(kind, await getJson(`v1/${kind}s/${id}`));
+}
+
 /** Designs that the daemon rolls out for the stage: those of the link, or the best. */
 async function rollouts(parameters) {
-  const controller = parameters.get('controller') ?? 'default';
-  /** The same robots under each of them. */
-  const controllers = controller.split(',');
-  const set = parameters.get('set') ?? 'paper-test';
   let ids = designsOf(parameters.get('designs') ?? '');
-  const [environments, best] = await Promise.all([environmentSet(set),
+  const [world, best] = await Promise.all([worldIn(parameters),
     ids.length ? null : getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }))]);
   if (best) ids = best.items.map((design) => design.id);
+  const { environments, physics } = world;
+  /** The same robots under each of them. */
+  const controllers = parameters.get('controller')?.split(',') ?? [world.controller];
 
   async function walk(environment, signal) {
     const robots = [];
-    for (const one of controllers) {
-      const more = await roll(ids.map(designOf), environments[environment], { controller: one, signal });
-      more.forEach((robot, i) => { robot.label = controllers.length > 1 ? one : labelOf(ids, i); });
+    for (const controller of controllers) {
+      const more = await roll(ids.map(designOf), environments[environment],
+        { controller, physics, signal });
+      more.forEach((robot, i) => {
+        robot.label = controllers.length > 1 ? controller : labelOf(ids, i);
+      });
       robots.push(...more);
     }
     return robots;
@@ -97,25 +141,31 @@ async function rollouts(parameters) {
   function choose(changed) {
     const text = h('textarea', { rows: 8, 'aria-label': 'Designs' });
     text.value = ids.join('\n');
-    actDialog('Robots on the stage', 'Let them walk', () => {
-      const lines = text.value.split(/[\s,]+/).filter(Boolean);
-      const wrong = lines.find((line) => !isDesign(line.toLowerCase()));
-      if (wrong || !lines.length) throw new Error(wrong ? `${wrong.slice(0, 40)} is neither an id nor 144 digits.` : 'Name a design.');
-      ids = lines.slice(0, ROBOTS_MAX).map((line) => line.toLowerCase());
+    formDialog('Robots on the stage', 'Let them walk', () => {
+      const lines = text.value.split(/[\s,]+/).filter(Boolean).join(',').toLowerCase();
+      if (!lines) throw new Error('Name a design.');
+      ids = designsOf(lines);
       changed();
-    }, h('p', {}, `One design a line: an id of 36 digits, or 144 digits of voxels; at most ${ROBOTS_MAX}.`), text);
+    }, h('p.wide', {}, 'One design a line: an id of 36 digits, or 144 digits of voxels; at most ' +
+      `${ROBOTS_MAX}.`), h('div.stack.wide', {}, text));
   }
 
+  const how = (environment, controller, output) => ({ world, environment, controller, output });
   return {
-    n: environments.length, walk, choose,
-    link: () => ({ designs: ids.join(','), controller: controller === 'default' ? null : controller }),
+    n: environments.length, nRobots: ids.length * controllers.length, walk, choose,
+    world: world.words,
+    link: () => ({
+      designs: ids.join(','), world: parameters.get('world'), set: parameters.get('set'),
+      controller: parameters.get('controller'),
+    }),
     founders: () => ids.map(designOf),
     exported: (environment) => {
-      const name = `morphod-${ids.length === 1 ? ids[0].replace(/0+$/, '').slice(0, 12) : 'race'}`;
-      return { name, film: filmCommand(ids, { environment, set, controller: controllers[0], output: `${name}.mp4` }) };
+      const one = ids.length === 1 ? ids[0].replace(/0+$/, '').slice(0, 12) : 'race';
+      const name = `morphod-${one}`;
+      return { name, film: filmCommand(ids, how(environment, controllers[0], `${name}.mp4`)) };
     },
-    commands: (environment) => controllers.flatMap((one) =>
-      sameCommands(ids, { environments, environment, set, controller: one })),
+    commands: (environment) => controllers.flatMap((controller) =>
+      sameCommands(ids, how(environment, controller, 'race.mp4'))),
   };
 }
 
@@ -124,15 +174,20 @@ async function recordings(parameters) {
   const id = parameters.get('evaluation');
   const path = `v1/evaluations/${encodeURIComponent(id)}`;
   const [job, { items }] = await Promise.all([getJson(path), getJson(`${path}/environments`)]);
-  if (!job.results) throw new Error('The evaluation has not ended; what it recorded can be shown then.');
-  const asked = (parameters.get('rows') ?? '0').split(',').map(Number);
-  const rows = asked.filter((row) => job.results[row]?.id).slice(0, ROBOTS_MAX);
-  if (!rows.length) throw new Error('The evaluation has no such design.');
+  if (!job.results) {
+    throw new LinkError('The evaluation has not ended; what it recorded can be shown then.');
+  }
+  const rows = (parameters.get('rows') ?? '0').split(',').map(Number);
+  const wrong = rows.find((row) => !job.results[row]?.id);
+  if (wrong !== undefined) {
+    throw new LinkError(`rows=${parameters.get('rows')}: the evaluation has no design ${wrong}.`);
+  }
+  checkCount(rows.length);
   const ids = rows.map((row) => job.results[row].id);
   return {
-    n: items.length,
-    title: titleOf({ ...job, kind: 'evaluation' }),
-    href: `#/designs?evaluation=${encodeURIComponent(id)}`,
+    n: items.length, nRobots: rows.length,
+    world: ['Recorded by ', h('a', { href: `#/designs?evaluation=${encodeURIComponent(id)}` },
+      titleOf({ ...job, kind: 'evaluation' }))],
     async walk(environment, signal) {
       const robots = await recorded(id, rows, environment, signal);
       robots.forEach((robot, i) => { robot.label = labelOf(ids, i); });
@@ -149,7 +204,24 @@ async function recordings(parameters) {
 }
 
 const isDesign = (text) => /^([0-9a-f]{36}|[01]{144})$/.test(text);
-const designsOf = (text) => text.split(',').filter(isDesign).slice(0, ROBOTS_MAX);
+
+function checkCount(n) {
+  if (n > ROBOTS_MAX) {
+    throw new LinkError(`There are ${countOf(n, 'robot')}; at most ${ROBOTS_MAX} walk at once.`);
+  }
+}
+
+/** The designs of a list; refuses what is none. */
+function designsOf(text) {
+  const all = text.split(',').filter(Boolean);
+  const wrong = all.find((one) => !isDesign(one));
+  if (wrong) {
+    throw new LinkError(`${wrong.slice(0, 40)} is no design: 36 hexadecimal digits or 144 digits ` +
+      'of voxels are expected.');
+  }
+  checkCount(all.length);
+  return all;
+}
 
 /** A design in a link: an id of 36 digits, or a genotype of 144 digits, which tells its direction. */
 const designOf = (text) => (text.length === 144 ? { voxels: text } : { id: text });
@@ -163,14 +235,19 @@ function labelOf(ids, i) {
 }
 
 /** How a shell or a program rolls out the same. */
-function sameCommands(ids, { environments, environment, set, controller }) {
-  const [, ...film] = filmCommand(ids, { environment, set, controller, output: 'race.mp4' }).split(' ');
+function sameCommands(ids, how) {
+  const { world: { set, environments, physics }, environment, controller } = how;
+  const { words, input } = filmOf(ids, how);
+  const one = requested(environments[environment]);
+  const places = set ? `${pythonOf(set)}, environment=${environment}` : pythonOf([one]);
+  const given = `${pythonOf(ids)}, ${places}, controller=${pythonOf(controller)}` +
+    (physics ? `, physics=${pythonOf(physics)}` : '');
   return commandsOf({
     path: 'v1/rollouts', output: 'race.scene', headers: ['Accept: application/vnd.morphod.scene'],
     body: {
-      designs: ids.map(designOf), controller, record: CHANNELS, environments: [requested(environments[environment])],
+      designs: ids.map(designOf), controller, record: CHANNELS, environments: [one],
+      ...(physics ? { physics } : {}),
     },
-    morphoctl: film.join(' '),
-    python: `m.show(${pythonOf(ids)}, ${pythonOf(set)}, environment=${environment}, controller=${pythonOf(controller)}).save("race.html")`,
+    morphoctl: words, input, python: `m.show(${given}).save("race.html")`,
   });
 }

@@ -2,7 +2,7 @@
 
 import { Curve, getJson, patient, post } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
-import { button, fill, h, select, table } from '../lib/dom.js';
+import { button, fill, h, patch, patchRow, say, select, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, bytes, count, number, percent, score, signed } from '../lib/format.js';
 import { may } from '../lib/rights.js';
@@ -10,62 +10,90 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { CONFIDENCE, compareCrossed } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
 import { startButton } from './forms.js';
-import { actions, comparing, editButton, progressBar, remark, stateChip, titleOf, trouble, weightField } from './jobs.js';
+import {
+  JobParts, comparedIn, comparing, progressBar, shortProgress, stateChip, titleOf,
+} from './jobs.js';
 import { copyButton, saveLink } from './share.js';
 
 const HUES = ['--blue', '--orange', '--green', '--pink'];
+/** A training that runs is asked about itself: not each phase has events. */
+const POLL_MS = 2000;
 
 export async function mount(main, [id], parameters, app) {
   return id ? mountOne(main, id, parameters, app) : mountList(main, app);
 }
 
 async function mountList(main, app) {
-  const list = h('div');
-  const files = h('section.panel.stack');
+  const stop = new AbortController();
+  const body = h('tbody');
+  const panel = h('section.panel.scroll', {}, table(
+    ['', 'Training', 'State', 'Progress', 'Loss', 'Held-out score', 'Created'], body,
+    (name) => /Loss|score/.test(name)));
+  const none = h('p.empty', {}, 'No training yet. A training teaches a controller by ' +
+    'backpropagation through the simulation.');
+  const files = h('tbody');
   const { compare, box } = comparing(app, 'trainings', 'Compare curves');
 
-  function row(item) {
-    const job = { ...item, trainingKind: item.kind, kind: 'training' };
-    return h('tr', {},
+  function cellsOf(job) {
+    const held = job.validation ? score(job.validation.mean_score) : '–';
+    return [
       box(job),
-      h('td.main', {}, h('a', { href: `#/trainings/${job.id}` }, titleOf(job)), h('div.muted', {}, `${job.trainingKind}, ${job.name ?? 'unnamed'}`)),
+      h('td.main', {}, h('a', { href: `#/trainings/${job.id}` }, titleOf(job)),
+        h('div.muted', {}, `${job.trainingKind}, ${job.name ?? 'unnamed'}`)),
       h('td', {}, stateChip(job)), h('td.wide', {}, progressBar(job)),
       h('td.right', { 'data-name': 'Loss' }, number(job.progress.mean_loss)),
-      h('td.right', { 'data-name': 'Held-out' }, job.validation ? score(job.validation.mean_score) : '–'), h('td', {}, ago(job.created_at)));
+      h('td.right', { 'data-name': 'Held-out' }, held), h('td', {}, ago(job.created_at)),
+    ];
   }
 
-  /** Fills the two lists again; the comparison below them stays. */
+  function fileCells(one, trainings) {
+    const path = `v1/controllers/${encodeURIComponent(one.name)}/file`;
+    return [
+      h('td.main', {}, saveLink(path, `${one.name}.safetensors`, one.name)),
+      h('td', {}, h('code', {}, one.sha256.slice(0, 12)),
+        h('span.muted', {}, ` ${bytes(one.bytes)}`)),
+      h('td', { 'data-name': 'Parameters' }, count(one.parameters)),
+      h('td', { 'data-name': 'Sensor' }, one.sensor), ...lineageOf(one, trainings),
+      h('td', {}, ago(one.stored_at)),
+    ];
+  }
+
+  /** Brings the two lists up to date; the comparison below them stays. */
   async function refresh() {
-    const [trainings, controllers] = await Promise.all([
-      getJson('v1/trainings?limit=200'), getJson('v1/controllers?limit=200')]);
+    const [trainings, controllers] = await Promise.all(['trainings', 'controllers'].map((name) =>
+      getJson(`v1/${name}?limit=200`, { signal: stop.signal })));
+    const jobs = trainings.items.map(asJob);
     const named = controllers.items.filter(({ name }) => name);
-    fill(list, trainings.items.length ? h('section.panel.scroll', {}, table(
-      ['', 'Training', 'State', 'Progress', 'Loss', 'Held-out score', 'Created'], h('tbody', {}, trainings.items.map(row)),
-      (name) => /Loss|score/.test(name)))
-      : h('p.empty', {}, 'No training yet. A training teaches a controller by backpropagation through the simulation.'));
-    fill(files, h('h2', {}, 'Controllers'), h('div.scroll', {}, table(['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'],
-      h('tbody', {}, named.map((one) => h('tr', {},
-        h('td.main', {}, saveLink(`v1/controllers/${encodeURIComponent(one.name)}/file`, `${one.name}.safetensors`, one.name)),
-        h('td', {}, h('code', {}, one.sha256.slice(0, 12)), h('span.muted', {}, ` ${bytes(one.bytes)}`)),
-        h('td', { 'data-name': 'Parameters' }, count(one.parameters)), h('td', { 'data-name': 'Sensor' }, one.sensor), lineageOf(one, trainings.items),
-        h('td', {}, ago(one.stored_at))))))));
+    none.hidden = jobs.length > 0;
+    panel.hidden = !none.hidden;
+    const row = () => h('tr');
+    patch(body, jobs, ({ id }) => id, row, (one, job) => patchRow(one, cellsOf(job)));
+    patch(files, named, ({ name }) => name, row, (one, controller) =>
+      patchRow(one, fileCells(controller, trainings.items)));
     return named;
   }
 
   const named = await refresh();
-  main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Trainings'), h('div.actions', {}, compare,
-      copyButton(() => ({ path: 'v1/trainings', morphoctl: 'train list\ncontroller list', python: 'print(m.request("GET", "/v1/trainings"))\nprint(m.controllers())' })),
-      startButton(app, 'training', { class: 'primary' }))),
-    list, files, named.length && may('submit') ? comparison(app, named) : null);
+  const copy = copyButton(() => ({
+    path: 'v1/trainings', morphoctl: 'train list\ncontroller list',
+    python: 'print(m.request("GET", "/v1/trainings"))\nprint(m.controllers())',
+  }));
+  fill(main, h('div.title', {}, h('h1', {}, 'Trainings'),
+    h('div.actions', {}, compare, copy, startButton(app, 'training', { class: 'primary' }))),
+  panel, none, h('section.panel.stack', {}, h('h2', {}, 'Controllers'), h('div.scroll', {}, table(
+    ['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'], files))),
+  named.length && may('submit') ? comparison(app, named) : null);
+  const later = coalesced(refresh, stop.signal);
   return {
-    update(event) {
-      if (event.type === 'reset' || event.type.startsWith('training.') || event.type.startsWith('controller.')) {
-        refresh().catch(() => {});
-      }
+    update({ type }) {
+      if (type === 'reset' || /^(job|training|controller)\./.test(type)) later();
     },
+    unmount: () => stop.abort(),
   };
 }
+
+/** A training as all jobs are: its kind is that of the job, its own the kind of training. */
+const asJob = (item) => ({ ...item, trainingKind: item.kind, kind: 'training' });
 
 /** Where a controller comes from: the training that made it, and what that began with. */
 function lineageOf(controller, trainings) {
@@ -77,15 +105,22 @@ function lineageOf(controller, trainings) {
 
 /** Two controllers on the same held-out bodies: the difference with its interval, and both side by side. */
 function comparison(app, controllers) {
-  // Two names of one file are no comparison.
-  const other = controllers.find((one) => one.sha256 !== controllers[0].sha256) ?? controllers[0];
+  // The newest file that a training made, against the default: two names of one file are the same.
   const names = controllers.map(({ name }) => name);
-  let [a, b, size] = [names[0], other.name, '64'];
+  const first = controllers.find(({ name }) => name === 'default') ?? controllers[0];
+  const other = [...controllers].sort((x, y) => y.stored_at.localeCompare(x.stored_at))
+    .find(({ sha256 }) => sha256 !== first.sha256);
+  let [a, b, size] = [first.name, other?.name ?? '', '64'];
   const result = h('p', { 'aria-live': 'polite' });
   const player = new Player(app, { compact: true, height: 380 });
   const stage = h('div.panel.flush', { hidden: true }, player.element);
 
   async function compare() {
+    const [one, two] = [a, b].map((name) => controllers.find((known) => known.name === name));
+    if (!two || one.sha256 === two.sha256) {
+      result.textContent = 'Both are the same controller: choose two that differ.';
+      return;
+    }
     go.disabled = true;
     result.textContent = 'Scoring both on the held-out bodies…';
     try {
@@ -135,7 +170,8 @@ function comparison(app, controllers) {
   const link = h('p');
   return h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Compare two controllers'),
     h('span.muted', {}, 'on bodies and environments that no training draws'), h('div.actions', {},
-      select('First', names, a, (value) => { a = value; }), select('Second', names, b, (value) => { b = value; }),
+      select('First', names, a, (value) => { a = value; }),
+      select('Second', other ? names : [['', 'choose one'], ...names], b, (value) => { b = value; }),
       select('Bodies', ['16', '64', '256'], size, (value) => { size = value; }), go, copyButton(() => ({
         path: `v1/held-out?seed=1&designs=${size}&environments=16`, morphoctl: `train compare ${a} ${b} --designs ${size}`,
         python: `held_out = m.request("GET", "/v1/held-out", seed=1, designs=${size}, environments=16)\n` +
@@ -147,32 +183,40 @@ function comparison(app, controllers) {
 async function mountOne(main, id, parameters, app) {
   const stop = new AbortController();
   const get = (url) => getJson(url, { signal: stop.signal });
-  const others = (parameters.get('compare') ?? '').split(',').filter(Boolean).slice(0, 3);
+  const others = comparedIn(parameters, id);
   const ids = [id, ...others];
   const steps = ids.map((one) => new Curve(`v1/trainings/${one}/steps`));
   const validations = ids.map((one) => new Curve(`v1/trainings/${one}/validations`));
   const title = h('div.title');
-  const head = h('section.panel.stack', { 'aria-label': 'State' });
+  const parts = new JobParts(() => showHead());
+  const head = h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble,
+    parts.remark, parts.row);
+  const heading = h('h1');
+  const about = h('span.muted');
   const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280, empty: 'No step has ended yet.' });
   const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280, empty: 'No validation yet.' });
   const norm = new Chart({ title: 'Gradient norm', xName: 'step', log: true });
   const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0, yText: percent });
   const charts = [loss, held, norm, clipped];
+  const csv = `v1/trainings/${id}/steps?format=csv`;
+  fill(title, heading, about, others.map((other) =>
+    h('a.state', { href: `#/trainings/${other}` }, `with training ${other}`)), parts.chip,
+  h('div.actions', {}, saveLink(csv, `training-${id}.csv`, 'Export', { class: 'button' }),
+    copyButton(() => ({
+      path: `v1/trainings/${id}`, morphoctl: `train show ${id}\ntrain watch ${id}`,
+      python: `training = m.training(${id})\nprint(training.steps())\n` +
+        'print(training.validations())',
+    }))));
   main.replaceChildren(title, head, h('div.grid', {}, charts.map((chart) => chart.element)));
 
+  let isRunning = false;
   async function showHead() {
-    const item = await get(`v1/trainings/${id}`);
-    const job = { ...item, trainingKind: item.kind, kind: 'training' };
-    fill(title, h('h1', {}, titleOf(job)), h('span.muted', {}, `${job.trainingKind}, into ${job.name ?? 'no name'}`),
-      others.map((other) => h('a.state', { href: `#/trainings/${other}` }, `with training ${other}`)),
-      stateChip(job), h('div.actions', {},
-        saveLink(`v1/trainings/${id}/steps?format=csv`, `training-${id}.csv`, 'Export', { class: 'button' }),
-        copyButton(() => ({
-          path: `v1/trainings/${id}`, morphoctl: `train show ${id}\ntrain watch ${id}`,
-          python: `training = m.training(${id})\nprint(training.steps())\nprint(training.validations())`,
-        }))));
-    fill(head, progressBar(job), trouble(job), remark(job), h('div.row', {}, actions(job, showHead), editButton(job, showHead), weightField(job, showHead),
-      job.progress.bodies_per_s ? h('span.muted', {}, `${number(job.progress.bodies_per_s)} bodies a second`) : null));
+    const job = asJob(await get(`v1/trainings/${id}`));
+    parts.update(job);
+    say(heading, titleOf(job));
+    say(about, `${job.trainingKind}, into ${job.name ?? 'no name'}`);
+    app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);
+    isRunning = job.state === 'running';
   }
 
   /** Trainings that differ in their seeds alone are replicates: a band of them is one curve. */
@@ -232,11 +276,15 @@ async function mountOne(main, id, parameters, app) {
   await findReplicates();
   await refresh();
   const later = coalesced(refresh, stop.signal);
+  const timer = setInterval(() => {
+    if (!document.hidden && isRunning) showHead().catch(() => {});
+  }, POLL_MS);
   return {
     update(event) {
       if (event.type === 'reset' || event.job === id || others.includes(event.job)) later();
     },
     unmount() {
+      clearInterval(timer);
       stop.abort();
       charts.forEach((chart) => chart.destroy());
     },
