@@ -230,8 +230,12 @@ class Frame {
     if (isMove) announce('');
     this.main.classList.toggle('full', name === 'stage');
     for (const [other, link] of this.links) {
-      if (other === name) link.setAttribute('aria-current', 'page');
-      else link.removeAttribute('aria-current');
+      if (other !== name) {
+        link.removeAttribute('aria-current');
+        continue;
+      }
+      link.setAttribute('aria-current', 'page');
+      link.scrollIntoView({ block: 'nearest', inline: 'nearest' });
     }
     if (!entry) {
       this.#say('There is no such page', HOME());
@@ -284,6 +288,7 @@ class Frame {
   /** Shows a heading with a few words in place of a view. */
   #say(title, ...children) {
     app.setTitle(title);
+    this.main.classList.remove('full');
     fill(this.main, h('h1', {}, title), children);
   }
 

@@ -46,6 +46,13 @@ void mo_api_get_index(struct mo_request *request)
     reply_asset(request, find("index.html"));
 }
 
+/* Browsers ask for it beside replies that are no pages. */
+void mo_api_get_icon(struct mo_request *request)
+{
+  if (is_on(request))
+    reply_asset(request, find("icon.svg"));
+}
+
 /* Replies with /assets/{version}/{file}, or a file in a folder. */
 void mo_api_get_asset(struct mo_request *request)
 {

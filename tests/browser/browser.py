@@ -64,15 +64,16 @@ class Browser:
         self.run = self.driver.execute_script
 
     def open(self, view="", theme=None):
-        """Shows a view, as a new page."""
+        """Shows a view, as a new page of a person whose editor is empty."""
         self.driver.get("about:blank")
         self.driver.get_log("browser")  # of pages before this one
-        self.driver.get(self.base)
-        self.run("sessionStorage.removeItem('morphod-editor')")
+        script = "sessionStorage.removeItem('morphod-editor');"
         if theme:
-            self.run("localStorage.setItem('morphod-theme', arguments[0])", theme)
-        self.driver.get("about:blank")
+            script += f"localStorage.setItem('morphod-theme', '{theme}');"
+        added = self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument",
+                                            {"source": script})
         self.driver.get(self.base + "#/" + view)
+        self.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
         self.until("document.querySelector('main h1')")
 
     def until(self, condition, seconds=300):

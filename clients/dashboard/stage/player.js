@@ -115,8 +115,11 @@ export class Player {
     speed.firstChild.className = 'visually-hidden';
     this.speedSelect = speed.lastChild;
     this.timeRow.append(speed);
-    this.toggleRow.append(h('div.pair', { role: 'group', 'aria-label': 'Arrangement', hidden: true }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
-    if (!compact) this.toggleRow.append(this.actuationToggle, this.toggles.contacts, this.toggles.trails);
+    this.toggleRow.append(h('div.pair', {
+      role: 'group', 'aria-label': 'Arrangement', hidden: true,
+    }, this.sideToggle, this.raceToggle), this.followToggle, this.toggles.skin, this.springsToggle);
+    if (!compact) this.toggleRow.append(this.actuationToggle, this.toggles.contacts);
+    this.toggleRow.append(this.toggles.trails);
   }
 
   /** Sets what is shown, as a link tells it: {skin, springs, …, side}. */

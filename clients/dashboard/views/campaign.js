@@ -51,6 +51,7 @@ async function mountList(main, app) {
       stateOf(one) === state));
     const slowest = all.reduce((a, b) => ((a.progress.generation ?? -1) <=
       (b.progress.generation ?? -1) ? a : b));
+    const isSpread = all.some((one) => one.progress.generation !== slowest.progress.generation);
     const link = h('a', { href: `#/campaigns/${all[0].id}` },
       isMember ? replicateOf(job).slice(2) : titleOf(all[0]));
     const about = members ? `${job.mode}, ${countOf(members.length, 'replicate')}`
@@ -64,7 +65,7 @@ async function mountList(main, app) {
         : stateChip(same[0])))),
       h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
       h('td.wide', {}, progressBar(slowest),
-        members ? h('div.muted', {}, 'the slowest of them') : null),
+        isSpread ? h('div.muted', {}, 'the slowest of them') : null),
       h('td.right', { 'data-name': 'Best score' }, best === Infinity ? '–' : score(best)),
       h('td', {}, ago(job.created_at)),
     ];
@@ -233,7 +234,7 @@ async function mountOne(main, id, parameters, app) {
       const rx = column(r, (row) => row.generation);
       scores.unshift({
         name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band',
-        x: rx, y: rx, color: '--green', opacity: 0.3,
+        x: rx, y: rx, color: others.length ? '--grey' : '--green', opacity: 0.3,
         low: column(r, (row) => row.mean_score.least),
         high: column(r, (row) => row.mean_score.most),
       });

@@ -12,7 +12,7 @@ import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
 import { JobParts, shortProgress, titleOf } from './jobs.js';
-import { copyButton } from './share.js';
+import { announced, copyButton } from './share.js';
 
 const PAGE = 48;
 /** Orders of the leaderboard: what the list of designs is asked for. */
@@ -105,7 +105,7 @@ async function mountBoard(main, parameters, app) {
     const shown = wall.element.childElementCount;
     panel.hidden = shown === 0;
     app.remember({ shown });
-    fill(foot, cursor === null ? null : button('Show more', () => more()),
+    fill(foot, cursor === null ? null : button('Show more', () => announced(more)),
       h('span.muted', {}, shown ? `${countOf(shown, 'design')} shown`
         : 'No design has a score with this controller yet. An evaluation or a campaign, started ' +
           'on the overview, gives scores.'));
@@ -124,10 +124,10 @@ async function mountBoard(main, parameters, app) {
     h('div.actions', {},
     select('Order', Object.keys(ORDERS).map((key) => [key, `${key} first`]), order, (value) => {
       order = value;
-      again();
+      announced(again);
     }), select('Controller', controllers, controller, (value) => {
       controller = value;
-      again();
+      announced(again);
     }), wall.watch, wall.breed, copyButton(() => ({
       path: withQuery('v1/designs', { ...asked(), limit: PAGE }),
       morphoctl: ['design list', ...Object.entries(asked()).filter(([, value]) => value).flatMap(([key, value]) =>

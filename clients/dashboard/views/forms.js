@@ -5,7 +5,7 @@ import { button, h } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { copyDialog } from './share.js';
+import { announced, copyDialog } from './share.js';
 
 /**
  * What each form asks for, in the order shown: first, and under More. The contract knows all else.
@@ -107,7 +107,8 @@ function morphoctlOf(kind, request, learnedOn) {
 
 /** The button that begins a job of a kind; null where the caller may not. */
 export function startButton(app, kind, attributes = {}) {
-  return may('submit') ? button(`New ${kind}`, () => startDialog(app, kind), attributes) : null;
+  return may('submit')
+    ? button(`New ${kind}`, () => announced(() => startDialog(app, kind)), attributes) : null;
 }
 
 /** Designs of a text, one a line. */
@@ -315,7 +316,7 @@ const founders = (n) => `${n === 1 ? 'One design is the founder' : `${n} designs
 export function breedButton(app, text, designsOf, attributes = {}) {
   return button(text, () => {
     const designs = designsOf();
-    return startDialog(app, 'campaign', { initial: { designs } },
-      { population: Math.max(32, designs.length), generations: 20 });
+    return announced(() => startDialog(app, 'campaign', { initial: { designs } },
+      { population: Math.max(32, designs.length), generations: 20 }));
   }, { ...attributes, hidden: !may('submit') });
 }

@@ -297,6 +297,8 @@ export async function mount(main, id, parameters, app) {
     const all = await loadColumns(id, 'all', stop.signal);
     show(all, `${countOf(all.number.length, 'design')}, ${count(view.layout.nLineage)} of them ` +
       'ancestors of the living');
+    shownTo = all.born.at(-1) ?? -1;
+    offerNew();
   }
 
   /** Generations that came since are drawn when a person asks: the picture changes as a whole. */
@@ -307,11 +309,8 @@ export async function mount(main, id, parameters, app) {
 
   async function showNew() {
     const number = selected < 0 ? null : view.columns.number[selected];
-    const to = newest;
     try {
       await loadAll();
-      shownTo = to;
-      offerNew();
       if (number !== null) selected = marks.selected = view.columns.number.indexOf(number);
       marks.draw();
     } catch (error) {

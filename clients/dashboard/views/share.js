@@ -7,7 +7,7 @@ import { requested } from '../lib/rollouts.js';
 import { percent, shellWord } from '../lib/format.js';
 
 /** Does something, and says that it is done, or why not; true if it is done. */
-export async function announced(work, done) {
+export async function announced(work, done = '') {
   try {
     await work();
     if (done) announce(done);

@@ -1,0 +1,310 @@
+"""Where links lead: to what they name, in its world, and back to where one was."""
+
+import json
+import re
+import shlex
+
+import pytest
+
+from browser import Browser
+from conftest import CAMPAIGN
+from contract import SOURCE
+from service import DESIGN, run
+from test_live import TOAST, go, module
+
+HEADING = "document.querySelector('main h1')?.textContent"
+BROKEN = {
+    "stage?designs=zzz": "zzz is no design", "stage?environment=77": "a number from 0 to 9",
+    "stage?designs=" + "88" + "0" * 34 + ",12": "12 is no design",
+    "stage?world=moon": "campaign-N or evaluation-N", "stage?speed=7": "one of 2, 1, 0.5",
+    "stage?show=bones": "a list of skin", "stage?view=1_2": "a camera as six numbers",
+    "stage?time=soon": "a number of seconds", "stage?follow=9": "the place of a robot",
+    "stage?evaluation={evaluation}&rows=5": "the evaluation has no design 5",
+    "designs?order=tallest": "one of best, worst", "designs?controller=nobody": "no controller",
+    "?state=bored": "one of queued", "?archived=maybe": "one of true, all",
+    "campaigns/{campaign}?compare=x": "the number of a job",
+    "trainings/{training}?compare=1,2,3,4": "compare names 4 jobs",
+    "editor?voxels=01": "144 digits",
+}
+
+
+@pytest.fixture(scope="module")
+def own(service):
+    """An evaluation in a world of its own."""
+    return run(service, "evaluations", {
+        "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 150},
+        "environments": [{"light_xy_m": [0.5, 1.0], "terrain_sigma_m": 0.02, "seed": 4}]})
+
+
+def test_broken_links_say_what_is_wrong(service, browser, own):
+    """And show nothing else."""
+    browser.open("designs")
+    for view, text in BROKEN.items():
+        view = view.format(evaluation=own["id"], campaign=service.campaign,
+                           training=service.training)
+        browser.run("location.hash = '#/' + arguments[0]", view)
+        browser.until(f"{HEADING} === 'This link cannot be shown'")
+        browser.until(f"document.querySelector('main .error').innerText.includes({text!r})")
+        assert browser.texts("main canvas, main table, main button") == [], view
+    for view in ("__proto__", "constructor/1"):
+        browser.run("location.hash = '#/' + arguments[0]", view)
+        browser.until(f"{HEADING} === 'There is no such page'")
+    assert browser.faults() == []
+
+
+def test_the_stage_has_the_world_of_a_score(service, browser, own):
+    """Environments, physics and controller; it says so; and so do the commands to copy."""
+    best = min(own["results"], key=lambda row: row["score"])
+    browser.open(f"designs?evaluation={own['id']}")
+    browser.until("document.querySelectorAll('.card').length === 2")
+    browser.run("document.querySelector('.card').click()")
+    browser.click("Watch selected")
+    browser.until_walking()
+    loss, seconds, light = browser.run("""
+        const { stage } = document.querySelector('.stage').player;
+        const [{ loss, world }] = stage.robots;
+        return [loss, stage.durationS(), world.light];
+    """)
+    assert loss == pytest.approx(best["losses"][0], abs=1e-6)
+    assert seconds == pytest.approx(150 * 0.004) and light == [0.5, 1.0]
+    assert browser.texts(".world") == [
+        f"World of evaluation {own['id']}: 1 environment of its own, 150 steps of 0.004 s, "
+        "controller default"]
+    browser.until(f"location.hash.includes('world=evaluation-{own['id']}')")
+    browser.click("Commands")
+    browser.until("document.querySelector('dialog[open] pre')")
+    curl, film, python = browser.texts("dialog pre")
+    body = json.loads(shlex.split(curl)[shlex.split(curl).index("-d") + 1])
+    assert body["physics"]["n_steps"] == 150 and len(body["environments"]) == 1
+    assert "n_steps=150" in shlex.split(film) and shlex.split(film)[0] == "echo"
+    assert '"n_steps": 150' in python
+    go(browser, f"campaigns/{service.campaign}")
+    browser.until("document.querySelector('.pick input')")
+    browser.run("document.querySelector('.pick input').click()")
+    browser.click("Watch selected")
+    browser.until("/^World of campaign/.test(document.querySelector('.world')?.innerText)")
+    browser.until_walking()
+    assert browser.run("return document.querySelector('.stage').player.stage.durationS()") == (
+        pytest.approx(CAMPAIGN["physics"]["n_steps"] * 0.004))
+    assert browser.faults() == []
+
+
+def test_back_leads_to_where_one_was(service, browser):
+    """The place on the page and what was chosen; an open dialog does not stay."""
+    service.evaluate({"designs": [{"cells": [[x, 0, 0] for x in range(n)]} for n in (1, 2, 3)]})
+    browser.open("designs")
+    browser.until("document.querySelectorAll('.card').length > 2")
+    browser.run("document.body.style.minHeight = '3000px'; scrollTo(0, 300);"
+                "[...document.querySelectorAll('.card')].slice(0, 3).forEach((e) => e.click())")
+    browser.until("history.state.scrollY === 300")
+    browser.run("document.querySelector('.pick a').click()")
+    browser.until(f"{HEADING} === 'Design'")
+    assert browser.run("return scrollY") == 0
+    assert browser.run("return document.activeElement.tagName") == "H1"
+    browser.click("Commands")
+    browser.until("document.querySelector('dialog[open]')")
+    browser.run("history.back()")
+    browser.until(f"{HEADING} === 'Designs' && scrollY === 300")
+    assert browser.run("return document.querySelectorAll('[aria-pressed=true]').length") == 3
+    assert browser.run("return document.querySelectorAll('dialog').length") == 0
+
+
+def test_tabs_are_named(service, browser):
+    browser.open(f"campaigns/{service.campaign}")
+    titles = {
+        f"campaigns/{service.campaign}": "<b>walkers</b> & others, succeeded · morphod",
+        f"campaigns/{service.campaign}/phylogeny":
+            "Phylogeny of <b>walkers</b> & others · morphod",
+        f"trainings/{service.training}": f"Training {service.training}, succeeded · morphod",
+        "machines": "Machines · morphod", "nowhere": "There is no such page · morphod",
+    }
+    for view, title in titles.items():
+        go(browser, view)
+        browser.until(f"document.title === {title!r}")
+
+
+def test_the_shelf_of_the_editor_stays(browser):
+    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.click("→")
+    browser.click("Keep")
+    go(browser, "designs")
+    go(browser, "editor")
+    browser.until("document.querySelectorAll('.card').length === 1")
+    voxels = "new URLSearchParams(location.hash.split('?')[1]).get('voxels')"
+    browser.click("Undo")
+    assert browser.run(f"return {voxels}") == "1" + "0" * 143
+    browser.click("Keep")
+    browser.click("Keep")  # the same body again
+    browser.until(TOAST + "?.innerText.includes('kept already')")
+
+
+def test_the_editor_scores_again_when_the_service_is_back(browser):
+    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
+    browser.run("document.querySelector('main p.result').textContent = 'cannot be reached'")
+    browser.driver.execute_async_script("""
+        const done = arguments[arguments.length - 1];
+        import(document.querySelector('script[type=module]').src).then(({ app }) => {
+          for (const listener of app.events.listeners) listener({ type: 'reset' });
+          done();
+        });
+    """)
+    browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
+
+
+def test_a_design_is_found_in_a_phylogeny(service, browser):
+    """What was not found is not said any more, and the view goes to what is found."""
+    browser.open(f"campaigns/{service.campaign}/phylogeny")
+    find = """
+        const form = document.querySelector('main form');
+        form.querySelector('input').value = arguments[0];
+        form.requestSubmit();
+    """
+    browser.until("/of them ancestors/.test(document.querySelector('.title').innerText)")
+    browser.run(find, "abc")
+    browser.until("document.querySelector('.title .error').innerText === "
+                  "'There is no design abc in this campaign.'")
+    browser.run("const canvas = document.querySelector('.lives');"
+                "for (let i = 0; i < 9; i++) canvas.dispatchEvent(new WheelEvent('wheel',"
+                "{ deltaY: -400, clientX: 900, clientY: 500 }))")
+    browser.run(find, "5")
+    browser.until("document.querySelector('main h2')?.innerText === 'Design #5'")
+    assert browser.texts(".title .error") == [""]
+    pixels = browser.pixels(".over")[:, :, 3]
+    assert (pixels[:-60] > 150).sum() > 40, "the mark of the design is not in sight"
+    assert "of them ancestors" in browser.texts(".title")[0]
+
+
+FIELD = "document.querySelector('dialog[open] form').elements"
+
+
+def fill(browser, values):
+    browser.run("""
+        const { elements } = document.querySelector('dialog[open] form');
+        for (const [name, value] of Object.entries(arguments[0])) {
+          elements[name].value = value;
+          elements[name].dispatchEvent(new Event('change', { bubbles: true }));
+        }
+    """, values)
+
+
+def test_a_finetuning_from_the_form(service, browser):
+    """On random bodies and on a population; a pretraining is not asked for bodies."""
+    browser.open("trainings")
+    browser.click("New training")
+    browser.until("document.querySelector('dialog[open] form')")
+    fill(browser, {"kind": "pretrain"})
+    assert browser.run(f"return [{FIELD}.random.offsetParent === null,"
+                       f"{FIELD}.controller.selectedOptions[0].text]") == [True, "random weights"]
+    fill(browser, {"kind": "finetune", "random": "3", "steps": "1", "batch": "2"})
+    assert browser.run(f"return {FIELD}.controller.selectedOptions[0].text") == "default"
+    browser.click("Start")
+    browser.until("/^#.trainings.\\d/.test(location.hash)")
+    id = browser.run("return location.hash.split('/')[2]")
+    assert service.get(f"/v1/trainings/{id}")["settings"]["n_designs"] == 3
+    service.act(id, "cancel")
+    go(browser, "trainings")
+    browser.click("New training")
+    browser.until("document.querySelector('dialog[open] form')")
+    fill(browser, {"kind": "finetune", "learn-on": "population", "job": service.campaign,
+                   "best": "2", "steps": "1", "batch": "2"})
+    browser.click("Start")
+    browser.until(f"/^#.trainings.\\d/.test(location.hash) && !location.hash.endsWith('/{id}')")
+    second = browser.run("return location.hash.split('/')[2]")
+    settings = service.get(f"/v1/trainings/{second}")["settings"]
+    assert settings["population"] == {"campaign": service.campaign}
+    assert settings["n_designs"] == 2
+    service.act(second, "cancel")
+
+
+def test_forms_say_what_they_leave_open(service, browser):
+    """Empty fields show the numbers of the preset; a fault stands once, at its field."""
+    browser.open("")
+    browser.click("New campaign")
+    browser.until("document.querySelector('dialog[open] form')")
+    contract = (SOURCE / "schema" / "openapi.yaml").read_text()
+    text = re.search(r"CampaignPreset: .*Populations of (.*)'", contract)[1]
+    populations, *generations = [re.findall(r"\d+", part) for part in re.split("[;(]", text)]
+    generations = [row for row in generations if row]
+    modes = ("zero-shot", "few-shot", "simultaneous")
+    for preset, population, row in zip(("paper", "workstation", "demo"), populations, generations):
+        for mode, n in zip(modes, row):
+            fill(browser, {"preset": preset, "mode": mode})
+            assert browser.run(f"return [{FIELD}.population.placeholder,"
+                               f"{FIELD}.generations.placeholder]") == [population, n]
+    modes = "return [...document.querySelector('[name=mode]').options].map((e) => e.value)"
+    assert "study" not in browser.run(modes)
+    fill(browser, {"mode": "zero-shot", "name": "Not A Name"})
+    browser.click("Start")
+    browser.until("document.querySelector('details[open] .fault:not(:empty)')")
+    assert browser.texts("dialog .error") == [""]
+
+
+def test_dialogs_are_forms(service, browser):
+    """Enter sends them, and the browser checks their bounds."""
+    from selenium.webdriver.common.keys import Keys
+    browser.open("campaigns/" + service.campaign)
+    browser.click("Extend")
+    browser.until("document.querySelector('dialog[open] input')")
+    field = browser.driver.find_element("css selector", "dialog input")
+    field.clear()
+    field.send_keys("-5", Keys.ENTER)
+    assert browser.run("return document.querySelector('dialog[open] input').validity"
+                       ".rangeUnderflow") is True
+    browser.click("Cancel", "dialog button")
+    job = run(service, "evaluations", {"designs": [DESIGN], "label": "before"})["id"]
+    go(browser, f"designs?evaluation={job}")
+    browser.click("Edit")
+    browser.until("document.querySelector('dialog[open] input')")
+    field = browser.driver.find_element("css selector", "dialog input")
+    field.clear()
+    field.send_keys("after", Keys.ENTER)
+    browser.until(f"{HEADING} === 'after'")
+    assert service.get(f"/v1/jobs/{job}")["label"] == "after"
+
+
+def test_colors_of_the_person(browser):
+    """With forced colors, what is set and what is pressed still look different."""
+    browser.open("editor?voxels=" + "1" + "0" * 143)
+    media = {"features": [{"name": "forced-colors", "value": "active"}]}
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    try:
+        for chosen, other in (("[aria-selected=true]", "[aria-selected=false]"),
+                              ("[aria-pressed=true]", "[aria-pressed=false]")):
+            colors = [browser.run("return getComputedStyle(document.querySelector(arguments[0]))"
+                                  ".backgroundColor", one) for one in (chosen, other)]
+            assert colors[0] != colors[1], chosen
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_a_wrong_token_is_refused_in_the_dialog(start, tmp_path):
+    path = tmp_path / "tokens"
+    path.write_text("rita read the-right-token-of-rita\n")
+    path.chmod(0o600)
+    service = start(f"--token-file={path}", "--token-on-loopback=yes",
+                    token="the-right-token-of-rita")
+    browser = Browser(service)
+    try:
+        browser.driver.get(browser.base + "#/trainings")
+        typed = "document.querySelector('dialog[open] input')"
+        enter = typed + ".value = arguments[0]; document.querySelector('dialog form').requestSubmit()"
+        browser.until(typed)
+        browser.run(enter, "a-wrong-token-of-nobody")
+        browser.until("/does not accept/.test(document.querySelector('dialog .error').innerText)")
+        assert browser.run(f"return {typed}.value") == "a-wrong-token-of-nobody"
+        assert browser.run("return document.querySelectorAll('dialog').length") == 1
+        browser.run("document.querySelector('dialog').close()")
+        browser.until("!document.querySelector('dialog')")
+        browser.click("Enter a token")
+        browser.run(enter, "the-right-token-of-rita")
+        browser.until(f"{HEADING} === 'Trainings'")
+        text = browser.run("return document.body.innerText")
+        assert not re.search(r"\b(null|undefined|NaN)\b", text)
+    finally:
+        browser.quit()
+
+
+def test_the_icon_is_at_the_usual_place(service):
+    icon = service.request("GET", "/favicon.ico")
+    assert icon.status == 200 and icon.body.startswith(b"<svg")

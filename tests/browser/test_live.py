@@ -1,0 +1,208 @@
+"""Pages that refresh by themselves: what a person types, presses or reads stays, and is answered."""
+
+import pytest
+
+from conftest import CAMPAIGN
+from service import run
+
+MODULE = """
+const done = arguments[arguments.length - 1];
+const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
+import(folder + 'lib/%s.js').then(%s).then(done, (error) => done('failed: ' + error));
+"""
+TOAST = "document.querySelector('#toast[data-open]:popover-open')"
+
+
+def module(browser, name, script):
+    """What a function gives that gets a module of the page."""
+    return browser.driver.execute_async_script(MODULE % (name, script))
+
+
+def go(browser, view):
+    """Goes on to a view, as a link does."""
+    browser.run("location.hash = '#/' + arguments[0]", view)
+    browser.until("!/Loading/.test(document.querySelector('main').innerText)")
+
+
+@pytest.fixture(scope="module")
+def busy(service):
+    """A campaign that runs as long as the tests."""
+    id = service.post("/v1/campaigns", CAMPAIGN | {"generations": 90000, "label": "busy"})["id"]
+    yield id
+    service.act(id, "cancel")
+
+
+def test_a_refresh_leaves_what_is_typed_and_has_the_focus(browser, busy):
+    browser.open("")
+    browser.until("document.querySelector('article input')")
+    browser.run("""
+        window.typed = document.querySelector('article input');
+        window.pressed = document.querySelector('article button');
+        typed.focus();
+        typed.value = '3.5';
+        performance.clearResourceTimings();
+    """)
+    polls = "performance.getEntriesByType('resource').filter((e) => /threads/.test(e.name)).length"
+    browser.until(polls + " > 1")
+    browser.until("document.activeElement === typed && typed.value === '3.5' && pressed.isConnected")
+    go(browser, "campaigns/" + busy)
+    browser.until("document.querySelector('.pick input')")
+    browser.run("""
+        window.chosen = document.querySelector('.pick input');
+        chosen.click();
+        chosen.focus();
+        window.said = document.querySelector('progress + div');
+        window.before = said.textContent.split(';')[0];
+    """)
+    browser.until("said.isConnected && said.textContent.split(';')[0] !== before")
+    browser.until("document.activeElement === chosen && chosen.checked && chosen.isConnected")
+    assert browser.faults() == []
+
+
+def test_lists_are_patched_around_what_is_in_use(browser):
+    """Elements are kept by key; the one with the focus stays where it is, in whatever order."""
+    browser.open("nowhere")
+    orders = module(browser, "dom", """({ patch, h }) => {
+        const list = h('div');
+        document.body.append(list);
+        const show = (text) => patch(list, [...text], (one) => one,
+          (one) => h('button', {}, one), (element, one) => { element.title = one; });
+        show('abcd');
+        const [, b] = list.children;
+        b.focus();
+        let lost = 0;
+        b.addEventListener('blur', () => { lost++; });
+        const texts = ['dcba', 'xbya', 'b', 'qrstb', 'abcd'].map((text) => {
+          show(text);
+          return [list.textContent, list.children[[...text].indexOf('b')] === b];
+        });
+        list.remove();
+        return [texts, lost - 1]; // it goes with the list
+    }""")
+    assert orders == [[[text, True] for text in ("dcba", "xbya", "b", "qrstb", "abcd")], 0]
+
+
+def test_styles_are_classes(service, browser):
+    """The attribute is forbidden by the policy; a note keeps its lines without it."""
+    browser.open("campaigns/" + service.campaign)
+    browser.until("document.querySelector('.remark').innerText")
+    assert browser.texts(".remark") == ["in first steps – It falls.\nIt gets up."]
+    assert browser.faults() == []
+    assert module(browser, "dom", "({ h }) => h('p', { style: 'color: red' })").startswith("failed")
+
+
+def test_refusals_and_news_are_seen(browser, busy):
+    browser.open("editor?voxels=" + "1" + "0" * 143)
+    browser.click("←")
+    browser.until(TOAST)
+    assert browser.texts("#toast span") == ["The body is at the edge of the workspace."]
+    go(browser, "campaigns/" + busy)
+    browser.until("!" + TOAST)
+    browser.run("""
+        const weight = document.querySelector('main .field.inline input');
+        weight.value = '0';
+        weight.dispatchEvent(new Event('change'));
+    """)
+    browser.until(TOAST + "?.matches('.refusal')")
+    assert "weight" in browser.texts("#toast span")[0]
+    assert browser.run("return document.querySelector('.field.inline input').value") == "1"
+    browser.run("document.querySelector('#toast button').click()")
+    assert browser.run(f"return {TOAST}") is None
+
+
+def test_the_phase_before_the_first_generation_is_named(browser, service, busy):
+    """No event comes in it: the page asks by itself."""
+    browser.open("campaigns")
+    browser.run("""
+        const { fetch } = window;
+        let done = 0;
+        window.fetch = async (path, ...rest) => {
+          const reply = await fetch(path, ...rest);
+          if (!path.endsWith('/' + arguments[0])) return reply;
+          const job = await reply.json();
+          Object.assign(job, { state: 'running', phase: 'preparing', reason: null });
+          Object.assign(job.progress, {
+            generation: null, under_way: 0, done: done += 1000, total: 11468800, seconds_left: 240,
+          });
+          return new Response(JSON.stringify(job));
+        };
+    """, busy)
+    go(browser, "campaigns/" + busy)
+    said = "document.querySelector('progress + div').innerText"
+    text = "Leaving out the bodies of pretraining: {} of 11,468,800 drawn again, 4 min left"
+    for done in ("1,000", "2,000"):
+        browser.until(f"{said} === {text.format(done)!r}")
+    assert browser.run("return document.querySelector('progress').value") < 0.001
+    assert browser.run("return document.title") == (
+        "busy, Leaving out the bodies of pretraining · morphod")
+
+
+def test_a_study_waits_for_its_client(service, browser):
+    browser.open("campaigns/" + service.study)
+    assert browser.texts(".title .state") == ["waits for its client"]
+    assert browser.run("return document.querySelector('main progress').hidden") is True
+
+
+def test_axes_and_single_values_of_charts(browser):
+    """An axis with a range keeps it; a value that stands alone is drawn whole, also at the edge."""
+    browser.open("nowhere")
+    scale, n, whole = module(browser, "chart", """({ Chart }) => {
+        const made = (xRange) => {
+          const chart = new Chart({ title: 'One', isWhole: false, minimum: 0, xRange });
+          document.body.append(chart.element);
+          chart.element.style.cssText = 'position:fixed;top:0;left:0;width:600px;height:300px';
+          chart.set([{ name: 'one', x: [0], y: [1], color: '#ff0000' }]);
+          const { width, height } = chart.canvas;
+          const { data } = chart.canvas.getContext('2d').getImageData(0, 0, width, height);
+          let n = 0;
+          for (let i = 0; i < data.length; i += 4) n += data[i] > 200 && data[i + 1] < 60;
+          chart.destroy();
+          chart.element.remove();
+          return [chart.scale, n / devicePixelRatio ** 2];
+        };
+        const [{ x0, x1 }, n] = made([-60, 0]);
+        return [[x0, x1], n, made()[1]];
+    }""")
+    assert scale == [-60, 0]
+    assert n == pytest.approx(whole, abs=3) and whole > 18  # of 28, less the softened rim
+
+
+def test_champions_begin_with_the_best(service, browser):
+    champions = service.get(f"/v1/campaigns/{service.campaign}/champions?count=8")["items"]
+    best = min(row["score"] for row in champions)
+    browser.open("campaigns/" + service.campaign)
+    browser.until("document.querySelectorAll('.pick').length > 1")
+    crowns = browser.run(
+        "return [...document.querySelectorAll('.crown')].map((e) => !e.hidden)")
+    assert crowns == [True] + [False] * (len(champions) - 1)
+    assert browser.texts(".pick .number")[0] == f"{best:.4f}"
+
+
+def test_a_phylogeny_offers_new_generations(service, browser, busy):
+    browser.open(f"campaigns/{busy}/phylogeny")
+    count = "parseInt(document.querySelector('.title .muted').innerText.replaceAll(',', ''))"
+    browser.until(count + " > 0 && /of them/.test(document.querySelector('.title').innerText)")
+    before = browser.run(f"return {count}")
+    browser.until("/new generation/.test(document.querySelector('.title button').innerText)")
+    browser.run("document.querySelector('.title button').click()")
+    browser.until(f"{count} > {before}")
+
+
+def test_replicates_are_one_row(service, browser):
+    request = CAMPAIGN | {"replicates": 3, "label": "thrice", "generations": 1}
+    first = run(service, "campaigns", request)["id"]
+    browser.open("campaigns")
+    rows = "[...document.querySelectorAll('tbody tr')].map((row) => row.innerText)"
+    thrice = f"{rows}.filter((text) => /thrice|^\\s*replicate \\d of 3/.test(text))"
+    browser.until(f"{thrice}.length === 1")
+    assert "3 replicates" in browser.run(f"return {thrice}")[0]
+    browser.run("document.querySelector('[aria-label=\"Show the replicates of thrice\"]').click()")
+    browser.until(f"{thrice}.length === 4")
+    items = service.get(f"/v1/campaigns?group={first}")["items"]
+    others = [row["id"] for row in items if row["id"] != first]
+    go(browser, f"campaigns/{first}?compare={','.join(others)}")
+    browser.until("document.querySelectorAll('[aria-label=Comparison] tbody tr').length === 3")
+    text = browser.texts("[aria-label=Comparison] tbody")[0]
+    assert "replicate 2 of 3" in text and text.count("1 run: no interval") == 2
+    links = browser.texts(".title a")
+    assert "replicate 2" in links and "replicate 3" in links
