@@ -109,7 +109,7 @@ static struct mo_live with_wait(const struct mo_campaign_status *status, const s
   if (status->record.settings.mode == MO_STUDY && status->told <= status->generation &&
       status->job.state == MO_JOB_QUEUED) {
     shown.phase = MO_PHASE_WAIT;
-    snprintf(shown.reason, sizeof(shown.reason), "batch %lld is to be told by the study's client",
+    snprintf(shown.reason, sizeof(shown.reason), "batch %lld has not come from the study's client",
              (long long)status->generation + 1);
   }
   return shown;

@@ -41,7 +41,7 @@ def test_a_study(ctl, tmp_path):
     status, out, err = ctl(f"campaign start study -q --population 20 {SHORT}")
     assert status == 0, err
     id = out.strip()
-    assert "batch 0 is to be told" in ctl(f"campaign show {id}")[1]
+    assert "batch 0 has not come" in ctl(f"campaign show {id}")[1]
     asked = ctl(f"study ask {id} 8")[1]
     assert asked.count("\n") == 8 and ctl(f"study ask {id} 8")[1] == asked
     (tmp_path / "sampler").write_bytes(bytes(range(256)))

@@ -288,7 +288,8 @@ def test_a_wrong_token_is_refused_in_the_dialog(start, tmp_path):
     try:
         browser.driver.get(browser.base + "#/trainings")
         typed = "document.querySelector('dialog[open] input')"
-        enter = typed + ".value = arguments[0]; document.querySelector('dialog form').requestSubmit()"
+        enter = (typed + ".value = arguments[0];"
+                 "document.querySelector('dialog form').requestSubmit()")
         browser.until(typed)
         browser.run(enter, "a-wrong-token-of-nobody")
         browser.until("/does not accept/.test(document.querySelector('dialog .error').innerText)")

@@ -147,13 +147,15 @@ export class JobParts {
         'It cannot be resumed. What it has computed so far stays.', 'Cancel the job');
       if (sure) await this.#act('cancel', 'cancelled');
     }, { class: 'danger' });
-    this.edit = button('Edit', () => editDialog(this.job, changed));
     this.weight = h('input', {
       type: 'number', min: 0.001, max: 1000, step: 'any', size: 6, onchange: () => this.#weigh(),
     });
-    this.weightField = h('label.field.inline', {}, h('span', {}, 'Weight'), this.weight);
-    /** Pause or resume, and cancel. */
-    this.actions = [this.pause, this.cancel];
+    // Null where the caller may change nothing: the page leaves them out.
+    const mayChange = may('submit');
+    this.weightField = mayChange
+      ? h('label.field.inline', {}, h('span', {}, 'Weight'), this.weight) : null;
+    this.actions = mayChange ? [this.pause, this.cancel] : null;
+    this.edit = mayChange ? button('Edit', () => editDialog(this.job, changed)) : null;
     this.row = h('div.row', {}, this.actions, this.edit, this.weightField, this.rate);
   }
 
@@ -195,17 +197,16 @@ export class JobParts {
   }
 
   #offer(title) {
+    if (!this.actions) return;
     const { state, weight } = this.job;
-    const mayChange = may('submit');
     const isOpen = ['queued', 'running', 'paused'].includes(state);
     const verb = this.#isPaused() ? 'Resume' : 'Pause';
     say(this.pause, verb);
     this.pause.setAttribute('aria-label', `${verb} ${title}`);
     this.cancel.setAttribute('aria-label', `Cancel ${title}`);
     this.edit.setAttribute('aria-label', `Edit ${title}`);
-    this.pause.hidden = !mayChange || !(isOpen || state === 'failed');
-    this.cancel.hidden = this.weightField.hidden = !mayChange || !isOpen;
-    this.edit.hidden = !mayChange;
+    this.pause.hidden = !isOpen && state !== 'failed';
+    this.cancel.hidden = this.weightField.hidden = !isOpen;
     if (!isInUse(this.weight)) this.weight.value = weight;
   }
 }

@@ -79,7 +79,7 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** Refuses a link whose view is none. @param {URLSearchParams} parameters */
+/** Refuses a link with an invalid view. @param {URLSearchParams} parameters */
 function checkView(parameters, { n, nRobots }) {
   const check = (name, isRight, expected) => {
     const value = parameters.get(name);
@@ -211,7 +211,7 @@ function checkCount(n) {
   }
 }
 
-/** The designs of a list; refuses what is none. */
+/** The designs of a list; others are refused. */
 function designsOf(text) {
   const all = text.split(',').filter(Boolean);
   const wrong = all.find((one) => !isDesign(one));
