@@ -105,7 +105,7 @@ def test_refusals_and_news_are_seen(browser, busy):
         weight.dispatchEvent(new Event('change'));
     """)
     browser.until(TOAST + "?.matches('.refusal')")
-    assert "weight" in browser.texts("#toast span")[0]
+    assert browser.texts("#toast span")[0].startswith("Weight: must be at least 0.001")
     assert browser.run("return document.querySelector('.field.inline input').value") == "1"
     browser.run("document.querySelector('#toast button').click()")
     assert browser.run(f"return {TOAST}") is None

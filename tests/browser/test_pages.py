@@ -514,11 +514,11 @@ def test_machines_are_shown_and_changed(start):
     """Who computes, what was lost, and what an operator does about a worker."""
     workers = Workers(start("--fleet-listen=127.0.0.1:0"))
     service = workers.service
-    names = ["<b>one</b>", "two", "gone"]
-    sessions = [workers.join(name=name, version="0.0.1") for name in names]
-    workers.request("DELETE", sessions[2])
-    page = Browser(service)
+    page = Browser(service)  # before the workers join: they are lost where they are silent for long
     try:
+        names = ["<b>one</b>", "two", "gone"]
+        sessions = [workers.join(name=name, version="0.0.1") for name in names]
+        workers.request("DELETE", sessions[2])
         page.open("machines")
         rows = """return [...document.querySelectorAll('[aria-label="%s"] tbody tr')]
                   .map((row) => row.innerText.replace(/\\s+/g, ' '))"""

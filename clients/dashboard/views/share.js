@@ -6,6 +6,9 @@ import { commandsOf } from '../lib/commands.js';
 import { requested } from '../lib/rollouts.js';
 import { percent, shellWord } from '../lib/format.js';
 
+/** Why something failed; a field of the request is named as the page names it. */
+const reasonOf = ({ message }) => message.replace(/^\/(\w)/, (_, first) => first.toUpperCase());
+
 /** Does something, and says that it is done, or why not; true if it is done. */
 export async function announced(work, done = '') {
   try {
@@ -13,7 +16,7 @@ export async function announced(work, done = '') {
     if (done) announce(done);
     return true;
   } catch (error) {
-    announce(error.message, { isRefusal: true });
+    announce(reasonOf(error), { isRefusal: true });
     if (!(error instanceof ApiError)) console.error(error);
     return false;
   }
@@ -52,7 +55,7 @@ export function formDialog(title, action, work, ...children) {
       await work();
       dialog.close();
     } catch (error) {
-      fault.textContent = error.message;
+      fault.textContent = reasonOf(error);
     }
   };
   const dialog = open(title, {}, h('form', { onsubmit: submit }, h('h2.wide', {}, title),
