@@ -213,6 +213,39 @@ static void check_random(struct mo_device_controller *controller, const char *pa
   free_bodies(bodies, RANDOM);
 }
 
+/* Starts on rough ground, which some bodies touch with more than their lowest layer: the same as
+ * on the processors, and outside of the ground, so that the first step moves nothing far. */
+static void check_starts(struct mo_device_controller *controller)
+{
+  struct mo_body **bodies = random_bodies(golden.lattice, RANDOM, 20251102);
+  static struct mo_environment environments[RANDOM];
+  static struct mo_robot robots[RANDOM];
+  static struct mo_outcome outcomes[RANDOM];
+  struct mo_physics physics = mo_default_physics();
+  double start = 0, worst = 0;
+  for (uint32_t i = 0; i < RANDOM; i++) {
+    environments[i] = (struct mo_environment){.light_xy_m = {4.5, 2.5}};
+    mo_terrain_random(20251102, 0, i, 0.5, environments[i].terrain_heights_m);
+    robots[i] = (struct mo_robot){bodies[i], environments + i};
+  }
+  physics.n_steps = 1;
+  run(controller, robots, RANDOM, &physics, outcomes);
+  for (uint32_t i = 0; i < RANDOM; i++) {
+    struct mo_outcome truth;
+    must(mo_rollout_reference(bodies[i], golden.controller, environments + i, &physics, NULL,
+                              &truth),
+         "reference");
+    for (int axis = 0; axis < 3; axis++) {
+      start = fmax(start, fabs(outcomes[i].com_start_m[axis] - truth.com_start_m[axis]));
+      worst = fmax(worst, fabs(outcomes[i].com_end_m[axis] - truth.com_end_m[axis]));
+    }
+  }
+  expect(start == 0 && worst <= 2e-5,
+         "%d starts on rough ground: center of mass differs by %.1e m, after a step by %.1e m",
+         RANDOM, start, worst);
+  free_bodies(bodies, RANDOM);
+}
+
 /* A box of voxels on the floor. */
 static struct mo_body *box(const int size[3])
 {
@@ -587,6 +620,7 @@ int main(int argc, char **argv)
     check_bits(controller, 20, 3);
   } else {
     check_sizes(40);
+    check_starts(controller);
     check_golden(controller);
     check_random(controller, argc > 3 ? argv[3] : NULL);
     check_bits(controller, 400, 1000);

@@ -10,10 +10,10 @@
 
 /* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of
  * a result. tests/unit/rollout/bits.c detects such a change. */
-#define MO_KERNEL_VERSION 1
+#define MO_KERNEL_VERSION 2
 /* The same for gradients: tests/unit/rollout/gradient-bits.c detects changed bits of a block,
  * tests/unit/compute/gradient.c a changed order of adding blocks. */
-#define MO_GRADIENT_VERSION 4
+#define MO_GRADIENT_VERSION 5
 
 /* Returns the pack of one precision, made at first use; waits while another thread makes it.
  * MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */

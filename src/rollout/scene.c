@@ -18,9 +18,8 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
     const uint16_t *cell = body->mass_xyz + 3 * (size_t)i;
     p[0] = left + MO_VOXEL_M * cell[0];
     p[1] = front + MO_VOXEL_M * cell[1];
-    p[2] = MO_VOXEL_M * (cell[2] - lowest);
-    if (cell[2] == lowest)
-      lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
+    p[2] = MO_VOXEL_M * (cell[2] - lowest); /* 0 in the lowest layer: its height is exact */
+    lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]) - p[2]);
   }
   for (uint32_t i = 0; i < body->n_masses; i++)
     position_m[3 * (size_t)i + 2] += lift + physics->drop_height_m;

@@ -8,7 +8,7 @@
 #include <morpho/rollout.h>
 
 /* Computes start positions (n_masses, 3): the workspace centered at (2.5, 2.5) m, lifted by the
- * largest terrain height under the masses of the body's lowest layer, and by the drop height. */
+ * least that brings no mass below the terrain, and by the drop height. */
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
 

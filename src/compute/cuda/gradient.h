@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Version of the code, for fingerprints: changes with every change of a bit. */
-#define MO_CUDA_GRADIENT_CODE "gradient-6"
+#define MO_CUDA_GRADIENT_CODE "gradient-7"
 
 /* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
 int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *gradient,

@@ -255,7 +255,7 @@ extern "C" const struct mo_device_module *mo_device_module(void)
   static const struct mo_device_module module = {
       MO_DEVICE_ABI,
       "cuda",
-      is_wide() ? "score 4 wide" : "score 4",
+      is_wide() ? "score 5 wide" : "score 5",
       MO_CUDA_GRADIENT_CODE,
       count,
       open,

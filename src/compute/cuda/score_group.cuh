@@ -105,9 +105,9 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   double lift = -INFINITY;
   for (uint32_t m = lane; m < row.n_masses; m += 32) {
     const uint32_t mass = masses[m];
-    if (MO_PLAN_MASS_Z(mass) == lowest)
-      lift = fmax(lift, terrain_height(heights, start_of(MO_PLAN_MASS_X(mass), 6),
-                                       start_of(MO_PLAN_MASS_Y(mass), 6)));
+    lift = fmax(lift, terrain_height(heights, start_of(MO_PLAN_MASS_X(mass), 6),
+                                     start_of(MO_PLAN_MASS_Y(mass), 6)) -
+                          MO_VOXEL_M * (MO_PLAN_MASS_Z(mass) - lowest));
   }
   for (int step = 16; step > 0; step /= 2)
     lift = fmax(lift, __shfl_xor_sync(kAll, lift, step));

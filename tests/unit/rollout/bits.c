@@ -8,7 +8,7 @@
 #include <gnu/libc-version.h>
 #include <inttypes.h>
 
-#define HASHED_VERSION 1 /* the MO_KERNEL_VERSION that the hashes belong to */
+#define HASHED_VERSION 2 /* the MO_KERNEL_VERSION that the hashes belong to */
 
 static const uint64_t kernel_hashes[MO_ISA_COUNT][2] = {
     {UINT64_C(0x6fe7e67030df6fcb), UINT64_C(0x37fb2054f5c0bb02)}, /* x86-64: float32, float64 */

@@ -441,7 +441,7 @@ static num distance_to_light(const struct second *s)
   return root(add(mul(com[0], com[0]), mul(com[1], com[1])));
 }
 
-/* Lifted by the largest height under the masses of the lowest layer. */
+/* Lifted until no mass is below the ground. */
 static void place_body(struct second *s)
 {
   const struct mo_body *body = s->setup->body;
@@ -456,8 +456,7 @@ static void place_body(struct second *s)
     p[0] = con(2.5 - 0.5 * 0.1 * body->workspace.nx + 0.1 * at[0]);
     p[1] = con(2.5 - 0.5 * 0.1 * body->workspace.ny + 0.1 * at[1]);
     p[2] = con(0.1 * (at[2] - lowest));
-    if (at[2] == lowest)
-      lift = fmax(lift, val(terrain(heights, p[0], p[1], NULL, NULL)));
+    lift = fmax(lift, val(sub(terrain(heights, p[0], p[1], NULL, NULL), p[2])));
   }
   for (uint32_t i = 0; i < body->n_masses; i++)
     s->p[3 * i + 2] = add(s->p[3 * i + 2], con(lift + s->setup->physics->drop_height_m));

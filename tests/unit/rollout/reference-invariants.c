@@ -4,6 +4,7 @@
 #include "../make.h"
 
 #include "rollout/reference.h"
+#include "rollout/scene.h"
 
 #define BODIES 60
 
@@ -97,6 +98,28 @@ static struct energy measure(const struct mo_reference *r)
   return e;
 }
 
+/* Runs a body without a controller for n steps. Returns the most energy above that of the start,
+ * as a share of all that it can lose; *moves: kinetic energy per mass at the end. */
+static double energy_gain(const struct mo_body *body, const struct mo_environment *environment,
+                          const struct mo_physics *physics, double *moves)
+{
+  struct mo_reference r;
+  make_check(mo_reference_init(&r, body, NULL, environment, physics), "a rollout");
+  const double start = measure(&r).weight;
+  double floor_m = INFINITY, highest = -INFINITY;
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    floor_m = fmin(floor_m, environment->terrain_heights_m[k]);
+  const double scale = start - floor_m * 9.8 * body->n_masses;
+  for (uint32_t step = 0; step < physics->n_steps; step++) {
+    CHECK(mo_reference_step(&r, step));
+    const struct energy e = measure(&r);
+    highest = fmax(highest, (e.kinetic + e.weight + e.spring - start) / scale);
+  }
+  *moves = measure(&r).kinetic / (double)body->n_masses;
+  mo_reference_done(&r);
+  return highest;
+}
+
 /* With the actuators off a body falls, comes to rest: its energy never exceeds what it began
  * with, and in the end next to nothing moves. (From step to step the energy of a symplectic
  * integrator swings, so single steps say nothing.) */
@@ -104,31 +127,176 @@ static void no_energy_gain(void)
 {
   double highest = -INFINITY, fastest = 0;
   for (uint64_t i = 0; i < BODIES; i++) {
-    struct mo_body *body = random_body(1000 + i);
-    struct mo_environment environment = environment_of(78, i);
+    const struct mo_environment environment = environment_of(78, i);
     struct mo_physics physics = mo_default_physics();
     physics.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     physics.drop_height_m = i % 3 ? 0 : 0.5;
-    struct mo_reference r;
-    REQUIRE(mo_reference_init(&r, body, NULL, &environment, &physics) == MO_OK);
-    const double start = measure(&r).weight;
-    double floor_m = INFINITY;
-    for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
-      floor_m = fmin(floor_m, environment.terrain_heights_m[k]);
-    const double scale = start - floor_m * 9.8 * body->n_masses; /* all that there is to lose */
-    for (uint32_t step = 0; step < 1000; step++) {
-      REQUIRE(mo_reference_step(&r, step));
-      const struct energy e = measure(&r);
-      highest = fmax(highest, (e.kinetic + e.weight + e.spring - start) / scale);
-    }
-    fastest = fmax(fastest, measure(&r).kinetic / (double)body->n_masses);
-    mo_reference_done(&r);
+    double moves;
+    highest = fmax(highest, energy_gain(random_body(1000 + i), &environment, &physics, &moves));
+    fastest = fmax(fastest, moves);
   }
   printf("# highest energy above the start: %.2e of all that can be lost; at most %.1e J per mass "
          "move in the end\n",
          highest, fastest);
   CHECK(highest <= 1e-9);
   CHECK(fastest < 1e-4);
+}
+
+/* ---- the start ---- */
+
+/* One foot, and an arm above the ground that rises to it: an L of 7 voxels along x, or its image
+ * along y. */
+static struct mo_body *overhanging_body(int axis)
+{
+  uint64_t bits[MO_DEFAULT_WORDS] = {0};
+  for (uint32_t i = 0; i < 7; i++) {
+    const uint32_t along = i < 1 ? 0 : i - 1, z = i < 1 ? 0 : 1;
+    const uint32_t v = (axis == 0 ? (along * 6 + 2) : (2 * 6 + along)) * 4 + z;
+    bits[v >> 6] |= UINT64_C(1) << (v & 63);
+  }
+  return make_body(lattice, bits);
+}
+
+static struct mo_environment slope_of(int axis, double slope)
+{
+  struct mo_environment environment = {.light_xy_m = {4.5, 2.5}};
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    environment.terrain_heights_m[k] = slope * MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1) *
+                                       (axis == 0 ? k % MO_TERRAIN_SIDE : k / MO_TERRAIN_SIDE);
+  return environment;
+}
+
+/* Where a body starts if only its lowest layer has to be above the ground; returns whether a mass
+ * is below it then. */
+static bool start_by_feet(const struct mo_body *body, const struct mo_environment *environment,
+                          double *position_m)
+{
+  double lift = -INFINITY;
+  uint16_t lowest = UINT16_MAX;
+  bool below = false;
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    lowest = body->mass_xyz[3 * i + 2] < lowest ? body->mass_xyz[3 * i + 2] : lowest;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const uint16_t *cell = body->mass_xyz + 3 * i;
+    double *p = position_m + 3 * i;
+    p[0] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx + MO_VOXEL_M * cell[0];
+    p[1] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny + MO_VOXEL_M * cell[1];
+    p[2] = MO_VOXEL_M * (cell[2] - lowest);
+    if (cell[2] == lowest)
+      lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
+  }
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    double *p = position_m + 3 * i;
+    p[2] += lift;
+    below |= p[2] < mo_terrain_height(environment->terrain_heights_m, p[0], p[1]) - 1e-12;
+  }
+  return below;
+}
+
+/* Checks the start of a body in an environment; returns whether feet alone would leave a mass below
+ * the ground. */
+static bool check_start(const struct mo_body *body, const struct mo_environment *environment)
+{
+  const struct mo_physics physics = mo_default_physics();
+  double position_m[MO_DEFAULT_MASSES * 3], by_feet_m[MO_DEFAULT_MASSES * 3];
+  double nearest = INFINITY;
+  mo_scene_start(body, environment, &physics, position_m);
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const double *p = position_m + 3 * i;
+    nearest = fmin(nearest, p[2] - mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
+  }
+  CHECK(fabs(nearest) < 1e-14); /* it stands, and nothing is below */
+  const bool below = start_by_feet(body, environment, by_feet_m);
+  if (!below)
+    CHECK(SAME(position_m, by_feet_m, 3 * body->n_masses));
+  return below;
+}
+
+/* The same of the random body `index`. */
+static bool check_random_start(uint64_t index, const struct mo_environment *environment)
+{
+  const size_t kept = check_n_kept;
+  const bool below = check_start(random_body(index), environment);
+  check_drop_to(kept);
+  return below;
+}
+
+/* No body starts in the ground. Where its lowest layer is what touches, the start has the bits that
+ * it had when only that layer was looked at. How often it is not, by the roughness of the ground.
+ */
+static void starts(void)
+{
+  struct mo_environment test_set[MO_PAPER_TEST_COUNT];
+  mo_environment_paper_test(test_set);
+  uint32_t lifted = 0;
+  for (uint64_t i = 0; i < 2000; i++)
+    lifted +=
+        check_random_start(4000 + i / MO_PAPER_TEST_COUNT, test_set + i % MO_PAPER_TEST_COUNT);
+  printf("# the paper's test set: %u of 2000 starts are higher than the lowest layer needs\n",
+         lifted);
+  CHECK_INT(lifted, 0);
+  lifted = 0;
+  for (uint64_t i = 0; i < 20000; i++) {
+    const struct mo_environment environment = environment_of(84, i);
+    lifted += check_random_start(6000 + i, &environment);
+  }
+  printf("# training environments: %u of 20000\n", lifted);
+  static const double sigma_m[] = {0.1, 0.2, 0.5};
+  uint32_t before = 0;
+  for (int s = 0; s < 3; s++) {
+    lifted = 0;
+    for (uint64_t i = 0; i < 5000; i++) {
+      struct mo_environment environment = {.light_xy_m = {4.5, 2.5}};
+      mo_terrain_random(83, 0, i, sigma_m[s], environment.terrain_heights_m);
+      lifted += check_random_start(4000 + i, &environment);
+    }
+    printf("# terrain of %.1f m: %u of 5000\n", sigma_m[s], lifted);
+    CHECK(lifted >= before);
+    before = lifted;
+  }
+  CHECK(before > 250 && before < 1000);
+}
+
+/* On slopes a body starts outside of the ground, and so gains no energy: with an overhang, too, and
+ * on rough ground. In every kernel the center of mass, hence the potential energy, never exceeds
+ * that of the start. */
+static void no_energy_of_overhangs(void)
+{
+  static const double slopes[] = {-1.0, -0.4, 0.4, 0.56, 1.0};
+  struct mo_workspace_memory *memory = make_workspace_memory();
+  struct mo_physics physics = physics_of(300);
+  physics.actuation = 0;
+  double highest = -INFINITY, rise_m = -INFINITY, moves;
+  for (int axis = 0; axis < 2; axis++)
+    for (int s = 0; s < 5; s++) {
+      const struct mo_body *body = overhanging_body(axis);
+      const struct mo_environment environment = slope_of(axis, slopes[s]), *list = &environment;
+      CHECK(check_start(body, &environment) == (slopes[s] > 0.2));
+      highest = fmax(highest, energy_gain(body, &environment, &physics, &moves));
+      for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+        for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
+          double com_m[301 * 3];
+          struct mo_recording recording = {.stride = 1, .com_m = com_m};
+          struct mo_outcome outcome;
+          const struct mo_pack *pack =
+              make_pack(bootstrap, (enum mo_isa)isa, (enum mo_precision)precision);
+          REQUIRE(mo_rollout_block(memory, pack, body, &list, 1, &physics, &recording, NULL,
+                                   &outcome) == MO_OK);
+          CHECK_INT(outcome.diverged_step, 0);
+          for (uint32_t frame = 1; frame <= 300; frame++)
+            rise_m = fmax(rise_m, com_m[3 * frame + 2] - com_m[2]);
+        }
+    }
+  for (uint64_t i = 0; i < BODIES; i++) {
+    struct mo_environment environment = {.light_xy_m = {4.5, 2.5}};
+    mo_terrain_random(85, 0, i, 0.5, environment.terrain_heights_m);
+    highest = fmax(highest, energy_gain(random_body(5000 + i), &environment, &physics, &moves));
+  }
+  printf("# overhangs: highest energy above the start: %.2e of all that can be lost; the kernels' "
+         "centers of mass rise by at most %.1e m\n",
+         highest, rise_m);
+  CHECK(highest <= 1e-9);
+  CHECK(rise_m <= 1e-6);
 }
 
 /* On flat ground a passive body does the same wherever it stands. */
@@ -262,6 +430,8 @@ static void wrong_workspace(void)
 
 static const struct check_case cases[] = {{"no mass below the ground", never_below_ground},
                                           {"no energy gain", no_energy_gain},
+                                          {"starts", starts},
+                                          {"no energy of overhangs", no_energy_of_overhangs},
                                           {"translation", translation},
                                           {"divergence", divergence},
                                           {"extremes", extremes},
