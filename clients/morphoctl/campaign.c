@@ -316,8 +316,6 @@ static void report_reason(const struct live *live, const char *phase_before,
 static void finish(struct live *live)
 {
   begin(live);
-  if (!live->ctl->quiet && strcmp(text_of(live->job, "end"), "exhausted") == 0)
-    puts("The morphospace holds no further design that the campaign could find: it ended early.");
   if (!live->ctl->quiet && value_at(live->job, "result.controller.sha256") != NULL)
     print_from(stdout, live->job,
                "controller {result.controller.name}: sha256:{result.controller.sha256}");

@@ -54,7 +54,7 @@ void run_campaign_start(struct ctl *ctl)
 void run_campaign_list(struct ctl *ctl)
 {
   list_items(ctl, "/v1/campaigns", 50,
-             ">campaign={id}|mode={mode}|state={state}|>designs={settings.population:,}"
+             ">campaign={id}|mode={mode}|" LISTED_STATE "|>designs={settings.population:,}"
              "|>generation=[{newest.generation:,}|–]|>of={progress.generations:,}"
              "|>mean={newest.score.mean:.4f}|>best={newest.score.quantiles.p0:.4f}"
              "|>diversity={newest.diversity:.4f}|created={created_at:time}|label={label}");

@@ -11,7 +11,7 @@
 void run_job_list(struct ctl *ctl)
 {
   list_items(ctl, "/v1/jobs", 50,
-             ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|state={state}"
+             ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|" LISTED_STATE ""
              "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}]"
              "|>work=[{training.steps:,} steps|{campaign.generations:,} generations"
              "|{rollouts_total:,} rollouts]"

@@ -58,7 +58,7 @@ void run_train_start(struct ctl *ctl)
 void run_train_list(struct ctl *ctl)
 {
   list_items(ctl, "/v1/trainings", 50,
-             ">training={id}|kind={kind}|name={name}|state={state}|>step={progress.step:,}"
+             ">training={id}|kind={kind}|name={name}|" LISTED_STATE "|>step={progress.step:,}"
              "|>of={progress.steps:,}|>loss={progress.mean_loss:.4f}"
              "|>validation={validation.mean_score:.4f}|created={created_at:time}"
              "|label={label}");

@@ -33,6 +33,7 @@ static const struct {
     {"campaign.extended", "  to {data.generations:,} generations"},
     {"campaign.diversity_collapse", "  generation {data.generation}: diversity "
                                     "{data.diversity:.4f}, it was {data.maximum:.4f}"},
+    {"job.warning", "  {data.detail}"},
     {"campaign.lineage_unreadable",
      "  {data.field:.40} of controller {data.controller:.12}: {data.detail:.160}"},
 };
@@ -142,6 +143,8 @@ static void wait_for_end(struct ctl *ctl, const char *id, char state[16])
   while (!is_final(state)) {
     json_t *job = send_json(ctl, &request, NULL);
     snprintf(state, 16, "%s", text_of(job, "state"));
+    if (is_final(state))
+      complain_of_warnings("job", job);
     json_decref(job);
     if (ctl->retry_s < 0)
       ctl->retry_s = 3600; /* the server was there */

@@ -75,8 +75,8 @@ json_t *real_or_null(double value);                    /* null: it is not finite
 bool is_final(const char *state);
 /* Returns an operand that is the decimal id of a job. */
 const char *job_id(const char *text);
-/* Ends the program with STATUS_NEGATIVE if the job did not succeed. noun: what the complaint calls
- * it. */
+/* Prints a job's warnings. The second one ends the program unless the job succeeded. */
+void complain_of_warnings(const char *noun, const json_t *job);
 void expect_success(const char *noun, const json_t *job);
 
 /* Prints a fact on a line: "controller   default (sha256 …)". */
@@ -92,11 +92,13 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
 /* "NAME, sha256:…"; otherwise: "" or another alternative. */
 #define CONTROLLER_WORDS(place, otherwise)                                                         \
   "[[{" place ".name}, ]sha256:{" place ".sha256}" otherwise "]"
+#define LISTED_STATE "state={state}[ ({warnings.0.code})]"
 #define JOB_STATE_FACTS(phase)                                                                     \
-  {"state", "{state}"}, {"reason", "{reason}"}, {"phase", phase}, {"weight", "{weight:g}"},        \
-      {"device", "{device}"}, {"label", "{label}"}, {"experiment", "{experiment}"},                \
-      {"note", "{note}"}, {"archived", "[{archived_at:time}]"},                                    \
-      {"error", "[{error.code}: {error.detail}]"},                                                 \
+  {"state", "{state}"},                                                                            \
+      {"warning", "{warnings.0.detail}[; {warnings.1.detail}][; {warnings.2.detail}]"},            \
+      {"reason", "{reason}"}, {"phase", phase}, {"weight", "{weight:g}"}, {"device", "{device}"},  \
+      {"label", "{label}"}, {"experiment", "{experiment}"}, {"note", "{note}"},                    \
+      {"archived", "[{archived_at:time}]"}, {"error", "[{error.code}: {error.detail}]"},           \
   {                                                                                                \
     "attempts", "[{attempts>0}]"                                                                   \
   }

@@ -50,8 +50,17 @@ const char *job_id(const char *text)
   return text;
 }
 
+void complain_of_warnings(const char *noun, const json_t *job)
+{
+  size_t i;
+  const json_t *warning;
+  json_array_foreach(json_object_get(job, "warnings"), i, warning)
+      complain(0, "warning: %s %s: %s", noun, text_of(job, "id"), text_of(warning, "detail"));
+}
+
 void expect_success(const char *noun, const json_t *job)
 {
+  complain_of_warnings(noun, job);
   if (strcmp(text_of(job, "state"), "succeeded") == 0)
     return;
   const char *words = keep(text_from(job, "{id} [{state}: {error.detail}|is {state}]"));

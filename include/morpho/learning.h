@@ -163,6 +163,8 @@ void mo_training_free(struct mo_training *training); /* NULL-safe */
 
 uint32_t
 mo_training_step(const struct mo_training *training); /* steps applied so far; n_steps: finished */
+uint32_t mo_training_skipped(
+    const struct mo_training *training); /* of these, steps that changed no weight */
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training);
 const struct mo_controller *
 mo_training_controller(const struct mo_training *training); /* current weights; borrowed */

@@ -169,6 +169,14 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
   } else {
     mo_text_member(text, "error", NULL);
   }
+  mo_text_open(text, "warnings", "[");
+  for (uint32_t i = 0; i < job->n_warnings; i++) {
+    mo_text_object(text);
+    mo_text_member(text, "code", job->warnings[i].code);
+    mo_text_member(text, "detail", job->warnings[i].detail);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
   const bool waits = live->reason[0] != '\0' && !mo_job_state_is_final(job->state);
   mo_text_member(text, "reason", waits ? live->reason : lacks_device(job) ? job->error_text : NULL);
 }

@@ -2,6 +2,7 @@
  * (design_request.c). */
 #include "api/requests.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -82,6 +83,18 @@ static bool read_numbers(struct mo_json *json, double limit, size_t n, double *n
   return !json->stop && json->faults->n == before;
 }
 
+/* Losses are divided by the distance to the light at the start. */
+static void read_light(struct mo_json *json, double light_xy_m[2])
+{
+  unsigned depth = json->depth;
+  if (read_numbers(json, MO_LIGHT_LIMIT_M, 2, light_xy_m) &&
+      hypot(light_xy_m[0] - MO_WORLD_CENTRE_M, light_xy_m[1] - MO_WORLD_CENTRE_M) < MO_VOXEL_M)
+    mo_json_fault_at(json, depth, "",
+                     "the light is within a voxel of (2.5, 2.5), where robots start, and their "
+                     "losses would be divided by next to nothing: it must be at least %g m away",
+                     MO_VOXEL_M);
+}
+
 static void read_environment(struct mo_json *json, struct mo_environment *environment)
 {
   unsigned depth = json->depth, before = json->faults->n;
@@ -94,7 +107,7 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
   while (mo_json_member(json, &key)) {
     if (mo_json_is(key, "light_xy_m")) {
       light = true;
-      read_numbers(json, MO_LIGHT_LIMIT_M, 2, environment->light_xy_m);
+      read_light(json, environment->light_xy_m);
     } else if (mo_json_is(key, "terrain_heights_m")) {
       heights = true;
       read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_HEIGHTS, environment->terrain_heights_m);

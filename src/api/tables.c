@@ -449,7 +449,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define JOB                                                                                        \
   "state priority weight:n device label experiment note archived_at core_seconds:n"                \
   " device_seconds:n submitted_by created_at started_at finished_at attempts:n error.code"         \
-  " error.detail"
+  " error.detail warnings"
 #define JOBS                                                                                       \
   "id kind " JOB " controller.name environments n_designs:n rollouts_total:n rollouts_done:n"      \
   " training.kind training.name training.step:n training.steps:n campaign.mode"                    \

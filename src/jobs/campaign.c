@@ -7,6 +7,7 @@
  * its checkpoint, and saved losses are read again. So a campaign is a function of its settings and
  * seed, whatever interrupts it. A campaign ends when all its generations are committed, or when no
  * child can be found; a generation without a child is not committed. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -351,6 +352,20 @@ static int succeed(struct mo_campaign_run *run)
 
 /* ---- generations and the end ---- */
 
+/* Ends a campaign in which no robot of generation 0 could learn or be scored. */
+static int check_fruit(struct mo_campaign_run *run)
+{
+  const struct mo_training *training = run->learner.training;
+  bool any = run->generation > 0 || training == NULL || mo_training_step(training) == 0 ||
+             mo_training_skipped(training) < mo_training_step(training);
+  for (uint32_t i = 0; i < run->n_children && !any; i++)
+    any = isfinite(run->rows->scores[i]);
+  return any ? MO_OK
+             : mo_runner_give_up(run->runner, MO_ERR_RANGE,
+                                 "every robot of generation 0 diverged, while it learned and while "
+                                 "it was scored: choose a smaller dt_s or stiffness_n_per_m");
+}
+
 /* MO_ERR_EXHAUSTED: no child was found. */
 static int run_generation(struct mo_campaign_run *run)
 {
@@ -362,6 +377,8 @@ static int run_generation(struct mo_campaign_run *run)
     error = mo_campaign_learn(run);
   if (error == MO_OK)
     error = mo_campaign_score(run);
+  if (error == MO_OK)
+    error = check_fruit(run);
   if (error == MO_OK)
     error = select_survivors(run);
   return error == MO_OK ? succeed(run) : error;

@@ -112,6 +112,12 @@ int mo_runner_fail_unreadable(struct mo_runner *runner, int error)
   return error;
 }
 
+int mo_runner_give_up(struct mo_runner *runner, int error, const char *text)
+{
+  runner->gives_up = true;
+  return mo_runner_fail(runner, error, text);
+}
+
 int mo_runner_load(struct mo_runner *runner, const struct mo_sha256 *sha256,
                    struct mo_controller **controller)
 {
@@ -205,7 +211,7 @@ static int write_failure(void *context)
   struct mo_jobs *jobs = runner->jobs;
   enum mo_job_state after = MO_JOB_QUEUED;
   int error = mo_store_run_park(jobs->store, runner->id, runner->error, runner->text,
-                                MO_ATTEMPTS_MAX, &after);
+                                runner->gives_up ? 1 : MO_ATTEMPTS_MAX, &after);
   if (error == MO_OK && after == MO_JOB_FAILED) {
     atomic_fetch_add(&jobs->jobs_failed, 1);
     mo_jobs_closed(jobs, 1, 0);

@@ -56,6 +56,7 @@ struct mo_runner {
   /* Only for this thread. */
   bool winding_down; /* a request arrived or the job failed: only computed results are saved */
   bool is_short;     /* lacks memory: what cannot be saved at once is computed again, later */
+  bool gives_up;     /* this attempt is the last one */
   int error;
   char text[256];                 /* of the error */
   struct mo_compute_share *share; /* of the job, while it runs */
@@ -109,6 +110,8 @@ const char *mo_figure(double value, char text[32]);
 int mo_runner_fail(struct mo_runner *runner, int error, const char *text);
 /* Does the same for a job that the store could not read. */
 int mo_runner_fail_unreadable(struct mo_runner *runner, int error);
+/* Does the same for a job that fails now, because further attempts would end the same way. */
+int mo_runner_give_up(struct mo_runner *runner, int error, const char *text);
 /* Loads a controller's file; stores the text for an unusable one. */
 int mo_runner_load(struct mo_runner *runner, const struct mo_sha256 *sha256,
                    struct mo_controller **controller);

@@ -17,7 +17,7 @@
 /* Prepares the runner for an attempt; under the mutex. */
 static void begin(struct mo_runner *runner)
 {
-  runner->waits = runner->winding_down = runner->is_short = false;
+  runner->waits = runner->winding_down = runner->is_short = runner->gives_up = false;
   runner->error = MO_OK;
   runner->text[0] = '\0';
   runner->live = (struct mo_live){.phase = runner->runners->kind->first, .seconds_left = -1};

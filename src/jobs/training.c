@@ -19,6 +19,7 @@
 #define ROWS_MAX      256
 #define RATES         16 /* steps over which the speed is averaged */
 #define ROWS_EVERY_US INT64_C(1000000)
+#define FRUITLESS_MAX 10 /* steps from the start without any gradient: so are those that follow */
 /* A robot of a pretraining takes so much memory: random body, environment, outcome. */
 #define DRAWN_BYTES ((uint64_t)5 << 10)
 
@@ -290,6 +291,24 @@ static int step(struct run *run)
   return MO_OK;
 }
 
+/* Ends a training in which no step has changed the controller. */
+static int check_fruit(struct run *run)
+{
+  const struct mo_training *training = run->learner.training;
+  const uint32_t here = step_of(run), n_steps = run->status.record.settings.n_steps;
+  char text[256];
+  if (here == 0 || mo_training_skipped(training) < here || (here < FRUITLESS_MAX && here < n_steps))
+    return MO_OK;
+  const int error = flush(run);
+  if (error != MO_OK)
+    return error;
+  snprintf(text, sizeof(text),
+           "every robot of the first %u step%s diverged or had no finite gradient, so nothing was "
+           "learned: choose a smaller dt_s or stiffness_n_per_m",
+           (unsigned)here, here > 1 ? "s" : "");
+  return mo_runner_give_up(run->runner, MO_ERR_RANGE, text);
+}
+
 static int write_validation(void *context)
 {
   struct run *run = context;
@@ -367,7 +386,9 @@ static int learn(struct run *run)
   while (error == MO_OK) {
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
-    error = validate(run);
+    error = check_fruit(run);
+    if (error == MO_OK)
+      error = validate(run);
     if (error != MO_OK || step_of(run) == run->status.record.settings.n_steps)
       break;
     error = step(run);

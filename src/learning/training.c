@@ -111,6 +111,11 @@ uint32_t mo_training_step(const struct mo_training *training)
   return training->step;
 }
 
+uint32_t mo_training_skipped(const struct mo_training *training)
+{
+  return training->skipped;
+}
+
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training)
 {
   return &training->settings;

@@ -272,6 +272,20 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
                    mo_real(diversity > most ? diversity : most), mo_int(commit->race_pays));
 }
 
+/* Says whether all robots have diverged, but not all of the generation before. */
+static int all_have_diverged(struct mo_connection *writer, const struct commit_arguments *call,
+                             bool *ret)
+{
+  static const char sql[] = "SELECT best_score FROM campaigns WHERE job=?1";
+  const struct mo_campaign_generation *now = &call->commit->row;
+  sqlite3_stmt *row;
+  if (now->stats.n == 0 || now->stats.n_diverged < now->stats.n)
+    return MO_OK;
+  const int error = mo_sql_row(writer, &row, sql, mo_int(call->id));
+  *ret = error == MO_OK && (now->generation == 0 || isfinite(sqlite3_column_double(row, 0)));
+  return error;
+}
+
 static int commit_generation(struct mo_store *store, void *arguments)
 {
   static const char earlier_sql[] =
@@ -281,6 +295,7 @@ static int commit_generation(struct mo_store *store, void *arguments)
   struct mo_campaign_generation row = commit->row;
   struct mo_connection *writer = &store->writer;
   int64_t now_us = mo_clock_wall_us();
+  bool has_diverged = false; /* all of it, for the first time */
   int error = check_turn(store, call);
   row.stored_us = now_us;
   if (error == MO_OK)
@@ -302,7 +317,11 @@ static int commit_generation(struct mo_store *store, void *arguments)
   if (error == MO_OK && call->head.scored_generation >= 0)
     error = mo_campaign_losses_drop(writer, call->id);
   if (error == MO_OK)
+    error = all_have_diverged(writer, call, &has_diverged);
+  if (error == MO_OK)
     error = update_campaign(writer, call);
+  if (error == MO_OK && has_diverged)
+    error = mo_run_announce_warnings(store, call->id, false);
   if (error == MO_OK && commit->event_data != NULL)
     error = mo_writer_event(store, call->id, "campaign.generation", "%s", commit->event_data);
   if (error == MO_OK && commit->collapse_data != NULL)

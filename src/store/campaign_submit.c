@@ -147,8 +147,11 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                               NULL, 0, mo_clock_wall_us());
   if (error == MO_OK)
     error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
-  return error == MO_OK && record->initial_campaign != 0 ? insert_inherited(writer, record, *id)
-                                                         : error;
+  if (error == MO_OK && record->initial_campaign != 0)
+    error = insert_inherited(writer, record, *id);
+  for (uint32_t r = 0; r < record->replicates && error == MO_OK && setting.set == 0; r++)
+    error = mo_run_announce_warnings(store, *id + r, true);
+  return error;
 }
 
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,

@@ -7,6 +7,7 @@
 #include "store/jobs.h"
 #include "store/rows.h"
 #include "store/studies.h"
+#include "store/warnings.h"
 
 /* ---- what only a study has ---- */
 
@@ -121,6 +122,8 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   status->diversity_max = sqlite3_column_double(row, MO_COLUMN_DIVERSITY_MAX);
   status->end = (enum mo_campaign_end)sqlite3_column_int(row, MO_COLUMN_ENDED);
   status->scored = mo_column_u32(row, MO_COLUMN_SCORED);
+  if (error == MO_OK)
+    error = mo_job_warn(reader, &status->job, &status->record);
   if (error == MO_OK && status->record.settings.mode == MO_STUDY)
     error = get_study(reader, id, status);
   if (error == MO_OK)

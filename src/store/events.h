@@ -11,13 +11,12 @@ struct mo_event {
   int64_t time_us;
   int64_t job;    /* 0: about no job */
   char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
-                     "job.resumed", "job.requeued", "job.finished",  "evaluation.code_changed",
-                     "evaluation.recordings_removed",
-                     "training.progress",
-                     "training.validation", "training.checkpoint", "training.code_changed",
-                     "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
-                     "campaign.extended",  "campaign.imported", "campaign.lineage_unreadable",
-                     "controller.stored",  "controller.removed",
+                     "job.resumed", "job.requeued", "job.finished", "job.warning",
+                     "evaluation.code_changed", "evaluation.recordings_removed",
+                     "training.progress", "training.validation", "training.checkpoint",
+                     "training.code_changed", "campaign.progress", "campaign.generation",
+                     "campaign.diversity_collapse", "campaign.extended", "campaign.imported",
+                     "campaign.lineage_unreadable", "controller.stored", "controller.removed",
                      "fleet.joined", "fleet.left", "fleet.lost", "fleet.refused",
                      "fleet.older", "fleet.quarantined", "fleet.empty", "scores.imported",
                      "scores.differ" */

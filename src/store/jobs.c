@@ -11,6 +11,7 @@
 #include "store/fields.h"
 #include "store/internal.h"
 #include "store/trainings.h"
+#include "store/warnings.h"
 
 const char *const mo_job_state_words[] = {"queued", "running",   "paused", "succeeded",
                                           "failed", "cancelled", NULL};
@@ -175,9 +176,13 @@ int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_s
 
 static int load_job(struct mo_connection *connection, int64_t id, void *job)
 {
+  struct mo_job *read = job;
   sqlite3_stmt *row;
-  const int error = mo_job_row(connection, id, -1, &row);
-  return error == MO_OK ? mo_job_read(row, job, NULL) : error;
+  int error = mo_job_row(connection, id, -1, &row);
+  if (error == MO_OK)
+    error = mo_job_read(row, read, NULL);
+  return error == MO_OK && read->kind == MO_JOB_EVALUATION ? mo_job_warn(connection, read, NULL)
+                                                           : error;
 }
 
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)

@@ -73,6 +73,14 @@ struct mo_submission {
   struct mo_request_key key;
 };
 
+/* What a result's reader must know of a job. */
+struct mo_warning {
+  const char *code; /* "all_diverged", "diverged", "exhausted", "light_near_start" */
+  bool of_request;  /* it was known when the job was submitted */
+  char detail[231];
+};
+#define MO_WARNINGS_MAX 3
+
 /* A job. An evaluation is complete but for its results; a training or a campaign has what lists
  * show (the rest: store/trainings.h, store/campaigns.h). Owns nothing, so it may be copied. */
 struct mo_job {
@@ -114,6 +122,9 @@ struct mo_job {
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged, rollouts_cut;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
+  /* Of a training or a campaign, only those that are read as such have them. */
+  struct mo_warning warnings[MO_WARNINGS_MAX];
+  uint32_t n_warnings;
 };
 
 struct mo_controller_record {

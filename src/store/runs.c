@@ -5,8 +5,11 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "store/campaigns.h"
 #include "store/controller_rows.h"
 #include "store/fields.h"
+#include "store/jobs.h"
+#include "store/warnings.h"
 
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind)
@@ -86,6 +89,30 @@ int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
 {
   return mo_writer_event(store, id, type, "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"%s}",
                          (long long)id, mo_job_kind_name(kind), mo_job_state_name(state), more);
+}
+
+int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new)
+{
+  union {
+    struct mo_training_record training;
+    struct mo_campaign_record campaign;
+  } record;
+  struct mo_job job;
+  sqlite3_stmt *row;
+  int error = mo_job_row(&store->writer, id, -1, &row);
+  if (error == MO_OK)
+    error = mo_job_read(row, &job, &record);
+  if (error == MO_OK)
+    error = mo_job_warn(&store->writer, &job, &record);
+  for (uint32_t i = 0; error == MO_OK && i < job.n_warnings; i++)
+    if (is_new || !job.warnings[i].of_request)
+      error =
+          mo_writer_event(store, id, "job.warning",
+                          "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\",\"code\":\"%s\","
+                          "\"detail\":\"%s\"}",
+                          (long long)id, mo_job_kind_name(job.kind), mo_job_state_name(job.state),
+                          job.warnings[i].code, job.warnings[i].detail);
+  return error;
 }
 
 /* ---- the queue and the attempt ---- */
@@ -175,6 +202,8 @@ static int finish(struct mo_store *store, void *arguments)
     snprintf(more, sizeof(more), "%s,\"controller\":\"%s\",\"sha256\":\"%s\"", call->more,
              call->put->name, MO_SHA256_HEX(&call->put->sha256));
   }
+  if (error == MO_OK)
+    error = mo_run_announce_warnings(store, id, false);
   return error == MO_OK ? mo_run_announce(store, id, kind, "job.finished", MO_JOB_SUCCEEDED, more)
                         : error;
 }

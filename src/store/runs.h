@@ -48,6 +48,10 @@ int mo_run_touch(struct mo_store *store, int64_t id);
 int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *type,
                     enum mo_job_state state, const char *more);
 
+/* Adds an event for each warning of a job; of a job that is not new without those of its request.
+ */
+int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new);
+
 int mo_training_code_load(struct mo_connection *connection, int64_t id,
                           struct mo_training_lineage *lineage);
 

@@ -99,6 +99,8 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
     error = apply_counts(&store->writer, update);
   if (error == MO_OK && update->applied && update->counted != NULL)
     error = set_counted(&store->writer, update);
+  if (error == MO_OK && update->applied && update->step == MO_STEP_SUCCEED && update->diverged > 0)
+    error = mo_run_announce_warnings(store, update->job, false);
   if (error == MO_OK && update->applied && !update->quiet)
     error = announce(store, update);
   return error == MO_ERR_CONFLICT ? MO_OK : error;

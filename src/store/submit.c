@@ -130,13 +130,13 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                               request->notes, request->n_notes, mo_clock_wall_us());
   if (error == MO_OK)
     error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
-  if (error != MO_OK)
-    return error;
-  return mo_writer_event(store, *id, "job.created",
-                         "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\","
-                         "\"rollouts_total\":%llu}",
-                         (long long)*id,
-                         (unsigned long long)request->n_designs * (uint64_t)n_environments);
+  if (error == MO_OK)
+    error = mo_writer_event(store, *id, "job.created",
+                            "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\","
+                            "\"rollouts_total\":%llu}",
+                            (long long)*id,
+                            (unsigned long long)request->n_designs * (uint64_t)n_environments);
+  return error == MO_OK && set == 0 ? mo_run_announce_warnings(store, *id, true) : error;
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

@@ -12,6 +12,7 @@
 #include "store/jobs.h"
 #include "store/rows.h"
 #include "store/runs.h"
+#include "store/warnings.h"
 
 /* ---- submission ---- */
 
@@ -64,6 +65,8 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   memset(status, 0, sizeof(*status));
   if (error == MO_OK)
     error = mo_job_read(row, &status->job, &status->record);
+  if (error == MO_OK)
+    error = mo_job_warn(reader, &status->job, &status->record);
   if (error == MO_OK)
     error = mo_row_newest(reader, MO_TRAINING_STEPS, id, &status->last, &has_step);
   if (error == MO_OK)

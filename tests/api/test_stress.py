@@ -12,8 +12,7 @@ from service import BOOTSTRAP, DESIGN
 BLOCK = {"voxels": "1" * 144}
 DESIGNS = [DESIGN, BLOCK, {"cells": [[x, 2, 0] for x in range(6)]}]
 WORLDS = [
-    {"light_xy_m": [2.5, 2.5], "terrain_sigma_m": 0.05,
-     "seed": 1},  # the block's center of mass: the loss itself has a pole there
+    {"light_xy_m": [2.6, 2.5], "terrain_sigma_m": 0.05, "seed": 1},  # inside the block
     {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 1.0, "seed": 2},
     {"light_xy_m": [1.0, 1.5], "terrain_sigma_m": 0.05, "seed": 3}
 ]
@@ -53,21 +52,20 @@ def learn(service, controller, physics):
         training = plain_json(
             service.request("GET", f"/v1/trainings/{training['id']}",
                             headers={"Prefer": "wait=10"}).body)
-    assert training["state"] == "succeeded", training
-    result = service.request("GET", training["links"]["controller"]).body
-    assert all_finite(parts(result)[1])
-    # A checkpoint with a moment that is not finite would not be read.
-    assert all_finite(
-        parts(service.request("GET",
-                              training["links"]["controller"] + f"?step={STEPS - 1}").body)[1])
+    if training["state"] == "succeeded":
+        result = service.request("GET", training["links"]["controller"]).body
+        assert all_finite(parts(result)[1])
+        # A checkpoint with a moment that is not finite would not be read.
+        assert all_finite(
+            parts(service.request("GET",
+                                  training["links"]["controller"] + f"?step={STEPS - 1}").body)[1])
     rows = plain_json(service.request("GET", training["links"]["steps"]).body)["items"]
     assert [row["step"] for row in rows] == list(range(1, STEPS + 1))
     for row in rows:
         assert (row["mean_loss"] is None) == (row["diverged"] == BATCH), row
         assert row["skipped"] or row["diverged"] + row["zeroed"] < BATCH, row
-    if all(row["skipped"] for row in rows):
-        start = service.request("GET", f"/v1/controllers/{controller}/file").body
-        assert parts(result)[1] == parts(start)[1]  # nothing was learned
+    # Without a step that changed a weight nothing was learned.
+    assert (training["state"] == "failed") == all(row["skipped"] for row in rows), training
     for row in plain_json(service.request("GET", training["links"]["validations"]).body)["items"]:
         assert row["diverged"] > 0 if row["mean_score"] is None else row["diverged"] < row[
             "rollouts"], row

@@ -1,0 +1,132 @@
+/* warnings.c: see warnings.h. */
+#include "store/warnings.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "store/campaigns.h"
+#include "store/rows.h"
+#include "store/trainings.h"
+
+/* So far from the middle of the workspace a light is more than a voxel away from the center of mass
+ * of any body at its start. */
+#define LIGHT_CLEAR_M 0.3
+
+static const char remedy[] = "choose a smaller dt_s or stiffness_n_per_m";
+
+static void __attribute__((format(printf, 3, 4)))
+warn(struct mo_job *job, const char *code, const char *format, ...)
+{
+  struct mo_warning *warning = &job->warnings[job->n_warnings++];
+  va_list arguments;
+  warning->code = code;
+  warning->of_request = false;
+  va_start(arguments, format);
+  vsnprintf(warning->detail, sizeof(warning->detail), format, arguments);
+  va_end(arguments);
+}
+
+/* ---- robots that diverged ---- */
+
+static void warn_of_rollouts(struct mo_job *job)
+{
+  const uint64_t run = job->rollouts_done - job->rollouts_cut, diverged = job->rollouts_diverged;
+  if (diverged > 0 && diverged >= run)
+    warn(job, "all_diverged", "every rollout diverged (%llu): no robot has a score; %s",
+         (unsigned long long)diverged, remedy);
+  else if (diverged > 0)
+    warn(job, "diverged",
+         "%llu of %llu rollouts diverged: a robot has no score if one of its rollouts did; %s",
+         (unsigned long long)diverged, (unsigned long long)run, remedy);
+}
+
+/* Of a step of a training, or of the population of a generation. */
+static void warn_of_robots(struct mo_job *job, const char *when, uint32_t number, uint32_t diverged,
+                           uint32_t n)
+{
+  if (n > 0 && diverged >= n)
+    warn(job, "all_diverged", "every robot of %s %u diverged (%u); %s", when, (unsigned)number,
+         (unsigned)diverged, remedy);
+  else if (diverged > n / 2)
+    warn(job, "diverged", "%u of %u robots of %s %u diverged; %s", (unsigned)diverged, (unsigned)n,
+         when, (unsigned)number, remedy);
+}
+
+static int warn_of_step(struct mo_connection *connection, struct mo_job *job,
+                        const struct mo_training_record *record)
+{
+  struct mo_training_step_row last;
+  bool found;
+  const int error = mo_row_newest(connection, MO_TRAINING_STEPS, job->id, &last, &found);
+  if (error == MO_OK && found)
+    warn_of_robots(job, "step", last.report.step, last.report.diverged, record->settings.batch);
+  return error;
+}
+
+static int warn_of_generation(struct mo_connection *connection, struct mo_job *job)
+{
+  static const char sql[] = "SELECT ended,generation FROM campaigns WHERE job=?1";
+  struct mo_campaign_generation last;
+  bool found;
+  sqlite3_stmt *row;
+  int error = mo_row_newest(connection, MO_CAMPAIGN_GENERATIONS, job->id, &last, &found);
+  if (error == MO_OK && found)
+    warn_of_robots(job, "generation", last.generation, last.stats.n_diverged, last.stats.n);
+  if (error == MO_OK)
+    error = mo_sql_row(connection, &row, sql, mo_int(job->id));
+  if (error == MO_OK && sqlite3_column_int(row, 0) == MO_CAMPAIGN_EXHAUSTED)
+    warn(job, "exhausted", "it ended at generation %lld of %u: no unseen body is left",
+         (long long)sqlite3_column_int64(row, 1), (unsigned)job->steps_total);
+  return error;
+}
+
+/* ---- lights beside the start ---- */
+
+static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, int64_t owner)
+{
+  static const char sql[] =
+      "SELECT substr(e.data,1,16),x.position FROM job_environments x JOIN environments e"
+      " ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
+  double nearest_m = INFINITY;
+  uint32_t nearest = 0, n = 0;
+  int error = MO_OK;
+  if (job->environment_set[0] != '\0') /* the lights of a named set are far away */
+    return MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(owner));
+  while (mo_sql_next(connection, row, &error)) {
+    double light_m[2] = {INFINITY, INFINITY};
+    if (sqlite3_column_bytes(row, 0) == sizeof(light_m))
+      memcpy(light_m, sqlite3_column_blob(row, 0), sizeof(light_m));
+    const double distance_m = hypot(light_m[0] - MO_WORLD_CENTRE_M, light_m[1] - MO_WORLD_CENTRE_M);
+    n += distance_m < LIGHT_CLEAR_M;
+    if (distance_m < nearest_m) {
+      nearest_m = distance_m;
+      nearest = mo_column_u32(row, 1);
+    }
+  }
+  if (n == 0)
+    return error;
+  warn(job, "light_near_start",
+       "the light of environment %u is %.2f m from the middle of the workspace%s: a robot that "
+       "starts beside it has a very large loss, which is divided by its distance at the start",
+       (unsigned)nearest, nearest_m, n > 1 ? ", and others are near it, too" : "");
+  job->warnings[job->n_warnings - 1].of_request = true;
+  return error;
+}
+
+int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void *record)
+{
+  job->n_warnings = 0;
+  switch (job->kind) {
+  case MO_JOB_EVALUATION: warn_of_rollouts(job); return warn_of_lights(connection, job, job->id);
+  case MO_JOB_TRAINING: return warn_of_step(connection, job, record);
+  case MO_JOB_CAMPAIGN: {
+    const struct mo_campaign_record *campaign = record;
+    const int error = warn_of_generation(connection, job);
+    return error == MO_OK ? warn_of_lights(connection, job, campaign->group) : error;
+  }
+  }
+  return MO_OK;
+}
