@@ -57,11 +57,13 @@ def test_the_best_of_many(m):
 
 def test_diverged_rollouts_are_nan(m):
     wild = {"n_steps": 200, "dt_s": 0.1}
-    evaluation = m.evaluate([DESIGN], WORLD, physics=wild)
+    with pytest.warns(UserWarning, match="every rollout diverged"):
+        evaluation = m.evaluate([DESIGN], WORLD, physics=wild)
     assert math.isnan(evaluation.scores[0]) and math.isnan(evaluation.losses[0, 0])
     assert evaluation.frame()["diverged"].tolist() == [1]
     objective = m.objective(environments=WORLD, physics=wild, worst=3.0)
-    assert objective(DESIGN["cells"]) == 3.0
+    with pytest.warns(UserWarning, match="every rollout diverged"):
+        assert objective(DESIGN["cells"]) == 3.0
 
 
 def test_repair_is_told(m):
@@ -98,6 +100,27 @@ def test_faults_are_told_per_design(m):
                            initial=bodies, on_fault="skip", repair="largest")
     assert [row["place"] for row in group[0].data["founders"]] == [0, 2, 3, 4]
     group.wait()
+
+
+def test_what_a_result_does_not_show_is_a_warning(m):
+    stiff = {"n_steps": 20, "stiffness_n_per_m": 1e6}
+    with pytest.warns(UserWarning, match="job [0-9]+: every rollout diverged .10."):
+        evaluation = m.evaluate([[[0, 0, 0]]], physics=stiff)
+    assert np.isnan(evaluation.scores).all()
+    assert len(evaluation.warnings) == 1 and "dt_s" in evaluation.warnings[0]
+    assert repr(evaluation).endswith(": succeeded, all_diverged>")
+    with pytest.warns(UserWarning, match="no unseen body is left"):
+        campaign = m.campaign("zero-shot", population=4, generations=5, workspace=[2, 1, 1],
+                              physics={"n_steps": 20}, exclude_pretraining=False)
+        campaign.wait()
+    with pytest.warns(UserWarning, match="no unseen body is left"):
+        campaign.live()
+    with pytest.raises(morphod.JobError, match="first 2 steps diverged"):
+        m.finetune([[[0, 0, 0]]], steps=2, batch=2, physics=stiff,
+                   validation={"every_steps": 0}).wait()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert m.evaluate([[[0, 0, 0]]], physics={"n_steps": 20}).warnings == []
 
 
 def test_what_is_lost_is_a_warning(m):

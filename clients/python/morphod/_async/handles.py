@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -77,9 +78,17 @@ class AsyncJob:
         """Whether it has succeeded, failed or been cancelled, as of the last look."""
         return self.state in _ENDED
 
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader of the result must know although the job did what was asked, as of the last
+        look: that every robot diverged, for example. `wait` and `live` raise each as a
+        `UserWarning`; `data["warnings"]` has their codes."""
+        return [warning["detail"] for warning in self.data["warnings"]]
+
     def __repr__(self) -> str:
+        codes = "".join(f", {warning['code']}" for warning in self.data["warnings"])
         label = f", label={self.label!r}" if self.label else ""
-        return f"<{type(self).__name__} {self.id}: {self.state}{label}>"
+        return f"<{type(self).__name__} {self.id}: {self.state}{codes}{label}>"
 
     async def refresh(self) -> None:
         """Asks the service how the job stands."""
@@ -96,7 +105,13 @@ class AsyncJob:
                 raise WaitError(f"job {self.id} is {self.state} after {timeout_s} s; it goes on")
             self.data = await self._connection.json(
                 Request.get(f"{self._list}/{self.id}", wait_s=max(left, 1)))
+        self._conclude()
+
+    def _conclude(self) -> None:
+        """At the end of a wait."""
         self._require_success()
+        for detail in self.warnings:
+            warnings.warn(f"job {self.id}: {detail}", stacklevel=3)
 
     def _require_success(self) -> None:
         if self.state == "succeeded":
@@ -115,7 +130,7 @@ class AsyncJob:
                     break
                 await anyio.sleep(_POLL_S)
                 await self.refresh()
-        self._require_success()
+        self._conclude()
 
     def _steps(self) -> tuple[int, int]:
         return int(self.data["rollouts_done"]), int(self.data["rollouts_total"])
@@ -451,7 +466,7 @@ class AsyncCampaigns:
                     if not member.ended:
                         await member.refresh()
         for member in self._members:
-            member._require_success()
+            member._conclude()
         return self
 
     async def curves(self, stride: int = 1) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -76,9 +77,17 @@ class Job:
         """Whether it has succeeded, failed or been cancelled, as of the last look."""
         return self.state in _ENDED
 
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader of the result must know although the job did what was asked, as of the last
+        look: that every robot diverged, for example. `wait` and `live` raise each as a
+        `UserWarning`; `data["warnings"]` has their codes."""
+        return [warning["detail"] for warning in self.data["warnings"]]
+
     def __repr__(self) -> str:
+        codes = "".join(f", {warning['code']}" for warning in self.data["warnings"])
         label = f", label={self.label!r}" if self.label else ""
-        return f"<{type(self).__name__} {self.id}: {self.state}{label}>"
+        return f"<{type(self).__name__} {self.id}: {self.state}{codes}{label}>"
 
     def refresh(self) -> None:
         """Asks the service how the job stands."""
@@ -95,7 +104,13 @@ class Job:
                 raise WaitError(f"job {self.id} is {self.state} after {timeout_s} s; it goes on")
             self.data = self._connection.json(
                 Request.get(f"{self._list}/{self.id}", wait_s=max(left, 1)))
+        self._conclude()
+
+    def _conclude(self) -> None:
+        """At the end of a wait."""
         self._require_success()
+        for detail in self.warnings:
+            warnings.warn(f"job {self.id}: {detail}", stacklevel=3)
 
     def _require_success(self) -> None:
         if self.state == "succeeded":
@@ -114,7 +129,7 @@ class Job:
                     break
                 time.sleep(_POLL_S)
                 self.refresh()
-        self._require_success()
+        self._conclude()
 
     def _steps(self) -> tuple[int, int]:
         return int(self.data["rollouts_done"]), int(self.data["rollouts_total"])
@@ -450,7 +465,7 @@ class Campaigns:
                     if not member.ended:
                         member.refresh()
         for member in self._members:
-            member._require_success()
+            member._conclude()
         return self
 
     def curves(self, stride: int = 1) -> pd.DataFrame:
