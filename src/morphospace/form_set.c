@@ -2,9 +2,9 @@
  *
  * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default
  * workspace). A slot of zeros is free, because no form is empty. The hash's top bits choose one of
- * SEGMENTS tables, its other bits the slot. Each table grows by a quarter on its own when it is 4/5
- * full, so that a growing set never holds two copies of itself: the peak is the set plus one table,
- * and forms take between 1.25 and 1.57 times their own size.
+ * MO_FORM_SEGMENTS tables, its other bits the slot. Each table grows by a quarter on its own when
+ * it is 4/5 full, so that a growing set never holds two copies of itself: the peak is the set plus
+ * one table, and forms take between 1.25 and 1.57 times their own size.
  *
  * Threads that add many forms divide the tables: each thread adds the forms of its own tables, in
  * their order. So no two threads touch one table, and every table gets the same content as on one
@@ -16,23 +16,12 @@
 
 #include <math.h>
 #include <stdatomic.h>
+#include <sys/mman.h>
 
-#define SEGMENTS       256
 #define SEGMENT_FIRST  16 /* slots of a table's first size */
 #define SLOTS_MAX      (UINT64_C(1) << 32)
 #define FETCHED        16  /* forms whose slots are being prefetched; a power of two */
 #define WORTH_A_THREAD 512 /* forms that are worth a thread, about 50 µs */
-
-struct segment {
-  uint8_t *slots; /* (capacity, form_bytes) */
-  uint64_t capacity, used;
-};
-
-struct mo_form_set {
-  struct mo_workspace workspace;
-  size_t form_bytes;
-  struct segment segments[SEGMENTS];
-};
 
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
 {
@@ -52,8 +41,10 @@ void mo_form_set_free(struct mo_form_set *set)
 {
   if (set == NULL)
     return;
-  for (int i = 0; i < SEGMENTS; i++)
+  for (int i = 0; i < MO_FORM_SEGMENTS && set->mapped == NULL; i++)
     free(set->segments[i].slots);
+  if (set->mapped != NULL)
+    (void)munmap(set->mapped, set->mapped_bytes);
   free(set);
 }
 
@@ -73,7 +64,7 @@ static uint64_t mix(uint64_t a, uint64_t b)
   return (uint64_t)product ^ (uint64_t)(product >> 64);
 }
 
-static uint64_t hash(const uint8_t *form, size_t n)
+uint64_t mo_form_hash(const uint8_t *form, size_t n)
 {
   uint64_t state = UINT64_C(0x9e3779b97f4a7c15) ^ n;
   while (n > 16) {
@@ -106,8 +97,9 @@ static inline __attribute__((always_inline)) int is_equal(const uint8_t *a, cons
 }
 
 /* Inlined with a constant n for the default workspace. */
-static inline __attribute__((always_inline)) uint64_t
-probe(const struct segment *segment, const uint8_t *form, size_t n, uint64_t slot, int *found)
+static inline __attribute__((always_inline)) uint64_t probe(const struct mo_form_segment *segment,
+                                                            const uint8_t *form, size_t n,
+                                                            uint64_t slot, int *found)
 {
   for (;;) {
     const uint8_t *there = segment->slots + slot * n;
@@ -123,45 +115,56 @@ probe(const struct segment *segment, const uint8_t *form, size_t n, uint64_t slo
   }
 }
 
-static uint64_t first_slot(const struct segment *segment, uint64_t hashed)
+static uint64_t first_slot(const struct mo_form_segment *segment, uint64_t hashed)
 {
   return (hashed & UINT32_MAX) * segment->capacity >> 32;
 }
 
 /* Finds the slot of the form, or the free slot where it belongs. The table must have a free
  * slot. */
-static uint64_t find(const struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed,
-                     int *found)
+static uint64_t find(const struct mo_form_segment *segment, const uint8_t *form, size_t n,
+                     uint64_t hashed, int *found)
 {
   const uint64_t slot = first_slot(segment, hashed);
   return n == 18 ? probe(segment, form, 18, slot, found) : probe(segment, form, n, slot, found);
 }
 
-static int grow(struct segment *segment, size_t n)
+int mo_form_segment_copy(const struct mo_form_segment *segment, size_t n, uint64_t capacity,
+                         struct mo_form_segment *copy)
 {
-  struct segment larger = {.used = segment->used};
-  larger.capacity =
-      segment->capacity == 0 ? SEGMENT_FIRST : segment->capacity + segment->capacity / 4;
-  if (larger.capacity > SLOTS_MAX || larger.capacity > SIZE_MAX / n)
+  struct mo_form_segment made = {.capacity = capacity, .used = segment->used};
+  if (capacity > SLOTS_MAX || capacity > SIZE_MAX / n)
     return MO_ERR_NO_MEMORY;
-  larger.slots = calloc(larger.capacity, n);
-  if (larger.slots == NULL)
+  made.slots = calloc(capacity, n);
+  if (made.slots == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint64_t slot = 0; slot < segment->capacity; slot++) {
     const uint8_t *form = segment->slots + slot * n;
     if (!is_free(form, n)) {
       int found;
-      uint64_t to = find(&larger, form, n, hash(form, n), &found);
-      memcpy(larger.slots + to * n, form, n);
+      uint64_t to = find(&made, form, n, mo_form_hash(form, n), &found);
+      memcpy(made.slots + to * n, form, n);
     }
   }
+  *copy = made;
+  return MO_OK;
+}
+
+static int grow(struct mo_form_segment *segment, size_t n)
+{
+  struct mo_form_segment larger;
+  const int code = mo_form_segment_copy(
+      segment, n,
+      segment->capacity == 0 ? SEGMENT_FIRST : segment->capacity + segment->capacity / 4, &larger);
+  if (code != MO_OK)
+    return code;
   free(segment->slots);
   *segment = larger;
   return MO_OK;
 }
 
 /* Adds a form. 1: added; 0: already present. */
-static int add(struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed)
+static int add(struct mo_form_segment *segment, const uint8_t *form, size_t n, uint64_t hashed)
 {
   int found = 0;
   uint64_t slot = 0;
@@ -187,7 +190,7 @@ int mo_form_set_add(struct mo_form_set *set, const uint64_t *form)
   if (mo_bits_empty(form, mo_workspace_words(set->workspace)))
     return MO_ERR_EMPTY;
   const uint8_t *bytes = (const uint8_t *)form;
-  const uint64_t hashed = hash(bytes, n);
+  const uint64_t hashed = mo_form_hash(bytes, n);
   return add(&set->segments[hashed >> 56], bytes, n, hashed);
 }
 
@@ -195,7 +198,7 @@ int mo_form_set_add(struct mo_form_set *set, const uint64_t *form)
 
 uint64_t mo_form_set_hash(const struct mo_form_set *set, const uint64_t *form)
 {
-  return hash((const uint8_t *)form, set->form_bytes);
+  return mo_form_hash((const uint8_t *)form, set->form_bytes);
 }
 
 struct adding {
@@ -227,7 +230,7 @@ static void add_to_segments(void *context, size_t first, size_t end)
     const uint64_t hashed = adding->hashes[i];
     if (hashed >> 56 < first || hashed >> 56 >= end || adding->marks[i] == MO_FORM_OUT)
       continue; /* marks of other threads' forms belong to those threads */
-    const struct segment *segment = &set->segments[hashed >> 56];
+    const struct mo_form_segment *segment = &set->segments[hashed >> 56];
     if (segment->capacity > 0)
       __builtin_prefetch(segment->slots + first_slot(segment, hashed) * set->form_bytes, 1);
     if (found - added == FETCHED)
@@ -250,7 +253,7 @@ int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const u
                           .n = n,
                           .marks = marks};
   const size_t enough = 1 + n / WORTH_A_THREAD;
-  mo_parallel(n_threads < enough ? n_threads : (uint32_t)enough, SEGMENTS, add_to_segments,
+  mo_parallel(n_threads < enough ? n_threads : (uint32_t)enough, MO_FORM_SEGMENTS, add_to_segments,
               &adding);
   return atomic_load(&adding.error);
 }
@@ -258,8 +261,8 @@ int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const u
 int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
 {
   const uint8_t *bytes = (const uint8_t *)form;
-  uint64_t hashed = hash(bytes, set->form_bytes);
-  const struct segment *segment = &set->segments[hashed >> 56];
+  uint64_t hashed = mo_form_hash(bytes, set->form_bytes);
+  const struct mo_form_segment *segment = &set->segments[hashed >> 56];
   int found = 0;
   if (segment->capacity > 0 && !mo_bits_empty(form, mo_workspace_words(set->workspace)))
     find(segment, bytes, set->form_bytes, hashed, &found);
@@ -271,18 +274,19 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
  * tables until all have grown. */
 size_t mo_form_set_reckon(struct mo_workspace workspace, uint64_t n)
 {
-  const double forms = (double)n / SEGMENTS;
+  const double forms = (double)n / MO_FORM_SEGMENTS;
   const size_t form_bytes = (mo_workspace_voxels(workspace) + 7) / 8;
   double capacity = SEGMENT_FIRST;
   while (capacity * 4 < (forms + 4 * sqrt(forms) + 1) * 5)
     capacity = floor(capacity * 5 / 4);
-  return sizeof(struct mo_form_set) + (size_t)(capacity * SEGMENTS * 1.2 * (double)form_bytes);
+  return sizeof(struct mo_form_set) +
+         (size_t)(capacity * MO_FORM_SEGMENTS * 1.2 * (double)form_bytes);
 }
 
 uint64_t mo_form_set_count(const struct mo_form_set *set)
 {
   uint64_t count = 0;
-  for (int i = 0; i < SEGMENTS; i++)
+  for (int i = 0; i < MO_FORM_SEGMENTS; i++)
     count += set->segments[i].used;
   return count;
 }
@@ -290,7 +294,7 @@ uint64_t mo_form_set_count(const struct mo_form_set *set)
 size_t mo_form_set_bytes(const struct mo_form_set *set)
 {
   size_t bytes = sizeof(*set);
-  for (int i = 0; i < SEGMENTS; i++)
+  for (int i = 0; i < MO_FORM_SEGMENTS; i++)
     bytes += set->segments[i].capacity * set->form_bytes;
   return bytes;
 }

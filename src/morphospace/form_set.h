@@ -1,8 +1,30 @@
-/* form_set.h: adds many forms to a set at once, on several threads. */
+/* form_set.h: how a set of forms is laid out, and how many are added at once, on several threads.
+ */
 #ifndef MORPHO_MORPHOSPACE_FORM_SET_H
 #define MORPHO_MORPHOSPACE_FORM_SET_H
 
 #include <morpho/morphospace.h>
+
+/* A table of open addressing over bare forms; a slot of zeros is free, and there is one. */
+struct mo_form_segment {
+  uint8_t *slots; /* (capacity, form_bytes) */
+  uint64_t capacity, used;
+};
+
+#define MO_FORM_SEGMENTS 256
+struct mo_form_set {
+  struct mo_workspace workspace;
+  size_t form_bytes;
+  struct mo_form_segment segments[MO_FORM_SEGMENTS];
+  void *mapped; /* a file that holds the slots (form_file.h), which are then const; or NULL */
+  size_t mapped_bytes;
+};
+
+/* Returns the hash that places a form; also a checksum of many bytes. n ≥ 1. */
+uint64_t mo_form_hash(const uint8_t *bytes, size_t n);
+/* Makes a copy with another capacity, above `used`. n: bytes of a form. MO_ERR_NO_MEMORY. */
+int mo_form_segment_copy(const struct mo_form_segment *segment, size_t n, uint64_t capacity,
+                         struct mo_form_segment *copy);
 
 enum mo_form_mark {
   MO_FORM_OUT = 0, /* not to be added; never changes */
