@@ -308,6 +308,9 @@ static void report_reason(const struct live *live, const char *phase_before,
                           const char *reason_before)
 {
   const char *reason = text_of(live->job, "reason");
+  const json_t *progress = json_object_get(live->job, "progress");
+  if (strcmp(text_of(live->job, "phase"), "preparing") == 0 && number_of(progress, "total") > 0)
+    live_words(live, NULL, live->job, CAMPAIGN_NOW_WORDS); /* it takes longer than a generation */
   if (*reason != 0 && (strcmp(phase_before, text_of(live->job, "phase")) != 0 ||
                        strcmp(reason_before, reason) != 0))
     live_words(live, NULL, live->job, "{phase}: {reason:.300}");

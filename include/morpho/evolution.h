@@ -157,6 +157,7 @@ uint64_t mo_seen_count(const struct mo_seen *seen); /* added by mo_seen_add */
  * forms; and up to 3 MiB per thread. The set is the same for any number of threads (0 counts as 1,
  * the caller's is one of them); they end with the call. MO_ERR_CANCELLED, MO_ERR_NO_MEMORY,
  * MO_ERR_EXHAUSTED: `set` may hold some of the forms. */
+#define MO_PRETRAINING_FORMS_VERSION 1 /* raised with every change of what it finds */
 int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace,
                          uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
                          struct mo_form_set *set);

@@ -153,8 +153,8 @@ static void log_event(enum log_level level, const struct mo_event *event)
 static void job_has_failed(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
-  log_warning("an attempt of a job failed", LOG_INT("job", job),
-              LOG_TEXT("code", mo_error_name(error)), LOG_TEXT("detail", text));
+  log_warning("a job met an error", LOG_INT("job", job), LOG_TEXT("code", mo_error_name(error)),
+              LOG_TEXT("detail", text));
 }
 
 static enum log_level level_of(const char *type)
@@ -388,6 +388,7 @@ static int open_store(struct service *service, const struct settings *settings,
       .n_readers = STORE_READERS,
       .events_kept = settings->events_kept,
       .max_recordings_bytes = max_recordings_of(settings),
+      .max_excluded_bytes = settings->max_excluded_bytes,
       .keep_jobs_s = {[MO_JOB_EVALUATION] = seconds_of(settings->keep_evaluations_ms),
                       [MO_JOB_TRAINING] = seconds_of(settings->keep_trainings_ms),
                       [MO_JOB_CAMPAIGN] = seconds_of(settings->keep_campaigns_ms)},

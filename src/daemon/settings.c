@@ -120,6 +120,10 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_recordings", SETTING_BYTES, max_recordings_bytes, 0, MIB *GIB, "8G", NULL,
               "Recorded trajectories of all evaluations; beyond it those of evaluations that have "
               "ended are removed, the oldest first. 0: no limit."),
+    VALUE_ROW("max_excluded", SETTING_BYTES, max_excluded_bytes, 0, MIB *GIB, "1G", NULL,
+              "Files of the bodies that campaigns exclude, because their controller was pretrained "
+              "on them; 222 MiB for the default controller. They are drawn once; beyond the limit "
+              "the file that was not used for longest is removed. 0: each campaign draws them."),
     VALUE_ROW(
         "keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0", "for good",
         "Time after its end for which an evaluation is kept, with its recordings; it stays if it "

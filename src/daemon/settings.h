@@ -60,6 +60,7 @@ struct settings {
   uint64_t max_open_jobs, max_open_rollouts, max_trainings, max_campaigns;
   uint64_t max_in_flight;
   uint64_t max_recorded_bytes, max_recordings_bytes; /* of one evaluation, of all; 0: no limit */
+  uint64_t max_excluded_bytes;
   uint64_t keep_evaluations_ms, keep_trainings_ms, keep_campaigns_ms, keep_recordings_ms;
   uint64_t max_memory; /* 0: memory_limit() */
   uint64_t client_rate_per_s;

@@ -2,16 +2,23 @@
  *
  * The bodies of all pretrainings in the controller's lineage (campaign_lineage.c) are drawn again
  * into one set, on as many threads as there are workers, at most 16, and with the workers'
- * niceness. A finished set is const. Campaigns with the same lineage and workspace share it. A
- * separate thread draws the set. The first campaign starts that thread; later ones wait for it. The
- * drawing continues when a campaign is paused or cancelled, and stops when the last campaign
- * leaves. */
+ * niceness. The set is then written to a file of the state folder (store/excluded.h), and used from
+ * there; later campaigns find the file. A finished set is const. Campaigns with the same lineage
+ * and workspace share it. A separate thread opens or draws the set. The first campaign starts that
+ * thread; later ones wait for it. The drawing continues when a campaign is paused or cancelled, and
+ * stops when the last campaign leaves. A file that is damaged or cannot be written only means that
+ * the bodies are drawn again, which the log says. */
+#include <malloc.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_excluded.h"
+#include "morphospace/form_file.h"
+#include "morphospace/form_set.h"
+#include "store/excluded.h"
 
 #define WAIT_MS_MAX 50
 #define THREADS_MAX 16
@@ -23,7 +30,8 @@ struct mo_exclusion {
   struct mo_workspace workspace;
   struct mo_lineage lineage;
   uint64_t n_bodies; /* of all parts */
-  int64_t first;     /* the campaign that started the drawing */
+  int64_t first;     /* the campaign that started the drawing, and its controller */
+  struct mo_sha256 controller;
   int64_t begin_us;
   struct mo_form_set *forms;
   pthread_t thread;
@@ -38,6 +46,92 @@ struct mo_exclusion {
   int status;        /* DRAWING, MO_OK, or the error: look-ups skip it */
   struct mo_exclusion *next;
 };
+
+/* ---- files ---- */
+
+/* Lists what the set depends on besides the workspace, which the file has. Returns the number that
+ * names the file. */
+static uint64_t key_of(const struct mo_exclusion *exclusion, struct mo_form_key *key)
+{
+  const struct mo_lineage *lineage = &exclusion->lineage;
+  const uint32_t version = MO_PRETRAINING_FORMS_VERSION;
+  const struct mo_workspace *sides = &exclusion->workspace;
+  _Static_assert(sizeof(version) + sizeof(lineage->parts) <= MO_FORM_KEY_MAX, "a key has no room");
+  *key = (struct mo_form_key){.n = sizeof(version) + lineage->n_parts * sizeof(*lineage->parts)};
+  memcpy(key->bytes, &version, sizeof(version));
+  memcpy(key->bytes + sizeof(version), lineage->parts, key->n - sizeof(version));
+  return mo_form_hash(key->bytes, key->n) ^
+         ((uint64_t)sides->nx << 32 | (uint64_t)sides->ny << 16 | sides->nz);
+}
+
+static void warn(const struct mo_exclusion *exclusion, int error, const char *text)
+{
+  const struct mo_jobs_config *config = &exclusion->jobs->config;
+  if (config->warn != NULL)
+    config->warn(config->warn_context, exclusion->first, error, text);
+}
+
+static uint32_t threads_of(const struct mo_exclusion *exclusion)
+{
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(exclusion->jobs->compute, &stats);
+  return stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX;
+}
+
+/* Opens the file of the set. Any error: there is no usable file. */
+static int open_file(const struct mo_exclusion *exclusion, struct mo_form_set **forms)
+{
+  struct mo_form_key key;
+  struct mo_store *store = exclusion->jobs->store;
+  const uint64_t name = key_of(exclusion, &key);
+  const int fd = mo_store_excluded_open(store, name);
+  if (fd < 0)
+    return fd;
+  const int error = mo_form_file_map(fd, exclusion->workspace, &key, threads_of(exclusion), forms);
+  close(fd);
+  if (error == MO_ERR_CORRUPT || error == MO_ERR_IO)
+    mo_store_excluded_remove(store, name);
+  return error;
+}
+
+struct file_of_forms {
+  const struct mo_form_set *forms;
+  const struct mo_form_key *key;
+};
+
+static int make_file(void *context, int (*put)(void *file, const void *bytes, size_t size),
+                     void *file)
+{
+  const struct file_of_forms *made = context;
+  return mo_form_file_write(made->forms, made->key, put, file);
+}
+
+/* Writes the drawn set to a file and uses it from there, which gives its memory back. */
+static void keep(struct mo_exclusion *exclusion)
+{
+  struct mo_form_key key;
+  const uint64_t name = key_of(exclusion, &key);
+  struct mo_form_set *kept = NULL;
+  struct file_of_forms made = {exclusion->forms, &key};
+  int error = mo_store_excluded_write(exclusion->jobs->store, &exclusion->controller, name,
+                                      mo_form_file_bytes(exclusion->forms), &exclusion->cancel,
+                                      make_file, &made);
+  if (error == MO_OK)
+    error = open_file(exclusion, &kept);
+  if (error == MO_OK) {
+    mo_form_set_free(exclusion->forms);
+    exclusion->forms = kept;
+    (void)malloc_trim(0);
+  } else if (error == MO_ERR_LIMIT) {
+    warn(exclusion, error,
+         "the bodies of the controller's pretraining are not kept, because they take more than "
+         "max_excluded: each campaign draws them again");
+  } else if (error != MO_ERR_CANCELLED && error != MO_ERR_UNSUPPORTED) {
+    warn(exclusion, error,
+         "the bodies of the controller's pretraining cannot be kept in the state folder: the next "
+         "campaign draws them again");
+  }
+}
 
 /* ---- drawing ---- */
 
@@ -54,22 +148,37 @@ static void end(struct mo_exclusion *exclusion, int error)
   exclusion->status = error;
 }
 
-static void *draw(void *context)
+static int draw(struct mo_exclusion *exclusion)
 {
-  struct mo_exclusion *exclusion = context;
-  struct mo_compute *compute = exclusion->jobs->compute;
-  struct mo_compute_stats stats;
   int error = mo_form_set_create(exclusion->workspace, &exclusion->forms);
-  mo_thread_tag = exclusion->first; /* a fault counts as that campaign's, even after it has left */
-  mo_compute_get_stats(compute, &stats);
-  mo_compute_settle(compute);
   for (uint32_t i = 0; i < exclusion->lineage.n_parts && error == MO_OK; i++) {
     const struct mo_lineage_part *part = &exclusion->lineage.parts[i];
     error = mo_pretraining_forms(part->seed, part->n_bodies, exclusion->workspace,
-                                 stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX,
-                                 &exclusion->cancel, &exclusion->n_drawn, exclusion->forms);
+                                 threads_of(exclusion), &exclusion->cancel, &exclusion->n_drawn,
+                                 exclusion->forms);
     if (error == MO_OK)
       end_part(exclusion, part->n_bodies);
+  }
+  if (error == MO_OK)
+    keep(exclusion);
+  return error;
+}
+
+static void *open_or_draw(void *context)
+{
+  struct mo_exclusion *exclusion = context;
+  mo_thread_tag = exclusion->first; /* a fault counts as that campaign's, even after it has left */
+  mo_compute_settle(exclusion->jobs->compute);
+  int error = open_file(exclusion, &exclusion->forms);
+  if (error != MO_OK) {
+    if (error != MO_ERR_NOT_FOUND)
+      warn(exclusion, error,
+           error == MO_ERR_CORRUPT
+               ? "the file of the bodies of the controller's pretraining is damaged: they are "
+                 "drawn again"
+               : "the file of the bodies of the controller's pretraining cannot be read: they are "
+                 "drawn again");
+    error = draw(exclusion);
   }
   end(exclusion, error);
   return NULL;
@@ -78,7 +187,7 @@ static void *draw(void *context)
 /* Starts the drawing. Without a thread, the campaigns that wait for it try again later. */
 static void begin(struct mo_exclusion *exclusion)
 {
-  exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw, exclusion) == 0;
+  exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, open_or_draw, exclusion) == 0;
   if (!exclusion->has_thread)
     end(exclusion, MO_ERR_NO_MEMORY);
 }
@@ -111,6 +220,7 @@ static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
                                    .status = DRAWING,
                                    .lineage = *lineage,
                                    .first = run->id,
+                                   .controller = run->status.job.controller_sha256,
                                    .drawer = run->id,
                                    .begin_us = mo_clock_us(),
                                    .next = jobs->exclusions};
@@ -182,6 +292,17 @@ static void show(struct mo_campaign_run *run, uint64_t done, uint64_t total, int
              (long long)drawer);
 }
 
+/* Adds an event of the progress once a second. A failure to write it means nothing. */
+static void report(struct mo_campaign_run *run, uint64_t done, uint64_t total)
+{
+  char text[256];
+  const char *progress = mo_campaign_progress(run, "preparing", done, total, text);
+  if (progress == NULL)
+    return;
+  (void)mo_store_campaign_progress(run->jobs->store, run->id, progress);
+  run->progress_us = mo_clock_us();
+}
+
 /* Waits for the end of the drawing, or for a request. */
 static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
@@ -203,6 +324,7 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
     const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
     show(run, done, exclusion->n_bodies, drawer,
          done > 0 ? passed_s / (double)done * (double)(exclusion->n_bodies - done) : -1);
+    report(run, done, exclusion->n_bodies);
     mo_runner_sleep(run->runner, ms, MO_REQUEST_PAUSE);
   }
 }

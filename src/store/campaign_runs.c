@@ -5,7 +5,7 @@
 #include "store/campaign_rows.h"
 #include "store/rows.h"
 
-/* ---- warnings ---- */
+/* ---- events ---- */
 
 struct fault_arguments {
   int64_t id;
@@ -30,6 +30,24 @@ int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const char *detail)
 {
   return mo_write(store, tell_fault, &(struct fault_arguments){id, sha256, field, detail});
+}
+
+struct progress_arguments {
+  int64_t id;
+  const char *data;
+};
+
+static int tell_progress(struct mo_store *store, void *arguments)
+{
+  const struct progress_arguments *call = arguments;
+  const int error = mo_run_touch(store, call->id);
+  return error == MO_OK ? mo_writer_event(store, call->id, "campaign.progress", "%s", call->data)
+                        : error;
+}
+
+int mo_store_campaign_progress(struct mo_store *store, int64_t id, const char *data)
+{
+  return mo_write(store, tell_progress, &(struct progress_arguments){id, data});
 }
 
 /* ---- the end ---- */

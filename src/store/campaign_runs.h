@@ -13,6 +13,9 @@ int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const struct mo_sha256 *sha256, const char *field,
                                     const char *detail);
 
+/* Adds the event "campaign.progress". data: its JSON. MO_ERR_CONFLICT as for trainings. */
+int mo_store_campaign_progress(struct mo_store *store, int64_t id, const char *data);
+
 /* The newest population in its order, for a campaign that resumes. Reading it returns
  * MO_ERR_NOT_FOUND when no generation is committed. */
 struct mo_campaign_state {

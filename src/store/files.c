@@ -75,7 +75,7 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
 const struct mo_file_operations mo_system_files = {open,   write,  fsync, close,
                                                    rename, unlink, mkdir, rmdir};
 
-static int write_error(void)
+int mo_file_error(void)
 {
   return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : open_error();
 }
@@ -93,10 +93,10 @@ static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *b
     if (n < 0 && errno == EINTR)
       continue;
     if (n < 0)
-      return write_error();
+      return mo_file_error();
     written += (size_t)n;
   }
-  return files->sync(fd) == 0 ? MO_OK : write_error();
+  return files->sync(fd) == 0 ? MO_OK : mo_file_error();
 }
 
 /* Returns whether a file has these bytes. */
@@ -118,11 +118,11 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
   if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;
   int fd = files->open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0600);
-  int error = fd < 0 ? write_error() : write_and_sync(store, fd, bytes, size);
+  int error = fd < 0 ? mo_file_error() : write_and_sync(store, fd, bytes, size);
   if (fd >= 0 && files->close(fd) != 0 && error == MO_OK)
-    error = write_error();
+    error = mo_file_error();
   if (error == MO_OK && files->rename(temporary, path) != 0)
-    error = write_error();
+    error = mo_file_error();
   if (error != MO_OK && fd >= 0)
     (void)files->unlink(temporary);
   free(temporary);
@@ -152,6 +152,6 @@ int mo_folder_sync(struct mo_store *store, const char *path)
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
   if (store->files->mkdir(path, 0700) != 0 && errno != EEXIST)
-    return write_error();
+    return mo_file_error();
   return mo_folder_sync(store, parent);
 }

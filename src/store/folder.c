@@ -17,7 +17,7 @@
 static const char *const file_names[] = {"lock",           "reserve",          "morphod.db",
                                          "morphod.db-wal", "morphod.db-shm",   "morphod.db-journal",
                                          "crash-marker",   "crash-marker.last"};
-static const char *const folder_names[] = {"controllers", "trainings", "campaigns"};
+static const char *const folder_names[] = {"controllers", "trainings", "campaigns", "excluded"};
 
 /* Checks the owner of a link, who decides where it leads. Links of root are allowed: systemd makes
  * one for StateDirectory=. */

@@ -2,6 +2,8 @@
 #ifndef MORPHO_STORE_FOLDER_H
 #define MORPHO_STORE_FOLDER_H
 
+#include <inttypes.h>
+
 #include "store/internal.h"
 
 /* Locks the state folder. The caller closes *file_fd in any case, unless it is −1. MO_ERR_BUSY:
@@ -19,6 +21,12 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
  * MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);
+/* Returns the error of errno, of a call that opened or changed a file. */
+int mo_file_error(void);
+/* Reads the name of a file in the folder "excluded": of which controller it is, and its key. */
+#define MO_EXCLUDED_NAME       "%s-%016" PRIx64 ".forms"
+#define MO_EXCLUDED_NAME_BYTES (MO_SHA256_DIGITS + 1 + 16 + 6 + 1)
+bool mo_excluded_name_read(const char *name, struct mo_sha256 *controller, uint64_t *key);
 /* MO_ERR_NO_MEMORY: the folder cannot be opened now; MO_ERR_IO is fatal to the store. */
 int mo_folder_sync(struct mo_store *store, const char *path);
 /* Makes a folder if it is missing and makes its name durable in any case. */

@@ -32,7 +32,8 @@ struct mo_operation {
 };
 
 struct mo_store {
-  char *path, *database_path, *controllers_path, *trainings_path, *campaigns_path, *reserve_path;
+  char *path, *database_path, *reserve_path;
+  char *controllers_path, *trainings_path, *campaigns_path, *excluded_path;
   const char *vfs;
   const struct mo_file_operations *files;
   bool must_exist;
@@ -64,12 +65,13 @@ struct mo_store {
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, next_reserve_us;
   int wal_frames, checkpoint_frames;
-  uint64_t max_recordings_bytes;                          /* 0: no limit */
+  uint64_t max_recordings_bytes, max_excluded_bytes;      /* 0: no limit; none is kept */
   int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: for good */
   int64_t last_upkeep_us;
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole;
 
+  pthread_mutex_t excluded_mutex;    /* of writing a file of excluded bodies */
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
                                         anything is written */
   /* Read lock: from the write of a file of weights to the commit of its row. Write lock: from the

@@ -275,6 +275,7 @@ static void free_store(struct mo_store *store)
   free(store->path);
   free(store->database_path);
   free(store->controllers_path);
+  free(store->excluded_path);
   free(store->trainings_path);
   free(store->campaigns_path);
   free(store->reserve_path);
@@ -294,6 +295,7 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .controllers_path = join(path, "controllers"),
       .trainings_path = join(path, "trainings"),
       .campaigns_path = join(path, "campaigns"),
+      .excluded_path = join(path, "excluded"),
       .reserve_path = join(path, "reserve"),
       .vfs = config->vfs,
       .files = config->files != NULL ? config->files : &mo_system_files,
@@ -316,13 +318,15 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .work = PTHREAD_COND_INITIALIZER,
       .checkpoint_frames =
           config->checkpoint_frames > 0 ? (int)config->checkpoint_frames : MO_CHECKPOINT_FRAMES,
+      .max_excluded_bytes = config->max_excluded_bytes,
+      .excluded_mutex = PTHREAD_MUTEX_INITIALIZER,
       .checkpoints_mutex = PTHREAD_MUTEX_INITIALIZER,
       .controllers_lock = PTHREAD_RWLOCK_INITIALIZER,
       .listeners_mutex = PTHREAD_MUTEX_INITIALIZER};
   store->readers = calloc(store->n_readers + 1, sizeof(*store->readers));
   if (store->database_path == NULL || store->controllers_path == NULL ||
       store->trainings_path == NULL || store->campaigns_path == NULL ||
-      store->reserve_path == NULL || store->readers == NULL) {
+      store->excluded_path == NULL || store->reserve_path == NULL || store->readers == NULL) {
     free_store(store);
     return NULL;
   }

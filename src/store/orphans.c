@@ -1,9 +1,9 @@
 /* orphans.c: files that no row refers to.
  *
  * Opening removes only what this program itself leaves behind: unfinished files, whose names
- * nothing else has, and checkpoints without rows of a job that the database knows. Any other file
- * may be the last copy of something, for example of a database that was replaced. It stays until
- * mo_store_clean. */
+ * nothing else has, checkpoints without rows of a job that the database knows, and the excluded
+ * bodies of controllers that are gone. Any other file may be the last copy of something, for
+ * example of a database that was replaced. It stays until mo_store_clean. */
 #include <errno.h>
 #include <fts.h>
 #include <stdio.h>
@@ -38,6 +38,7 @@ static bool is_of_form(const char *name, const char *format, int n, long long nu
 static int judge(struct mo_connection *connection, const char *name, int64_t *whose)
 {
   static const char weights_sql[] = "SELECT 2*EXISTS(SELECT 1 FROM controllers WHERE sha256=?1)";
+  static const char excluded_sql[] = "SELECT 1+EXISTS(SELECT 1 FROM controllers WHERE sha256=?1)";
   static const char training_sql[] =
       "SELECT max(2*EXISTS(SELECT 1 FROM checkpoints WHERE job=?1 AND step=?2),"
       "EXISTS(SELECT 1 FROM trainings WHERE job=?1))";
@@ -47,8 +48,15 @@ static int judge(struct mo_connection *connection, const char *name, int64_t *wh
   const char *file = strrchr(name, '/') + 1;
   const size_t digits = strspn(file, "0123456789abcdef");
   struct mo_sha256 sha256;
+  uint64_t key;
   long long numbers[3];
   *whose = is_of_form(file, ".tmp-%lld", 1, numbers) ? LEFT_OVER : UNKNOWN;
+  if (*whose == UNKNOWN && strncmp(name, "excluded/", 9) == 0 &&
+      mo_excluded_name_read(file, &sha256, &key)) {
+    *whose = NAMED; /* it can be made again: it is no sign of a database that is missing */
+    return connection == NULL ? MO_OK
+                              : mo_sql_find(connection, whose, excluded_sql, mo_hash(&sha256));
+  }
   if (*whose == LEFT_OVER || connection == NULL)
     return MO_OK;
   if (is_of_form(name, "trainings/%lld/%lld.checkpoint", 2, numbers))
@@ -79,7 +87,7 @@ static int visit(struct mo_store *store, const struct round *round, const FTSENT
 static int walk(struct mo_store *store, const struct round *round)
 {
   char *const folders[] = {store->controllers_path, store->trainings_path, store->campaigns_path,
-                           NULL};
+                           store->excluded_path, NULL};
   FTS *tree = fts_open(folders, FTS_PHYSICAL | FTS_NOCHDIR, NULL);
   int error = tree != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   const FTSENT *entry;

@@ -43,6 +43,7 @@ struct mo_store_config {
   uint32_t checkpoint_frames; /* the log is copied into the database after so many pages; 0: 2000 */
   uint64_t max_recordings_bytes; /* beyond it recordings of evaluations that have ended are removed,
                                     the oldest first; 0: no limit */
+  uint64_t max_excluded_bytes;   /* of all files of excluded bodies (excluded.h); 0: none is kept */
   int64_t keep_jobs_s[MO_JOB_KINDS]; /* after their end; 0: for good */
   int64_t keep_recordings_s;         /* after the end of their evaluation; 0: for good */
   bool must_exist;                   /* MO_ERR_NOT_FOUND where there is no database yet */

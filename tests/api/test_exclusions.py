@@ -2,10 +2,14 @@
 are told of."""
 
 import json
+import re
+import signal
 import struct
+import subprocess
 import time
 
-from service import BOOTSTRAP, awaited, run
+from ctl import MORPHOCTL
+from service import BOOTSTRAP, await_end, awaited, run, until
 
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 SMALL = {
@@ -83,3 +87,62 @@ def test_a_drawing_is_told_and_handed_over(start):
         assert service.act(id, "cancel").status == 200
         awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["phase"] == "idle")
     assert time.monotonic() - begun < 10
+
+
+def pieces(events, kind):
+    return [event["data"] for event in events if event["type"] == kind]
+
+
+def test_the_first_campaign_shows_how_far_it_is(start):
+    """By events once a second, and by morphoctl without a terminal."""
+    service = start()
+    put(service, "long", **pretrained(200000))
+    id = submit(service, controller="long", workspace=[3, 3, 2])
+
+    def reported():
+        items = service.get(f"/v1/events?format=json&job={id}&after=0&limit=100")["items"]
+        return pieces(items, "campaign.progress")
+
+    until(lambda: len(reported()) >= 2)
+    for data in reported():
+        assert data["phase"] == "preparing" and data["generation"] == 0
+        assert data["total"] == 1024 * 200000
+    assert 0 < reported()[0]["done"] < reported()[1]["done"]
+    watched = subprocess.Popen([MORPHOCTL, "campaign", "watch", id], stdout=subprocess.PIPE,
+                               text=True, env={"MORPHOD_SERVER": service.addresses[0]})
+    try:
+        for line in watched.stdout:
+            if "preparing" in line:
+                break
+    finally:
+        watched.kill()
+        watched.communicate()
+    assert re.search(r"preparing [\d,]+ of 204,800,000 bodies of the pretraining  \S.* until they "
+                     r"are drawn", line), line
+    assert service.act(id, "cancel").status == 200
+
+
+def test_the_bodies_are_drawn_once(start, tmp_path):
+    """The second campaign finds them in the state folder, and has the bits of the first one, which
+    was killed while it made the file."""
+    state = tmp_path / "state"
+    service = start(state=str(state))
+    put(service, "once", **pretrained(300))
+    id = submit(service, controller="once", seed=5)
+    for _ in range(2):
+        until(lambda: any((state / "excluded").glob("*")), every=0.0002)
+        service.stop(signal.SIGKILL)
+        service = start(state=str(state))
+        assert not list((state / "excluded").glob(".tmp*"))
+    first = await_end(service, f"/v1/campaigns/{id}", 300).json()
+    assert first["state"] == "succeeded", first
+    made, = (state / "excluded").glob("*.forms")
+    inode = made.stat().st_ino
+    assert made.stat().st_size < 300 * 1024 * 22
+    begun = time.monotonic()
+    again = run(service, "campaigns", SMALL | {"controller": "once", "seed": 5})
+    print(f"{time.monotonic() - begun:.2f} s")
+    assert made.stat().st_ino == inode
+    one, other = (service.get(f"/v1/campaigns/{number}/phylogeny?limit=100")
+                  for number in (id, again["id"]))
+    assert len(one["items"]) == 16 and one["items"] == other["items"]

@@ -1,5 +1,10 @@
 /* campaign-excluded.c: the bodies that a campaign's controller was pretrained on: found by its
  * lineage, drawn again, left out. */
+#include <dirent.h>
+#include <fcntl.h>
+#include <limits.h>
+#include <sys/stat.h>
+
 #include "fakes.h"
 
 /* ---- controllers ---- */
@@ -427,6 +432,165 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
   CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */
 }
 
+/* ---- kept in a file ---- */
+
+/* A file of the folder "excluded", the only one; n: how many there are. */
+static struct stat only_file(int *n, char path[PATH_MAX])
+{
+  struct stat status = {.st_ino = 0};
+  char folder[PATH_MAX - 256];
+  snprintf(folder, sizeof(folder), "%s/excluded", fixture.path);
+  DIR *names = opendir(folder);
+  const struct dirent *name;
+  *n = 0;
+  while (names != NULL && (name = readdir(names)) != NULL)
+    if (name->d_name[0] != '.' || name->d_name[1] == 't') {
+      snprintf(path, PATH_MAX, "%s/%s", folder, name->d_name);
+      CHECK(stat(path, &status) == 0);
+      ++*n;
+    }
+  if (names != NULL)
+    closedir(names);
+  return status;
+}
+
+#define KEPT_STEPS "40"
+
+static void start_kept(uint64_t most, struct mo_campaign_request *request, struct origin *origin)
+{
+  service.max_excluded_bytes = most;
+  REQUIRE_OK(service_reopen());
+  put_family(KEPT_STEPS);
+  *request = campaign(MO_ZERO_SHOT);
+  request->controller = "tuned";
+  request->record.settings.workspace = (struct mo_workspace){3, 3, 2};
+  *origin = origin_of(request);
+}
+
+/* Drawn once; then found, also after a restart and by another controller of the same lineage. A
+ * damaged file is drawn again, and the log says so. */
+SERVICE_CASE(keeps_what_was_drawn, 2)
+{
+  static const struct timespec long_ago[2] = {{.tv_sec = 1000}, {.tv_sec = 1000}};
+  struct mo_campaign_request request;
+  struct origin origin;
+  char path[PATH_MAX];
+  int n;
+  start_kept(1 << 20, &request, &origin);
+  struct mo_form_set *excluded = forms_of(request.record.settings.workspace, 40);
+  origin.excluded = excluded;
+  const int64_t first = submit_campaign(&request), second = submit_campaign(&request);
+  CHECK(ends_as_plain(first, &origin) && ends_as_plain(second, &origin));
+  (void)idle_stats();
+  const struct stat made = only_file(&n, path);
+  CHECK_INT(n, 1);
+  for (int life = 0; life < 3; life++) {
+    CHECK(utimensat(AT_FDCWD, path, long_ago, 0) == 0);
+    if (life == 1)
+      CHECK_OK(service_reopen());
+    if (life == 2)
+      request.controller = "pretrained";
+    CHECK(ends_as_plain(submit_campaign(&request), &origin));
+    (void)idle_stats();
+    const struct stat used = only_file(&n, path);
+    CHECK(n == 1 && used.st_ino == made.st_ino && used.st_mtime > 1000); /* opened, not made */
+  }
+  CHECK_INT(warnings, 0);
+  for (off_t size = made.st_size; size >= 0; size -= made.st_size / 2) {
+    const int fd = open(path, O_RDWR);
+    CHECK(pwrite(fd, "damage", 6, 20) == 6 && ftruncate(fd, size) == 0);
+    close(fd);
+    CHECK(ends_as_plain(submit_campaign(&request), &origin));
+    (void)idle_stats();
+    CHECK_INT(warnings, 1);
+    CHECK(has_warned("damaged: they are drawn again"));
+    warnings = 0;
+    CHECK(ends_as_plain(submit_campaign(&request), &origin));
+    (void)idle_stats();
+    CHECK_INT(warnings, 0);
+    CHECK_INT(only_file(&n, path).st_size, made.st_size);
+    CHECK_INT(n, 1);
+  }
+  mo_form_set_free(excluded);
+}
+
+/* Files beyond the budget go, the one that was not used for longest first; a set above it is not
+ * kept, and the log says so. */
+SERVICE_CASE(keeps_to_a_budget, 1)
+{
+  struct mo_campaign_request request;
+  struct origin origin;
+  char path[PATH_MAX];
+  int n;
+  start_kept(1 << 20, &request, &origin);
+  CHECK(submit_campaign(&request) > 0);
+  (void)idle_stats();
+  const struct stat first = only_file(&n, path);
+  const uint64_t one = (uint64_t)first.st_size;
+  struct stat status;
+  char other[PATH_MAX];
+  CHECK_INT(n, 1);
+  service.max_excluded_bytes = 2 * one + one / 2;
+  CHECK_OK(service_reopen());
+  for (int i = 0; i < 4; i++) {
+    static const char *const steps[] = {"41", KEPT_STEPS, "42", "43"};
+    put_family(steps[i]);
+    CHECK(succeeds(submit_campaign(&request), NULL));
+    (void)idle_stats();
+    (void)only_file(&n, other);
+    CHECK_INT(n, 2);
+    CHECK_INT(stat(path, &status) == 0 && status.st_ino == first.st_ino, i < 3);
+  }
+  CHECK_INT(warnings, 0);
+  for (int life = 0; life < 2; life++) { /* above the budget; then none is kept */
+    service.max_excluded_bytes = life == 0 ? one / 2 : 0;
+    CHECK_OK(service_reopen());
+    CHECK(succeeds(submit_campaign(&request), NULL));
+    (void)idle_stats();
+    (void)only_file(&n, path);
+    CHECK_INT(n, 0);
+    CHECK_INT(warnings, 1);
+    CHECK(has_warned("max_excluded"));
+  }
+}
+
+/* A file goes with its controller; so does what a killed process left. A folder that cannot be
+ * written only means that nothing is kept. */
+SERVICE_CASE(gives_files_up, 1)
+{
+  struct mo_campaign_request request;
+  struct origin origin;
+  char path[PATH_MAX], left[PATH_MAX];
+  int n;
+  start_kept(1 << 20, &request, &origin);
+  request.controller = "pretrained";
+  CHECK(succeeds(submit_campaign(&request), NULL));
+  (void)idle_stats();
+  (void)only_file(&n, path);
+  snprintf(left, sizeof(left), "%.*s/.tmp-7", (int)(strrchr(path, '/') - path), path);
+  close(open(left, O_WRONLY | O_CREAT, 0600));
+  CHECK_OK(service_reopen());
+  (void)only_file(&n, path);
+  CHECK_INT(n, 1);
+  CHECK_INT(mo_store_orphans(store)->n, 0);
+  service_close();
+  rename(path, left); /* as of a controller that was deleted */
+  char *digits = strrchr(path, '/') + 1;
+  memset(digits, digits[0] == 'a' ? 'b' : 'a', 4);
+  rename(left, path);
+  CHECK_OK(service_open());
+  (void)only_file(&n, path);
+  CHECK_INT(n, 0);
+  snprintf(left, sizeof(left), "%s/excluded", fixture.path);
+  CHECK(rmdir(left) == 0);
+  close(open(left, O_WRONLY | O_CREAT, 0600)); /* no folder can be made there */
+  request.controller = "tuned";
+  CHECK(succeeds(submit_campaign(&request), NULL));
+  (void)idle_stats();
+  CHECK(has_warned("cannot be kept in the state folder"));
+  unlink(left);
+}
+
 static const struct check_case cases[] = {
     {"hands the drawing over", hands_the_drawing_over},
     {"draws for nobody", draws_for_nobody},
@@ -436,6 +600,9 @@ static const struct check_case cases[] = {
     {"reports what cannot be read", reports_what_cannot_be_read},
     {"reports long lineages", reports_long_lineages},
     {"leaves out what can be read", leaves_out_what_can_be_read},
+    {"keeps what was drawn", keeps_what_was_drawn},
+    {"keeps to a budget", keeps_to_a_budget},
+    {"gives files up", gives_files_up},
 #endif
 };
 CHECK_MAIN(cases)

@@ -20,6 +20,7 @@ static struct {
   const char *vfs;
   const struct mo_file_operations *files;
   uint32_t n_workers; /* 0: 2 */
+  uint64_t max_excluded_bytes;
 } service;
 
 /* Waits up to END_S seconds for a condition, evaluated every half millisecond. Its value is that of
@@ -65,7 +66,10 @@ static inline int service_open(void)
   const struct mo_compute_config config = {
       .n_workers = service.n_workers > 0 ? service.n_workers : 2, .isa = mo_isa_best()};
   struct mo_controller_record record;
-  int error = reopen_with((struct mo_store_config){.vfs = service.vfs, .files = service.files});
+  int error =
+      reopen_with((struct mo_store_config){.vfs = service.vfs,
+                                           .files = service.files,
+                                           .max_excluded_bytes = service.max_excluded_bytes});
   if (error == MO_OK && mo_store_controller(store, "default", &record) == MO_ERR_NOT_FOUND)
     error = put_weights("default", 1, NULL);
   if (error == MO_OK)
