@@ -48,6 +48,8 @@ static int write_checkpoint(void *context)
   if (error == MO_OK) {
     run->steps_saved = run->step;
     run->checkpoint_us = mo_clock_us();
+    run->status.job.attempts = 0;
+    mo_memory_prove(run->jobs, run->id);
   }
   return error;
 }
@@ -118,8 +120,8 @@ static int tell(struct mo_campaign_run *run)
 
 static bool checkpoint_is_due(const struct mo_campaign_run *run)
 {
-  const uint32_t every_s = run->status.record.checkpoint_every_s;
-  return every_s > 0 && mo_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
+  return mo_checkpoint_is_due(&run->status.job, run->checkpoint_us,
+                              run->status.record.checkpoint_every_s);
 }
 
 static int write_what_is_due(void *context)

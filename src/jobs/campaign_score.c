@@ -182,6 +182,7 @@ int mo_campaign_save_losses(void *context)
                                                                      run->n_scored, progress);
     error = mo_runner_persist(run->runner, write_losses, &save, "the scores of a generation");
     if (error == MO_OK) {
+      mo_memory_prove(run->jobs, run->id);
       run->n_unsaved -= save.n;
       memmove(run->unsaved, run->unsaved + save.n, run->n_unsaved * sizeof(*run->unsaved));
       if (save.progress != NULL)

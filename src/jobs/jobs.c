@@ -105,7 +105,7 @@ static int blame(struct mo_jobs *jobs, int64_t *crashed)
 
 static int recover(struct mo_jobs *jobs, const char *marker)
 {
-  char text[128];
+  char text[192];
   int64_t crashed;
   int signal_number;
   int error;
@@ -115,8 +115,9 @@ static int recover(struct mo_jobs *jobs, const char *marker)
            sigdescr_np(signal_number) != NULL ? sigdescr_np(signal_number) : "unknown");
   if (crashed == 0 && jobs->config.killed_us > 0) {
     snprintf(text, sizeof(text),
-             "the process was killed while it ran this job, which had saved nothing: it may need "
-             "more memory than there is");
+             "the process was killed while it ran this job, before the job had saved a generation, "
+             "a checkpoint, or more than a second of scores: it may need more memory than there "
+             "is");
     error = blame(jobs, &crashed);
     if (error != MO_OK)
       return error;

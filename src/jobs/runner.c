@@ -19,6 +19,8 @@
 #include "jobs/state.h"
 #include "jobs/submission.h"
 
+#define EARLY_US INT64_C(2000000)
+
 /* ---- requests ---- */
 
 struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id)
@@ -96,6 +98,15 @@ const char *mo_figure(double value, char text[32])
 {
   snprintf(text, 32, isfinite(value) ? "%.9g" : "null", value);
   return text;
+}
+
+/* ---- checkpoints ---- */
+
+bool mo_checkpoint_is_due(const struct mo_job *job, int64_t since_us, uint32_t every_s)
+{
+  const int64_t passed_us = mo_clock_us() - since_us;
+  return (every_s > 0 && passed_us >= (int64_t)every_s * 1000000) ||
+         (job->attempts > 0 && passed_us >= EARLY_US);
 }
 
 /* ---- errors ---- */

@@ -106,6 +106,10 @@ const char *mo_figure(double value, char text[32]);
 #define MO_FIGURE(value) mo_figure((value), (char[32]){0})
 
 /* ---- runner.c: attempts ---- */
+/* Returns whether the time has come to save a checkpoint of learning. since_us: of the last one, or
+ * of the start; every_s: as the job's settings say, 0: never by time. A job that counts attempts
+ * saves its first one soon, so that a healthy job goes on however often the process is killed. */
+bool mo_checkpoint_is_due(const struct mo_job *job, int64_t since_us, uint32_t every_s);
 /* Stores the text for an error, and returns the error. */
 int mo_runner_fail(struct mo_runner *runner, int error, const char *text);
 /* Does the same for a job that the store could not read. */

@@ -104,6 +104,7 @@ static int write_checkpoint(void *context)
   if (error == MO_OK) {
     run->checkpoint_step = step;
     run->checkpoint_us = mo_clock_us();
+    run->status.job.attempts = 0;
     atomic_fetch_add(&run->jobs->training_checkpoints, 1);
     mo_memory_prove(run->jobs, run->id);
   }
@@ -252,8 +253,7 @@ static bool checkpoint_is_due(const struct run *run)
   if (here == run->checkpoint_step || here == 0)
     return false;
   return (record->checkpoint_every_steps > 0 && here % record->checkpoint_every_steps == 0) ||
-         (record->checkpoint_every_s > 0 &&
-          mo_clock_us() - run->checkpoint_us >= (int64_t)record->checkpoint_every_s * 1000000);
+         mo_checkpoint_is_due(&run->status.job, run->checkpoint_us, record->checkpoint_every_s);
 }
 
 /* Writes what is due of the steps applied so far. */

@@ -148,8 +148,11 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
 {
   static const char sql[] =
       "SELECT count(*),count(idle),coalesce(max(idle),0) FROM (SELECT iif("
-      "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND j.kind=1 AND stored_us>?1) OR "
-      "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1),NULL,j.id) idle"
+      "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND stored_us>?1) OR "
+      "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1) OR "
+      /* Losses have no time of their own; this event is committed with some. */
+      "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='campaign.progress'"
+      " AND data LIKE '%\"phase\":\"scoring\"%'),NULL,j.id) idle"
       " FROM jobs j WHERE j.state=1 AND j.kind<>0)";
   int64_t found[3] = {0, 0, 0};
   const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(since_us)), 3, found);

@@ -32,8 +32,9 @@ int mo_store_set_weight(struct mo_store *store, int64_t id, double weight);
 /* ---- start ---- */
 
 /* Finds the trainings and campaigns that ran when the last process ended. *n: their number;
- * *n_idle: those that have saved neither checkpoint nor generation after `since_us`; *id: the
- * newest of these, or 0. Call it before mo_store_requeue. */
+ * *n_idle: those that have saved neither checkpoint nor generation nor, more than a second after
+ * they began, losses after `since_us`; *id: the newest of these, or 0. Call it before
+ * mo_store_requeue. */
 int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint32_t *n_idle,
                      uint32_t *n);
 /* Queues all running jobs again. `crashed` (0: none), the job that the crash marker named, gets one

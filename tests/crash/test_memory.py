@@ -166,3 +166,29 @@ def test_killed_again_and_again(daemon):
     now = one.json(path)
     assert now["attempts"] == 0 and now["state"] in ("queued", "running")
     one.stop()
+
+
+@pytest.mark.parametrize("kind, request_of, done", [
+    ("campaigns", {"mode": "zero-shot", "preset": "workstation", "exclude_pretraining": False},
+     lambda now: now["progress"]["done"]),
+    ("trainings", {"kind": "pretrain", "preset": "phototaxis", "batch": 8,
+                   "physics": {"n_steps": 100}}, lambda now: now["progress"]["step"])])
+def test_kills_of_a_healthy_job(daemon, kind, request_of, done):
+    """Killed six times within the first generation, or before the first checkpoint is due, a job
+    goes on from what it has saved: it does not fail."""
+    one = daemon("one", workers=1).start()
+    job = one.submit(request_of, kind)
+    path = f"/v1/{kind}/{job}"
+    reached = 0
+    for _ in range(6):
+        begin = time.monotonic()
+        one.awaited(path, lambda now: now["state"] == "running" and done(now) > reached and
+                    time.monotonic() - begin > 4)
+        one.kill()
+        one.start()
+        now = one.json(path)
+        assert now["state"] in ("queued", "running") and now["attempts"] <= 1, now
+        reached = done(one.awaited(path, lambda now: now["phase"] in ("learning", "scoring")))
+    assert reached > 0
+    one.act(job, "cancel")
+    one.stop()

@@ -92,7 +92,7 @@ SERVICE_CASE(finds_who_has_it_killed, 2)
     CHECK_INT(job.attempts, attempts);
   }
   CHECK_INT(job.state, MO_JOB_FAILED);
-  CHECK_HAS(job.error_text, "killed while it ran this job, which had saved nothing");
+  CHECK_HAS(job.error_text, "killed while it ran this job, before the job had saved");
   /* Of two nobody knows which it was: they run one after the other, until the first has saved
    * something. */
   id = submit_one(TRAINING);
@@ -134,10 +134,58 @@ SERVICE_CASE(blames_who_has_saved_nothing, 2)
   CHECK_OK(mo_jobs_cancel(service.jobs, proven));
 }
 
+/* Scores that were saved since the process began count, though no generation is complete. */
+SERVICE_CASE(counts_scores_as_work, 2)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  request.record.settings.population = 2000;
+  fake_plan.delay_us = 5000;
+  const int64_t id = submit_campaign(&request);
+  for (int kill = 0; kill < 4; kill++) {
+    const int before = count_events(id, "campaign.progress");
+    REQUIRE(AWAIT(count_events(id, "campaign.progress") > before));
+    CHECK_INT(count_events(id, "campaign.generation"), 0);
+    service.config.killed_us = mo_clock_wall_us();
+    REQUIRE(AWAIT(count_events(id, "campaign.progress") > before + 1));
+    service_close();
+    service_set_states(id, 0, MO_JOB_RUNNING);
+    REQUIRE_OK(service_open());
+    CHECK_INT(job_of(id).attempts, 0);
+  }
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
+}
+
+/* After a kill that counts, a training saves its first checkpoint early, whatever its settings. */
+SERVICE_CASE(saves_early_after_a_kill, 1)
+{
+  struct mo_training_request request = pretraining("");
+  struct mo_checkpoint_row row;
+  request.record.settings.n_steps = 100000;
+  request.record.checkpoint_every_steps = 0;
+  request.record.checkpoint_every_s = 3600;
+  fake_plan.gradient_delay_us = 60000000;
+  const int64_t id = submit_training(&request);
+  REQUIRE(await_state(id, MO_JOB_RUNNING));
+  REQUIRE_OK(kill_with(id, 0));
+  CHECK_INT(job_of(id).attempts, 1);
+  fake_plan.gradient_delay_us = 20000;
+  const double begin = now_s();
+  REQUIRE(AWAIT(mo_store_checkpoints(store, id, &row, 1) > 0));
+  CHECK(now_s() - begin > 1);
+  CHECK_INT(job_of(id).attempts, 0);
+  const uint32_t step = row.step;
+  REQUIRE(await_step(id, step + 200)); /* 4 s: the next one comes as the settings say */
+  REQUIRE(mo_store_checkpoints(store, id, &row, 1) > 0);
+  CHECK_INT(row.step, step);
+  CHECK_OK(mo_jobs_cancel(service.jobs, id));
+}
+
 static const struct check_case cases[] = {
     {"refuses what never fits", refuses_what_never_fits},
     {"waits beside others", waits_beside_others},
     {"finds who has it killed", finds_who_has_it_killed},
     {"blames who has saved nothing", blames_who_has_saved_nothing},
+    {"counts scores as work", counts_scores_as_work},
+    {"saves early after a kill", saves_early_after_a_kill},
 };
 CHECK_MAIN(cases)
