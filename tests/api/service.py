@@ -24,6 +24,9 @@ BINARY = os.environ.get("MORPHOD", str(SOURCE / "build" / "src" / "daemon" / "mo
 BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
 DESIGN = {"cells": [[2, 2, 0], [3, 2, 0], [2, 3, 0], [2, 2, 1]]}
 SHORT = {"n_steps": 20}  # physics of evaluations that need no long life
+# Waits end with their condition. The limit says when a test gives up: on a slow machine with other
+# work, too, so it is far above what a wait takes.
+PATIENCE_S = 300
 
 
 class Reply:
