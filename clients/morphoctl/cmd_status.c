@@ -28,6 +28,7 @@ void run_status(struct ctl *ctl)
   static const struct fact facts[] = {
       {"version", "{health.version}"},
       {"ready", "{word}[: {why:.150}]"},
+      {"notice", "{health.notice}"},
       {"workers", "{workers.n_busy} of {workers.n_threads} busy"},
       {"waiting", "{workers.queued_interactive:,} interactive and {workers.queued_batch:,} batch "
                   "blocks"},

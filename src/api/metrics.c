@@ -248,6 +248,10 @@ static void write_store(struct mo_api *api, struct mo_text *text)
           "Evaluations whose recordings were removed since the start.");
   COUNTER("morphod_recordings_removed_bytes_total", s.recordings_removed_bytes,
           "Size of the recordings removed since the start.");
+  COUNTER("morphod_jobs_expired_total", s.jobs_expired, "Jobs deleted by age since the start.");
+  GAUGE(
+      "morphod_clock_ahead_seconds", (double)s.clock_ahead_us * 1e-6,
+      "How far the clock is ahead of what is credible, so that nothing is deleted by age; else 0.");
   GAUGE("morphod_store_no_space", s.no_space, "1 while the disk is full.");
 }
 

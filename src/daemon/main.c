@@ -197,6 +197,7 @@ static int run(struct process *process, const sigset_t *set)
     if (number == SIGHUP)
       reload(process);
     look_after(process, &alive);
+    service_report_expiry(process->service);
     if (rounds++ % 10 == 0) {
       char text[160];
       service_describe(process->service, text, sizeof(text));

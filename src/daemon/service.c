@@ -52,6 +52,8 @@ struct service {
   char *last_marker; /* of the process before, if it crashed; else NULL */
   int64_t killed_us; /* when the process before began, if it was killed; else 0 */
   void (*fatal)(void *context, const char *what);
+  uint64_t jobs_expired; /* that were logged */
+  bool clock_doubted;    /* logged */
 };
 
 /* ---- parts ---- */
@@ -578,6 +580,22 @@ bool service_is_alive(struct service *service, int64_t limit_us, const char **wh
          : fleet.heartbeat_us < oldest_allowed ? "fleet"
                                                : NULL;
   return *who == NULL;
+}
+
+void service_report_expiry(struct service *service)
+{
+  struct mo_store_stats store;
+  mo_store_get_stats(service->store, &store);
+  if (store.jobs_expired > service->jobs_expired)
+    log_info("jobs were deleted because of their age",
+             LOG_INT("jobs", (int64_t)(store.jobs_expired - service->jobs_expired)));
+  if (store.clock_ahead_us > 0 && !service->clock_doubted)
+    log_warning(
+        "the clock is not credible, and nothing is deleted by age: set the clock, or confirm "
+        "it with `morphod store accept-clock`",
+        LOG_REAL("days_ahead", (double)store.clock_ahead_us / 86400e6));
+  service->jobs_expired = store.jobs_expired;
+  service->clock_doubted = store.clock_ahead_us > 0;
 }
 
 void service_describe(struct service *service, char *text, size_t capacity)

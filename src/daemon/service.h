@@ -58,6 +58,9 @@ bool service_is_alive(struct service *service, int64_t limit_us, const char **wh
 /* Parks running jobs, answers waiting requests, and closes everything. */
 void service_stop(struct service *service);
 
+/* Logs how many jobs were deleted by age since the last call, and that the clock is not credible.
+ */
+void service_report_expiry(struct service *service);
 /* Writes a short summary of the activity, for STATUS= and the log. */
 void service_describe(struct service *service, char *text, size_t capacity);
 

@@ -398,6 +398,7 @@ void settings_print_help(FILE *file)
         "       morphod store clean [--yes] [FLAG]...      removes files that nothing refers to\n"
         "       morphod store check [--sample=N] [FLAG]... reads all that is stored and checks it; "
         "see morphod(8)\n"
+        "       morphod store accept-clock [FLAG]...       confirms that the clock is right\n"
         "       morphod worker --server URL [FLAG]...      computes for the daemon of another "
         "machine; "
         "see its --help\n"

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -163,8 +164,20 @@ static int clean(struct mo_store *store, bool yes)
 
 /* ---- the command ---- */
 
+static int accept_clock(struct mo_store *store)
+{
+  char text[32];
+  const time_t now = (time_t)(mo_clock_wall_us() / 1000000);
+  struct tm utc;
+  const int error = mo_store_accept_clock(store);
+  if (error == MO_OK && gmtime_r(&now, &utc) != NULL &&
+      strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &utc) > 0)
+    printf("%s UTC is taken as the time. At the next start jobs are deleted by age again.\n", text);
+  return error;
+}
+
 struct command {
-  bool checks, yes; /* check; otherwise clean */
+  bool checks, accepts_clock, yes; /* check; accept-clock; otherwise clean */
   size_t n_sample;
 };
 
@@ -176,8 +189,9 @@ static int run(const char *state_dir, const struct command *command)
   umask(077);
   int error = mo_store_open(&config, &store, &message);
   if (error == MO_OK)
-    error =
-        command->checks ? check(store, command->n_sample, &message) : clean(store, command->yes);
+    error = command->checks          ? check(store, command->n_sample, &message)
+            : command->accepts_clock ? accept_clock(store)
+                                     : clean(store, command->yes);
   mo_store_close(store);
   if (error == MO_OK)
     return EXIT_OK;
@@ -200,9 +214,10 @@ int store_command(int argc, const char *const *argv)
   struct settings_faults faults = {0};
   const char **flags = enough(calloc((size_t)argc, sizeof(*flags)));
   const bool is_clean = argc > 2 && strcmp(argv[2], "clean") == 0,
-             is_check = argc > 2 && strcmp(argv[2], "check") == 0;
-  struct command command = {.checks = is_check, .n_sample = SAMPLE};
-  bool is_wrong = !is_clean && !is_check;
+             is_check = argc > 2 && strcmp(argv[2], "check") == 0,
+             is_clock = argc > 2 && strcmp(argv[2], "accept-clock") == 0;
+  struct command command = {.checks = is_check, .accepts_clock = is_clock, .n_sample = SAMPLE};
+  bool is_wrong = !is_clean && !is_check && !is_clock;
   int n = 0;
   settings_init(&settings);
   for (int i = is_wrong ? 1 : 2; i < argc; i++) /* flags[0] is the program's name */
@@ -220,7 +235,8 @@ int store_command(int argc, const char *const *argv)
     settings_print_help(stdout);
   } else if (is_wrong || request.usage_fault || request.action != ACTION_RUN) {
     fputs("Usage: morphod store clean [--yes] [FLAG]...\n"
-          "       morphod store check [--sample=N] [FLAG]...; see --help\n",
+          "       morphod store check [--sample=N] [FLAG]...\n"
+          "       morphod store accept-clock [FLAG]...; see --help\n",
           stderr);
     status = EXIT_USAGE;
   } else if (status == EXIT_OK) {

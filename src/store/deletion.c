@@ -11,11 +11,12 @@
 
 #include "base/clock.h"
 #include "store/checkpoint_files.h"
+#include "store/credible.h"
 #include "store/recordings.h"
 #include "store/runs.h"
 
 #define ROWS_MAX     1000                 /* in one transaction, about */
-#define EXPIRE_MAX   100                  /* jobs in one transaction */
+#define EXPIRE_MAX   100                  /* jobs and recordings at a look, one a minute */
 #define EXPIRE_BYTES (UINT64_C(64) << 20) /* of recordings; at least one job's */
 #define UPKEEP_US    INT64_C(60000000)
 
@@ -170,7 +171,7 @@ static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
   int error = MO_OK;
   sqlite3_stmt *row =
       mo_sql_rows(&store->writer, &error, sql, mo_int(kind),
-                  mo_int(mo_clock_wall_us() - store->keep_jobs_us[kind]), mo_int(EXPIRE_MAX));
+                  mo_int(mo_clock_wall_us() - store->keep_jobs_us[kind]), mo_int(store->aged_left));
   while (mo_sql_next(&store->writer, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
   uint64_t bytes = 0;
@@ -178,6 +179,7 @@ static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
     struct mark one = {.id = ids[i], .reason = "age"};
     error = mark(store, &one);
     bytes += one.deleted.recorded_bytes;
+    store->aged_left--;
     ++*n_marked;
   }
   return error;
@@ -186,10 +188,13 @@ static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
 static int expire(struct mo_store *store, void *arguments)
 {
   struct round *round = arguments;
-  int error = MO_OK;
+  bool has_rule = store->keep_recordings_us > 0;
   round->n = 0;
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    has_rule = has_rule || store->keep_jobs_us[kind] > 0;
+  int error = has_rule ? mo_clock_look(store) : MO_OK;
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
-    if (store->keep_jobs_us[kind] > 0)
+    if (store->keep_jobs_us[kind] > 0 && mo_clock_is_credible(store, store->keep_jobs_us[kind]))
       error = expire_kind(store, kind, &round->n);
   return error;
 }
@@ -202,8 +207,10 @@ static void done(void *arguments, int status)
   struct round *round = arguments;
   if (status == MO_OK && round->n > 0) {
     run(round->store, round->step);
-    if (round->step == expire)
+    if (round->step == expire) {
+      atomic_fetch_add(&round->store->jobs_expired, round->n);
       run(round->store, delete_some);
+    }
   }
   free(round);
 }
@@ -242,6 +249,7 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
 
 void mo_upkeep_begin(struct mo_store *store)
 {
+  store->aged_left = EXPIRE_MAX;
   run(store, delete_some);
   run(store, expire);
   mo_recordings_check(store);
@@ -253,6 +261,7 @@ void mo_upkeep(struct mo_store *store)
   if (now - store->last_upkeep_us < UPKEEP_US)
     return;
   store->last_upkeep_us = now;
+  store->aged_left = EXPIRE_MAX;
   run(store, delete_some);
   run(store, expire);
   if (store->keep_recordings_us > 0) /* else only what is recorded changes what must go */

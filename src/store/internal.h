@@ -67,10 +67,10 @@ struct mo_store {
   int wal_frames, checkpoint_frames;
   uint64_t max_recordings_bytes, max_excluded_bytes;      /* 0: no limit; none is kept */
   int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: for good */
-  int64_t last_upkeep_us;
+  int64_t last_upkeep_us, credible_us, credible_at_us, credible_kept_us; /* credible.c */
+  unsigned aged_left; /* jobs and recordings that may still go by age, until the next upkeep */
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole;
-
   pthread_mutex_t excluded_mutex;    /* of writing a file of excluded bodies */
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
                                         anything is written */
@@ -89,8 +89,8 @@ struct mo_store {
   void *used_context;
 
   atomic_uint_fast64_t commits, operations, operations_failed, queued, commit_ns;
-  atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us;
-  atomic_uint_fast64_t recorded_bytes, recordings_removed, recordings_removed_bytes;
+  atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us, clock_ahead_us;
+  atomic_uint_fast64_t recorded_bytes, recordings_removed, recordings_removed_bytes, jobs_expired;
   atomic_bool no_space, is_fatal;
   atomic_bool is_short; /* part of the reserve is in use: only urgent operations may write */
   atomic_uint file_counter;

@@ -11,6 +11,7 @@
 #include <stdlib.h>
 
 #include "base/clock.h"
+#include "store/credible.h"
 #include "store/runs.h"
 
 static uint64_t bytes_of(const struct mo_saved_trajectory *trajectory, unsigned channels)
@@ -150,11 +151,14 @@ static int remove_oldest(struct mo_store *store, void *arguments)
     return error;
   atomic_store(&store->recorded_bytes, (uint64_t)sum);
   const bool are_many = mo_recordings_are_many(store);
-  if (!are_many && store->keep_recordings_us == 0)
+  if (!are_many && (store->keep_recordings_us == 0 || store->aged_left == 0 ||
+                    !mo_clock_is_credible(store, store->keep_recordings_us)))
     return MO_OK;
   error = are_many ? mo_sql_find(&store->writer, &removal->job, oldest_sql)
                    : mo_sql_find(&store->writer, &removal->job, aged_sql,
                                  mo_int(mo_clock_wall_us() - store->keep_recordings_us));
+  if (error == MO_OK && !are_many)
+    store->aged_left--;
   if (error == MO_OK)
     error = remove_of(store, removal->job, are_many ? "budget" : "age", &removal->bytes);
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;

@@ -82,21 +82,24 @@ const struct mo_orphans *mo_store_orphans(const struct mo_store *store);
  * NULL: removes all of them. No other call may use the store meanwhile. */
 int mo_store_clean(struct mo_store *store,
                    void (*tell)(void *context, const char *name, uint64_t bytes), void *context);
+/* Confirms that the wall clock is right, though the service may have been off for long. */
+int mo_store_accept_clock(struct mo_store *store);
 /* Random, chosen when the database was made: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
 /* How often the store was opened: no other opening has this number. */
 uint64_t mo_store_epoch(const struct mo_store *store);
 
 struct mo_store_stats {
-  uint64_t commits, operations,
-      operations_failed; /* operations / commits: the mean size of a batch */
-  uint64_t queued;       /* operations waiting for the writer */
-  double commit_s;       /* sum of the time spent in COMMIT */
+  uint64_t commits, operations, operations_failed; /* operations / commits: mean size of a batch */
+  uint64_t queued;                                 /* operations waiting for the writer */
+  double commit_s;                                 /* sum of the time spent in COMMIT */
   int64_t database_bytes, wal_bytes;
   uint64_t recorded_bytes;                               /* of all recordings */
   uint64_t recordings_removed, recordings_removed_bytes; /* evaluations, since the opening */
-  int64_t heartbeat_us; /* monotonic clock: the writer's last round (at least one per second) */
-  bool no_space;        /* the last write failed for lack of space */
+  uint64_t jobs_expired;                                 /* deleted by age, since the opening */
+  int64_t clock_ahead_us; /* > 0: too far to be credible, so nothing is deleted by age */
+  int64_t heartbeat_us;   /* monotonic clock: the writer's last round (at least one per second) */
+  bool no_space;          /* the last write failed for lack of space */
   bool fatal;
 };
 void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats); /* lock-free */

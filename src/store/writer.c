@@ -494,6 +494,8 @@ void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats)
       .recorded_bytes = atomic_load(&store->recorded_bytes),
       .recordings_removed = atomic_load(&store->recordings_removed),
       .recordings_removed_bytes = atomic_load(&store->recordings_removed_bytes),
+      .jobs_expired = atomic_load(&store->jobs_expired),
+      .clock_ahead_us = atomic_load(&store->clock_ahead_us),
       .heartbeat_us = atomic_load(&store->heartbeat_us),
       .no_space = atomic_load(&store->no_space),
       .fatal = atomic_load(&store->is_fatal),

@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 
 import pytest
-from service import BINARY, BOOTSTRAP, DESIGN, SHORT, run, tiny_controller
+from service import BINARY, BOOTSTRAP, DESIGN, SHORT, run, tiny_controller, until
 
 ENVIRONMENT = {key: value for key, value in os.environ.items() if not key.startswith("MORPHOD")}
 START = ("--listen=127.0.0.1:0", "--devices=none", f"--default-controller={BOOTSTRAP}")
@@ -316,3 +316,35 @@ def test_store_check(start, tmp_path):
         database.commit()
     status, printed = check()
     assert status == 74 and "losses are damaged: scores, genotype 1" in printed, printed
+
+
+def test_a_clock_that_is_not_credible(start, tmp_path):
+    """What is stored is moved to 400 days ago, as if the clock were wrong: nothing is deleted by
+    age, and the service says so, until a person confirms the clock."""
+    state = tmp_path / "state"
+    flags = ["--keep-evaluations=90d"]
+    service = start(*flags, state=state)
+    id = service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 2}}).json()["id"]
+    assert service.request("GET", "/healthz").json()["notice"] is None
+    service.stop()
+    with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database, database:
+        past = 400 * 86400 * 10**6
+        database.execute("UPDATE jobs SET finished_us=finished_us-?", (past, ))
+        moved = database.execute("UPDATE meta SET value=value-? WHERE key='credible time'",
+                                 (past, ))
+        assert moved.rowcount == 1
+    for _ in range(2):
+        service = start(*flags, state=state)
+        until(lambda: service.request("GET", "/healthz").json()["notice"])
+        assert "accept-clock" in service.request("GET", "/readyz").json()["notice"]
+        assert 399 < service.metric("morphod_clock_ahead_seconds") / 86400 < 401
+        assert service.request("GET", f"/v1/jobs/{id}").status == 200
+        until(lambda: "the clock is not credible" in service.log_text())
+        service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 3}})
+        service.stop()
+    done = morphod(state, "store", "accept-clock")
+    assert done.returncode == 0 and "UTC is taken as the time" in done.stdout, done
+    service = start(*flags, state=state)
+    until(lambda: service.request("GET", f"/v1/jobs/{id}").status == 404)
+    until(lambda: "jobs were deleted because of their age jobs=1" in service.log_text())
+    assert service.request("GET", "/healthz").json()["notice"] is None

@@ -317,6 +317,82 @@ static void forgets_runs_by_age(void)
 #undef KEEPS
 }
 
+#define DAY_S 86400
+#define SHIFT(days)                                                                                \
+  "UPDATE jobs SET finished_us=finished_us-" #days "*86400000000 WHERE finished_us>0;"             \
+  "UPDATE events SET time_us=time_us-" #days "*86400000000;"                                       \
+  "UPDATE meta SET value=value-" #days "*86400000000 WHERE key='credible time'"
+
+/* A clock ahead of all that is stored, as after a wrong one was set, deletes nothing until a person
+ * confirms it; after a pause that is short beside the time to keep, it is believed. */
+static void doubts_the_clock(void)
+{
+  const struct mo_store_config keeps = {.keep_jobs_s = {90 * DAY_S}, .keep_recordings_s = DAY_S};
+  static const char *const ahead[] = {SHIFT(400),
+                                      SHIFT(400) "; DELETE FROM meta WHERE "
+                                                 "key='credible time'",
+                                      SHIFT(10)};
+  struct mo_evaluation_request submission = draw_evaluation(1, 1);
+  struct mo_store_stats stats;
+  for (int i = 0; i < 3; i++) {
+    const int64_t id = submit_evaluation(&submission);
+    CHECK_OK(change(id, MO_CHANGE_CANCEL));
+    REQUIRE_OK(reopen_with(keeps));
+    REQUIRE_OK(reopen_with(keeps)); /* the first one has kept a credible time */
+    close_store();
+    CHECK_OK(outside(ahead[i]));
+    if (i == 2) /* older than 90 days all the same */
+      CHECK_OK(outside("UPDATE jobs SET finished_us=1"));
+    for (int life = 0; life < 2; life++) { /* nor after another start, with new events */
+      REQUIRE_OK(reopen_with(keeps));
+      for (int k = 0; k < 500; k++, usleep(10000)) {
+        mo_store_get_stats(store, &stats);
+        if (stats.clock_ahead_us > 0)
+          break;
+      }
+      CHECK_NEAR((double)stats.clock_ahead_us / 86400e6, i < 2 ? 400 : 10, 0.1);
+      CHECK_INT(state_of(id), MO_JOB_CANCELLED);
+      CHECK_INT(stats.jobs_expired, 0);
+      CHECK_OK(change(submit_evaluation(&submission), MO_CHANGE_CANCEL));
+    }
+    CHECK_OK(mo_store_accept_clock(store));
+    REQUIRE_OK(reopen_with(keeps));
+    CHECK(is_gone(id));
+    mo_store_get_stats(store, &stats);
+    CHECK_INT(stats.clock_ahead_us, 0);
+  }
+  const int64_t id = submit_evaluation(&submission);
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  close_store();
+  CHECK_OK(outside(SHIFT(8)));
+  CHECK_OK(outside("UPDATE jobs SET finished_us=1"));
+  REQUIRE_OK(reopen_with(
+      (struct mo_store_config){.keep_jobs_s = {90 * DAY_S}})); /* off for a week: believed */
+  CHECK(is_gone(id));
+}
+
+/* A look deletes a bounded number, and counts it; the next look comes in a minute. */
+static void forgets_some_at_a_time(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(1, 1);
+  struct mo_store_stats stats;
+  for (int i = 0; i < 130; i++)
+    CHECK_OK(change(submit_evaluation(&submission), MO_CHANGE_CANCEL));
+  close_store();
+  CHECK_OK(outside("UPDATE jobs SET finished_us=1"));
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_jobs_s = {60}}));
+  for (int i = 0; i < 500 && outside_integer("SELECT count(*) FROM jobs") > 30; i++)
+    usleep(10000);
+  usleep(100000);
+  CHECK_INT(outside_integer("SELECT count(*) FROM jobs"), 30);
+  mo_store_get_stats(store, &stats);
+  CHECK_INT(stats.jobs_expired, 100);
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_jobs_s = {60}}));
+  for (int i = 0; i < 500 && outside_integer("SELECT count(*) FROM jobs") > 0; i++)
+    usleep(10000);
+  CHECK_INT(outside_integer("SELECT count(*) FROM jobs"), 0);
+}
+
 static const struct check_case cases[] = {
     {"finds what is labeled", finds_what_is_labeled},
     {"counts what jobs use", counts_what_jobs_use},
@@ -325,5 +401,7 @@ static const struct check_case cases[] = {
     {"goes on after an end", goes_on_after_an_end},
     {"forgets by age", forgets_by_age},
     {"forgets runs by age", forgets_runs_by_age},
+    {"doubts the clock", doubts_the_clock},
+    {"forgets some at a time", forgets_some_at_a_time},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
