@@ -202,6 +202,25 @@ void run_live_show(struct ctl *ctl)
   run(ctl, show_once);
 }
 
+/* Reports how many founders of a campaign were left out, and why the first one was. */
+static void print_left_out(const json_t *job)
+{
+  const json_t *note, *first = NULL;
+  size_t i, n = 0;
+  json_array_foreach(json_object_get(job, "founders"), i, note)
+  {
+    if (!json_is_object(json_object_get(note, "fault")))
+      continue;
+    first = first != NULL ? first : note;
+    n++;
+  }
+  if (n == 0)
+    return;
+  print_plain(stderr, "%zu of the initial designs %s left out; random bodies take their places. ",
+              n, n == 1 ? "is" : "are");
+  print_from(stderr, first, "The first: {fault.detail}");
+}
+
 void live_start(struct ctl *ctl, const json_t *request)
 {
   const struct live_kind *kind = ctl->command->live;
@@ -220,6 +239,7 @@ void live_start(struct ctl *ctl, const json_t *request)
     if (!watches)
       print_plain(stderr, "; morphoctl %s watch %s", kind->command, id);
     fputc('\n', stderr);
+    print_left_out(job);
   }
   if (!watches)
     return;

@@ -258,7 +258,13 @@ static const struct option_spec campaign_start_options[] = {
      "controller"},
     {ENVIRONMENTS},
     RULES("initial."),
-    {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
+    {"from", 0, "CAMPAIGN",
+     "Begin with the newest population of another campaign; designs that do not fit the workspace "
+     "are left out, and counted."},
+    {"if-exists", 0, "create|return",
+     "Of a study: create another one (default), or return the one that has not ended and has "
+     "exactly this label. It must have the settings given here.",
+     "if_exists"},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"no-exclusions", 0, NULL, "Let bodies be born that the controller was pretrained on."},
     {"schedule", 0, "NAME",

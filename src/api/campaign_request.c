@@ -213,6 +213,7 @@ static int check_listed(struct mo_json *json, struct mo_parsed_campaign *parsed)
 /* ---- the whole ---- */
 
 #define AT(member) offsetof(struct mo_parsed_campaign, member)
+static const char *const if_exists_words[] = {"create", "return", NULL};
 static const struct mo_field_own initial = {.read = read_initial};
 static const struct mo_field_own learning = {.read = read_learning};
 static const struct mo_field rows[] = {
@@ -221,6 +222,8 @@ static const struct mo_field rows[] = {
     {"replicates", MO_FIELD_COUNT, 0, AT(request.record.replicates), .min = 1,
      .max = MO_REPLICATES_MAX, .unit = "campaigns", .help = "campaigns that differ in their seeds"},
     {"name", MO_FIELD_OWN, 0, AT(request.record.name), .own = &mo_name_field},
+    {"if_exists", MO_FIELD_WORD, 0, AT(if_exists), .words = if_exists_words, .unit = "",
+     .help = "create another study, or return the open one of this label"},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
     {"initial", MO_FIELD_OWN, 0, 0, .own = &initial},
     {"learning", MO_FIELD_OWN, 0, 0, .own = &learning},
@@ -272,6 +275,19 @@ static void check_study(struct mo_json *json, const struct mo_parsed_campaign *p
     mo_json_fault_at(json, 0, "/exclude_pretraining", "%s", words);
 }
 
+/* Checks that a study that is to be found has a name to find it by. */
+static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+{
+  if (parsed->if_exists == 0)
+    return;
+  if (parsed->request.record.settings.mode != MO_STUDY)
+    mo_json_fault_at(json, 0, "/if_exists",
+                     "\"return\" is of studies only; \"create\" is expected");
+  else if (parsed->parts.label[0] == '\0')
+    mo_json_fault_at(json, 0, "/if_exists",
+                     "the study to return is found by its label; a label is expected beside it");
+}
+
 /* Checks the sizes of a campaign that learns. */
 static void check_learning(struct mo_json *json, const struct mo_campaign_settings *settings)
 {
@@ -308,6 +324,7 @@ static int check(struct mo_json *json, void *any)
     check_mode(json, parsed);
   if (settings->mode == MO_STUDY)
     check_study(json, parsed);
+  check_if_exists(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
                      "%u designs in each of %u generations and the initial population are %llu; at "
@@ -357,6 +374,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
     error = MO_ERR_INVALID;
   }
   request->controller = mo_parts_controller(parts);
+  request->reuses = parsed->if_exists == 1;
   request->job = parts->job;
   request->genotypes = parts->genotypes;
   request->notes = parts->notes;

@@ -6,8 +6,10 @@
 #include "api/columns.h"
 #include "api/job_json.h"
 #include "api/jobs.h"
+#include "api/study_compare.h"
 #include "api/submission.h"
 #include "store/fields.h"
+#include "store/worlds.h"
 
 /* ---- as JSON ---- */
 
@@ -210,6 +212,33 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
 
 /* ---- submission ---- */
 
+/* Checks that the study that was found has the settings that are asked for. reference: the
+ * controller; NULL: none is asked for. */
+static int check_found(struct mo_request *request, struct mo_post *post, const char *reference)
+{
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_controller_record controller = {0};
+  struct mo_campaign_status status;
+  struct mo_environment *environments = NULL;
+  uint32_t n;
+  int error = mo_store_campaign(store, request->kept, &status);
+  if (error == MO_OK)
+    error = mo_store_job_environments(store, request->kept, MO_JOB_CAMPAIGN, &environments, &n);
+  if (error == MO_OK && reference != NULL)
+    error = mo_store_controller(store, reference, &controller);
+  if (error == MO_OK)
+    error = mo_study_compare(request->body, request->body_size, &status, environments,
+                             &controller.sha256, &post->faults);
+  free(environments);
+  if (error != MO_OK || post->faults.n == 0)
+    return error;
+  mo_reply_problem(request, 409, &post->faults,
+                   "Study %lld has the label, and other settings than are asked for. Use its "
+                   "settings or another label, or end it first.",
+                   (long long)request->kept);
+  return MO_ERR_CONFLICT;
+}
+
 /* Parses and stores the campaign. */
 static int submit(struct mo_request *request, struct mo_post *post)
 {
@@ -221,11 +250,14 @@ static int submit(struct mo_request *request, struct mo_post *post)
   const int64_t initial = parsed.request.record.initial_campaign;
   if (error == MO_OK) {
     post->parsed = true;
-    post->pointers.conflict = initial > 0 ? "/initial/campaign" : NULL;
+    post->pointers.conflict = post->pointers.empty = initial > 0 ? "/initial/campaign" : NULL;
     mo_post_sign(request, post, &parsed.request.job);
     error = mo_jobs_submit_campaign(api->jobs, &parsed.request, &request->kept, &replayed,
                                     &post->message);
   }
+  if (error == MO_OK && parsed.request.reuses && replayed)
+    error =
+        check_found(request, post, parsed.parts.has_controller ? parsed.request.controller : NULL);
   if (mo_names_unknown(post, error)) {
     mo_look_up_controller(api->store, parsed.request.controller, faults);
     mo_look_up_job(api->store, initial, MO_JOB_CAMPAIGN, "/initial/campaign", faults);

@@ -143,6 +143,7 @@ static void read_environments(struct mo_json *json, void *value)
   enum mo_json_kind kind = mo_json_peek(json);
   struct mo_json_slice name;
   uint32_t n = 0;
+  parts->has_environments = true;
   if (kind == MO_JSON_STRING) {
     if (mo_json_string(json, &name) && !mo_json_is(name, "paper-test"))
       mo_json_fault_at(json, depth, "",

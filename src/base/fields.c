@@ -282,6 +282,37 @@ void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields
   mo_text_add(text, "}");
 }
 
+/* ---- comparing ---- */
+
+void mo_fields_compare(const struct mo_fields *fields, const char *above, const void *first,
+                       const void *second,
+                       void (*differs)(void *context, const char *pointer, const char *first,
+                                       const char *second),
+                       void *context)
+{
+  for (size_t i = 0; i < fields->n; i++) {
+    const struct mo_field *field = &fields->rows[i];
+    const void *a = at_const(first, field), *b = at_const(second, field);
+    char pointer[2 * PATH_BYTES];
+    struct mo_text values[2] = {{0}, {0}};
+    const bool is_inline = field->type == MO_FIELD_INLINE;
+    snprintf(pointer, sizeof(pointer), "%s%s%s", above, is_inline ? "" : "/",
+             is_inline ? "" : field->name);
+    if (is_inline || (field->type == MO_FIELD_GROUP && !is_null(field, a) && !is_null(field, b))) {
+      mo_fields_compare(field->group, pointer, a, b, differs, context);
+      continue;
+    }
+    write_value(&values[0], field, a);
+    write_value(&values[1], field, b);
+    if (values[0].failed || values[1].failed)
+      differs(context, pointer, NULL, NULL);
+    else if (strcmp(values[0].data, values[1].data) != 0)
+      differs(context, pointer, values[0].data, values[1].data);
+    mo_text_free(&values[0]);
+    mo_text_free(&values[1]);
+  }
+}
+
 /* ---- checking ---- */
 
 static int check_number(const struct mo_field *field, const char *path, double value,

@@ -94,6 +94,14 @@ void mo_fields_write(struct mo_text *text, const struct mo_fields *fields, const
 void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields,
                             const void *settings);
 
+/* Calls `differs` for each row that two structs have with other values: its JSON pointer below
+ * `above`, and both values as JSON (NULL: no memory). */
+void mo_fields_compare(const struct mo_fields *fields, const char *above, const void *first,
+                       const void *second,
+                       void (*differs)(void *context, const char *pointer, const char *first,
+                                       const char *second),
+                       void *context);
+
 /* Checks all settings against their bounds. MO_ERR_INVALID (not finite, not one of the words) or
  * MO_ERR_RANGE for the first bad one; `message` gives its name, value and bounds. above: what
  * messages call the struct, as in "schedule.peak …"; "": nothing. */

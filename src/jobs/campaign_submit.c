@@ -5,6 +5,7 @@
 
 #include "jobs/campaign_excluded.h"
 #include "jobs/submission.h"
+#include "store/studies.h"
 
 #define MIB             ((uint64_t)1 << 20)
 #define DRAWING_THREADS 16
@@ -118,6 +119,9 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
                                            record->replicates, 0};
   int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
+  /* Found before a full queue or a missing device can refuse it; the store looks again. */
+  if (error == MO_OK && !*replayed && asked->reuses)
+    *replayed = mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK;
   if (error != MO_OK || *replayed)
     return error;
   error = mo_back_end_choose(jobs, &request.job, true, true, message);

@@ -15,6 +15,8 @@ static int explain(int error, const char *controller, struct mo_message *message
     return mo_fail(message, error, "the idempotency key was used with another request");
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
+  case MO_ERR_EMPTY:
+    return mo_fail(message, error, "no design of that campaign fits the workspace asked for");
   case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
   default: return mo_fail(message, error, "the job could not be stored: %s", mo_error_text(error));
   }

@@ -42,6 +42,8 @@ struct mo_campaign_members {
 int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
                             struct mo_campaign_members *members);
 
+/* As mo_store_study_find, inside an operation. */
+int mo_study_find(struct mo_connection *connection, const char *label, int64_t *id);
 /* Reads a study's own words. */
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
 /* Inserts a design whose genotype has a row. measures: (n), of a study. */

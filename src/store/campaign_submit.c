@@ -44,25 +44,33 @@ static int fits(const struct mo_bits *bits, struct mo_workspace workspace)
   return error == MO_OK ? 1 : error == MO_ERR_RANGE ? 0 : error;
 }
 
-/* Finds the genotype of a member. Returns 1: the campaign takes it; 0: its form is listed already,
- * or it does not fit. */
+/* Finds the genotype of a member. Returns 1: it fits the campaign's workspace; 0: it does not. */
 static int find_member(struct mo_connection *writer, const struct mo_campaign_record *record,
-                       uint32_t number, int64_t group, int64_t *genotype)
+                       uint32_t number, int64_t *genotype)
 {
-  static const char sql[] =
-      "SELECT d.genotype,g.bits,g.design IN (SELECT l.design FROM job_designs x JOIN genotypes l ON"
-      " l.id=x.genotype WHERE x.job=?3 AND x.position<?4)"
-      " FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype WHERE d.job=?1 AND d.number=?2";
+  static const char sql[] = "SELECT d.genotype,g.bits FROM campaign_designs d"
+                            " JOIN genotypes g ON g.id=d.genotype WHERE d.job=?1 AND d.number=?2";
   struct mo_bits bits;
   sqlite3_stmt *row;
-  int error = mo_sql_row(writer, &row, sql, mo_int(record->initial_campaign), mo_int(number),
-                         mo_int(group), mo_int(record->n_listed));
+  int error = mo_sql_row(writer, &row, sql, mo_int(record->initial_campaign), mo_int(number));
   if (error == MO_OK)
     error = mo_column_bits(row, 1, &bits);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   *genotype = sqlite3_column_int64(row, 0);
-  return sqlite3_column_int(row, 2) ? 0 : fits(&bits, record->settings.workspace);
+  return fits(&bits, record->settings.workspace);
+}
+
+/* Notes that a member of the initial campaign is left out. place: its rank, from 0. */
+static int note_misfit(struct mo_connection *writer, const struct mo_campaign_record *record,
+                       uint32_t place, uint32_t number, int64_t group)
+{
+  const struct mo_workspace w = record->settings.workspace;
+  struct mo_design_note note = {.place = place, .fault.where = "/initial/campaign"};
+  snprintf(note.fault.detail, sizeof(note.fault.detail),
+           "design %u of campaign %lld does not fit the workspace of %u × %u × %u voxels",
+           (unsigned)number, (long long)record->initial_campaign, w.nx, w.ny, w.nz);
+  return mo_notes_insert(writer, group, &note, 1);
 }
 
 static int insert_inherited(struct mo_connection *writer, const struct mo_campaign_record *record,
@@ -70,7 +78,7 @@ static int insert_inherited(struct mo_connection *writer, const struct mo_campai
 {
   struct mo_campaign_members members = {.n = 0};
   struct mo_campaign_head head = {0};
-  uint32_t n = record->n_listed;
+  uint32_t n = 0; /* nothing is listed beside a campaign */
   int error = mo_campaign_head_get(writer, record->initial_campaign, &head);
   if (error == MO_OK && head.generation < 0)
     error = MO_ERR_CONFLICT;
@@ -78,13 +86,16 @@ static int insert_inherited(struct mo_connection *writer, const struct mo_campai
     error = mo_campaign_members_get(writer, record->initial_campaign, head.generation, &members);
   for (uint32_t i = 0; i < members.n && n < record->settings.population && error == MO_OK; i++) {
     int64_t genotype = 0;
-    int welcome = find_member(writer, record, members.population[i].number, group, &genotype);
-    if (welcome < 0)
-      error = welcome;
-    else if (welcome > 0)
+    const uint32_t number = members.population[i].number;
+    const int fitting = find_member(writer, record, number, &genotype);
+    if (fitting < 0)
+      error = fitting;
+    else if (fitting > 0)
       error = mo_design_insert(writer, group, n++, genotype);
+    else
+      error = note_misfit(writer, record, i, number, group);
   }
-  return error;
+  return error == MO_OK && n == 0 ? MO_ERR_EMPTY : error;
 }
 
 /* ---- submission ---- */
@@ -154,10 +165,29 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   return error;
 }
 
+struct campaign_submission {
+  const struct mo_campaign_request *request;
+  bool *is_found; /* the study of the request's label */
+};
+
+static int find_or_insert(struct mo_store *store, const void *any, int64_t *id)
+{
+  const struct campaign_submission *call = any;
+  const struct mo_campaign_request *request = call->request;
+  const int error =
+      request->reuses ? mo_study_find(&store->writer, request->job.label, id) : MO_ERR_NOT_FOUND;
+  *call->is_found = error == MO_OK;
+  return error == MO_ERR_NOT_FOUND ? insert(store, request, id) : error;
+}
+
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed)
 {
-  return mo_submit(store, &request->job.key, insert, request, id, replayed);
+  bool is_found = false;
+  const struct campaign_submission call = {request, &is_found};
+  const int error = mo_submit(store, &request->job.key, find_or_insert, &call, id, replayed);
+  *replayed = *replayed || is_found;
+  return error;
 }
 
 /* ---- extension ---- */

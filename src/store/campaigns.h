@@ -29,11 +29,15 @@ struct mo_campaign_request {
   const struct mo_bits *forms;               /* (record.n_listed) canonical; as stored */
   const struct mo_design_note *notes;        /* (n_notes) ascending: skipped or repaired */
   uint32_t n_notes;
+  bool reuses; /* a study: the one of this label that has not ended, if there is one */
   /* The population of initial_campaign is copied in the same transaction, like listed designs. */
 };
 /* Stores all replicates (seed, seed + 1, …) in one transaction. *id: the first; the others have the
- * ids after it, without a gap. Errors as mo_store_submit; also MO_ERR_NOT_FOUND: no such initial
- * campaign; MO_ERR_CONFLICT: that has no population yet. */
+ * ids after it, without a gap. *replayed: nothing was stored, because the key is known, or
+ * request->reuses found a study; the caller compares the settings. Designs of the initial
+ * campaign that do not fit the workspace are left out, each with a note. Errors as
+ * mo_store_submit; also MO_ERR_NOT_FOUND: no such initial campaign; MO_ERR_CONFLICT: that has no
+ * population yet; MO_ERR_EMPTY: none of its designs fits. */
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed);
 /* Adds generations to a queued, running, paused or succeeded campaign; a succeeded one is queued

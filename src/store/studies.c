@@ -10,6 +10,22 @@
 #include "store/contents.h"
 #include "store/scores.h"
 
+/* ---- by name ---- */
+
+int mo_study_find(struct mo_connection *connection, const char *label, int64_t *id)
+{
+  static const char sql[] =
+      "SELECT j.id FROM jobs j JOIN studies s ON s.job=j.id WHERE j.label=?1 AND j.kind=?2"
+      " AND j.state IN(0,1,2) ORDER BY j.id DESC LIMIT 1";
+  return mo_sql_find(connection, id, sql, mo_string(label), mo_int(MO_JOB_CAMPAIGN));
+}
+
+int mo_store_study_find(struct mo_store *store, const char *label, int64_t *id)
+{
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return mo_study_find(reader, label, id);
+}
+
 /* ---- words ---- */
 
 /* Finds a word, or adds it. Returns its place, or MO_ERR_LIMIT and errors of the store. */

@@ -11,6 +11,9 @@
 #include "store/campaign_records.h"
 #include "store/design_notes.h"
 
+/* Finds the newest study with exactly this label that has not ended. MO_ERR_NOT_FOUND. */
+int mo_store_study_find(struct mo_store *store, const char *label, int64_t *id);
+
 /* A child of a batch. */
 struct mo_study_child {
   struct mo_bits genotype;   /* placed */

@@ -211,6 +211,28 @@ def test_from_another_campaign(service, evolved):
     assert reply.status == 422 and reply.pointers() == ["/initial/campaign"], reply.body
 
 
+def test_founders_that_do_not_fit_are_counted(service):
+    """Those of another campaign that do not fit the workspace are noted; if none fits, refused."""
+    cube = {"cells": [[x, y, z] for x in range(3) for y in range(3) for z in range(3)]}
+    rules = {"exclude_pretraining": False, "population": 2, "generations": 0}
+    parent = run_campaign(service, SMALL | rules | {"initial": {"designs": [DESIGN, cube]}})
+    best_first = [row["number"] for row in service.pages(parent["links"]["population"])]
+    asked = SMALL | rules | {"population": 4, "initial": {"campaign": parent["id"]}}
+    assert service.post("/v1/campaigns", asked)["founders"] == []
+    reply = service.post("/v1/campaigns", asked | {"workspace": [3, 3, 2], "replicates": 2})
+    assert reply["founders"] == [{"place": best_first.index(1), "repaired": 0, "fault": {
+        "pointer": "/initial/campaign",
+        "detail": f"design 1 of campaign {parent['id']} does not fit the workspace of 3 × 3 × 2"
+                  " voxels"}}]
+    second = finished(service, int(reply["id"]) + 1)
+    assert second["founders"] == reply["founders"]
+    first = service.pages(second["links"]["population"] + "?generation=0")
+    assert sorted(row["operator"] for row in first) == ["inherited"] + 3 * ["random"]
+    refused = service.request("POST", "/v1/campaigns", asked | {"workspace": [1, 1, 4]})
+    assert refused.status == 422 and refused.pointers() == ["/initial/campaign"], refused.body
+    assert "no design of that campaign fits" in refused.json()["detail"]
+
+
 def test_replicates(service):
     first = service.post("/v1/campaigns", SMALL | {"replicates": 3, "seed": 5})
     ids = [str(int(first["id"]) + i) for i in range(3)]

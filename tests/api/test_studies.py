@@ -51,6 +51,68 @@ def history(service, id):
     return rows, [service.request("GET", f"/v1/campaigns/{id}/{path}").body for path in paths]
 
 
+def reopen(service, label, **more):
+    return service.request("POST", "/v1/campaigns",
+                           {"mode": "study", "label": label, "if_exists": "return", **more})
+
+
+def test_a_study_is_found_by_its_name(service):
+    """One step gives the open study of a label, or a new one; other settings are refused."""
+    given = {"population": 20, "seed": 3, "physics": {"n_steps": 12, "friction": 0.5},
+             "selection": {"kind": "novelty", "weight": 0.25}, "workspace": [4, 4, 4],
+             "environments": HERE, "mutation": {"rate": 1 / 64}}
+    first = reopen(service, "found", **given)
+    assert first.status == 202
+    for again in ({}, given, {"physics": {"n_steps": 12}}, {"selection": "novelty"},
+                  {"mutation": {"rate": None}}, {"controller": "default"}, {"device": "auto"}):
+        reply = reopen(service, "found", **again)
+        assert reply.status == 202 and reply.json()["id"] == first.json()["id"], reply.body
+    other = [HERE[0], HERE[1] | {"light_xy_m": [1, 1]}]
+    refused = {
+        "/population": {"population": 21}, "/seed": {"seed": 4},
+        "/physics/n_steps": {"physics": {"n_steps": 500}}, "/workspace": {"workspace": [6, 6, 4]},
+        "/selection": {"selection": "truncation"}, "/mutation/rate": {"mutation": {"rate": 0.25}},
+        "/racing": {"racing": "off"}, "/collapse_share": {"collapse_share": 0},
+        "/environments": {"environments": "paper-test"},
+        "/environments/1/light_xy_m": {"environments": other}, "/preset": {"preset": "paper"},
+        "/weight": {"weight": 3}, "/experiment": {"experiment": "e"},
+    }
+    for pointer, more in refused.items():
+        reply = reopen(service, "found", **more)
+        assert reply.status == 409 and reply.pointers() == [pointer], reply.body
+    reply = reopen(service, "found", population=30, physics={"n_steps": 500})
+    assert [(fault["pointer"], fault["detail"]) for fault in reply.json()["errors"]] == [
+        (pointer, f"{asked} is given; study {first.json()['id']} has {has}")
+        for pointer, asked, has in (("/population", 30, 20), ("/physics/n_steps", 500, 12))]
+    reply = reopen(service, "found", controller="not-there")
+    assert reply.status == 422 and reply.pointers() == ["/controller"]
+    # Names are compared exactly; a study that has ended is not found.
+    assert reopen(service, "foun*").json()["id"] != first.json()["id"]
+    assert new(service, label="found") != first.json()["id"]
+    for _ in range(2):
+        service.post(f"/v1/campaigns/{reopen(service, 'found').json()['id']}/finish", {})
+    assert reopen(service, "found").json()["study"]["next_batch"] == 0
+    for bad in ({"mode": "zero-shot", "label": "x"}, {"mode": "study"}):
+        reply = service.request("POST", "/v1/campaigns", bad | {"if_exists": "return"})
+        assert reply.status == 422 and reply.pointers() == ["/if_exists"]
+
+
+def test_one_study_for_all_who_open_a_new_name_at_once(service):
+    ids, gate = [], threading.Barrier(8)
+
+    def open_it():
+        gate.wait()
+        ids.append(reopen(service, "at once", population=20).json()["id"])
+
+    threads = [threading.Thread(target=open_it) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(ids) == 8 and len(set(ids)) == 1
+    assert len(service.pages("/v1/campaigns?label=at%20once")) == 1
+
+
 def test_a_study(service):
     """Its whole life, as a client sees it."""
     id = new(service, label="told by hand")

@@ -1,0 +1,170 @@
+/* study_compare.c: see study_compare.h.
+ *
+ * The body is read once more, over the settings of the study instead of the defaults: what differs
+ * afterwards was given, and is another value. */
+#include "api/study_compare.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "api/requests.h"
+#include "store/fields.h"
+
+#define VALUE_SHOWN 88 /* bytes of a value in a message */
+
+struct comparison {
+  const struct mo_campaign_status *status;
+  struct mo_faults *faults;
+  int error;
+};
+
+/* Cuts a long value between two characters. */
+static const char *cut(const char *value, char text[VALUE_SHOWN + 4])
+{
+  size_t n = strlen(value);
+  if (n <= VALUE_SHOWN)
+    return value;
+  for (n = VALUE_SHOWN; n > 0 && ((unsigned char)value[n] & 0xc0) == 0x80;)
+    n--;
+  snprintf(text, VALUE_SHOWN + 4, "%.*s…", (int)n, value);
+  return text;
+}
+
+static void add(struct comparison *comparison, const char *pointer, const char *given,
+                const char *known)
+{
+  char texts[2][VALUE_SHOWN + 4];
+  mo_faults_add(comparison->faults, MO_FAULT_BODY, pointer, "%s is given; study %lld has %s",
+                cut(given, texts[0]), (long long)comparison->status->job.id, cut(known, texts[1]));
+}
+
+static void differs(void *context, const char *pointer, const char *given, const char *known)
+{
+  struct comparison *comparison = context;
+  if (given == NULL || known == NULL)
+    comparison->error = MO_ERR_NO_MEMORY;
+  else
+    add(comparison, pointer, given, known);
+}
+
+static void compare_texts(struct comparison *comparison, const char *pointer, const char *given,
+                          const char *known)
+{
+  if (strcmp(given, known) != 0)
+    add(comparison, pointer, given, known[0] != '\0' ? known : "none");
+}
+
+/* A rate of null means one voxel on average: the same setting as that number. */
+static struct mo_campaign_record in_numbers(const struct mo_campaign_record *record)
+{
+  struct mo_campaign_record shown = *record;
+  if (shown.settings.mutation_rate == 0)
+    shown.settings.mutation_rate = 1.0 / mo_workspace_voxels(shown.settings.workspace);
+  return shown;
+}
+
+/* ---- environments ---- */
+
+static void compare_environment(struct comparison *comparison, uint32_t place,
+                                const struct mo_environment *given,
+                                const struct mo_environment *known)
+{
+  char pointer[64], a[64], b[64];
+  if (given->light_xy_m[0] != known->light_xy_m[0] ||
+      given->light_xy_m[1] != known->light_xy_m[1]) {
+    snprintf(pointer, sizeof(pointer), "/environments/%u/light_xy_m", (unsigned)place);
+    snprintf(a, sizeof(a), "[%.12g, %.12g]", given->light_xy_m[0], given->light_xy_m[1]);
+    snprintf(b, sizeof(b), "[%.12g, %.12g]", known->light_xy_m[0], known->light_xy_m[1]);
+    add(comparison, pointer, a, b);
+  }
+  for (unsigned i = 0; i < MO_TERRAIN_HEIGHTS; i++)
+    if (given->terrain_heights_m[i] != known->terrain_heights_m[i]) {
+      snprintf(pointer, sizeof(pointer), "/environments/%u/terrain_heights_m/%u", (unsigned)place,
+               i);
+      snprintf(a, sizeof(a), "%.12g", given->terrain_heights_m[i]);
+      snprintf(b, sizeof(b), "%.12g", known->terrain_heights_m[i]);
+      add(comparison, pointer, a, b);
+      return; /* the others of a terrain that is drawn differ, too */
+    }
+}
+
+static void compare_environments(struct comparison *comparison, const struct mo_parts *parts,
+                                 const struct mo_environment *known)
+{
+  const struct mo_campaign_record *record = &comparison->status->record;
+  const bool is_set = record->environment_set[0] != '\0';
+  char a[64], b[64];
+  if (!parts->has_environments)
+    return;
+  if (parts->environments == NULL && is_set)
+    return; /* there is one set */
+  snprintf(a, sizeof(a), "a list of %u", (unsigned)parts->n_environments);
+  snprintf(b, sizeof(b), "a list of %u", (unsigned)record->n_environments);
+  if (parts->environments == NULL)
+    add(comparison, "/environments", "\"paper-test\"", b);
+  else if (parts->n_environments != record->n_environments)
+    add(comparison, "/environments", a, is_set ? record->environment_set : b);
+  else
+    for (uint32_t i = 0; i < parts->n_environments; i++)
+      compare_environment(comparison, i, &parts->environments[i], &known[i]);
+}
+
+/* ---- what is no setting of the search ---- */
+
+static void compare_job(struct comparison *comparison, const struct mo_parsed_campaign *parsed)
+{
+  static const char *const devices[] = {[MO_ON_CPU] = "\"cpu\"", [MO_ON_DEVICE] = "\"cuda\""};
+  static const char *const priorities[] = {
+      [MO_BATCH] = "\"batch\"", [MO_INTERACTIVE] = "\"interactive\""};
+  const struct mo_job *job = &comparison->status->job;
+  const struct mo_parts *parts = &parsed->parts;
+  if (parts->job.back_end >= 0 && parts->job.back_end != (int)job->back_end)
+    add(comparison, "/device", devices[parts->job.back_end], devices[job->back_end]);
+  if (parts->job.priority != (int)job->priority)
+    add(comparison, "/priority", priorities[parts->job.priority], priorities[job->priority]);
+  if (parts->job.weight != job->weight)
+    add(comparison, "/weight", MO_NUMBER(parts->job.weight), MO_NUMBER(job->weight));
+  if (parts->experiment[0] != '\0')
+    compare_texts(comparison, "/experiment", parts->experiment, job->experiment);
+}
+
+static void compare_controller(struct comparison *comparison, const struct mo_parts *parts,
+                               const struct mo_sha256 *controller)
+{
+  const struct mo_job *job = &comparison->status->job;
+  char given[VALUE_SHOWN], known[VALUE_SHOWN];
+  if (!parts->has_controller || mo_sha256_equal(controller, &job->controller_sha256))
+    return;
+  snprintf(given, sizeof(given), "%.30s (SHA-256 %.12s…)", parts->controller,
+           MO_SHA256_HEX(controller));
+  snprintf(known, sizeof(known), "%.30s (SHA-256 %.12s…)", job->controller_name,
+           MO_SHA256_HEX(&job->controller_sha256));
+  add(comparison, "/controller", given, known);
+}
+
+int mo_study_compare(const char *text, size_t size, const struct mo_campaign_status *status,
+                     const struct mo_environment *environments, const struct mo_sha256 *controller,
+                     struct mo_faults *faults)
+{
+  struct comparison comparison = {.status = status, .faults = faults};
+  struct mo_faults read = {0}; /* the first reading had none */
+  struct mo_parsed_campaign parsed = {
+      .request.record = status->record,
+      .parts.job = {.priority = (int)status->job.priority, .weight = status->job.weight},
+      .preset = -1};
+  struct mo_campaign_record given, known = in_numbers(&status->record);
+  comparison.error =
+      mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
+  given = in_numbers(&parsed.request.record);
+  given.settings.generations = known.settings.generations; /* as many as are told */
+  if (comparison.error == MO_OK) {
+    mo_fields_compare(&mo_campaign_record_fields, "", &given, &known, differs, &comparison);
+    if (parsed.preset >= 0)
+      compare_texts(&comparison, "/preset", mo_preset_words[parsed.preset], status->record.preset);
+    compare_environments(&comparison, &parsed.parts, environments);
+    compare_controller(&comparison, &parsed.parts, controller);
+    compare_job(&comparison, &parsed);
+  }
+  mo_parts_free(&parsed.parts);
+  return comparison.error;
+}
