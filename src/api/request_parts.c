@@ -95,6 +95,36 @@ static void read_light(struct mo_json *json, double light_xy_m[2])
                      MO_VOXEL_M);
 }
 
+/* Says whether the array that is next begins with an array. */
+static bool is_nested(const struct mo_json *json)
+{
+  struct mo_faults faults = {0}; /* the reading reports them */
+  struct mo_json ahead = *json;
+  ahead.faults = &faults;
+  return mo_json_peek(&ahead) == MO_JSON_ARRAY && mo_json_array(&ahead) && mo_json_item(&ahead) &&
+         mo_json_peek(&ahead) == MO_JSON_ARRAY;
+}
+
+/* Reads the heights of a terrain: all in one array, or in rows as a scene has them. */
+static void read_heights(struct mo_json *json, double *heights)
+{
+  const unsigned depth = json->depth;
+  size_t n = 0;
+  if (!is_nested(json)) {
+    read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_HEIGHTS, heights);
+    return;
+  }
+  mo_json_array(json);
+  for (; mo_json_item(json); n++)
+    if (n < MO_TERRAIN_SIDE)
+      read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_SIDE, heights + MO_TERRAIN_SIDE * n);
+    else
+      mo_json_skip(json);
+  if (!json->stop && n != MO_TERRAIN_SIDE)
+    mo_json_fault_at(json, depth, "", "%zu rows are given; exactly %d are expected", n,
+                     MO_TERRAIN_SIDE);
+}
+
 static void read_environment(struct mo_json *json, struct mo_environment *environment)
 {
   unsigned depth = json->depth, before = json->faults->n;
@@ -110,7 +140,7 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
       read_light(json, environment->light_xy_m);
     } else if (mo_json_is(key, "terrain_heights_m")) {
       heights = true;
-      read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_HEIGHTS, environment->terrain_heights_m);
+      read_heights(json, environment->terrain_heights_m);
     } else if (mo_json_is(key, "terrain_sigma_m")) {
       has_sigma = true;
       mo_json_bounded(json, 0, SIGMA_MAX_M, &sigma_m);

@@ -5,14 +5,18 @@ from __future__ import annotations
 import dataclasses
 import email.utils
 import json
+import math
 import os
 import random
+import sys
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
-from .errors import ApiError, MorphodError, api_error
+import numpy as np
+
+from .errors import ApiError, MorphodError, api_error, printable
 
 DEFAULT_SERVER = "http://127.0.0.1:8765"
 WAIT_S = 50
@@ -20,11 +24,53 @@ WAIT_S = 50
 
 _BACKOFF_S = 0.1
 _BACKOFF_MAX_S = 5.0
+_RESTART_ATTEMPTS = 6
+"""Attempts of some five seconds."""
 
 
 def given(**values: Any) -> dict[str, Any]:
     """The values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
+
+
+def without_none(value: Any) -> Any:
+    """A request without members that are None: they are absent. In a list None stays."""
+    if isinstance(value, Mapping):
+        return {name: without_none(item) for name, item in value.items() if item is not None}
+    if isinstance(value, (list, tuple)):
+        return [without_none(item) for item in value]
+    return value
+
+
+def plain(value: Any) -> Any:
+    """A scalar or an array of NumPy, or another mapping or sequence, as JSON has it."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, (Sequence, Set)):
+        return list(value)
+    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r:.80} is no JSON")
+
+
+def encoded(value: Mapping[str, Any]) -> bytes:
+    """The JSON of a request."""
+    try:
+        return json.dumps(value, separators=(",", ":"), default=plain, allow_nan=False).encode()
+    except ValueError as error:
+        raise ValueError(f"{_not_finite(value) or 'the request'} cannot be sent: {error}") from None
+
+
+def _not_finite(value: Any, place: str = "") -> str | None:
+    """The JSON pointer of the first number that is not finite, and the number."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{place}: {value}"
+    items = value.items() if isinstance(value, Mapping) else (
+        enumerate(value) if isinstance(value, (list, tuple)) else ())
+    return next((found for name, item in items
+                 if (found := _not_finite(item, f"{place}/{name}"))), None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,13 +108,15 @@ class Request:
     def get(cls, path: str, accept: str = "application/json", wait_s: int = 0,
             **params: Any) -> Request:
         """A GET; params of None are left out."""
-        request = cls("GET", path, given(**params), headers={"Accept": accept})
+        plain_params = {name: plain(value) if isinstance(value, np.generic) else value
+                        for name, value in given(**params).items()}
+        request = cls("GET", path, plain_params, headers={"Accept": accept})
         return request.waiting(wait_s)
 
     @classmethod
     def submit(cls, path: str, value: Mapping[str, Any], wait_s: int = 0) -> Request:
         """A POST of JSON that makes a job. A key of its own makes it safe to repeat."""
-        request = cls.post(path, value)
+        request = cls.post(path, without_none(value))
         request.headers["Idempotency-Key"] = uuid.uuid4().hex
         return request.waiting(wait_s)
 
@@ -78,7 +126,7 @@ class Request:
         """A POST, or a PATCH, that does no more when it is repeated."""
         request = cls(method, path, headers={"Accept": accept})
         if value is not None:
-            request.content = json.dumps(value, separators=(",", ":")).encode()
+            request.content = encoded(value)
             request.headers["Content-Type"] = "application/json"
         return request
 
@@ -100,7 +148,7 @@ class Reply:
     def json(self) -> Any:
         try:
             return json.loads(self.content)
-        except ValueError:
+        except (ValueError, RecursionError):
             raise MorphodError("the reply is not JSON: is this a morphod service?") from None
 
 
@@ -108,7 +156,7 @@ def refusal(status: int, content: bytes) -> ApiError:
     """The exception for a reply with a status from 400."""
     try:
         problem = json.loads(content)
-    except ValueError:
+    except (ValueError, RecursionError):
         problem = None
     if not isinstance(problem, dict):
         problem = {"detail": content[:200].decode(errors="replace")}
@@ -121,7 +169,18 @@ class Retries:
     def __init__(self, request: Request, within_s: float) -> None:
         self.request = request
         self.deadline = time.monotonic() + within_s
+        self.within_s = within_s
         self.attempt = 0
+        self.is_reported = False
+
+    def report(self, problem: str, answered: bool) -> None:
+        """Says once on standard error that requests are repeated: at once where the service has
+        never answered, else when the attempts take longer than a restart."""
+        if not self.is_reported and (not answered or self.attempt >= _RESTART_ATTEMPTS):
+            self.is_reported = True
+            left_s = max(0.0, self.deadline - time.monotonic())
+            print(f"morphod: {problem} Trying again for {left_s:.0f} s (retry_s="
+                  f"{self.within_s:g}).", file=sys.stderr)
 
     def delay(self, status: int | None, retry_after: str | None = None) -> float | None:
         """Seconds until the next attempt; None: there is none. status None: the connection broke,

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
+
+
+def printable(text: object) -> str:
+    """A text of the service with control characters escaped, and those that change the direction
+    of writing: a terminal that prints an error obeys none of them."""
+    return "".join(letter if unicodedata.category(letter) not in _CONTROLS else
+                   letter.encode("unicode_escape").decode() for letter in str(text))
+
+
+_CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 class MorphodError(Exception):
@@ -29,6 +41,10 @@ class JobError(MorphodError):
         self.job = job
 
 
+    def __reduce__(self) -> Any:
+        return type(self), (str(self), self.job), self.__dict__
+
+
 class WaitError(MorphodError, TimeoutError):
     """The time given for a wait is over; the job goes on."""
 
@@ -43,15 +59,22 @@ class ApiError(MorphodError):
     def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
         self.status = status
         self.problem = problem
-        self.faults: Sequence[Mapping[str, Any]] = problem.get("errors", ())
+        errors = problem.get("errors")
+        self.faults: Sequence[Mapping[str, Any]] = [
+            fault for fault in (errors if isinstance(errors, list) else ())
+            if isinstance(fault, Mapping)]
         self.request_id: str | None = problem.get("request_id")
-        text = str(problem.get("detail") or problem.get("title") or f"HTTP status {status}")
+        text = printable(problem.get("detail") or problem.get("title") or f"HTTP status {status}")
         for fault in self.faults:
             place = fault.get("pointer") or fault.get("parameter") or fault.get("header")
-            told = f"{place}: {fault['detail']}" if place else str(fault["detail"])
+            detail = printable(fault.get("detail"))
+            told = f"{printable(place)}: {detail}" if place else detail
             if told not in text:
                 text += f"\n  {told}"
         super().__init__(f"{status}: {text}")
+
+    def __reduce__(self) -> Any:
+        return type(self), (self.status, self.problem), self.__dict__
 
 
 class InvalidError(ApiError):
@@ -93,3 +116,18 @@ _BY_STATUS: dict[int, type[ApiError]] = {
 def api_error(status: int, problem: Mapping[str, Any]) -> ApiError:
     """The exception for a refusal."""
     return _BY_STATUS.get(status, ApiError)(status, problem)
+
+
+@contextlib.contextmanager
+def reading() -> Iterator[None]:
+    """Around what reads a reply: one of another form ends with a `MorphodError`."""
+    try:
+        yield
+    except MorphodError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError,
+            ValueError) as error:
+        raise MorphodError(
+            "the reply has another form than this version of the package reads "
+            f"({type(error).__name__}: {printable(error)[:200]}): is this a morphod service?"
+        ) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from .errors import MorphodError
+from .errors import MorphodError, reading
 from .scenes import read_envelope
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def frame(rows: Iterable[Mapping[str, Any]], **constant: Any) -> pd.DataFrame:
     return made
 
 
+@reading()
 def frame_of_columns(data: bytes) -> pd.DataFrame:
     """The table of a reply in the form of columns."""
     columns: dict[str, Any] = read_envelope(data)["columns"]

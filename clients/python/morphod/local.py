@@ -9,12 +9,15 @@ import shutil
 import subprocess
 import tempfile
 import time
+from typing import Any
 
 from ._sync.client import Client
-from .errors import MorphodError, UnreachableError
+from .errors import MorphodError
 
 _START_S = 60.0
 _STOP_S = 60.0
+_SOCKET_MAX = 108
+"""Bytes of the address of a unix socket, with a zero at the end."""
 
 
 class LocalClient(Client):
@@ -22,34 +25,48 @@ class LocalClient(Client):
 
     def __init__(self, state_dir: str | os.PathLike[str] | None,
                  binary: str | os.PathLike[str] | None, settings: dict[str, object]) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="morphod-")
-        base = pathlib.Path(self._folder.name)
-        self.state_dir = pathlib.Path(state_dir) if state_dir is not None else base / "state"
-        self.state_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-        socket = base / "socket"
-        ready = base / "addresses"
-        # A process that is killed takes its service with it, where util-linux is there.
-        setpriv = shutil.which("setpriv")
-        command = [setpriv, "--pdeathsig=TERM"] if setpriv is not None else []
-        command += [_binary(binary), f"--state-dir={self.state_dir}", f"--listen=unix:{socket}",
-                    "--listen=127.0.0.1:0", f"--port-file={ready}"]
-        command += [f"--{name.replace('_', '-')}={value}" for name, value in settings.items()]
-        self.log = base / "log" if state_dir is None else self.state_dir.parent / "morphod.log"
-        with open(self.log, "ab") as log:
-            self._process = subprocess.Popen(command, stdout=log, stderr=log,
-                                             stdin=subprocess.DEVNULL)
-        self._await_start(ready)
-        self.url = next(line for line in ready.read_text().split() if line.startswith("http"))
-        super().__init__(f"unix:{socket}")
+        program = _binary(binary)
+        self._pid = os.getpid()
+        self._base = base = pathlib.Path(tempfile.mkdtemp(prefix="morphod-"))
+        self._process: subprocess.Popen[bytes] | None = None
+        self._guard: _Guard | None = None
+        try:
+            self.state_dir = pathlib.Path(state_dir) if state_dir is not None else base / "state"
+            self.state_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self.log = base / "log" if state_dir is None else self.state_dir.parent / "morphod.log"
+            ready = base / "addresses"
+            # The address of a unix socket has room for a short path only. The service takes the
+            # loopback address from its own user alone, too.
+            socket = base / "socket" if len(os.fsencode(base / "socket")) < _SOCKET_MAX else None
+            command = [program, f"--state-dir={self.state_dir}", "--listen=127.0.0.1:0",
+                       f"--port-file={ready}"]
+            command += [f"--listen=unix:{socket}"] if socket is not None else []
+            command += [f"--{name.replace('_', '-')}={value}" for name, value in settings.items()]
+            with open(self.log, "ab") as log:
+                # In a session of its own: Ctrl-C is for the program, not for its service.
+                self._process = subprocess.Popen(command, stdout=log, stderr=log,
+                                                 stdin=subprocess.DEVNULL, start_new_session=True)
+            self._guard = _Guard(self._process.pid)
+            self._await_start(ready, 1 if socket is None else 2)
+            self.url = next(line for line in ready.read_text().split() if line.startswith("http"))
+            super().__init__(self.url if socket is None else f"unix:{socket}")
+            self._await_ready()
+        except BaseException:
+            self._end()
+            raise
         atexit.register(self.close)
-        self._await_ready()
 
-    def _await_start(self, ready: pathlib.Path) -> None:
+    def __reduce__(self) -> Any:
+        """A copy, or a client in another process, is one of the same service, which goes on."""
+        address = self._connection.address
+        return Client, (address.url if address.unix is None else f"unix:{address.unix}", )
+
+    def _await_start(self, ready: pathlib.Path, addresses: int) -> None:
+        assert self._process is not None
         deadline = time.monotonic() + _START_S
-        while not ready.exists() or ready.read_text().count("\n") < 2:
+        while not ready.exists() or ready.read_text().count("\n") < addresses:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 text = self.log.read_text(errors="replace")[-2000:]
-                self._end()
                 raise MorphodError(f"the service did not start; its log ends with:\n{text}")
             time.sleep(0.02)
 
@@ -59,28 +76,69 @@ class LocalClient(Client):
             try:
                 self.request("GET", "/readyz")
                 return
-            except (MorphodError, UnreachableError):
+            except MorphodError:
                 if time.monotonic() > deadline:
-                    self.close()
                     raise
                 time.sleep(0.05)
 
     def _end(self) -> None:
-        if self._process.poll() is None:
+        if self._guard is not None:
+            self._guard.close()
+        if self._process is not None and self._process.poll() is None:
             self._process.terminate()
             try:
                 self._process.wait(_STOP_S)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        self._folder.cleanup()
+        shutil.rmtree(self._base, ignore_errors=True)
 
     def close(self) -> None:
         """Closes the connections and stops the service. What it stored in a `state_dir` of its own
-        stays; a temporary one is deleted."""
+        stays; a temporary one is deleted. In a forked child the service goes on: it is that of the
+        parent."""
+        if os.getpid() != self._pid:
+            return
         atexit.unregister(self.close)
         super().close()
         self._end()
+
+
+class _Guard:
+    """Ends a process when this one ends, however it does, and whichever thread started it: a shell
+    reads a pipe that this process alone can write to, and sends SIGTERM when the pipe breaks."""
+
+    def __init__(self, pid: int) -> None:
+        end, self._pipe = os.pipe()
+        try:
+            self._shell = subprocess.Popen(
+                ["/bin/sh", "-c", 'read -r _; kill -TERM "$1"', "sh", str(pid)], stdin=end,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        finally:
+            os.close(end)
+        _guards.add(self)
+
+    def close(self) -> None:
+        """Watches no longer: the process has not ended yet, so that its number is its own."""
+        _guards.discard(self)
+        self._shell.kill()
+        self._shell.wait()
+        os.close(self._pipe)
+
+    def leave(self) -> None:
+        """In a forked child: the pipe breaks when the parent ends, not when the child does, too."""
+        os.close(self._pipe)
+
+
+_guards: set[_Guard] = set()
+
+
+def _leave_guards() -> None:
+    while _guards:
+        _guards.pop().leave()
+
+
+os.register_at_fork(after_in_child=_leave_guards)
 
 
 def _binary(given: str | os.PathLike[str] | None) -> str:

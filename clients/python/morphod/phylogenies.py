@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import MorphodError
+from .errors import MorphodError, reading
 from .frames import pandas
 from .scenes import read_envelope
 
@@ -28,6 +28,7 @@ class Phylogeny:
     name, of a study. A million designs are a few arrays of a few megabytes.
     """
 
+    @reading()
     def __init__(self, data: bytes) -> None:
         header = read_envelope(data)
         columns: dict[str, NDArray[Any]] = header["columns"]

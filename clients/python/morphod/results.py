@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .bodies import Body, dropped
+from .errors import reading
 from .frames import frame
 from .weights import read_safetensors, torch_module
 
@@ -27,6 +28,7 @@ class Result:
     score is one, because the design cannot be among the `best` that were asked for.
     """
 
+    @reading()
     def __init__(self, data: Mapping[str, Any], lost: tuple[str, ...],
                  fault: str | None = None) -> None:
         self.data = data
@@ -40,11 +42,13 @@ class Result:
         self.lower_bound = bool(data["lower_bound"])
 
     @property
+    @reading()
     def body(self) -> Body:
         """What was simulated."""
         return Body.of(self.genotype)
 
     @property
+    @reading()
     def losses(self) -> NDArray[np.float64]:
         """One per environment; NaN where the rollout diverged, or was not needed."""
         return np.array(self.data["losses"], dtype=np.float64)
@@ -60,6 +64,7 @@ class Batch:
     was skipped or repaired, `data` all that the service tells.
     """
 
+    @reading()
     def __init__(self, data: Mapping[str, Any]) -> None:
         self.data = data
         self.number = int(data["batch"])
@@ -74,12 +79,14 @@ class Batch:
         return len(self.rows)
 
     @property
+    @reading()
     def scores(self) -> NDArray[np.float64]:
         """(children,): mean losses, lower is better; NaN: skipped, or a rollout diverged."""
         return np.array([None if row is None else row["score"] for row in self.rows],
                         dtype=np.float64)
 
     @property
+    @reading()
     def losses(self) -> NDArray[np.float64]:
         """(children, environments); NaN: skipped, diverged, or computed by another version."""
         rows = [(row or {}).get("losses") or () for row in self.rows]
@@ -89,10 +96,12 @@ class Batch:
         return table
 
     @property
+    @reading()
     def bodies(self) -> list[Body | None]:
         """What was scored; None: skipped."""
         return [None if row is None else Body.of(row["genotype"]) for row in self.rows]
 
+    @reading()
     def frame(self) -> pd.DataFrame:
         """A table with a line per child that was born."""
         return frame(self.data["children"])
@@ -104,6 +113,7 @@ class Batch:
 class Asked:
     """Bodies that a study asks to try: `bodies`, with their `parents` and `operators`."""
 
+    @reading()
     def __init__(self, data: Mapping[str, Any]) -> None:
         self.batch = int(data["batch"])
         self.bodies = [Body.of(child["body"]["voxels"]) for child in data["children"]]
@@ -147,6 +157,7 @@ class Controller:
     `data` is what the service tells of it, `content` the bytes of its safetensors file.
     """
 
+    @reading()
     def __init__(self, data: Mapping[str, Any], content: bytes) -> None:
         self.data = data
         self.content = content

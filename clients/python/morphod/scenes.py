@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import MorphodError
+from .errors import MorphodError, reading
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Environments = str | Sequence[Mapping[str, Any]]
 """The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
-`terrain_heights_m` (64 numbers) or `terrain_sigma_m` and `seed`."""
+`terrain_heights_m` (64 numbers, or an array (8, 8) as scenes have it, row y and column x) or
+`terrain_sigma_m` and `seed`."""
 
 MEDIA_TYPE = "application/vnd.morphod.scene"
 
@@ -36,6 +37,7 @@ _TYPES: dict[str, np.dtype[Any]] = {
 }
 
 
+@reading()
 def read_envelope(data: bytes) -> dict[str, Any]:
     """The header, with an array wherever it describes one. Raises `MorphodError` for bytes that are
     no scene, or end early."""
@@ -52,6 +54,7 @@ def read_envelope(data: bytes) -> dict[str, Any]:
     return read
 
 
+@reading()
 def read_npy(data: bytes) -> NDArray[Any]:
     """The array of a .npy file. It is a view of the bytes, and cannot be written."""
     if data[:8] != b"\x93NUMPY\x01\x00":
@@ -108,6 +111,7 @@ class Scene:
     the reply itself, which the players of the dashboard and of notebooks read.
     """
 
+    @reading()
     def __init__(self, data: bytes) -> None:
         self.data = data
         self.header = read_envelope(data)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import base64
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
+import anyio
+
 from ..bodies import Body, BodyLike, OnFault, Repair, designs_of
-from ..errors import MorphodError
+from ..errors import MorphodError, reading
 from ..objectives import Plan
 from ..results import Asked, Batch, children_of
-from .._wire import WAIT_S, Request, given
+from .._wire import WAIT_S, Request, given, without_none
 from .connection import AsyncConnection
-from .handles import AsyncCampaign
+from .handles import AT_ONCE_S, AsyncCampaign
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +33,8 @@ class AsyncStudy(AsyncCampaign):
 
     def __init__(self, connection: AsyncConnection, data: dict[str, Any]) -> None:
         super().__init__(connection, data)
-        self.next_batch = int(data["study"]["next_batch"])
+        with reading():
+            self.next_batch = int(data["study"]["next_batch"])
         """The number of the batch that `tell` tells next."""
 
     async def __aenter__(self) -> Self:
@@ -48,7 +52,7 @@ class AsyncStudy(AsyncCampaign):
         same question has the same answer until the next batch is told."""
         value = {"n": n, "by": by, "parents": None if parents is None else list(parents)}
         return Asked(await self._connection.json(
-            Request.post(f"{self._list}/{self.id}/ask", value)))
+            Request.post(f"{self._list}/{self.id}/ask", without_none(value))))
 
     async def tell(self, children: Iterable[BodyLike] | NDArray[Any] | Asked, *,
                    parents: Sequence[Sequence[int]] | None = None,
@@ -79,26 +83,38 @@ class AsyncStudy(AsyncCampaign):
         if sampler_state is not None:
             value["sampler_state"] = base64.b64encode(sampler_state).decode()
         # The same batch told again changes nothing, so that it is safe to repeat.
-        request = Request.post(f"{self._list}/{self.id}/tell", value).waiting(WAIT_S)
-        batch = await self._settled(await self._connection.json(request))
+        request = Request.post(f"{self._list}/{self.id}/tell", without_none(value)).waiting(WAIT_S)
+        try:
+            batch = await self._settled(await self._connection.json(request))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"batch {self.next_batch} of study {self.id} goes on if it was told: restore() or "
+                "the same tell() gives its scores") from None
         self.next_batch = batch.number + 1
         return batch
 
     async def _settled(self, told: dict[str, Any]) -> Batch:
         """Waits until a batch is committed."""
-        while told["state"] != "committed":
+        while told.get("state") != "committed":
             await self.refresh()
             if self.ended:
                 self._require_success()
+            asked = time.monotonic()
             told = await self._connection.json(
                 Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S))
+            with reading():
+                is_waiting = told["state"] != "committed"
+            if is_waiting and time.monotonic() - asked < AT_ONCE_S:
+                await anyio.sleep(AT_ONCE_S)
         return Batch(told)
 
     async def last(self) -> Batch | None:
         """The newest batch, once it is committed; None: none was told yet."""
         await self.refresh()
-        if self.data["study"]["next_batch"] == 0 and not self.data["study"]["pending"]:
-            return None
+        with reading():
+            state = self.data["study"]
+            if state["next_batch"] == 0 and not state["pending"]:
+                return None
         batch = await self._settled(await self._connection.json(
             Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S)))
         self.next_batch = batch.number + 1
@@ -111,9 +127,15 @@ class AsyncStudy(AsyncCampaign):
         batch = await self.last()
         if batch is None:
             return None
+        with reading():
+            is_saved = self.data["study"]["sampler"] is not None
+        if not is_saved:
+            raise MorphodError(f"batch {batch.number} of study {self.id} was told without "
+                               "sampler_state, so the sampler cannot be restored; last() gives the "
+                               "batch")
         reply = await self._connection.send(Request.get(
             f"{self._list}/{self.id}/sampler", accept="application/octet-stream"))
-        if reply.headers["Morphod-Batch"] != str(batch.number):
+        if reply.headers.get("Morphod-Batch") != str(batch.number):
             raise MorphodError(f"study {self.id} is driven by somebody else, too")
         return reply.content, batch
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import datetime
 import os
 import pathlib
+import warnings
 from collections.abc import Iterator, Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..bodies import BodyLike, OnFault, Repair, designs_of, requests_of, voxels_of
-from ..errors import MorphodError
+from ..errors import MorphodError, reading
 from ..frames import frame
 from ..objectives import Plan
 from ..player import Player
@@ -18,11 +20,11 @@ from ..results import Controller
 from ..scenes import MEDIA_TYPE, Environments, Scene
 from ..scores import Entered, blocks
 from ..weights import write_safetensors
-from .._wire import WAIT_S, Request, given as _given
+from .._wire import WAIT_S, Request, given as _given, without_none
 from .connection import Connection
 from .fleet import Fleet
 from .handles import (Campaign, Campaigns, Evaluation, Training, curves,
-                      curves_of, player)
+                      curves_of, interrupted, player, world_of)
 from .studies import Study
 
 if TYPE_CHECKING:
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _DESIGNS_MAX = 10000
+_LOOK_UP_S = 5.0
+"""How long an interrupt looks for the job that goes on."""
+
 
 class Client:
     """A client of a morphod service.
@@ -98,12 +103,30 @@ class Client:
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)
-        data = self._connection.json(
-            Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0))
+        request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
+        try:
+            data = self._connection.json(request)
+        except KeyboardInterrupt:
+            raise self._interrupted(request) from None
         evaluation = Evaluation(self._connection, data, lost, faults)
         if wait:
             evaluation.wait()
+            evaluation._check(designs)
         return evaluation
+
+    def _interrupted(self, request: Request) -> KeyboardInterrupt:
+        """The interrupt of a submission, with its job: its key finds what was accepted."""
+        connection = copy.copy(self._connection)
+        connection.retry_s, request.timeout_s = 0.0, _LOOK_UP_S
+        request.headers.pop("Prefer", None)
+        try:
+            found = Evaluation(connection, connection.json(request))
+            return interrupted(found)
+        except MorphodError:
+            return KeyboardInterrupt("if the evaluation was accepted it goes on: client.jobs() or "
+                                     "morphoctl job list shows it")
+        finally:
+            connection.close()
 
     def evaluation(self, id: str | int) -> Evaluation:
         """The evaluation of an id."""
@@ -118,11 +141,11 @@ class Client:
                        repair: Repair | None = None) -> Scene:
         """Up to 64 rollouts that are stored nowhere, with what they recorded: for viewers and
         editors. The losses are those of an evaluation, bit for bit."""
-        request = Request.post("/v1/rollouts", {
+        request = Request.post("/v1/rollouts", without_none({
             "designs": designs_of(bodies), "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
-            **_given(physics=physics, repair=repair),
-        }, accept=MEDIA_TYPE)
+            "physics": physics, "repair": repair,
+        }), accept=MEDIA_TYPE)
         return Scene((self._connection.send(request)).content)
 
     def show(self, bodies: Iterable[BodyLike] | NDArray[Any],
@@ -134,26 +157,28 @@ class Client:
         HTML file."""
         if isinstance(environments, str):
             known = self._connection.json(Request.get(f"/v1/environment-sets/{environments}"))
-            environments = [{name: world[name] for name in ("light_xy_m", "terrain_heights_m")}
-                            for world in known["items"]]
-        scene = self.rollouts(bodies, [environments[environment]], controller=controller,
+            world: Mapping[str, Any] = world_of(known, environment)
+        elif -len(environments) <= environment < len(environments):
+            world = environments[environment]
+        else:
+            raise MorphodError(f"there is no environment {environment}: {len(environments)} are "
+                               "given, counted from 0")
+        scene = self.rollouts(bodies, [world], controller=controller,
                                     record_stride=4, physics=physics, repair=repair)
         return player(self._connection, scene, title)
 
-    def random_bodies(self, count: int, seed: int = 1) -> NDArray[np.bool_]:
-        """Distinct random bodies (count, 6, 6, 4), as trainings draw them; nothing is stored. The
-        same seed gives the same bodies."""
-        return voxels_of(row["genotype"] for row in
-                         self._make("random", {"count": count, "seed": seed}))
+    def random_bodies(self, count: int, seed: int | None = None) -> NDArray[np.bool_]:
+        """Up to 10,000 distinct random bodies (count, 6, 6, 4), as trainings draw them; nothing is
+        stored. The same seed gives the same bodies; without one it is 1."""
+        return self._voxels(self._make("random", {"count": count, "seed": seed}))
 
-    def mutate(self, bodies: Iterable[BodyLike] | NDArray[Any], seed: int = 1, *,
+    def mutate(self, bodies: Iterable[BodyLike] | NDArray[Any], seed: int | None = None, *,
                      children: int = 1, rate: float | None = None) -> NDArray[np.bool_]:
         """Mutants as campaigns make them: `children` of each body, (bodies · children, 6, 6, 4), in
         the order of the bodies. Each differs from all bodies and all other mutants. `rate` is the
-        probability that a voxel flips; without it 1/144."""
-        return voxels_of(row["genotype"] for row in self._make("mutate", {
-            "designs": designs_of(bodies), "seed": seed, "children": children,
-            **_given(rate=rate)}))
+        probability that a voxel flips; without it 1/144. Without a `seed` it is 1."""
+        return self._voxels(self._make("mutate", {
+            "designs": designs_of(bodies), "seed": seed, "children": children, "rate": rate}))
 
     def cross(self, bodies: Iterable[BodyLike] | NDArray[Any],
                     others: Iterable[BodyLike] | NDArray[Any]) -> NDArray[np.bool_]:
@@ -163,19 +188,28 @@ class Client:
         if len(first) != len(second):
             raise ValueError(f"{len(first)} bodies cannot be crossed with {len(second)}")
         pairs = [[place, len(first) + place] for place in range(len(first))]
-        return voxels_of(row["genotype"] for row in self._make(
+        return self._voxels(self._make(
             "cross", {"designs": first + second, "pairs": pairs}))
 
     def canonical(self, bodies: Iterable[BodyLike] | NDArray[Any]) -> list[str]:
         """The ids of bodies: their canonical forms, which rotations about z and reflections in x
         and y do not change. `Body.of` turns one into a body."""
-        return [row["id"] for row in
-                self._make("canonical", {"designs": designs_of(bodies)})]
+        made = self._make("canonical", {"designs": designs_of(bodies)})
+        with reading():
+            return [row["id"] for row in made]
+
+    @staticmethod
+    @reading()
+    def _voxels(made: Iterable[Mapping[str, Any]]) -> NDArray[np.bool_]:
+        return voxels_of(row["genotype"] for row in made)
 
     def _make(self, how: str, value: Mapping[str, Any]) -> list[dict[str, Any]]:
-        made = self._connection.json(Request.post(f"/v1/bodies/{how}", value))
-        items: list[dict[str, Any]] = made["items"]
-        return items
+        made = self._connection.json(Request.post(f"/v1/bodies/{how}", without_none(value)))
+        with reading():
+            items: list[dict[str, Any]] = made["items"]
+            if not all(isinstance(item, dict) for item in items):
+                raise TypeError("a body of the list is no object")
+            return items
 
     def objective(self, measures: Sequence[Any] | None = None, *,
                   decode: Callable[[Any], BodyLike] | None = None,
@@ -207,7 +241,7 @@ class Client:
         """Starts a campaign, or `replicates` of them with the seeds `seed`, `seed + 1`, …
 
         `initial` are the bodies of the first population, or a campaign whose population it goes on
-        from; `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract
+        from: designs that do not fit the workspace are left out, with a warning (`left_out`); `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract
         (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`, `mutation`,
         `physics`.
         """
@@ -223,29 +257,29 @@ class Client:
         if replicates > 1:
             group = [Campaign(self._connection, data) for data in
                      self._connection.pages("/v1/campaigns", group=first["id"])]
-            members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
+            with reading():
+                members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
+        if isinstance(initial, Campaign) and members[0].left_out:
+            warnings.warn(f"{len(members[0].left_out)} designs of campaign {initial.id} do not fit "
+                          "the workspace and are left out; random bodies take their places",
+                          stacklevel=2)
         return Campaigns(self._connection, members)
 
     def study(self, name: str, *, population: int | None = None,
                     environments: Environments | None = None, controller: str | None = None,
                     physics: Mapping[str, Any] | None = None, **settings: Any) -> Study:
         """A study that your search drives: the one of this name that has not ended, or a new one.
+        The service finds or makes it in one step, so that processes that open a name at once share
+        one study.
 
         The name is the label of its campaign. `population` is the most designs that may live (512).
         `settings` are those of the contract (docs/studies.md), such as `selection`, `mutation`,
-        `seed`. Raises `MorphodError` if the one that is found has another population or seed.
+        `seed`. Raises `ConflictError`, which names each setting that is given here and that the
+        study has otherwise.
         """
-        value = {"mode": "study", "label": name, **settings,
+        value = {"mode": "study", "label": name, "if_exists": "return", **settings,
                  **_given(population=population, environments=environments, controller=controller,
                           physics=physics)}
-        for data in self._connection.pages("/v1/campaigns", label=name):
-            if data["study"] is None or data["state"] in ("succeeded", "failed", "cancelled"):
-                continue
-            for key in ("population", "seed"):
-                if value.get(key, data["settings"][key]) != data["settings"][key]:
-                    raise MorphodError(f"study {data['id']}, {name!r}, has the {key} "
-                                       f"{data['settings'][key]}, not {value[key]}")
-            return Study(self._connection, data)
         return Study(self._connection, self._connection.json(
             Request.submit("/v1/campaigns", value)))
 
@@ -293,14 +327,16 @@ class Client:
         """Enters the campaigns of a bundle; those that are here already stay as they are. A bundle
         that is damaged is refused with `InvalidError`, and nothing of it is stored."""
         entered = self._connection.json(self._bundle_request(path, "enter"))
-        return Campaigns(self._connection, [self.get_campaign(row["campaign"])
-                                                 for row in entered["items"]])
+        with reading():
+            ids = [str(row["campaign"]) for row in entered["items"]]
+        return Campaigns(self._connection, [self.get_campaign(id) for id in ids])
 
     def verify_bundle(self, path: str | os.PathLike[str]) -> pd.DataFrame:
         """Checks every hash and line of a bundle, and stores nothing. A table of its campaigns:
         campaign (its id here, None where it is not), source_store, source_campaign, designs, …"""
         told = self._connection.json(self._bundle_request(path, "verify"))
-        return frame(told["items"]).drop(columns="entered")
+        with reading():
+            return frame(told["items"]).drop(columns="entered")
 
     @staticmethod
     def _bundle_request(path: str | os.PathLike[str], mode: str) -> Request:
@@ -333,8 +369,9 @@ class Client:
             told = self._connection.json(Request(
                 "POST", "/v1/scores", content=block, timeout_s=600.0,
                 headers={"Content-Type": "application/zstd"}))
-            entered.add(told)
-            is_last = told["last"]
+            with reading():
+                entered.add(told)
+                is_last = told["last"]
         if not is_last:
             raise MorphodError(f"{path} ends early: its last block is missing")
         return entered
@@ -413,7 +450,8 @@ class Client:
         """A table of what jobs have used, deleted ones too: name, jobs, core_seconds,
         device_seconds; those that used most first."""
         told = self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
-        return frame(told["items"])
+        with reading():
+            return frame(told["items"])
 
     def fleet(self) -> Fleet:
         """The workers of other machines."""
@@ -445,7 +483,8 @@ class Client:
         type "reset" comes."""
         if after is None:
             page = self._connection.json(Request.get("/v1/events", format="json", limit=1))
-            after = page["newest"]
+            with reading():
+                after = page["newest"]
         events = self._connection.events(str(after), None if job is None else str(job))
         for event in events:
             yield event
@@ -453,7 +492,8 @@ class Client:
     def version(self) -> str:
         """The version of the service."""
         health = self._connection.json(Request.get("/healthz"))
-        return str(health["version"])
+        with reading():
+            return str(health["version"])
 
     def request(self, method: str, path: str, value: Mapping[str, Any] | None = None,
                       **params: Any) -> Any:
@@ -502,5 +542,6 @@ class Objective:
         if not present:
             return plan.write(bodies, None, None, single)
         evaluation = self._client.evaluate(present, **settings)
-        paths = [row.data["path_length_m"] for row in evaluation] if plan.needs_path else None
+        with reading():
+            paths = [row.data["path_length_m"] for row in evaluation] if plan.needs_path else None
         return plan.write(bodies, evaluation.scores, paths, single)

@@ -12,25 +12,61 @@ from typing import Any
 import httpx
 
 from .._wire import Address, Reply, Request, Retries, refusal
-from ..errors import UnreachableError
+from ..errors import MorphodError, UnreachableError, printable, reading
+
+_inherited: list[httpx.Client] = []
+"""Those of the process that this one was forked from, which nobody may close or use here."""
 
 
 class Connection:
-    """Keeps connections open between requests. Close it when it is no longer needed."""
+    """Keeps connections open between requests. Close it when it is no longer needed.
+
+    Each process has its own: a forked child never reads the replies of its
+    parent. A copy, and what is unpickled, connects again.
+    """
 
     def __init__(self, server: str | None, token: str | None, retry_s: float) -> None:
         self.address = Address.of(server)
+        self.token = token
         self.retry_s = retry_s
-        token = token or os.environ.get("MORPHOD_TOKEN")
-        headers = {"Authorization": f"Bearer {token}"} if token else {}
-        unix = self.address.unix
-        transport = httpx.HTTPTransport(uds=unix) if unix is not None else None
-        # No proxy from the environment between a laboratory and its own machine.
-        self._client = httpx.Client(base_url=self.address.url, headers=headers,
-                                         transport=transport, trust_env=False)
+        self.answered = False
+        """Whether the service has ever replied."""
+        self._pid = os.getpid()
+        self._clients: dict[object, httpx.Client] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"address": self.address, "token": self.token, "retry_s": self.retry_s}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, answered=False, _pid=os.getpid(), _clients={})
+
+    @property
+    def _client(self) -> httpx.Client:
+        """The connections of this process."""
+        if self._pid != os.getpid():
+            _inherited.extend(self._clients.values())
+            self._pid, self._clients = os.getpid(), {}
+        loop = None
+        client = self._clients.get(loop)
+        if client is None:
+            for other in [other for other in self._clients if _has_ended(other)]:
+                del self._clients[other]
+            token = self.token or os.environ.get("MORPHOD_TOKEN")
+            headers = {"Authorization": f"Bearer {token}"} if token else {}
+            unix = self.address.unix
+            transport = httpx.HTTPTransport(uds=unix) if unix is not None else None
+            # No proxy from the environment between a laboratory and its own machine.
+            client = httpx.Client(base_url=self.address.url, headers=headers,
+                                       transport=transport, trust_env=False)
+            client = self._clients.setdefault(loop, client)
+        return client
 
     def close(self) -> None:
-        self._client.close()
+        """Closes them."""
+        if self._pid == os.getpid():
+            client = self._clients.pop(None, None)
+            if client is not None:
+                client.close()
 
     def send(self, request: Request) -> Reply:
         """The reply to a request. While the service is away, busy or full, a request that may be
@@ -46,16 +82,21 @@ class Connection:
                 request.repeatable |= isinstance(error, (httpx.ConnectError, httpx.ConnectTimeout))
                 delay = retries.delay(None)
                 if delay is None:
-                    raise UnreachableError(
-                        f"no reply from {self.address.unix or self.address.url}: "
-                        f"{error or type(error).__name__}; is the service running?") from error
+                    raise self._unreachable(error) from error
+                retries.report(str(self._unreachable(error)), self.answered)
             else:
+                self.answered = True
                 if response.status_code < 400:
                     return Reply(response.status_code, response.headers, response.content)
                 delay = retries.delay(response.status_code, response.headers.get("Retry-After"))
                 if delay is None:
                     raise refusal(response.status_code, response.content)
             time.sleep(delay)
+
+    def _unreachable(self, error: httpx.TransportError) -> UnreachableError:
+        return UnreachableError(f"no reply from {self.address.unix or self.address.url}: "
+                                f"{printable(error) or type(error).__name__}; is the service "
+                                "running?")
 
     def save(self, request: Request, path: pathlib.Path) -> None:
         """Writes a long reply into a file. It takes the place of `path` when it is whole."""
@@ -81,22 +122,34 @@ class Connection:
             except httpx.TransportError as error:
                 delay = retries.delay(None)
                 if delay is None:
-                    raise UnreachableError(f"the reply broke off: {error}") from error
+                    raise UnreachableError(f"the reply broke off: {printable(error)}") from error
             finally:
                 part.unlink(missing_ok=True)
             time.sleep(delay)
 
-    def json(self, request: Request) -> Any:
-        return (self.send(request)).json()
+    def json(self, request: Request) -> dict[str, Any]:
+        """The JSON of a reply, an object."""
+        value = (self.send(request)).json()
+        if not isinstance(value, dict):
+            raise MorphodError(f"the reply is no object of JSON, but a {type(value).__name__}: is "
+                               "this a morphod service?")
+        return value
 
     def pages(self, path: str, limit: int = 1000, **params: Any) -> Iterator[Any]:
         """The items of a list, page after page."""
         cursor = None
+        seen = set()
         while True:
             page = self.json(Request.get(path, limit=limit, cursor=cursor, **params))
-            for item in page["items"]:
+            with reading():
+                items, cursor = list(page["items"]), page["next_cursor"]
+                if not all(isinstance(item, dict) for item in items):
+                    raise TypeError("an item of the list is no object")
+                if cursor in seen:
+                    raise ValueError(f"the list goes round: its cursor {cursor!r} comes twice")
+                seen.add(cursor)
+            for item in items:
                 yield item
-            cursor = page["next_cursor"]
             if cursor is None:
                 return
 
@@ -108,6 +161,7 @@ class Connection:
             request = Request.get("/v1/events", accept="text/event-stream", after=after, job=job)
             retries = retries or Retries(request, self.retry_s)
             delay: float | None
+            pid = os.getpid()
             try:
                 with self._client.stream(
                         "GET", request.path, params=request.params, headers=request.headers,
@@ -126,12 +180,22 @@ class Connection:
                                 kind = value
                             elif name == "data":
                                 retries = None
-                                event = json.loads(value)
-                                after = event.get("id", after)
-                                yield {**event, "type": event.get("type", kind)}
+                                with reading():
+                                    event = json.loads(value)
+                                    after = event.get("id", after)
+                                    event = {**event, "type": event.get("type", kind)}
+                                yield event
+                                if os.getpid() != pid:  # the stream is the parent's
+                                    break
             except httpx.TransportError as error:
                 retries = retries or Retries(request, self.retry_s)
                 delay = retries.delay(None)
                 if delay is None:
-                    raise UnreachableError(f"the stream of events broke: {error}") from error
+                    raise UnreachableError(f"the stream of events broke: {printable(error)}") from error
             time.sleep(delay)
+
+
+def _has_ended(loop: object) -> bool:
+    """Whether an event loop is closed, with all connections in it."""
+    is_closed = getattr(getattr(loop, "native_token", loop), "is_closed", None)
+    return is_closed is not None and bool(is_closed())

@@ -6,6 +6,7 @@ import urllib.parse
 from typing import TYPE_CHECKING, Any
 
 from ..frames import frame
+from ..errors import reading
 from .._wire import Request
 from .connection import Connection
 
@@ -24,17 +25,20 @@ class Fleet:
         self._connection = connection
         self.data = data
 
+    @reading()
     def __repr__(self) -> str:
         told = self.data
         return (f"<{told['n_sessions']} workers with {told['n_threads']} threads and "
                 f"{told['n_devices']} GPUs, {told['rollouts_per_s']:,.0f} rollouts/s>")
 
     @property
+    @reading()
     def sessions(self) -> pd.DataFrame:
         """A table of the workers: open sessions, then the newest that have ended."""
         return frame(self.data["sessions"])
 
     @property
+    @reading()
     def in_quarantine(self) -> pd.DataFrame:
         """A table of the workers that may not join, with when and why; oldest first."""
         return frame(self.data["quarantine"])

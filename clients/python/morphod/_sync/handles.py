@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..errors import JobError, MorphodError, WaitError
+from ..bodies import voxels_of
+from ..errors import JobError, MorphodError, WaitError, printable, reading
 from ..frames import frame, frame_of_columns, pandas
 from ..phylogenies import Phylogeny
 from ..player import Player, player_of
-from ..progress import Bar
+from ..progress import Bar, doing
 from ..results import Controller, Result
 from ..scenes import MEDIA_TYPE, Scene, read_npy
 from .._wire import WAIT_S, Request
@@ -25,6 +26,29 @@ if TYPE_CHECKING:
 
 _ENDED = ("succeeded", "failed", "cancelled")
 _POLL_S = 1.0
+AT_ONCE_S = 0.5
+"""A request that should have waited and was answered sooner is not repeated at once."""
+
+_ELEMENTS = {"float32-le": "<f4", "int8": "i1", "uint8": "u1"}
+
+
+def interrupted(*jobs: Job) -> KeyboardInterrupt:
+    """What an interrupt says of the jobs that go on."""
+    words = "; ".join(f"{job.noun} {job.id} goes on: {job.finder}({job.id!r}).cancel(), or "
+                      f"morphoctl job cancel {job.id}, ends it" for job in jobs if not job.ended)
+    return KeyboardInterrupt(*([words] if words else []))
+
+
+def corner_of(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Bodies (n, 6, 6, 4), each moved to the corner of the workspace."""
+    for axis in (1, 2, 3):
+        others = tuple({1, 2, 3} - {axis})
+        first = voxels.any(axis=others).argmax(axis=1)
+        places = (first[:, None] + np.arange(voxels.shape[axis])) % voxels.shape[axis]
+        shape = [-1 if side in (0, axis) else 1 for side in range(4)]
+        shape[0] = len(voxels)
+        voxels = np.take_along_axis(voxels, places.reshape(shape), axis=axis)
+    return voxels
 
 
 class Job:
@@ -34,40 +58,50 @@ class Job:
     """
 
     _list = "/v1/jobs"
+    noun = "job"
+    finder = "client.job"
 
     def __init__(self, connection: Connection, data: dict[str, Any]) -> None:
         self._connection = connection
         self.data = data
+        with reading():
+            data["id"], data["state"]
 
     @property
+    @reading()
     def id(self) -> str:
         """The number of the job, as text."""
         return str(self.data["id"])
 
     @property
+    @reading()
     def state(self) -> str:
         """queued, running, paused, succeeded, failed or cancelled, as of the last look."""
         return str(self.data["state"])
 
     @property
+    @reading()
     def label(self) -> str | None:
         """A text to find it by; `edit` changes it."""
         label: str | None = self.data["label"]
         return label
 
     @property
+    @reading()
     def experiment(self) -> str | None:
         """What it belongs to, with other jobs."""
         experiment: str | None = self.data["experiment"]
         return experiment
 
     @property
+    @reading()
     def note(self) -> str | None:
         """What somebody said of it."""
         note: str | None = self.data["note"]
         return note
 
     @property
+    @reading()
     def core_seconds(self) -> float:
         """Seconds that cores have computed for it, as of the last look."""
         return float(self.data["core_seconds"])
@@ -98,12 +132,19 @@ class Job:
         and `WaitError` when the time is over; the job goes on then. A restart of the service in
         between changes nothing."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        while not self.ended:
-            left = WAIT_S if deadline is None else min(WAIT_S, int(deadline - time.monotonic()))
-            if deadline is not None and time.monotonic() >= deadline:
-                raise WaitError(f"job {self.id} is {self.state} after {timeout_s} s; it goes on")
-            self.data = self._connection.json(
-                Request.get(f"{self._list}/{self.id}", wait_s=max(left, 1)))
+        try:
+            while not self.ended:
+                asked = time.monotonic()
+                left = WAIT_S if deadline is None else min(WAIT_S, int(deadline - asked))
+                if deadline is not None and asked >= deadline:
+                    raise WaitError(
+                        f"job {self.id} is {self.state} after {timeout_s} s; it goes on")
+                self.data = self._connection.json(
+                    Request.get(f"{self._list}/{self.id}", wait_s=max(left, 1)))
+                if not self.ended and time.monotonic() - asked < AT_ONCE_S:
+                    time.sleep(AT_ONCE_S)
+        except KeyboardInterrupt:
+            raise interrupted(self) from None
         self._conclude()
 
     def _conclude(self) -> None:
@@ -115,25 +156,32 @@ class Job:
     def _require_success(self) -> None:
         if self.state == "succeeded":
             return
-        error = self.data.get("error") or {}
-        why = f": {error['detail']}" if error.get("detail") else ""
+        error = self.data.get("error")
+        detail = error.get("detail") if isinstance(error, Mapping) else None
+        why = f": {printable(detail)}" if detail else ""
         raise JobError(f"job {self.id} {'failed' if self.state == 'failed' else 'was cancelled'}"
                        f"{why}", self.data)
 
     def _watch(self, title: str, unit: str) -> None:
-        with Bar(title, self._steps()[1], unit) as bar:
-            while True:
-                done, total = self._steps()
-                bar.update(done, total, **self._numbers())
-                if self.ended:
-                    break
-                time.sleep(_POLL_S)
-                self.refresh()
+        try:
+            with Bar(title, self._steps()[1], unit) as bar:
+                while True:
+                    done, total = self._steps()
+                    with reading():
+                        bar.update(done, total, doing(self.data), **self._numbers())
+                    if self.ended:
+                        break
+                    time.sleep(_POLL_S)
+                    self.refresh()
+        except KeyboardInterrupt:
+            raise interrupted(self) from None
         self._conclude()
 
+    @reading()
     def _steps(self) -> tuple[int, int]:
         return int(self.data["rollouts_done"]), int(self.data["rollouts_total"])
 
+    @reading()
     def _numbers(self) -> dict[str, float | None]:
         return {}
 
@@ -177,6 +225,8 @@ class Evaluation(Job):
     """Designs scored in environments. `len`, `[…]` and iteration go over the designs."""
 
     _list = "/v1/evaluations"
+    noun = "evaluation"
+    finder = "client.evaluation"
 
     def __init__(self, connection: Connection, data: dict[str, Any],
                  lost: Sequence[tuple[str, ...]] = (),
@@ -187,6 +237,7 @@ class Evaluation(Job):
         """Per design what the conversion of its body left out; empty where it is not known."""
 
     @property
+    @reading()
     def _results(self) -> list[dict[str, Any]]:
         if not self.ended:
             raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
@@ -195,27 +246,32 @@ class Evaluation(Job):
         return results
 
     @property
+    @reading()
     def scores(self) -> NDArray[np.float64]:
         """Mean losses (designs,), lower is better; NaN where a rollout diverged."""
         return np.array([row["score"] for row in self._results], dtype=np.float64)
 
     @property
+    @reading()
     def lower_bound(self) -> NDArray[np.bool_]:
         """(designs,): with `best`, whether the score is a lower bound, because the design cannot be
         among the best."""
         return np.array([row["lower_bound"] for row in self._results], dtype=np.bool_)
 
     @property
+    @reading()
     def losses(self) -> NDArray[np.float64]:
         """(designs, environments); NaN where the rollout diverged or, with `best`, was not needed.
         """
         return np.array([row["losses"] for row in self._results], dtype=np.float64)
 
     @property
+    @reading()
     def ids(self) -> list[str | None]:
         """The designs' ids: their canonical forms; None where there was no body."""
         return [row["id"] for row in self._results]
 
+    @reading()
     def __len__(self) -> int:
         return int(self.data["n_designs"])
 
@@ -223,6 +279,25 @@ class Evaluation(Job):
         row = self._results[place]
         lost = tuple(self.lost[place]) if self.lost else ()
         return Result(row, lost, self._faults.get(place % len(self)))
+
+    @reading()
+    def _check(self, designs: Sequence[Mapping[str, str]]) -> None:
+        """Checks that the results are of the designs that were asked for."""
+        asked = [design.get("voxels") for design in designs]
+        rows = self._results
+        found = [None if row["repaired"] or row["fault"] else row["genotype"] for row in rows]
+        if len(rows) != len(asked):
+            raise MorphodError(f"evaluation {self.id} has {len(rows)} results, not the "
+                               f"{len(asked)} that were asked for")
+        known = [place for place, (one, other) in enumerate(zip(asked, found)) if one and other]
+        if not known:
+            return
+        first, second = (corner_of(voxels_of(texts[place] for place in known))
+                         for texts in (asked, found))
+        wrong = np.flatnonzero((first != second).any(axis=(1, 2, 3)))
+        if wrong.size:
+            raise MorphodError(f"result {known[wrong[0]]} of evaluation {self.id} is of another "
+                               "body than was asked for")
 
     def __iter__(self) -> Iterator[Result]:
         return (self[place] for place in range(len(self)))
@@ -234,6 +309,10 @@ class Evaluation(Job):
         body), and a column loss_0, loss_1, … per environment."""
         results = self._results
         losses = self.losses
+        with reading():
+            return self._table(results, losses)
+
+    def _table(self, results: list[dict[str, Any]], losses: NDArray[np.float64]) -> pd.DataFrame:
         table: pd.DataFrame = pandas().DataFrame({
             "id": [row["id"] for row in results],
             "genotype": [row["genotype"] for row in results],
@@ -254,14 +333,17 @@ class Evaluation(Job):
         return self
 
     def recording(self, place: int, environment: int = 0,
-                        array: Literal["masses", "com"] = "masses") -> NDArray[np.float32]:
-        """Recorded positions of one design in meters: masses (frames, masses, 3), or com, the
-        center of mass, (frames, 3). The evaluation must have been asked to `record` them."""
+                        array: Literal["masses", "com", "actuation", "contacts"] = "masses"
+                        ) -> NDArray[Any]:
+        """What was recorded of one design: masses (frames, masses, 3) or com, the center of mass,
+        (frames, 3), in meters; actuation (frames, springs), contacts (frames, masses). The
+        evaluation must have been asked to `record` them."""
         reply = self._connection.send(Request.get(
             f"/v1/evaluations/{self.id}/trajectories/{place}/file",
             accept="application/octet-stream", environment=environment, array=array))
-        shape = [int(side) for side in reply.headers["Morphod-Shape"].split(",")]
-        return np.frombuffer(reply.content, dtype="<f4").reshape(shape)
+        with reading():
+            shape = [int(side) for side in reply.headers["Morphod-Shape"].split(",")]
+            return np.frombuffer(reply.content, dtype=_ELEMENTS[reply.headers["Morphod-Type"]]).reshape(shape)
 
     def recordings(self,
                          array: Literal["masses", "com", "actuation", "contacts"] = "com"
@@ -281,27 +363,40 @@ class Evaluation(Job):
     def show(self, place: int = 0, environment: int = 0) -> Player:
         """The robot as it walks: in a notebook a player, elsewhere `show().save(path)` makes one
         HTML file of it. Computes the rollout again, so nothing needs to be recorded."""
-        worlds = self._connection.json(
-            Request.get(f"/v1/evaluations/{self.id}/environments"))
-        world = worlds["items"][environment]
+        world = world_of(self._connection.json(
+            Request.get(f"/v1/evaluations/{self.id}/environments")), environment)
         result = self[place]
-        scene = Scene((self._connection.send(Request.post("/v1/rollouts", {
-            "designs": [{"voxels": result.genotype}],
-            "environments": [{name: world[name] for name in ("light_xy_m", "terrain_heights_m")}],
-            "controller": f"sha256:{self.data['controller']['sha256']}",
-            "physics": self.data["physics"], "precision": self.data["precision"],
-            "record": ["masses"], "record_stride": 4,
-        }, accept=MEDIA_TYPE))).content)
+        with reading():
+            request = Request.post("/v1/rollouts", {
+                "designs": [{"voxels": result.genotype}],
+                "environments": [world],
+                "controller": f"sha256:{self.data['controller']['sha256']}",
+                "physics": self.data["physics"], "precision": self.data["precision"],
+                "record": ["masses"], "record_stride": 4,
+            }, accept=MEDIA_TYPE)
+        scene = Scene((self._connection.send(request)).content)
         return player(self._connection, scene, f"Design {place} of evaluation {self.id}")
+
+
+@reading()
+def world_of(worlds: Mapping[str, Any], environment: int) -> dict[str, Any]:
+    """One of the environments that the service lists."""
+    items = worlds["items"]
+    if not -len(items) <= environment < len(items):
+        raise MorphodError(f"there is no environment {environment}: 0 to {len(items) - 1} are there")
+    return {name: items[environment][name] for name in ("light_xy_m", "terrain_heights_m")}
 
 
 def player(connection: Connection, scene: Scene, title: str) -> Player:
     """A player of a scene, from the modules of the service's own dashboard."""
     index = connection.send(Request.get("/", accept="text/html"))
-    making = player_of(index.content.decode(), scene, title)
-    step = next(making)
+    with reading():
+        making = player_of(index.content.decode(), scene, title)
+        step = next(making)
     while isinstance(step, str):
-        step = making.send((connection.send(Request.get(step, "*/*"))).content.decode())
+        content = (connection.send(Request.get(step, "*/*"))).content
+        with reading():
+            step = making.send(content.decode())
     return step
 
 
@@ -309,11 +404,15 @@ class Training(Job):
     """A controller that learns."""
 
     _list = "/v1/trainings"
+    noun = "training"
+    finder = "client.training"
 
+    @reading()
     def _steps(self) -> tuple[int, int]:
         progress = self.data["progress"]
         return progress["step"], progress["steps"]
 
+    @reading()
     def _numbers(self) -> dict[str, float | None]:
         validation = self.data["validation"] or {}
         return {"loss": self.data["progress"]["mean_loss"],
@@ -346,11 +445,15 @@ class Campaign(Job):
     """A population that evolves."""
 
     _list = "/v1/campaigns"
+    noun = "campaign"
+    finder = "client.get_campaign"
 
+    @reading()
     def _steps(self) -> tuple[int, int]:
         progress = self.data["progress"]
         return (progress["generation"] or 0), progress["generations"]
 
+    @reading()
     def _numbers(self) -> dict[str, float | None]:
         newest = self.data["newest"]
         if newest is None:
@@ -358,11 +461,20 @@ class Campaign(Job):
         return {"best": newest["score"]["quantiles"]["p0"], "mean": newest["score"]["mean"],
                 "diversity": newest["diversity"]}
 
+    @property
+    @reading()
+    def left_out(self) -> list[dict[str, Any]]:
+        """The initial designs that are not in generation 0, each with its `place` and `fault`:
+        those of another campaign that do not fit the workspace, and listed ones that were skipped.
+        """
+        return [note for note in self.data.get("founders", ()) if note["fault"] is not None]
+
     def live(self) -> Campaign:
         """Shows how far it is until it has ended."""
         self._watch(f"campaign {self.id}", " generations")
         return self
 
+    @reading()
     def _constant(self) -> dict[str, Any]:
         return {"campaign": self.id, "group": self.data["group"]["id"],
                 "replicate": self.data["group"]["replicate"], "label": self.label,
@@ -390,7 +502,8 @@ class Campaign(Job):
         """A table of the best design and a sample of the others, most distinct first."""
         found = self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
-        return frame(found["items"])
+        with reading():
+            return frame(found["items"])
 
     def phylogeny(self, lineages: bool = False) -> Phylogeny:
         """Every design ever born; with `lineages` the living and their ancestors alone."""
@@ -408,19 +521,21 @@ class Campaign(Job):
         """The champions side by side, as they walk now: a player for notebooks."""
         champions = self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
-        worlds = self._connection.json(Request.get(f"/v1/campaigns/{self.id}/environments"))
-        world = worlds["items"][environment]
-        result = self.data["result"]
-        controller = (result["controller"] if result else self.data["controller"]) or {}
-        if "sha256" not in controller:
-            raise MorphodError(f"campaign {self.id} has no controller yet: wait() for its end")
-        scene = Scene((self._connection.send(Request.post("/v1/rollouts", {
-            "designs": [{"voxels": row["genotype"]} for row in champions["items"]],
-            "environments": [{name: world[name] for name in ("light_xy_m", "terrain_heights_m")}],
-            "controller": f"sha256:{controller['sha256']}",
-            "physics": self.data["settings"]["physics"],
-            "record": ["masses"], "record_stride": 4,
-        }, accept=MEDIA_TYPE))).content)
+        world = world_of(self._connection.json(
+            Request.get(f"/v1/campaigns/{self.id}/environments")), environment)
+        with reading():
+            result = self.data["result"]
+            controller = (result["controller"] if result else self.data["controller"]) or {}
+            if "sha256" not in controller:
+                raise MorphodError(f"campaign {self.id} has no controller yet: wait() for its end")
+            request = Request.post("/v1/rollouts", {
+                "designs": [{"voxels": row["genotype"]} for row in champions["items"]],
+                "environments": [world],
+                "controller": f"sha256:{controller['sha256']}",
+                "physics": self.data["settings"]["physics"],
+                "record": ["masses"], "record_stride": 4,
+            }, accept=MEDIA_TYPE)
+        scene = Scene((self._connection.send(request)).content)
         return player(self._connection, scene, f"Champions of campaign {self.id}")
 
 
@@ -446,24 +561,36 @@ class Campaigns:
     def wait(self, timeout_s: float | None = None) -> None:
         """Waits until all have succeeded; see `wait` of one."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        for member in self._members:
-            member.wait(None if deadline is None else max(0.0, deadline - time.monotonic()))
+        try:
+            for member in self._members:
+                member.wait(
+                    None if deadline is None else max(0.0, deadline - time.monotonic()))
+        except KeyboardInterrupt:
+            raise interrupted(*self._members) from None
 
     def live(self) -> Campaigns:
         """Shows how far all of them are until they have ended."""
         total = sum(member._steps()[1] for member in self._members)
-        with Bar(f"{len(self)} campaigns", total, " generations") as bar:
-            while True:
-                bests = [member._numbers().get("best") for member in self._members]
-                known = [best for best in bests if best is not None]
-                bar.update(sum(member._steps()[0] for member in self._members), total,
-                           best=min(known) if known else None)
-                if all(member.ended for member in self._members):
-                    break
-                time.sleep(_POLL_S)
-                for member in self._members:
-                    if not member.ended:
-                        member.refresh()
+        try:
+            with Bar(f"{len(self)} campaigns", total, " generations") as bar:
+                while True:
+                    bests = [member._numbers().get("best") for member in self._members]
+                    known = [best for best in bests if best is not None]
+                    # What the first does that runs: while one draws bodies, the others wait for it.
+                    active = next((member.data for member in self._members
+                                   if member.state == "running"), None)
+                    with reading():
+                        bar.update(sum(member._steps()[0] for member in self._members), total,
+                                   doing(active) if active else "",
+                                   best=min(known) if known else None)
+                    if all(member.ended for member in self._members):
+                        break
+                    time.sleep(_POLL_S)
+                    for member in self._members:
+                        if not member.ended:
+                            member.refresh()
+        except KeyboardInterrupt:
+            raise interrupted(*self._members) from None
         for member in self._members:
             member._conclude()
         return self
