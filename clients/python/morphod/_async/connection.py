@@ -15,6 +15,9 @@ import httpx
 from .._wire import Address, Reply, Request, Retries, refusal
 from ..errors import MorphodError, UnreachableError, printable, reading
 
+_REOPEN_S = 0.1
+"""Between two streams of events."""
+
 _inherited: list[httpx.AsyncClient] = []
 """Those of the process that this one was forked from, which nobody may close or use here."""
 
@@ -173,14 +176,17 @@ class AsyncConnection:
                                               response.headers.get("Retry-After"))
                         if delay is None:
                             raise refusal(response.status_code, content)
+                    elif "text/event-stream" not in response.headers.get("Content-Type", ""):
+                        raise MorphodError("the reply is no stream of events: is this a morphod "
+                                           "service?")
                     else:
-                        kind, delay = "", 0.0
+                        kind, delay = "", _REOPEN_S
                         async for line in response.aiter_lines():
+                            retries = None
                             name, _, value = line.rstrip("\n").partition(": ")
                             if name == "event":
                                 kind = value
                             elif name == "data":
-                                retries = None
                                 with reading():
                                     event = json.loads(value)
                                     after = event.get("id", after)
@@ -188,11 +194,16 @@ class AsyncConnection:
                                 yield event
                                 if os.getpid() != pid:  # the stream is the parent's
                                     break
+                        if retries is not None:  # it ended before anything came
+                            delay = retries.delay(None)
+                            if delay is None:
+                                raise UnreachableError("the stream of events ends at once")
             except httpx.TransportError as error:
                 retries = retries or Retries(request, self.retry_s)
                 delay = retries.delay(None)
                 if delay is None:
-                    raise UnreachableError(f"the stream of events broke: {printable(error)}") from error
+                    raise UnreachableError(
+                        f"the stream of events broke: {printable(error)}") from error
             await anyio.sleep(delay)
 
 

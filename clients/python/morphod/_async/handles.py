@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ENDED = ("succeeded", "failed", "cancelled")
+_STATES = ("queued", "running", "paused", *_ENDED)
 _POLL_S = 1.0
 AT_ONCE_S = 0.5
 """A request that should have waited and was answered sooner is not repeated at once."""
@@ -78,7 +79,7 @@ class AsyncJob:
     @reading()
     def state(self) -> str:
         """queued, running, paused, succeeded, failed or cancelled, as of the last look."""
-        return str(self.data["state"])
+        return _STATES[_STATES.index(self.data["state"])]
 
     @property
     @reading()
@@ -344,7 +345,8 @@ class AsyncEvaluation(AsyncJob):
             accept="application/octet-stream", environment=environment, array=array))
         with reading():
             shape = [int(side) for side in reply.headers["Morphod-Shape"].split(",")]
-            return np.frombuffer(reply.content, dtype=_ELEMENTS[reply.headers["Morphod-Type"]]).reshape(shape)
+            kind = _ELEMENTS[reply.headers["Morphod-Type"]]
+            return np.frombuffer(reply.content, dtype=kind).reshape(shape)
 
     async def recordings(self,
                          array: Literal["masses", "com", "actuation", "contacts"] = "com"
@@ -384,7 +386,8 @@ def world_of(worlds: Mapping[str, Any], environment: int) -> dict[str, Any]:
     """One of the environments that the service lists."""
     items = worlds["items"]
     if not -len(items) <= environment < len(items):
-        raise MorphodError(f"there is no environment {environment}: 0 to {len(items) - 1} are there")
+        raise MorphodError(f"there is no environment {environment}: there are {len(items)}, "
+                           "counted from 0")
     return {name: items[environment][name] for name in ("light_xy_m", "terrain_heights_m")}
 
 

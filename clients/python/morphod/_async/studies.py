@@ -103,8 +103,10 @@ class AsyncStudy(AsyncCampaign):
             told = await self._connection.json(
                 Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S))
             with reading():
-                is_waiting = told["state"] != "committed"
-            if is_waiting and time.monotonic() - asked < AT_ONCE_S:
+                is_committed = told["state"] == "committed"
+            if not is_committed and self.ended:
+                raise MorphodError(f"study {self.id} has ended without its newest batch")
+            if not is_committed and time.monotonic() - asked < AT_ONCE_S:
                 await anyio.sleep(AT_ONCE_S)
         return Batch(told)
 

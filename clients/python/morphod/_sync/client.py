@@ -241,7 +241,8 @@ class Client:
         """Starts a campaign, or `replicates` of them with the seeds `seed`, `seed + 1`, …
 
         `initial` are the bodies of the first population, or a campaign whose population it goes on
-        from: designs that do not fit the workspace are left out, with a warning (`left_out`); `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract
+        from: designs that do not fit the workspace are left out, with a warning (`left_out`).
+        `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract
         (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`, `mutation`,
         `physics`.
         """
