@@ -11,6 +11,7 @@ from service import CONTRACT, DESIGN, tiny_controller
 BAR = {"cells": [[x, 2, 0] for x in range(4)]}
 DOT = {"cells": [[0, 0, 0]]}
 FLAT = [0.05] * 64
+ROWS = [[0] * 8] * 8
 PLACE = {"light_xy_m": [4.5, 2.5], "terrain_heights_m": FLAT}
 ROUGH = {"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.1, "seed": 1}
 BLOCK = {"voxels": "1" * 144}
@@ -30,8 +31,13 @@ ENVIRONMENT = {  # of a second environment
     "": [{"terrain_heights_m": FLAT}, {"light_xy_m": [1, 1]}, PLACE | ROUGH,
          {"light_xy_m": [1, 1], "terrain_sigma_m": 0.1}, "paper-test"],
     "/terrain_heights_m": [PLACE | {"terrain_heights_m": FLAT[1:]},
+                           PLACE | {"terrain_heights_m": ROWS[1:]},
+                           PLACE | {"terrain_heights_m": ROWS + ROWS},
                            PLACE | {"terrain_heights_m": FLAT + [0]}],
     "/terrain_heights_m/63": [PLACE | {"terrain_heights_m": FLAT[1:] + [101]}],
+    "/terrain_heights_m/7": [PLACE | {"terrain_heights_m": ROWS[:7] + [[0] * 7]},
+                             PLACE | {"terrain_heights_m": ROWS[:7] + [0]}],
+    "/terrain_heights_m/7/2": [PLACE | {"terrain_heights_m": ROWS[:7] + [[0, 0, "0"] + [0] * 5]}],
     "/terrain_heights_m/0": [PLACE | {"terrain_heights_m": [None] + FLAT[1:]}],
     "/light_xy_m": [PLACE | {"light_xy_m": [1]}],
     "/light_xy_m/1": [PLACE | {"light_xy_m": [1, 1001]}],
