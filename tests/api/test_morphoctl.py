@@ -67,6 +67,27 @@ def test_a_study(ctl, tmp_path):
     assert ctl(f"study sampler {id}")[0] == 3
 
 
+def test_a_study_by_its_name(ctl):
+    start = "campaign start study --label 'by name' --if-exists return -q"
+    status, out, err = ctl(f"{start} --population 20 {SHORT}")
+    assert status == 0 and ctl(start)[:2] == (0, out), err
+    status, none, err = ctl(f"{start} --population 21 --physics n_steps=500")
+    assert (status, none) == (3, ""), err
+    assert "/population: 21 is given; study" in err and "/physics/n_steps: 500 is given" in err
+
+
+def test_founders_that_do_not_fit_are_counted(ctl):
+    cube = json.dumps({"cells": [[x, y, z] for x in range(3) for y in range(3) for z in range(3)]})
+    start = f"campaign start zero-shot --no-exclusions --generations 0 {SHORT}"
+    parent = ctl(f"{start} - --population 2 -q", input_text=CELLS + cube)[1].strip()
+    assert ctl(f"wait {parent}")[0] == 0
+    status, out, err = ctl(f"{start} --population 4 --from {parent} --workspace 3,3,2")
+    assert status == 0 and "1 of the initial designs is left out" in err, err
+    assert f"design 1 of campaign {parent} does not fit the workspace of 3 × 3 × 2" in err
+    status, out, err = ctl(f"{start} --population 4 --from {parent} --workspace 1,1,1")
+    assert (status, out) == (6, "") and "no design of that campaign fits" in err, err
+
+
 def test_the_same_key_is_the_same_evaluation(ctl):
     ids = {
         json.loads(ctl(f"eval {SHORT} --json --idempotency-key once", input_text=CELLS)[1])["id"]

@@ -106,8 +106,15 @@ def test_a_world_that_is_not_there(m):
             show()
 
 
+def test_an_evaluation_in_a_notebook(m):
+    evaluation = m.evaluate([DESIGN], physics={"n_steps": 5})
+    assert evaluation[0].id in evaluation._repr_html_()
+
+
 def test_a_sampler_that_was_not_saved(m):
     study = m.study("without a sampler", physics={"n_steps": 5})
+    with pytest.raises(ValueError, match="'reach' is inf"):
+        study.tell([DESIGN["cells"]], measures={"reach": [np.inf]})
     study.tell([DESIGN["cells"]])
     with pytest.raises(morphod.MorphodError, match="told without sampler_state"):
         study.restore()

@@ -137,7 +137,8 @@ def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence
     if operator is not None:
         columns["operator"] = [operator] * len(designs) if isinstance(operator, str) else operator
     if measures:
-        named = {name: [_measure(value) for value in values] for name, values in measures.items()}
+        named = {name: [_measure(name, value) for value in values]
+                 for name, values in measures.items()}
         if len(set(map(len, named.values()))) != 1:
             raise ValueError("measures have different numbers of children")
         columns["measures"] = [dict(zip(named, row)) for row in zip(*named.values())]
@@ -147,8 +148,11 @@ def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence
     return [dict(zip(columns, row)) for row in zip(*columns.values())]
 
 
-def _measure(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _measure(name: str, value: float) -> float | None:
+    if math.isinf(value):
+        raise ValueError(f"measure {name!r} is {value}: finite numbers are stored, and NaN stands "
+                         "for no value")
+    return None if math.isnan(value) else float(value)
 
 
 class Controller:

@@ -329,6 +329,16 @@ class AsyncEvaluation(AsyncJob):
         })
         return table
 
+    def _repr_html_(self) -> str | None:
+        """In a notebook the table of an evaluation that has succeeded."""
+        if self.state != "succeeded":
+            return None
+        try:
+            table: str = self.frame()._repr_html_()
+        except MorphodError:  # there is no pandas
+            return None
+        return f"<p>evaluation {self.id}</p>{table}"
+
     async def live(self) -> AsyncEvaluation:
         """Shows how far it is until it has ended."""
         await self._watch(f"evaluation {self.id}", " rollouts")

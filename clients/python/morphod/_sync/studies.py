@@ -63,10 +63,11 @@ class Study(Campaign):
 
         `children` are bodies, or what `ask` gave. `parents` are the numbers of each one's parents,
         up to two designs of earlier batches, and `operator` says how they were made, in your own
-        words. `measures` has arrays by name. `survivors` are numbers of those of the population
-        that live on, with all children; without them the study's selection decides.
-        `sampler_state` comes back from `restore`; save the sampler as it is now, before it knows
-        these scores. A body that is skipped (`on_fault="skip"`) has no number and the score NaN.
+        words. `measures` has arrays by name, NaN where there is no value. `survivors` are numbers
+        of those of the population that live on, with all children; without them the study's
+        selection decides. `sampler_state` comes back from `restore`; save the sampler as it is now,
+        before it knows these scores. A body that is skipped (`on_fault="skip"`) has no number and
+        the score NaN.
         """
         if isinstance(children, Asked):
             parents = children.parents if parents is None else parents
