@@ -76,6 +76,22 @@ def test_forked_processes_get_their_own_replies(m):
     assert ids_of((m, bodies[:3])) == right[:3]
 
 
+def test_a_forked_process_opens_its_own_stream_of_events(m):
+    """Both see every event, in order."""
+    for n in range(3):
+        m.evaluate([[[0, 0, 0]]], WORLD, physics={"n_steps": 5 + n})
+    numbers = [int(event["id"]) for event, _ in zip(m.events(after=0), range(9))]
+    events = m.events(after=0)
+    assert int(next(events)["id"]) == numbers[0]
+    child = os.fork()
+    if child == 0:
+        found = [int(event["id"]) for event, _ in zip(events, range(8))]
+        os._exit(found != numbers[1:])
+    time.sleep(0.5)
+    assert [int(event["id"]) for event, _ in zip(events, range(8))] == numbers[1:]
+    assert os.waitpid(child, 0)[1] == 0
+
+
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_a_pool_gets_copies_of_a_client(m, method):
     bodies = m.random_bodies(8, seed=12)

@@ -65,7 +65,8 @@ CALLS = {
 @pytest.fixture
 def answered():
     """A client, and the replies of its server: bytes, or a status and bytes."""
-    replies = {"body": b"{}", "status": 200, "type": "application/json", "n": 0}
+    replies = {"body": b"{}", "status": 200, "type": "application/json", "n": 0,
+               "more": {}}
 
     class Handler(http.server.BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -77,6 +78,8 @@ def answered():
             body = body(self.path) if callable(body) else body
             self.send_response(replies["status"])
             self.send_header("Content-Type", replies["type"])
+            for name, value in replies["more"].items():
+                self.send_header(name, value)
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             self.wfile.write(body)
@@ -115,6 +118,21 @@ def test_a_refusal_of_another_form(answered, body):
     with pytest.raises(morphod.InvalidError) as caught:
         client.version()
     assert caught.value.status == 422
+
+
+def test_headers_of_another_form(answered):
+    client, replies = answered
+    for retry_after in ("\xb2", "-1", "Fri, 32 Foo 99999 99:99:99 GMT", "9" * 400):
+        replies.update(status=503, more={"Retry-After": retry_after}, n=0)
+        client._connection.retry_s = 0.3
+        with pytest.raises(morphod.BusyError):
+            client.version()
+    replies.update(status=200, more={"Content-Encoding": "gzip"}, body=b"no gzip")
+    with pytest.raises(morphod.MorphodError, match="cannot be decoded"):
+        client.version()
+    replies.update(status=302, more={"Location": "http://elsewhere.invalid/"}, body=b"")
+    with pytest.raises(morphod.MorphodError, match="not JSON"):
+        client.version()
 
 
 def test_control_characters_of_a_service_are_escaped(answered):

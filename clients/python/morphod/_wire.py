@@ -163,6 +163,12 @@ def refusal(status: int, content: bytes) -> ApiError:
     return api_error(status, problem)
 
 
+def undecodable(error: Exception) -> MorphodError:
+    """The exception for a reply whose content coding is wrong."""
+    return MorphodError(f"the reply cannot be decoded: {printable(error)}; is this a morphod "
+                        "service?")
+
+
 class Retries:
     """Decides how long to wait before a request is repeated, within a time."""
 
@@ -202,9 +208,9 @@ class Retries:
 
 def _seconds_of(retry_after: str) -> float:
     """A `Retry-After`, in seconds or as a date."""
-    if retry_after.isdigit():
+    if retry_after.isascii() and retry_after.isdigit():
         return float(retry_after)
     try:
         return max(0.0, email.utils.parsedate_to_datetime(retry_after).timestamp() - time.time())
-    except ValueError:
+    except (ArithmeticError, TypeError, ValueError):
         return 0.0

@@ -12,7 +12,7 @@ import anyio
 import anyio.lowlevel
 import httpx
 
-from .._wire import Address, Reply, Request, Retries, refusal
+from .._wire import Address, Reply, Request, Retries, refusal, undecodable
 from ..errors import MorphodError, UnreachableError, printable, reading
 
 _REOPEN_S = 0.1
@@ -81,6 +81,8 @@ class AsyncConnection:
                 response = await self._client.request(
                     request.method, request.path, params=request.params, content=request.content,
                     headers=request.headers, timeout=request.timeout_s)
+            except httpx.DecodingError as error:
+                raise undecodable(error) from None
             except httpx.TransportError as error:
                 # Without a connection nothing was sent, whatever the request is.
                 request.repeatable |= isinstance(error, (httpx.ConnectError, httpx.ConnectTimeout))
@@ -123,6 +125,8 @@ class AsyncConnection:
                     delay = retries.delay(response.status_code, response.headers.get("Retry-After"))
                     if delay is None:
                         raise refusal(response.status_code, content)
+            except httpx.DecodingError as error:
+                raise undecodable(error) from None
             except httpx.TransportError as error:
                 delay = retries.delay(None)
                 if delay is None:
@@ -198,6 +202,8 @@ class AsyncConnection:
                             delay = retries.delay(None)
                             if delay is None:
                                 raise UnreachableError("the stream of events ends at once")
+            except httpx.DecodingError as error:
+                raise undecodable(error) from None
             except httpx.TransportError as error:
                 retries = retries or Retries(request, self.retry_s)
                 delay = retries.delay(None)

@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 
-from .._wire import Address, Reply, Request, Retries, refusal
+from .._wire import Address, Reply, Request, Retries, refusal, undecodable
 from ..errors import MorphodError, UnreachableError, printable, reading
 
 _REOPEN_S = 0.1
@@ -80,6 +80,8 @@ class Connection:
                 response = self._client.request(
                     request.method, request.path, params=request.params, content=request.content,
                     headers=request.headers, timeout=request.timeout_s)
+            except httpx.DecodingError as error:
+                raise undecodable(error) from None
             except httpx.TransportError as error:
                 # Without a connection nothing was sent, whatever the request is.
                 request.repeatable |= isinstance(error, (httpx.ConnectError, httpx.ConnectTimeout))
@@ -122,6 +124,8 @@ class Connection:
                     delay = retries.delay(response.status_code, response.headers.get("Retry-After"))
                     if delay is None:
                         raise refusal(response.status_code, content)
+            except httpx.DecodingError as error:
+                raise undecodable(error) from None
             except httpx.TransportError as error:
                 delay = retries.delay(None)
                 if delay is None:
@@ -197,6 +201,8 @@ class Connection:
                             delay = retries.delay(None)
                             if delay is None:
                                 raise UnreachableError("the stream of events ends at once")
+            except httpx.DecodingError as error:
+                raise undecodable(error) from None
             except httpx.TransportError as error:
                 retries = retries or Retries(request, self.retry_s)
                 delay = retries.delay(None)
