@@ -46,11 +46,6 @@ def decoded(reply):
     return gzip.decompress(reply.body) if packed else reply.body
 
 
-# Waits end with their condition. The limit says when a test gives up: on a slow machine with other
-# work, too, so it is far above what a wait takes.
-PATIENCE_S = 300
-
-
 class UnixConnection(http.client.HTTPConnection):
     def __init__(self, path, timeout):
         super().__init__("localhost", timeout=timeout)
