@@ -25,7 +25,8 @@ struct mo_compute;
 struct mo_compute_controller;
 struct mo_compute_share;
 
-enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1 };
+/* In ascending order. MO_IMMEDIATE: a scoring block runs inside an interactive one, too. */
+enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1, MO_IMMEDIATE = 2 };
 
 /* Where to compute a block or batch. The two differ in their bits; the number of devices changes no
  * bit. */

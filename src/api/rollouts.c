@@ -36,8 +36,8 @@ void mo_api_post_rollouts(struct mo_request *request)
     parsed.request.record = 0;
   if (error != MO_OK)
     mo_reply_parse_error(request, error, &faults, "rollout");
-  else if ((error = mo_jobs_roll(mo_api_of(request)->jobs, &parsed.request, &rollouts, &message)) !=
-           MO_OK)
+  else if ((error = mo_jobs_roll(mo_api_of(request)->jobs, &parsed.request, request->is_crowded,
+                                 &rollouts, &message)) != MO_OK)
     refuse(request, error, &message, &faults);
   else
     mo_reply_rollouts(request, rollouts, form == 1);

@@ -4,12 +4,13 @@
  * shares, and fair.h decides which share is next. A share is charged for a block before the block's
  * `done` is called, so that the share may be freed from then on.
  *
- * A worker inside a batch block or a gradient block reads an atomic count every few steps. If an
- * interactive scoring block waits, the worker runs it at once, on its own stack and in a second
- * scratch, and then resumes its block, whose bits do not change. An interactive scoring block thus
- * waits for a few steps of a rollout, never for a whole block, and one thread per worker is enough.
- * Gradient blocks never run inside another block: a worker has only one gradient scratch, hundreds
- * of megabytes, created at first use.
+ * A worker inside a block reads atomic counts every few steps. If a more urgent scoring block
+ * waits, the worker runs it at once, on its own stack and in another scratch, and then resumes its
+ * block, whose bits do not change. Interactive blocks interrupt batch and gradient blocks;
+ * immediate ones interrupt interactive ones, too, so that who computes one rollout does not wait
+ * for who computes many. Such a block thus waits for a few steps of a rollout, never for a whole
+ * block, and one thread per worker is enough. Gradient blocks never run inside another block: a
+ * worker has only one gradient scratch, hundreds of megabytes, created at first use.
  *
  * Shutdown: `stopping` makes running blocks return at their next pause point; the workers then
  * return the queued blocks as cancelled, and exit. Every block's `done` is called exactly once.
@@ -33,11 +34,11 @@ enum {
   PAUSE_GRADIENT_STEPS = 4,
   PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
   LOOK_AGAIN_US = 50000,
-  DEPTHS = 2 /* a batch or gradient block, and an interactive one inside it */
+  DEPTHS = 3 /* a batch or gradient block, an interactive one inside it, an immediate one in both */
 };
 
-/* In ascending order of urgency; both come before batch blocks. */
-enum { URGENT_GRADIENTS, URGENT, QUEUES };
+/* In ascending order of urgency; all come before batch blocks. */
+enum { URGENT_GRADIENTS, INTERACTIVE, IMMEDIATE, QUEUES };
 
 struct worker {
   struct mo_compute *compute;
@@ -116,6 +117,30 @@ static void read_meter(struct run *run)
     atomic_fetch_add_explicit(&run->share->urgent_ns, own_ns, memory_order_relaxed);
 }
 
+/* Returns the least urgent queue, but for gradients, that may interrupt a running block. */
+static int first_queue_over(const struct mo_block *block)
+{
+  return block->gradient != NULL || block->urgency == MO_BATCH ? INTERACTIVE
+         : block->urgency == MO_INTERACTIVE                    ? IMMEDIATE
+                                                               : QUEUES;
+}
+
+static bool has_more_urgent(const struct mo_compute *compute, const struct mo_block *block)
+{
+  bool has = false;
+  for (int q = first_queue_over(block); q < QUEUES; q++)
+    has = has || atomic_load_explicit(&compute->queues[q].n, memory_order_relaxed) > 0;
+  return has;
+}
+
+static struct mo_block *pop_more_urgent(struct mo_compute *compute, const struct mo_block *running)
+{
+  struct mo_block *block = NULL;
+  for (int q = QUEUES; q-- > first_queue_over(running) && block == NULL;)
+    block = mo_queue_pop(&compute->queues[q]);
+  return block;
+}
+
 /* The pause point of a running block. */
 static int look_up(void *context)
 {
@@ -124,20 +149,18 @@ static int look_up(void *context)
   struct mo_compute *compute = worker->compute;
   if (run->block->gradient == NULL && run->depth == 0)
     follow_trims(worker);
-  struct mo_block_queue *urgent = &compute->queues[URGENT];
-  if (run->depth == 0 && (run->block->urgency == MO_BATCH || run->block->gradient != NULL))
-    while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 &&
-           !is_cancelled(compute, run->block)) {
-      pthread_mutex_lock(&compute->fair.mutex);
-      struct mo_block *block = mo_queue_pop(urgent);
-      pthread_mutex_unlock(&compute->fair.mutex);
-      if (block == NULL)
-        break;
-      atomic_fetch_add(&compute->blocks_preempted, 1);
-      const uint64_t start_ns = mo_clock_thread_ns();
-      run_block(worker, block, 1, NULL);
-      worker->overtaken_ns += mo_clock_thread_ns() - start_ns;
-    }
+  while (has_more_urgent(compute, run->block) && !is_cancelled(compute, run->block)) {
+    pthread_mutex_lock(&compute->fair.mutex);
+    struct mo_block *block = pop_more_urgent(compute, run->block);
+    pthread_mutex_unlock(&compute->fair.mutex);
+    if (block == NULL)
+      break;
+    atomic_fetch_add(&compute->blocks_preempted, 1);
+    /* The time of a block counts once, however deep it runs. */
+    const uint64_t start_ns = mo_clock_thread_ns(), overtaken_ns = worker->overtaken_ns;
+    run_block(worker, block, run->depth + 1, NULL);
+    worker->overtaken_ns = overtaken_ns + mo_clock_thread_ns() - start_ns;
+  }
   read_meter(run);
   return is_cancelled(compute, run->block);
 }
@@ -404,13 +427,16 @@ void mo_compute_free(struct mo_compute *compute)
 
 /* ---- submitting ---- */
 
-static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgent_queue)
+static int enqueue(struct mo_compute *compute, struct mo_block *block)
 {
   MO_GUARD(&compute->fair.mutex);
   if (atomic_load(&compute->stopping))
     return MO_ERR_CANCELLED;
-  if (block->urgency == MO_INTERACTIVE)
-    mo_queue_push(&compute->queues[urgent_queue], block);
+  if (block->urgency != MO_BATCH)
+    mo_queue_push(&compute->queues[block->gradient != NULL          ? URGENT_GRADIENTS
+                                   : block->urgency == MO_IMMEDIATE ? IMMEDIATE
+                                                                    : INTERACTIVE],
+                  block);
   else
     mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
   mo_remote_arrived(&compute->core, block);
@@ -420,7 +446,7 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgen
 
 static int submit_to_workers(struct mo_compute *compute, struct mo_block *block)
 {
-  return enqueue(compute, block, URGENT);
+  return enqueue(compute, block);
 }
 
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
@@ -433,13 +459,13 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
       block->recordings == NULL)
     return compute->core.devices != NULL ? mo_devices_submit(compute->core.devices, block)
                                          : MO_ERR_DEVICE;
-  return enqueue(compute, block, URGENT);
+  return enqueue(compute, block);
 }
 
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task)
 {
   task->block.gradient = task;
-  return enqueue(compute, &task->block, URGENT_GRADIENTS);
+  return enqueue(compute, &task->block);
 }
 
 /* ---- shares ---- */
@@ -513,7 +539,8 @@ void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_st
       .gradient_robots_diverged = atomic_load(&compute->gradient_robots_diverged),
       .gradient_robots_zeroed = atomic_load(&compute->gradient_robots_zeroed),
       .queued_batch = atomic_load(&compute->fair.waiting),
-      .queued_interactive = atomic_load(&compute->queues[URGENT].n) +
+      .queued_interactive = atomic_load(&compute->queues[IMMEDIATE].n) +
+                            atomic_load(&compute->queues[INTERACTIVE].n) +
                             atomic_load(&compute->queues[URGENT_GRADIENTS].n),
       .busy_s = 1e-9 * (double)atomic_load(&compute->busy_ns),
       .worker_bytes_max = atomic_load(&compute->worker_bytes_max),

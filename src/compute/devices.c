@@ -267,7 +267,7 @@ void mo_devices_free(struct mo_devices *devices)
 
 static struct mo_compute_share *share_of(struct mo_devices *devices, const struct mo_block *block)
 {
-  if (block->urgency == MO_INTERACTIVE && block->shards == NULL)
+  if (block->urgency != MO_BATCH && block->shards == NULL)
     return &devices->urgent;
   return block->share != NULL ? block->share->on_devices : &devices->own;
 }

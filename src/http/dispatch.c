@@ -8,6 +8,7 @@
 
 #include "base/clock.h"
 #include "http/query.h"
+#include "store/hash.h"
 
 #define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that need no large body */
 #define PROGRESS_BYTES     16384                /* fewer bytes of a body count as no progress */
@@ -255,6 +256,18 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
 
 /* ---- dispatch ---- */
 
+/* Sets the key of the client, which has places and turns of its own: the connection's client, with
+ * each token apart. */
+static void name_client(struct mo_request *request)
+{
+  unsigned char whole[16 + sizeof(request->caller.name)];
+  struct mo_sha256 hash;
+  memcpy(whole, request->connection->client_key, 16);
+  memcpy(whole + 16, request->caller.name, sizeof(request->caller.name));
+  mo_sha256_of(whole, sizeof(whole), &hash);
+  memcpy(request->client_key, &hash, sizeof(request->client_key));
+}
+
 /* Dispatches a complete request: takes a place of its client, then queues it for the API pool. */
 static enum MHD_Result dispatch(struct mo_request *request)
 {
@@ -269,8 +282,9 @@ static enum MHD_Result dispatch(struct mo_request *request)
     mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
     return mo_reply_send(request);
   }
-  request->client = mo_client_enter(&http->clients, request->connection->client_key,
-                                    http->config.max_in_flight, &refused);
+  name_client(request);
+  request->client =
+      mo_client_enter(&http->clients, request->client_key, http->config.max_in_flight, &refused);
   if (request->client == NULL) {
     if (refused)
       mo_reply_problem(request, 429, NULL,

@@ -1,50 +1,35 @@
 /* pool.c: see pool.h. request.h says which thread owns a request. */
 
+#include <sched.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include "base/processors.h"
 #include "base/thread.h"
 #include "http/query.h"
 #include "http/server.h"
 
-/* Chooses the queue of a request. Lists take a core for milliseconds each, and clients that read
- * one often read more. So they have a queue of their own, and run on at most half of the threads
- * and half of the cores. */
-static struct mo_queue *queue_of(struct mo_pool *pool, const struct mo_request *request)
-{
-  bool list = (request->route->flags & MO_ROUTE_LIST) && request->stream == NULL;
-  return list ? &pool->lists : &pool->others;
-}
+#define HEAVY_NICE 5 /* as the workers' default */
 
-/* Says whether a request is new: not the next piece of a reply, and not a wait that is over. */
-static bool is_new(const struct mo_request *request)
+/* Chooses the queue of a request. Lists take a core for milliseconds each, and clients that read
+ * one often read more. */
+static enum mo_queue_kind kind_of(const struct mo_request *request)
 {
-  return request->stage == MO_STAGE_HANDLING && !request->wait_over;
+  const unsigned flags = request->route->flags;
+  return request->stream != NULL    ? MO_QUICK
+         : flags & MO_ROUTE_HEAVY   ? MO_HEAVY
+         : flags & MO_ROUTE_ROLLOUT ? MO_ROLLOUTS
+         : flags & MO_ROUTE_LIST    ? MO_LISTS
+                                    : MO_QUICK;
 }
 
 static void push(struct mo_pool *pool, struct mo_request *request)
 {
-  struct mo_queue *queue = queue_of(pool, request);
-  STAILQ_INSERT_TAIL(&queue->requests, request, next_queued);
-  queue->n += is_new(request);
+  const enum mo_queue_kind kind = kind_of(request);
+  mo_queue_push(&pool->queues[kind], request);
   pool->n_queued++;
-  pthread_cond_signal(&pool->work);
-}
-
-/* Takes the next request that may run, the older of the two queues' first. NULL: none. */
-static struct mo_request *take(struct mo_pool *pool, bool *is_list)
-{
-  const struct mo_request *other = STAILQ_FIRST(&pool->others.requests);
-  struct mo_request *next =
-      pool->n_lists < pool->max_lists ? STAILQ_FIRST(&pool->lists.requests) : NULL;
-  *is_list = next != NULL && (other == NULL || next->started_us < other->started_us);
-  struct mo_queue *queue = *is_list ? &pool->lists : &pool->others;
-  if ((next = STAILQ_FIRST(&queue->requests)) == NULL)
-    return NULL;
-  STAILQ_REMOVE_HEAD(&queue->requests, next_queued);
-  queue->n -= is_new(next);
-  pool->n_queued--;
-  pool->n_running++;
-  pool->n_lists += *is_list;
-  return next;
+  pthread_cond_signal(&pool->work[kind]);
 }
 
 static void unlink_waiting(struct mo_request *request)
@@ -72,7 +57,11 @@ static bool park(struct mo_request *request)
 /* Runs the handler of a request. False: the request is parked, and may have ended meanwhile. */
 static bool handle(struct mo_request *request)
 {
-  if (request->wait_over || mo_query_begin(request))
+  /* Seconds of work are not begun for nobody, nor while the service stops. */
+  if (kind_of(request) == MO_HEAVY && !request->wait_over &&
+      (atomic_load(&request->http->stopping) || mo_connection_has_left(request->connection)))
+    mo_reply_error(request, MO_ERR_CANCELLED, "request");
+  else if (request->wait_over || mo_query_begin(request))
     request->route->handler(request);
   while (request->wait_for != 0) {
     if (park(request))
@@ -85,22 +74,38 @@ static bool handle(struct mo_request *request)
   return true;
 }
 
+/* Requests that compute for seconds give way to all others, as the workers do. */
+static void lower_priority(void)
+{
+  const struct sched_param none = {0};
+  const id_t thread = (id_t)gettid();
+  (void)pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
+  (void)setpriority(PRIO_PROCESS, thread, getpriority(PRIO_PROCESS, thread) + HEAVY_NICE);
+}
+
 static void *worker(void *context)
 {
-  struct mo_http *http = context;
+  const struct mo_api_thread *thread = context;
+  struct mo_http *http = thread->http;
   struct mo_pool *pool = &http->pool;
+  struct mo_queue *queue = &pool->queues[thread->kind];
+  if (thread->kind == MO_HEAVY)
+    lower_priority();
   pthread_mutex_lock(&pool->lock);
   for (;;) {
-    bool is_list;
-    struct mo_request *request = take(pool, &is_list);
+    struct mo_request *request = mo_queue_take(queue);
     if (request == NULL && pool->quit)
       break;
     if (request == NULL) {
-      pthread_cond_wait(&pool->work, &pool->lock);
+      pthread_cond_wait(&pool->work[thread->kind], &pool->lock);
       continue;
     }
+    pool->n_queued--;
+    pool->n_running++;
     pthread_mutex_unlock(&pool->lock);
     struct MHD_Connection *mhd = request->mhd;
+    unsigned char client_key[16];
+    memcpy(client_key, request->client_key, sizeof(client_key));
     bool back = false;
     if (request->stage == MO_STAGE_REPLY)
       request->refill(request); /* resumes the connection itself */
@@ -109,10 +114,8 @@ static void *worker(void *context)
     if (back)
       MHD_resume_connection(mhd);
     pthread_mutex_lock(&pool->lock);
+    mo_queue_done(queue, client_key);
     pool->n_running--;
-    pool->n_lists -= is_list;
-    if (is_list && !STAILQ_EMPTY(&pool->lists.requests))
-      pthread_cond_signal(&pool->work); /* a thread that skipped this request may be asleep */
     if (back)
       pool->n_outside--;
     pthread_cond_broadcast(&pool->idle);
@@ -121,17 +124,35 @@ static void *worker(void *context)
   return NULL;
 }
 
-int mo_pool_start(struct mo_http *http)
+/* Starts the threads of a queue, of which one client's requests use at most so many. */
+static int start_queue(struct mo_http *http, enum mo_queue_kind kind, uint32_t n_threads,
+                       uint32_t most_of_client)
 {
   struct mo_pool *pool = &http->pool;
-  STAILQ_INIT(&pool->others.requests);
-  STAILQ_INIT(&pool->lists.requests);
-  uint32_t half = mo_processors() / 2, most = MO_API_THREADS / 2;
-  pool->max_lists = half < 1 ? 1 : half < most ? half : most;
-  for (; pool->n_threads < MO_API_THREADS; pool->n_threads++)
-    if (pthread_create(&pool->threads[pool->n_threads], NULL, worker, http) != 0)
+  mo_queue_init(&pool->queues[kind], most_of_client);
+  pthread_cond_init(&pool->work[kind], NULL);
+  for (uint32_t i = 0; i < n_threads; i++) {
+    struct mo_api_thread *thread = &pool->threads[pool->n_threads];
+    *thread = (struct mo_api_thread){.http = http, .kind = kind};
+    if (pthread_create(&thread->thread, NULL, worker, thread) != 0)
       return MO_ERR_NO_MEMORY;
+    pool->n_threads++;
+  }
   return MO_OK;
+}
+
+int mo_pool_start(struct mo_http *http)
+{
+  const uint32_t cores = mo_processors();
+  const uint32_t lists = cores < 4 ? 1 : 2, rollouts = cores < 4 ? 2 : 4;
+  int error = start_queue(http, MO_QUICK, 4, 3);
+  if (error == MO_OK)
+    error = start_queue(http, MO_LISTS, lists, 1);
+  if (error == MO_OK)
+    error = start_queue(http, MO_ROLLOUTS, rollouts, rollouts / 2);
+  if (error == MO_OK)
+    error = start_queue(http, MO_HEAVY, 2, 1);
+  return error;
 }
 
 int mo_pool_give(struct mo_http *http, struct mo_request *request)
@@ -139,9 +160,10 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request)
   struct mo_pool *pool = &http->pool;
   MO_GUARD(&pool->lock);
   bool refill = request->stage == MO_STAGE_REPLY;
-  int error = pool->closed                                                       ? MO_ERR_CANCELLED
-              : !refill && queue_of(pool, request)->n >= http->config.max_queued ? MO_ERR_BUSY
-                                                                                 : MO_OK;
+  int error = pool->closed ? MO_ERR_CANCELLED
+              : !refill && pool->queues[kind_of(request)].n_new >= http->config.max_queued
+                  ? MO_ERR_BUSY
+                  : MO_OK;
   if (error == MO_OK && !refill) {
     request->stage = MO_STAGE_HANDLING;
     pool->n_outside++;
@@ -216,9 +238,10 @@ void mo_pool_stop(struct mo_http *http)
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
   pool->quit = true;
-  pthread_cond_broadcast(&pool->work);
+  for (int kind = 0; kind < MO_QUEUES; kind++)
+    pthread_cond_broadcast(&pool->work[kind]);
   pthread_mutex_unlock(&pool->lock);
   for (uint32_t i = 0; i < pool->n_threads; i++)
-    pthread_join(pool->threads[i], NULL);
+    pthread_join(pool->threads[i].thread, NULL);
   pool->n_threads = 0;
 }

@@ -2,28 +2,30 @@
 #ifndef MORPHO_HTTP_POOL_H
 #define MORPHO_HTTP_POOL_H
 
-#include "http/request.h"
+#include "http/queue.h"
 
-#define MO_API_THREADS 4
-#define MO_QUEUED_MAX  256 /* requests that wait for an API thread, lists and others apart */
-#define MO_WAITING     256 /* lists of waiting requests */
+#define MO_QUEUED_MAX 256 /* requests that wait for an API thread, in each queue */
+#define MO_WAITING    256 /* lists of waiting requests */
 
-struct mo_queue {
-  STAILQ_HEAD(, mo_request) requests;
-  uint32_t n; /* without requests taken earlier: ended waits, and further pieces of replies */
+/* Each queue has threads of its own, so that no request waits for one of another kind. */
+enum mo_queue_kind { MO_QUICK, MO_LISTS, MO_ROLLOUTS, MO_HEAVY, MO_QUEUES };
+
+struct mo_api_thread {
+  pthread_t thread;
+  struct mo_http *http;
+  enum mo_queue_kind kind;
 };
 
 struct mo_pool {
   pthread_mutex_t lock;
-  pthread_cond_t work, idle;
-  struct mo_queue others, lists;
-  uint32_t n_lists, max_lists; /* being handled */
+  pthread_cond_t work[MO_QUEUES], idle;
+  struct mo_queue queues[MO_QUEUES];
   atomic_uint n_queued;
   uint32_t n_running;
   uint32_t n_outside; /* requests that are suspended: queued, running or parked */
   bool closed;        /* no new requests are taken */
   bool quit;
-  pthread_t threads[MO_API_THREADS];
+  struct mo_api_thread threads[MO_QUEUES * MO_QUEUE_THREADS_MAX];
   uint32_t n_threads;
   LIST_HEAD(, mo_request) waiting[MO_WAITING]; /* parked, or about to park; by what they wait for */
 };

@@ -89,6 +89,8 @@ struct mo_request {
   struct mo_reply reply;
   char reason[MO_REASON_BYTES]; /* for the log: why the service failed, or what it could not read;
                                    "": nothing */
+  unsigned char client_key[16]; /* the connection's client, and the token: many people may come
+                                   through one proxy */
   struct mo_client *client;
   int64_t started_us;
   uint64_t sent;
@@ -99,7 +101,11 @@ struct mo_request {
   bool wait_fired, wait_parked, wait_over;
   int64_t kept; /* of the handler, which may run again after a wait; 0 at first */
   LIST_ENTRY(mo_request) others_waiting;
-  STAILQ_ENTRY(mo_request) next_queued;
+  /* Waiting for a thread (queue.c). */
+  TAILQ_ENTRY(mo_request) other_clients;
+  STAILQ_HEAD(, mo_request) behind;
+  STAILQ_ENTRY(mo_request) next_behind;
+  bool is_crowded; /* its client has others in the same queue */
   /* A reply that is made piece by piece, or an event stream. refill: makes the next piece on an API
    * thread and resumes the connection. reader: gives libmicrohttpd the next bytes; NULL: the reply
    * is whole. */

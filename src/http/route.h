@@ -18,14 +18,15 @@ enum mo_method {
 };
 
 enum mo_route_flag {
-  MO_ROUTE_OPEN = 1,   /* needs no token */
-  MO_ROUTE_DIRECT = 2, /* answered without an API thread */
-  MO_ROUTE_HEALTH = 4, /* answered on the connections that are reserved for health requests, too */
-  MO_ROUTE_LIST = 8,   /* gives many items, or computes; pool.c limits how many of these run at a
-                          time */
-  MO_ROUTE_RATED = 16, /* takes work or data, which client_rate_per_s limits */
-  MO_ROUTE_VARY = 32,  /* the form of the reply depends on Accept */
-  MO_ROUTE_JSON = 64   /* the reply is JSON; another Accept gets 406 */
+  MO_ROUTE_OPEN = 1,    /* needs no token */
+  MO_ROUTE_DIRECT = 2,  /* answered without an API thread */
+  MO_ROUTE_HEALTH = 4,  /* answered on the connections that are reserved for health requests, too */
+  MO_ROUTE_LIST = 8,    /* gives many items; it, HEAVY and ROLLOUT have threads of their own */
+  MO_ROUTE_RATED = 16,  /* takes work or data, which client_rate_per_s limits */
+  MO_ROUTE_VARY = 32,   /* the form of the reply depends on Accept */
+  MO_ROUTE_JSON = 64,   /* the reply is JSON; another Accept gets 406 */
+  MO_ROUTE_HEAVY = 128, /* the handler may compute for seconds */
+  MO_ROUTE_ROLLOUT = 256 /* somebody watches, and the handler waits for workers */
 };
 
 /* What a token lets its holder do; each right includes those before it. Workers have a server of

@@ -166,24 +166,22 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
     mo_http_refuse_listeners(config);
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   }
-  *http =
-      (struct mo_http){.config = *config,
-                       .service = *service,
-                       .names = {config->allowed_hosts, config->n_allowed_hosts},
-                       .tokens.lock = PTHREAD_RWLOCK_INITIALIZER,
-                       .is_tls = config->certificate != NULL,
-                       .stop_fd = -1,
-                       .watch_fd = -1,
-                       .tick_fd = -1,
-                       .peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG),
-                       .connections_lock = PTHREAD_MUTEX_INITIALIZER,
-                       .lingering.lock = PTHREAD_MUTEX_INITIALIZER,
-                       .clients.lock = PTHREAD_MUTEX_INITIALIZER,
-                       .pool = {.lock = PTHREAD_MUTEX_INITIALIZER,
-                                .work = PTHREAD_COND_INITIALIZER,
-                                .idle = PTHREAD_COND_INITIALIZER},
-                       .streams.lock = PTHREAD_MUTEX_INITIALIZER,
-                       .bodies_lock = PTHREAD_MUTEX_INITIALIZER};
+  *http = (struct mo_http){
+      .config = *config,
+      .service = *service,
+      .names = {config->allowed_hosts, config->n_allowed_hosts},
+      .tokens.lock = PTHREAD_RWLOCK_INITIALIZER,
+      .is_tls = config->certificate != NULL,
+      .stop_fd = -1,
+      .watch_fd = -1,
+      .tick_fd = -1,
+      .peers_fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG),
+      .connections_lock = PTHREAD_MUTEX_INITIALIZER,
+      .lingering.lock = PTHREAD_MUTEX_INITIALIZER,
+      .clients.lock = PTHREAD_MUTEX_INITIALIZER,
+      .pool = {.lock = PTHREAD_MUTEX_INITIALIZER, .idle = PTHREAD_COND_INITIALIZER},
+      .streams.lock = PTHREAD_MUTEX_INITIALIZER,
+      .bodies_lock = PTHREAD_MUTEX_INITIALIZER};
   int code = prepare(http, config, message);
   if (code != MO_OK) {
     mo_acceptor_stop(http);

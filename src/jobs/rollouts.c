@@ -126,7 +126,7 @@ static void fill_block(const struct mo_evaluation_request *request, struct mo_ro
                              .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
                              .physics = request->physics,
                              .precision = request->precision,
-                             .urgency = MO_INTERACTIVE,
+                             .urgency = rollouts->is_crowded ? MO_INTERACTIVE : MO_IMMEDIATE,
                              .recordings = request->record != 0 ? recordings + row : NULL,
                              .tag = -1};
   for (uint32_t k = 0; k < block->n_environments; k++) {
@@ -192,7 +192,7 @@ static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha
   return error;
 }
 
-int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request, bool is_crowded,
                  struct mo_rollouts **ret, struct mo_message *message)
 {
   struct mo_rollouts *rollouts = calloc(1, sizeof(*rollouts));
@@ -212,6 +212,7 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
   if (error == MO_OK) {
     rollouts->physics = request->physics;
     rollouts->precision = request->precision;
+    rollouts->is_crowded = is_crowded;
     rollouts->n_frames = mo_recording_frames(&request->physics, request->record_stride);
     error = check_size(request, rollouts, message);
   }

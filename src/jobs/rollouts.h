@@ -26,20 +26,22 @@ struct mo_rollouts {
   struct mo_rolled *rollouts;          /* (n_designs, n_environments) */
   struct mo_physics physics;
   enum mo_precision precision;
+  bool is_crowded; /* of a client with others in flight: those of other clients overtake them */
   struct mo_sha256 controller;
   enum mo_sensor sensor; /* of the controller */
 };
 void mo_rollouts_free(struct mo_rollouts *rollouts); /* NULL-safe */
 
 /* Computes what a request for an evaluation asks for, ahead of all batch work, and waits for it: at
- * most about a second of a core. Ignores what belongs to a job: priority, back end, weight, label,
+ * most about a second of a core. is_crowded: the client has asked for others, too, which those of
+ * other clients overtake. Ignores what belongs to a job: priority, back end, weight, label,
  * key and `verify`. The losses have the bits of an evaluation's.
  * - MO_ERR_RANGE, MO_ERR_INVALID: a value is outside its bounds
  * - MO_ERR_LIMIT: they would take too long, or be too large: an evaluation is meant for them
  * - MO_ERR_NOT_FOUND: no such controller or set
  * - MO_ERR_UNSUPPORTED: the controller is for another workspace
  * - MO_ERR_CANCELLED: the service is stopping */
-int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request, bool is_crowded,
                  struct mo_rollouts **rollouts, struct mo_message *message);
 
 #endif

@@ -134,6 +134,45 @@ def test_waiting_takes_no_place(start):
         assert reply.status == 200 and b'"cancelled"' in reply.read()
 
 
+FLOODS = {
+    "bodies": (16, "/v1/bodies/mutate", {"designs": [{"cells": [[0, 0, 0]]}], "children": 10000}),
+    "rollouts": (64, "/v1/rollouts", {
+        "designs": [{"cells": [[x, y, z] for x in range(6) for y in range(6) for z in range(4)]}],
+        "environments": "paper-test", "physics": {"n_steps": 600}}),
+}
+
+
+@pytest.mark.parametrize("flood", FLOODS)
+@pytest.mark.parametrize("who", ["user", "token"])
+def test_who_computes_much_keeps_nobody_waiting(start, tmp_path, flood, who):
+    """While one client's requests compute, another's lists, rollouts and bodies come."""
+    if who == "user" and os.geteuid() != 0:
+        pytest.skip("connections of several users need root")
+    n, path, value = FLOODS[flood]
+    tokens = tmp_path / "tokens"
+    tokens.write_text("ann read secret-of-ann-1234\nbob read secret-of-bob-1234\n")
+    tokens.chmod(0o600)
+    service = start(f"--token-file={tokens}")
+    body = json.dumps(value).encode()
+    head = (f"POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+            "Authorization: Bearer secret-of-ann-1234\r\n"
+            f"Content-Length: {len(body)}\r\n\r\n").encode()
+    flooding = [dial(service, USERS[0] if who == "user" else None) for _ in range(n)]
+    for sock in flooding:
+        sock.sendall(head + body)
+    until(lambda: service.metric("morphod_http_requests_queued") >= n - 3)
+    own = {"Authorization": f"Bearer secret-of-{'ann' if who == 'user' else 'bob'}-1234"}
+    one = {"designs": [DESIGN], "environments": "paper-test", "physics": SHORT}
+    asked = [("GET", "/v1/jobs?limit=1", None), ("POST", "/v1/rollouts", one),
+             ("POST", "/v1/bodies/random", {"count": 3, "seed": 1})]
+    for method, where, content in asked * 2:
+        assert service.request(method, where, content, headers=own).status == 200
+    # Most of the others still wait: what came later did not wait for them.
+    assert len(select.select(flooding, [], [], 0)[0]) < n // 2
+    for sock in flooding:
+        sock.close()
+
+
 def until_in_flight(service, n):
     """Waits for n requests beside the one that asks. That one comes on one connection: the end of
     a request on another may be counted late, in place of one that has not arrived."""

@@ -141,6 +141,38 @@ static void urgent_blocks_overtake(void)
   CHECK_INT(stats.blocks_preempted, 3);
 }
 
+/* One worker, inside a long interactive block inside a long batch block: an immediate block is done
+ * before both, another interactive one is not, and no bits change. */
+static void immediate_blocks_overtake_interactive_ones(void)
+{
+  uint64_t genotype[MO_DEFAULT_WORDS];
+  genotype_number(3, genotype);
+  struct mo_compute *compute = make_compute(1);
+  struct mo_compute_controller *brain = make_compute_controller(compute, controller);
+  enum { SLOW, URGENT, NEXT, PROMPT, N };
+  static const enum mo_urgency urgency[N] = {MO_BATCH, MO_INTERACTIVE, MO_INTERACTIVE,
+                                             MO_IMMEDIATE};
+  struct mo_block calm, blocks[N];
+  atomic_int done[N] = {0};
+  fill_block(&calm, genotype, brain, 6000);
+  CHECK_INT(mo_compute_run(compute, &calm, 1), MO_OK);
+  for (int i = 0; i < N; i++) {
+    fill_block(blocks + i, genotype, brain, i == PROMPT ? 50 : 6000);
+    blocks[i].urgency = urgency[i];
+    blocks[i].done = count_one;
+    blocks[i].context = done + i;
+    REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
+    usleep(20000);
+  }
+  CHECK(await(&done[PROMPT], 1));
+  CHECK(atomic_load(&done[SLOW]) + atomic_load(&done[URGENT]) + atomic_load(&done[NEXT]) == 0);
+  for (int i = 0; i < PROMPT; i++) {
+    REQUIRE(await(&done[i], 1));
+    CHECK(SAME(calm.outcomes, blocks[i].outcomes, COUNT(calm.outcomes)));
+  }
+  CHECK_INT(stats_of(compute).blocks_preempted, 3);
+}
+
 /* Cancelling by flag, and by freeing the back end while blocks run and wait. */
 static void cancelled_blocks_come_back(void)
 {
@@ -329,6 +361,7 @@ static const struct check_case cases[] = {
     {"the same bits for any workers and order", same_bits_for_any_workers_and_order},
     {"processor time is charged", charges_processor_time},
     {"urgent blocks overtake", urgent_blocks_overtake},
+    {"immediate blocks overtake interactive ones", immediate_blocks_overtake_interactive_ones},
     {"cancelled blocks come back", cancelled_blocks_come_back},
     {"a crowd of submitters", a_crowd_of_submitters},
     {"blocks are what was asked for", blocks_are_what_was_asked_for},

@@ -32,7 +32,7 @@ struct mo_compute {
   pthread_t threads[64];
   pthread_mutex_t mutex;
   pthread_cond_t wake;
-  struct mo_block *first[2], *last[2];
+  struct mo_block *first[3], *last[3];
   bool ending;
   atomic_uint_fast64_t blocks, rollouts;
   atomic_uint busy;
@@ -207,7 +207,7 @@ static struct mo_block *take(struct mo_compute *compute)
   struct mo_block *block = NULL;
   pthread_mutex_lock(&compute->mutex);
   while (block == NULL) {
-    for (int u = MO_INTERACTIVE; u >= MO_BATCH && block == NULL; u--)
+    for (int u = MO_IMMEDIATE; u >= MO_BATCH && block == NULL; u--)
       if (compute->first[u] != NULL) {
         block = compute->first[u];
         compute->first[u] = block->next;
