@@ -143,6 +143,21 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
 
 /* ---- children ---- */
 
+/* Sets the bits of the numbers below the limit. `bits` has the zeroed words of n bits. */
+static void mark_below(const uint32_t *numbers, uint32_t n, uint64_t limit, uint64_t *bits)
+{
+  uint8_t is_below[CHUNK] = {0};
+  const uint32_t last = (uint32_t)(limit - 1);
+  for (uint32_t i = 0; limit > 0 && i < n; i++)
+    is_below[i] = numbers[i] <= last;
+  for (uint32_t i = 0; i < n; i += 8) {
+    uint64_t bytes;
+    memcpy(&bytes, is_below + i, sizeof(bytes));
+    /* The lowest bits of eight bytes become the bits of one. */
+    bits[i >> 6] |= bytes * UINT64_C(0x0102040810204080) >> 56 << (i & 63);
+  }
+}
+
 int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
                        struct mo_random *random, uint64_t *child)
 {
@@ -157,10 +172,8 @@ int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, do
   for (uint32_t v = 0; v < voxels;) {
     uint32_t n = voxels - v < CHUNK ? voxels - v : CHUNK; /* CHUNK is whole words */
     mo_random_fill(random, numbers, n);
-    for (uint32_t i = 0; i < n; i++, v++) {
-      uint64_t flip = numbers[i] < limit;
-      made.bits[v >> 6] |= flip << (v & 63);
-    }
+    mark_below(numbers, n, limit, made.bits + (v >> 6));
+    v += n;
   }
   for (uint32_t w = 0; w < mo_workspace_words(workspace); w++)
     made.bits[w] ^= parent[w];
