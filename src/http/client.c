@@ -12,7 +12,7 @@ struct mo_client {
   struct mo_client *next;
   unsigned char key[16];
   uint32_t in_flight, parked;
-  uint64_t body_bytes;  /* held by its requests' bodies */
+  uint64_t body_bytes;  /* held by its requests' bodies, and by large replies */
   double allowance;     /* submissions that are allowed at once */
   int64_t allowance_us; /* when `allowance` was last updated; 0: it is full */
   int64_t left_us;

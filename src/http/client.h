@@ -21,9 +21,9 @@ void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64
 /* Parks or wakes a client's request. A request that waits for a job takes no place; when it wakes
  * it takes one again, even beyond `max`. */
 void mo_client_park(struct mo_clients *clients, struct mo_client *client, bool parked);
-/* Reserves `more` bytes for the body of a request that already holds `held` bytes. Allowed if the
- * client's bodies then hold at most `most` bytes, or if no other body of the client holds any.
- * NULL: not allowed, or no memory. */
+/* Reserves `more` bytes for the body or reply of a request that already holds `held` bytes. Allowed
+ * if the client's then hold at most `most` bytes, or if no other of the client holds any. NULL: not
+ * allowed, or no memory. */
 struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char key[16],
                                  uint64_t held, uint64_t more, uint64_t most);
 void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, uint64_t bytes,

@@ -74,7 +74,7 @@ struct mo_http_config {
   uint64_t max_file_bytes;    /* a file in a body */
   uint64_t max_bundle_bytes;  /* many of them as one */
   uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read.
-                               Bodies of one client take at most half; beyond: 429 */
+                               Those of one client take at most half; beyond: 429 */
   uint32_t header_timeout_ms; /* from the start of a request to the end of its header */
   uint32_t body_timeout_ms;   /* from the end of the header to the end of the body */
   uint32_t idle_timeout_ms;   /* between requests of one connection */

@@ -310,12 +310,25 @@ enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
 
 bool mo_reply_reserve(struct mo_request *request, uint64_t bytes)
 {
+  struct mo_http *http = request->http;
   mo_request_drop_body(request);
-  if (mo_body_memory_take(request->http, 0, bytes, false)) {
+  struct mo_client *client = mo_client_hold(&http->clients, request->connection->client_key, 0,
+                                            bytes, http->config.max_body_memory / 2);
+  if (client != NULL && mo_body_memory_take(http, 0, bytes, false)) {
+    request->body_client = client;
     request->body_reserved = bytes;
     return true;
   }
-  mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
+  if (client != NULL)
+    mo_client_give_back(&http->clients, client, bytes, mo_clock_us());
+  if (client == NULL && !(request->route->flags & MO_ROUTE_DIRECT))
+    mo_reply_problem(
+        request, 429, NULL,
+        "The replies that this client has not read yet, and its requests' bodies, take "
+        "half of the memory for all clients, which is as much as is allowed; read them "
+        "first.");
+  else
+    mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
   request->reply.retry_after_s = 5;
   return false;
 }

@@ -61,9 +61,9 @@ void mo_reply_mark_gzip(struct mo_request *request);
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 void mo_reply_clear(struct mo_reply *reply);
-/* Frees the request's body, and counts a large reply in the limit on memory until it is sent: slow
- * readers could otherwise hold any amount. A reply always passes if nothing else is counted. False:
- * the reply is a problem now. */
+/* Frees the request's body, and counts a large reply in the limits on memory, of all and of its
+ * client, until it is sent: slow readers could otherwise hold any amount. A reply always passes if
+ * nothing else is counted. False: the reply is a problem now. */
 bool mo_reply_reserve(struct mo_request *request, uint64_t bytes);
 bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
 enum MHD_Result mo_reply_send(struct mo_request *request);

@@ -306,6 +306,39 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
 
 
 @as_root
+def test_unread_replies_take_half_of_the_memory(start):
+    """Who does not read large replies leaves memory to those who upload."""
+    # 24 MiB: 12 for one client, 21 for all large bodies and replies.
+    service = start("--max-body=1M", "--max-controller=3M", "--max-bundle=1M")
+    scene = json.dumps({  # of 4.8 MB
+        "designs": [{"cells": [[x, y, 0] for x in range(4) for y in range(3)]}],
+        "environments": "paper-test", "record": ["masses"], "record_stride": 1}).encode()
+    seen = []
+    for _ in range(5):
+        with user(USERS[0]):
+            sock = socket.socket(socket.AF_INET)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            sock.connect((service.host, service.port))
+        sock.sendall(b"POST /v1/rollouts HTTP/1.1\r\nHost: localhost\r\n"
+                     b"Content-Type: application/json\r\nAccept: application/vnd.morphod.scene\r\n"
+                     b"Content-Length: %d\r\n\r\n" % len(scene) + scene)
+        seen.append((sock, sock.recv(1000)))
+    assert [int(head[9:12]) for _, head in seen] == [200, 200, 429, 429, 429]
+    assert b"\r\nRetry-After: 5\r\n" in seen[2][1]
+    upload = service.request("PUT", "/v1/controllers/mine/file", body=BOOTSTRAP.read_bytes(),
+                             headers={"Content-Type": "application/octet-stream"})
+    assert upload.status in (200, 201), upload.body
+    for sock, _ in seen:
+        sock.close()
+    # What was never read is forgotten with its connection.
+    until(lambda: service.metric(IN_FLIGHT) == 1)
+    with user(USERS[0]):
+        reply = service.request("POST", "/v1/rollouts", body=scene, headers={
+            "Content-Type": "application/json", "Accept": "application/vnd.morphod.scene"})
+    assert reply.status == 200 and len(reply.body) > 4500000
+
+
+@as_root
 def test_half_sent_bodies_of_all_users_give_way(start):
     service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service, uid), 1000000, 600000) for uid in USERS for _ in range(4)]
