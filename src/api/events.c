@@ -65,15 +65,20 @@ static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
                     struct mo_text *frames)
 {
   struct mo_event *page = malloc(MO_STREAM_PAGE * sizeof(*page));
-  int64_t oldest = 0, newest = 0;
-  int64_t n = page != NULL ? mo_store_events(mo_api_of(request)->store, place->after, place->topic,
-                                             page, MO_STREAM_PAGE, &oldest, &newest)
+  struct mo_store *store = mo_api_of(request)->store;
+  int64_t oldest = 0, newest = 0, known = place->after;
+  int64_t n = page != NULL ? mo_store_events(store, place->after, place->topic, page,
+                                             MO_STREAM_PAGE, &oldest, &newest)
                            : MO_ERR_NO_MEMORY;
+  if (n >= 0 && !place->greeted && place->after >= oldest) {
+    const int error = mo_store_event_before(store, place->after, &known);
+    n = error != MO_OK ? error : n;
+  }
   if (n == MO_ERR_CORRUPT)
     mo_request_note(request, "the events cannot be read: %s", mo_error_text((int)n));
-  if (n >= 0 && (place->after < oldest - 1 || (!place->greeted && place->after > newest))) {
-    /* The sequence is unknown (pruned, or of another database): the client must start again. */
-    place->after = place->after > newest ? newest : oldest - 1;
+  if (n >= 0 && (place->after < oldest - 1 || known != place->after)) {
+    /* The sequence is unknown (pruned, or of another history): the client must start again. */
+    place->after = place->after < oldest - 1 ? oldest - 1 : known;
     mo_text_format(frames,
                    "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
                    (long long)place->after, (long long)oldest, (long long)newest);
@@ -129,9 +134,14 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
   int64_t oldest = 0, newest = 0;
   if (after < 0)
     after = 0;
+  int64_t known = after;
   int64_t n = events != NULL ? mo_store_events(mo_api_of(request)->store, after, job, events, limit,
                                                &oldest, &newest)
                              : MO_ERR_NO_MEMORY;
+  if (n >= 0 && after >= oldest) {
+    const int error = mo_store_event_before(mo_api_of(request)->store, after, &known);
+    n = error != MO_OK ? error : n;
+  }
   struct mo_text text = {0};
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
@@ -143,7 +153,7 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
       &text, "next_cursor",
       n > 0 && (size_t)n == limit && events[n - 1].sequence < newest ? events[n - 1].sequence : -1);
   mo_text_member_id(&text, "newest", newest);
-  mo_text_member_bool(&text, "reset", (after > 0 && after < oldest - 1) || after > newest);
+  mo_text_member_bool(&text, "reset", (after > 0 && after < oldest - 1) || known != after);
   mo_text_add(&text, "}");
   free(events);
   if (n >= 0)

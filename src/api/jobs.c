@@ -61,7 +61,7 @@ int mo_reply_job(struct mo_request *request, unsigned http_status, const struct 
   if (request->reply.status != http_status)
     return MO_ERR_NO_MEMORY;
   if (kind->versioned && (job->state != MO_JOB_RUNNING || http_status != 200))
-    mo_reply_etag(request, "%" PRIx64 "-%s-%lld-%lld", mo_store_id(api->store),
+    mo_reply_etag(request, "%" PRIx64 "-%s-%lld-%lld", mo_store_history(api->store),
                   whole ? mo_job_kind_name(kind->kind) : "job", (long long)job->id,
                   (long long)job->version);
   else

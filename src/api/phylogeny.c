@@ -523,7 +523,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
     return;
   }
   snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-4-%s-%lld-%lld-%llu-%u-%d-%d-%d-%lld",
-           mo_store_id(store), forms[form], (long long)id, (long long)status.generation,
+           mo_store_history(store), forms[form], (long long)id, (long long)status.generation,
            (unsigned long long)status.n_designs, (unsigned)status.words.n_measures, wanted.lineages,
            wanted.parents, (int)wanted.root, (long long)wanted.since);
   mo_reply_static(request, 200, types[form], "", 0);

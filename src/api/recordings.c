@@ -166,7 +166,7 @@ void mo_api_get_trajectories(struct mo_request *request)
     return;
   }
   *kept = all;
-  snprintf(tag, sizeof(tag), "%llx-recordings-%lld-%u", (unsigned long long)mo_store_id(store),
+  snprintf(tag, sizeof(tag), "%llx-recordings-%lld-%u", (unsigned long long)mo_store_history(store),
            (long long)all.id, all.channel);
   mo_download_open(request, types[form], tag, sizeof(*kept) + 2 * PIECE_BYTES, more_rollouts, kept,
                    free_recordings);

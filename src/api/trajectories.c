@@ -127,7 +127,7 @@ static void reply_json(struct mo_request *request, const struct place *place,
   mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
   mo_reply_etag(request, "%" PRIx64 "-trajectory-%" PRId64 "-%" PRId64 "-%" PRId64,
-                mo_store_id(mo_api_of(request)->store), place->evaluation, place->design,
+                mo_store_history(mo_api_of(request)->store), place->evaluation, place->design,
                 place->environment);
 }
 
@@ -230,7 +230,7 @@ void mo_api_get_trajectory_file(struct mo_request *request)
                place.array >= 0 ? (unsigned)place.array : mo_usual_channel(place.job.record));
   if (request->reply.status == 200)
     mo_reply_etag(request, "%" PRIx64 "-file-%" PRId64 "-%" PRId64 "-%" PRId64 "-%s",
-                  mo_store_id(mo_api_of(request)->store), place.evaluation, place.design,
+                  mo_store_history(mo_api_of(request)->store), place.evaluation, place.design,
                   place.environment, array != NULL ? array : "");
   mo_trajectory_free(trajectory);
 }

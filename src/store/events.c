@@ -34,6 +34,13 @@ int mo_store_event(struct mo_store *store, const char *type, const char *data)
   return error;
 }
 
+int mo_store_event_before(struct mo_store *store, int64_t after, int64_t *sequence)
+{
+  static const char sql[] = "SELECT coalesce(max(sequence),0) FROM events WHERE sequence<=?1";
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return mo_sql_find(reader, sequence, sql, mo_int(after));
+}
+
 int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
                         size_t limit, int64_t *oldest, int64_t *newest)
 {

@@ -39,6 +39,7 @@ struct mo_store {
   bool must_exist;
   int folder_fd, lock_fd;    /* both locked */
   int64_t epoch, id, origin; /* origin: the row of this host in `origins` */
+  int64_t history;
   uint64_t events_kept;
   int64_t idempotency_keep_us;
   void (*fatal)(void *context, const char *what);

@@ -190,19 +190,54 @@ static int read_header(struct mo_store *store, struct header *header)
   return error;
 }
 
+/* Begins another history, unless this database was closed by the last opening of this folder: the
+ * database and the file `lock`, which every opening changes, agree on the time of its last change.
+ * With it the numbers of events jump, so that those of events that are lost name none. */
+static int follow_history(struct mo_store *store, struct mo_connection *writer)
+{
+  static const char same_sql[] =
+      "SELECT count(*)=3 FROM meta WHERE (key='clean' AND value=1) OR (key='lock_inode' AND"
+      " value=?1) OR (key='lock_ns' AND value=?2)";
+  static const char jump_sql[] =
+      "UPDATE sqlite_sequence SET seq=seq+?1+abs(random()%?1) WHERE name='events'";
+  static const char place_sql[] = "INSERT OR REPLACE INTO meta(key,value)"
+                                  " VALUES('lock_inode',?1),('lock_ns',?2)";
+  struct stat lock;
+  int64_t is_same = 0;
+#define PLACE                                                                                      \
+  mo_int((int64_t)lock.st_ino),                                                                    \
+      mo_int((int64_t)lock.st_ctim.tv_sec * 1000000000 + lock.st_ctim.tv_nsec)
+  if (fstat(store->lock_fd, &lock) != 0)
+    return MO_ERR_IO;
+  int error = mo_sql_find(writer, &is_same, same_sql, PLACE);
+  if (error == MO_OK && !is_same)
+    error = mo_sql_do(writer, jump_sql, mo_int((int64_t)(store->events_kept / 8 + 1)));
+  if (error == MO_OK && !is_same)
+    error =
+        mo_sql_exec(writer, "INSERT OR REPLACE INTO meta(key,value) VALUES('history',random())");
+  if (error == MO_OK && (futimens(store->lock_fd, NULL) != 0 || fstat(store->lock_fd, &lock) != 0))
+    error = MO_ERR_IO;
+  return error == MO_OK ? mo_sql_do(writer, place_sql, PLACE) : error;
+#undef PLACE
+}
+
 /* Counts the opening, and finds or inserts this host in `origins`. */
-static int count_opening(struct mo_connection *writer, int64_t *origin)
+static int count_opening(struct mo_store *store, struct mo_connection *writer)
 {
   struct utsname host;
-  int error = mo_sql_exec(
-      writer, "BEGIN IMMEDIATE;"
-              "INSERT INTO meta(key,value) VALUES('epoch',1)"
-              " ON CONFLICT(key) DO UPDATE SET value=value+1;"
-              "INSERT INTO meta(key,value) VALUES('clean',0)"
-              " ON CONFLICT(key) DO UPDATE SET value=0;"
-              "INSERT INTO meta(key,value) VALUES('id',random()) ON CONFLICT(key) DO NOTHING;");
+  int error = mo_sql_exec(writer, "BEGIN IMMEDIATE");
   if (error == MO_OK)
-    error = uname(&host) == 0 ? mo_text_row(writer, MO_ORIGINS, host.nodename, origin) : MO_ERR_IO;
+    error = follow_history(store, writer);
+  if (error == MO_OK)
+    error = mo_sql_exec(
+        writer, "INSERT INTO meta(key,value) VALUES('epoch',1)"
+                " ON CONFLICT(key) DO UPDATE SET value=value+1;"
+                "INSERT INTO meta(key,value) VALUES('clean',0)"
+                " ON CONFLICT(key) DO UPDATE SET value=0;"
+                "INSERT INTO meta(key,value) VALUES('id',random()) ON CONFLICT(key) DO NOTHING;");
+  if (error == MO_OK)
+    error = uname(&host) == 0 ? mo_text_row(writer, MO_ORIGINS, host.nodename, &store->origin)
+                              : MO_ERR_IO;
   return end_transaction(writer, error);
 }
 
@@ -248,14 +283,16 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (error == MO_OK && header.version < NEWEST_SCHEMA)
     error = migrate(writer, header.version, message);
   if (error == MO_OK) {
-    error = count_opening(writer, &store->origin);
+    error = count_opening(store, writer);
     if (error == MO_ERR_NO_SPACE && mo_reserve_free(store))
-      error = count_opening(writer, &store->origin);
+      error = count_opening(store, writer);
   }
   if (error == MO_OK)
     error = mo_sql_find(writer, &store->epoch, "SELECT value FROM meta WHERE key='epoch'");
   if (error == MO_OK)
     error = mo_sql_find(writer, &store->id, "SELECT value FROM meta WHERE key='id'");
+  if (error == MO_OK)
+    error = mo_sql_find(writer, &store->history, "SELECT value FROM meta WHERE key='history'");
   if (error != MO_OK && message != NULL && message->text[0] == '\0')
     mo_fail(message, error, "cannot prepare %s: %s", store->database_path, mo_error_text(error));
   return error;
@@ -405,6 +442,11 @@ void mo_store_close(struct mo_store *store)
 uint64_t mo_store_id(const struct mo_store *store)
 {
   return (uint64_t)store->id;
+}
+
+uint64_t mo_store_history(const struct mo_store *store)
+{
+  return (uint64_t)store->history;
 }
 
 uint64_t mo_store_epoch(const struct mo_store *store)

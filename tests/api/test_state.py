@@ -49,6 +49,60 @@ def test_tags_name_the_store(start, tmp_path):
         assert again.request("GET", path, headers={"If-None-Match": etag}).status == 304, path
 
 
+def reset_of(service, last):
+    """Whether the stream behind an event begins with a reset."""
+    raw, _ = service.raw(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n"
+                         b"Last-Event-ID: %s\r\n\r\n" % last.encode(), timeout=2)
+    page = service.request("GET", f"/v1/events?format=json&after={last}").json()
+    assert page["reset"] == (b"event: reset" in raw), (page, raw)
+    return page["reset"]
+
+
+@pytest.mark.parametrize("how", ["database", "folder"])
+def test_tags_and_events_name_the_history(start, tmp_path, how):
+    """What a client has of the time that a backup does not know is not taken for what came since
+    the backup was restored. A restart changes nothing."""
+    state, backup = tmp_path / "state", tmp_path / "backup"
+    work = {"designs": [DESIGN], "physics": SHORT}
+
+    def evaluate(service, steps):
+        id = service.evaluate(work | {"physics": {"n_steps": steps}}).json()["id"]
+        return f"/v1/jobs/{id}", service.request("GET", f"/v1/jobs/{id}").headers["ETag"]
+
+    first = start(state=state)
+    evaluate(first, 20)
+    if how == "database":  # while it runs
+        with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
+            database.execute("VACUUM INTO ?", (str(backup), ))
+    assert first.stop() == 0
+    if how == "folder":
+        shutil.copytree(state, backup)
+    lost = start(state=state)
+    path, etag = evaluate(lost, 21)
+    page = lost.request("GET", "/v1/events?format=json&after=0").json()
+    events = [event["id"] for event in page["items"]]
+    assert lost.stop() == 0
+    again = start(state=state)  # a restart
+    assert again.request("GET", path, headers={"If-None-Match": etag}).status == 304
+    assert not any(reset_of(again, id) for id in (events[0], events[-1]))
+    evaluate(again, 22)
+    assert again.stop() == 0
+    if how == "database":
+        shutil.copy(backup, state / "morphod.db")
+    else:
+        shutil.rmtree(state)
+        shutil.copytree(backup, state)
+    restored = start(state=state)
+    assert evaluate(restored, 23)[0] == path  # the number is given again
+    assert restored.request("GET", path, headers={"If-None-Match": etag}).status == 200
+    for steps in (24, 25, 26):  # more events than were lost
+        evaluate(restored, steps)
+    page = restored.request("GET", "/v1/events?format=json&after=0").json()
+    assert int(page["newest"]) > int(events[-1]) + 2
+    assert not reset_of(restored, events[0])  # which the backup has
+    assert reset_of(restored, events[-1])
+
+
 def refused(path, *names, user=None):
     """Both a start on this folder and its check end with status 78, and say these names."""
     for flags in (START, (*START, "--check-config")):
