@@ -162,8 +162,8 @@ static int submit(struct mo_request *request, struct mo_post *post)
 void mo_api_post_evaluation(struct mo_request *request)
 {
   struct mo_job job;
-  if (request->kept == 0 &&
-      (!mo_read_wait(request) || !mo_handle_submission(request, "evaluation", submit)))
+  mo_read_wait(request);
+  if (request->kept == 0 && !mo_handle_submission(request, "evaluation", submit))
     return;
   if (mo_await_job(request, &mo_evaluation_resource, request->kept, &job))
     mo_reply_submitted(request, &mo_evaluation_resource, request->kept,

@@ -162,6 +162,20 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
     mo_reply_text(request, (int)n, &text, "page");
 }
 
+/* Checks that there is a job, or was: events outlast a deleted one. False: the reply is made. */
+static bool has_job(struct mo_request *request, int64_t id)
+{
+  struct mo_store *store = mo_api_of(request)->store;
+  struct mo_job job;
+  struct mo_event event;
+  int64_t n = mo_store_job(store, id, &job);
+  if (n == MO_ERR_NOT_FOUND)
+    n = mo_store_events(store, 0, id, &event, 1, NULL, NULL) == 0 ? MO_ERR_NOT_FOUND : MO_OK;
+  if (n < 0)
+    mo_reply_error(request, (int)n, "job");
+  return n >= 0;
+}
+
 void mo_api_get_events(struct mo_request *request)
 {
   static const char *const json[] = {"application/json", NULL};
@@ -182,6 +196,8 @@ void mo_api_get_events(struct mo_request *request)
   }
   if (!mo_query_limit(request, &limit) ||
       !mo_query_id(request, "job", "the id of a job, in decimal digits, is expected", &job))
+    return;
+  if (job > 0 && !has_job(request, job))
     return;
   if (from != NULL && !mo_decimal(from, strlen(from), 0, INT64_MAX, &after))
     mo_reply_bad_parameter(request, "after", place);

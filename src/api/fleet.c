@@ -35,16 +35,14 @@ struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session)
 
 /* ---- waiting ---- */
 
-/* Reads how long the request may wait. False: the reply is made. */
-static bool read_wait(struct mo_request *request)
+/* Reads how long the request may wait. */
+static void read_wait(struct mo_request *request)
 {
   if (request->wait_over)
-    return true;
-  if (!mo_read_wait(request))
-    return false;
+    return;
+  mo_read_wait(request);
   const int wait_s = request->wait_s < MO_FLEET_WAIT_S ? request->wait_s : MO_FLEET_WAIT_S;
   request->wait_deadline_us = mo_clock_us() + (int64_t)wait_s * 1000000;
-  return true;
 }
 
 /* Begins to wait, if there is time left. Do this before looking: what comes then is not missed. */
@@ -201,8 +199,9 @@ void mo_api_get_orders(struct mo_request *request)
   struct mo_fleet_orders orders = {.state = MO_SESSION_ACTIVE};
   uint64_t session;
   struct mo_fleet *fleet = mo_path_session(request, &session);
-  if (fleet == NULL || !read_wait(request))
+  if (fleet == NULL)
     return;
+  read_wait(request);
   if (request->wait_over && mo_connection_has_left(request->connection)) {
     mo_fleet_leave(fleet, session, true, mo_clock_ns());
     mo_reply_error(request, MO_ERR_NOT_FOUND, "session");
@@ -271,8 +270,9 @@ void mo_api_post_exchange(struct mo_request *request)
   size_t down_size = 0;
   uint32_t n_leases = 0;
   struct mo_fleet *fleet = mo_path_session(request, &session);
-  if (fleet == NULL || !read_wait(request) || (!request->wait_over && !check_results(request)))
+  if (fleet == NULL || (!request->wait_over && !check_results(request)))
     return;
+  read_wait(request);
   /* No lease for nobody, and none of a daemon that ends. */
   const bool has_left = mo_connection_has_left(request->connection);
   if (request->wait_over && (has_left || !mo_http_is_ready(request->http))) {

@@ -122,8 +122,8 @@ void mo_api_get_job(struct mo_request *request)
   const struct mo_resource *kind = mo_resource_of(request);
   struct mo_job job;
   int64_t id;
-  if ((request->wait_over || mo_read_wait(request)) && mo_path_id(request, 0, &id) &&
-      mo_await_job(request, kind, id, &job))
+  mo_read_wait(request);
+  if (mo_path_id(request, 0, &id) && mo_await_job(request, kind, id, &job))
     mo_reply_job(request, 200, kinds[job.kind], id, kind != NULL);
 }
 

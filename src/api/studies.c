@@ -149,8 +149,8 @@ static bool await_batch(struct mo_request *request, int64_t id)
 void mo_api_get_study_batch(struct mo_request *request)
 {
   int64_t id;
-  if ((request->wait_over || mo_read_wait(request)) && mo_path_id(request, 0, &id) &&
-      await_batch(request, id))
+  mo_read_wait(request);
+  if (mo_path_id(request, 0, &id) && await_batch(request, id))
     reply_batch(request, id, 200);
 }
 
@@ -201,8 +201,8 @@ static int tell(struct mo_request *request, struct mo_post *post)
 
 void mo_api_post_study_tell(struct mo_request *request)
 {
-  if (!request->wait_over &&
-      (!mo_read_wait(request) || !mo_handle_submission(request, "study", tell)))
+  mo_read_wait(request);
+  if (!request->wait_over && !mo_handle_submission(request, "study", tell))
     return;
   if (await_batch(request, request->kept))
     reply_batch(request, request->kept, 202);

@@ -115,14 +115,13 @@ int mo_prefer_wait(const char *field, int max)
     if (trimmed(part, name) != 4 || strncasecmp(part, "wait", 4) != 0)
       continue;
     if (part[name] != '=')
-      return -2;
+      continue;
     part += name + 1;
     value = skip_blank(part);
     size = trimmed(value, strcspn(value, ",;"));
     unquote(&value, &size);
-    if (!mo_decimal(value, size, 0, INT64_MAX, &seconds))
-      return -2;
-    return seconds > max ? max : (int)seconds;
+    if (mo_decimal(value, size, 0, INT64_MAX, &seconds))
+      return seconds > max ? max : (int)seconds;
   }
   return -1;
 }

@@ -24,8 +24,8 @@ bool mo_decimal(const char *text, size_t n, int64_t min, int64_t max, int64_t *v
 /* Reads the id of a job or row: 1 to 18 digits, the first not 0. */
 bool mo_id(const char *text, int64_t *id);
 
-/* Reads Prefer (RFC 7240). Returns the seconds of wait=N, at most `max`; −1: absent; −2:
- * malformed. */
+/* Reads Prefer (RFC 7240). Returns the seconds of wait=N, at most `max`; −1: absent, or not whole
+ * seconds: what a server does not understand of Prefer it ignores. */
 int mo_prefer_wait(const char *field, int max);
 
 /* Chooses by Accept (RFC 9110, 12.5.1) among `types` ("application/json", in the server's order of

@@ -163,10 +163,11 @@ bool mo_check_content(struct mo_request *request, const char *expected, const ch
   char type[64], charset[32];
   const char *field = request->framing.content_type;
   const char *coding = request->framing.content_encoding;
-  if (coding != NULL && strcasecmp(coding, "identity") != 0)
+  if (coding != NULL && strcasecmp(coding, "identity") != 0) {
     mo_reply_problem(request, 415, NULL, "The body has a content coding; none is understood.");
-  else if (field == NULL || !mo_content_type(field, type, charset) ||
-           (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))
+    mo_reply_extra(request, "Accept-Encoding", "identity");
+  } else if (field == NULL || !mo_content_type(field, type, charset) ||
+             (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))
     mo_reply_problem(request, 415, NULL, "The Content-Type must be %s.", expected);
   else if (charset[0] != '\0' && strcmp(charset, "utf-8") != 0)
     mo_reply_problem(request, 415, NULL, "The charset must be UTF-8.");
@@ -186,10 +187,8 @@ bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
   return false;
 }
 
-bool mo_read_wait(struct mo_request *request)
+void mo_read_wait(struct mo_request *request)
 {
-  request->wait_s = mo_prefer_wait(request->framing.prefer, WAIT_MAX_S);
-  if (request->wait_s == -2)
-    mo_reply_bad_header(request, "Prefer", "wait must be a number of seconds, as in wait=30");
-  return request->wait_s != -2;
+  if (!request->wait_over)
+    request->wait_s = mo_prefer_wait(request->framing.prefer, WAIT_MAX_S);
 }

@@ -35,7 +35,7 @@ bool mo_check_content(struct mo_request *request, const char *expected, const ch
 /* Reads the id of a job from a path parameter; none can have an id that is not a positive integer
  * (404). */
 bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id);
-/* Reads Prefer: wait=N into request->wait_s. */
-bool mo_read_wait(struct mo_request *request);
+/* Reads Prefer: wait=N into request->wait_s, unless the wait is over. */
+void mo_read_wait(struct mo_request *request);
 
 #endif

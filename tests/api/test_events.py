@@ -124,6 +124,17 @@ def test_reset(service):
         event["id"])
 
 
+def test_events_of_a_job_that_never_was(service):
+    for query in ("", "&format=json", "&format=csv", "&after=3"):
+        reply = service.request("GET", f"/v1/events?job=999999{query}")
+        assert reply.status == 404, query
+    # Those of a deleted one stay.
+    job = service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
+    assert service.request("DELETE", f"/v1/jobs/{job}").status == 200
+    assert [event["type"] for event in page(service, f"&job={job}&after=0")["items"]
+            ][-1] == "job.deleted"
+
+
 def test_bad_place(service):
     stream = Stream(service, "", "Last-Event-ID: yesterday\r\n")
     assert stream.status == 400

@@ -391,7 +391,10 @@ def test_escaped_keys(service):
                           ({"Content-Type": "application/json; charset=UTF-8"}, 422),
                           ({"Accept": "text/html"}, 406), ({"Idempotency-Key": ""}, 400)])
 def test_headers(service, kind, headers, status):
-    assert service.request("POST", f"/v1/{kind}", body="{}", headers=headers).status == status
+    reply = service.request("POST", f"/v1/{kind}", body="{}", headers=headers)
+    assert reply.status == status
+    assert reply.headers.get("Accept-Encoding") == ("identity" if "Content-Encoding" in headers
+                                                    else None)
 
 
 def test_body_too_large(start):

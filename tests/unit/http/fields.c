@@ -54,10 +54,11 @@ static void prefer(void)
   CHECK_INT(mo_prefer_wait("Wait = \"7\"", 60), 7);
   CHECK_INT(mo_prefer_wait("wait=100", 60), 60);
   CHECK_INT(mo_prefer_wait("return=minimal", 60), -1);
-  CHECK_INT(mo_prefer_wait("wait", 60), -2);
-  CHECK_INT(mo_prefer_wait("wait=-1", 60), -2);
-  CHECK_INT(mo_prefer_wait("wait=1.5", 60), -2);
-  CHECK_INT(mo_prefer_wait("wait=99999999999999999999999", 60), -2);
+  CHECK_INT(mo_prefer_wait("wait", 60), -1);
+  CHECK_INT(mo_prefer_wait("wait=-1", 60), -1);
+  CHECK_INT(mo_prefer_wait("wait=1.5", 60), -1);
+  CHECK_INT(mo_prefer_wait("wait=soon, wait=5", 60), 5);
+  CHECK_INT(mo_prefer_wait("wait=99999999999999999999999", 60), -1);
 }
 
 static void accepts(void)
