@@ -267,6 +267,7 @@ int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t
   size_t old_n = tokens->n;
   tokens->items = copy;
   tokens->n = n;
+  atomic_fetch_add(&tokens->version, 1);
   pthread_rwlock_unlock(&tokens->lock);
   free_items(old, old_n);
   return MO_OK;
@@ -288,10 +289,12 @@ int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct 
   const char *given = "";
   if (authorization != NULL && strncasecmp(authorization, "Bearer ", 7) == 0) {
     given = authorization + 7;
-    while (*given == ' ')
+    while (*given == ' ' || *given == '\t')
       given++;
   }
   size_t size = strlen(given), found = 0; /* found: the place of the right one, from 1 on */
+  while (size > 0 && (given[size - 1] == ' ' || given[size - 1] == '\t'))
+    size--;
   pthread_rwlock_rdlock(&tokens->lock);
   size_t n = tokens->n;
   for (size_t i = 0; i < n; i++)

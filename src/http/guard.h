@@ -8,6 +8,7 @@
 #define MORPHO_HTTP_GUARD_H
 
 #include <pthread.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -70,6 +71,7 @@ bool mo_guard_fetch_site(const char *site);
 
 struct mo_tokens {
   pthread_rwlock_t lock;
+  atomic_uint version; /* raised by each change; at least 1 once tokens were set */
   struct mo_token *items;
   size_t n;
 };

@@ -30,8 +30,9 @@ struct mo_stream {
   bool live;
   bool news; /* for a stream that is behind: events came since the last call of fill */
   bool ended;
-  bool suspended; /* the connection waits for wake */
-  bool busy;      /* an API thread fills the buffer; the connection stays suspended until then */
+  bool suspended;          /* the connection waits for wake */
+  unsigned tokens_version; /* for which the reader's token was last checked; 0: for none */
+  bool busy; /* an API thread fills the buffer; the connection stays suspended until then */
   struct mo_text buffer;
   size_t read;        /* bytes of the buffer that were sent */
   int64_t written_us; /* when bytes were last put into the buffer */
@@ -219,6 +220,19 @@ void mo_stream_free(struct mo_request *request)
   request->stream = NULL;
 }
 
+/* Says whether the token with which a stream was opened has been taken away. */
+static bool is_revoked(struct mo_http *http, struct mo_stream *stream)
+{
+  const unsigned version = atomic_load(&http->tokens.version);
+  struct mo_request *request = stream->request;
+  struct mo_caller caller;
+  if (stream->tokens_version == version || request->caller.name[0] == '\0')
+    return false;
+  stream->tokens_version = version;
+  return mo_tokens_check(&http->tokens, request->framing.authorization, &caller) != 1 ||
+         caller.right < request->route->right;
+}
+
 void mo_streams_tick(struct mo_http *http, int64_t now_us)
 {
   static const char beat[] = ": \n\n";
@@ -227,6 +241,7 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
   LIST_FOREACH(stream, &http->streams.open, others)
   {
     bool unread = stream->buffer.size > stream->read;
+    stream->ended |= is_revoked(http, stream);
     if (stream->suspended) {
       if (mo_connection_has_left(stream->request->connection))
         stream->ended = true;

@@ -33,7 +33,7 @@ int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_
 void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
                      void (*write)(struct mo_text *text, const void *event), const void *event);
 void mo_stream_free(struct mo_request *request);
-/* Sends heartbeats, drops slow and vanished readers. */
+/* Sends heartbeats, drops slow and vanished readers, and those with a token that was taken away. */
 void mo_streams_tick(struct mo_http *http, int64_t now_us);
 void mo_streams_close(struct mo_http *http);
 

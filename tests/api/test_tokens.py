@@ -1,6 +1,7 @@
 """Tokens with names and rights: who may use which route, who submitted a job, and who is told."""
 
 import http.client
+import signal
 import socket
 import threading
 
@@ -218,6 +219,37 @@ def test_a_token_on_loopback_and_on_the_unix_socket(start, tokens, tmp_path):
     wrong = {"Authorization": "Bearer of-nobody-in-the-file"}
     assert service.request("GET", "/v1/whoami", headers=wrong).status == 401
     assert service.get("/v1/whoami", unix=True, headers=wrong)["name"] is None
+
+
+def test_blanks_around_a_token(service):
+    for blanks in ("{} ", " {}", "{}\t", "  {}  "):
+        header = {"Authorization": "Bearer " + blanks.format(TOKENS["read"])}
+        assert service.request("GET", "/v1/whoami", headers=header).status == 200, blanks
+    for wrong in (TOKENS["read"][:-1] + " ", TOKENS["read"] + " x"):
+        header = {"Authorization": "Bearer " + wrong}
+        assert service.request("GET", "/v1/whoami", headers=header).status == 401, wrong
+
+
+def test_a_revoked_token_loses_its_stream(service, tokens):
+    """Streams of tokens that stay go on."""
+    streams = {}
+    for right in ("read", "admin"):
+        streams[right] = socket.create_connection((service.host, service.port), timeout=30)
+        streams[right].sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n"
+                               b"Authorization: Bearer %s\r\n\r\n" % TOKENS[right].encode())
+        assert streams[right].recv(65536).startswith(b"HTTP/1.1 200")
+    write(tokens, f"{NAMES['admin']} admin {TOKENS['admin']}\n")
+    service.process.send_signal(signal.SIGHUP)
+    received = b""
+    while not received.endswith(b"0\r\n\r\n"):  # the end of the reply
+        assert (more := streams["read"].recv(65536)), received
+        received += more
+    assert service.evaluate(WORK).status == 200
+    while b"job.finished" not in received:
+        assert (more := streams["admin"].recv(65536))
+        received += more
+    for stream in streams.values():
+        stream.close()
 
 
 # ---- the pages ----
