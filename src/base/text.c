@@ -147,30 +147,58 @@ void mo_text_format(struct mo_text *text, const char *format, ...)
   va_end(again);
 }
 
-void mo_text_json_string(struct mo_text *text, const char *words, size_t n)
+/* Returns the character, at most U+FFFF, of a sequence of 2 or 3 bytes if it controls a terminal;
+ * else 0. */
+static unsigned terminal_control(const unsigned char *bytes, unsigned length)
+{
+  const unsigned code = length == 2 ? (bytes[0] & 0x1Fu) << 6 | (bytes[1] & 0x3Fu)
+                        : length == 3
+                            ? (bytes[0] & 0xFu) << 12 | (bytes[1] & 0x3Fu) << 6 | (bytes[2] & 0x3Fu)
+                            : 0;
+  const bool controls = (code >= 0x80 && code <= 0x9F) || code == 0x61C || code == 0x200E ||
+                        code == 0x200F || (code >= 0x2028 && code <= 0x202E) ||
+                        (code >= 0x2066 && code <= 0x2069);
+  return controls ? code : 0;
+}
+
+static void add_string(struct mo_text *text, const char *words, size_t n, bool is_shown)
 {
   const unsigned char *bytes = (const unsigned char *)words;
   mo_text_bytes(text, "\"", 1);
   size_t plain = 0; /* start of the current run without escapes */
   for (size_t i = 0; i < n;) {
     unsigned length = mo_utf8_sequence(bytes + i, n - i);
-    if (length > 0 && bytes[i] >= 0x20 && bytes[i] != '"' && bytes[i] != '\\' && bytes[i] != 0x7F) {
+    const unsigned control = is_shown ? terminal_control(bytes + i, length) : 0;
+    if (control == 0 && length > 0 && bytes[i] >= 0x20 && bytes[i] != '"' && bytes[i] != '\\' &&
+        bytes[i] != 0x7F) {
       i += length;
       continue;
     }
     mo_text_bytes(text, words + plain, i - plain);
     if (length == 0)
       mo_text_add(text, "\xEF\xBF\xBD");
+    else if (control != 0)
+      mo_text_format(text, "\\u%04x", control);
     else if (bytes[i] == '"' || bytes[i] == '\\')
       mo_text_format(text, "\\%c", bytes[i]);
     else if (bytes[i] == '\n')
       mo_text_add(text, "\\n");
     else
       mo_text_format(text, "\\u%04x", bytes[i]);
-    plain = ++i;
+    plain = i += control != 0 ? length : 1;
   }
   mo_text_bytes(text, words + plain, n - plain);
   mo_text_bytes(text, "\"", 1);
+}
+
+void mo_text_json_string(struct mo_text *text, const char *words, size_t n)
+{
+  add_string(text, words, n, false);
+}
+
+void mo_text_shown_string(struct mo_text *text, const char *words, size_t n)
+{
+  add_string(text, words, n, true);
 }
 
 void mo_text_json_stored(struct mo_text *text, const char *json)

@@ -48,6 +48,9 @@ void mo_text_format(struct mo_text *text, const char *format, ...)
 
 /* Appends a JSON string with its quotes. Invalid UTF-8 becomes U+FFFD. */
 void mo_text_json_string(struct mo_text *text, const char *words, size_t n);
+/* The same for a terminal: what would control it is escaped, too (U+0080 to U+009F, and those that
+ * change the direction of text). */
+void mo_text_shown_string(struct mo_text *text, const char *words, size_t n);
 /* Appends a stored JSON text on one line. Invalid UTF-8 in its strings becomes U+FFFD. */
 void mo_text_json_stored(struct mo_text *text, const char *json);
 /* Appends a number with the fewest of 15, 16 or 17 significant digits that read back as the same

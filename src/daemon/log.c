@@ -49,8 +49,8 @@ static bool is_bare(const char *text)
   return true;
 }
 
-/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so it cannot
- * break the line. */
+/* JSON string escapes serve all formats: a quoted value holds no raw control character, so it
+ * cannot break the line, or the terminal that shows it. */
 static void put_value(struct mo_text *line, enum log_format format, const struct log_field *field)
 {
   const char *text = field->value.text;
@@ -59,7 +59,7 @@ static void put_value(struct mo_text *line, enum log_format format, const struct
     if (text == NULL || (format != LOG_FORMAT_JSON && is_bare(text)))
       mo_text_add(line, text != NULL ? text : "null");
     else
-      mo_text_json_string(line, text, strlen(text));
+      mo_text_shown_string(line, text, strlen(text));
     break;
   case LOG_KIND_INT: mo_text_format(line, "%" PRId64, field->value.integer); break;
   case LOG_KIND_REAL:
@@ -104,7 +104,7 @@ size_t log_format_line(char *text, size_t capacity, enum log_format format, bool
   if (plain)
     mo_text_add(&line, message);
   else
-    mo_text_json_string(&line, message, strlen(message));
+    mo_text_shown_string(&line, message, strlen(message));
   for (size_t i = 0; i < n_fields && !line.failed; i++) {
     const size_t before = line.size;
     mo_text_format(&line, json ? ",\"%s\":" : " %s=", fields[i].name);

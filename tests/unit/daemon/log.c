@@ -47,6 +47,26 @@ static void json_is_json(void)
   json_decref(object);
 }
 
+/* Texts of others, as a hostile daemon's, cannot control the terminal that shows the log. */
+static void terminals_are_safe(void)
+{
+  static const char *const shown[][2] = {
+      {"a\xC2\x9B"
+       "31m",
+       "\"a\\u009b31m\""},
+      {"\xC2\x80\xC2\x9F\xC2\xA0", "\"\\u0080\\u009f\xC2\xA0\""},
+      {"\xE2\x80\xAA\xE2\x80\xAE\xE2\x80\xAF", "\"\\u202a\\u202e\xE2\x80\xAF\""},
+      {"\xE2\x81\xA5\xE2\x81\xA6\xE2\x81\xA9\xE2\x81\xAA",
+       "\"\xE2\x81\xA5\\u2066\\u2069\xE2\x81\xAA\""},
+      {"gr\xC3\xBC\xC3\x9F", "\"gr\xC3\xBC\xC3\x9F\""}};
+  for (size_t i = 0; i < sizeof(shown) / sizeof(shown[0]); i++)
+    for (enum log_format kind = LOG_FORMAT_TEXT; kind <= LOG_FORMAT_JSON; kind++) {
+      const struct log_field field = LOG_TEXT("a", shown[i][0]);
+      format(kind, false, 0, "m", &field, 1);
+      CHECK_HAS(line, shown[i][1]);
+    }
+}
+
 static void a_line_stays_one_line(void)
 {
   char *large = malloc(100001);
@@ -86,6 +106,7 @@ static const struct check_case cases[] = {
     {"text for people", text_for_people},
     {"logfmt and priority", logfmt_and_priority},
     {"JSON is JSON", json_is_json},
+    {"texts cannot control a terminal", terminals_are_safe},
     {"a line stays one line", a_line_stays_one_line},
     {"levels", levels},
 };
