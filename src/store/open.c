@@ -241,6 +241,25 @@ static int count_opening(struct mo_store *store, struct mo_connection *writer)
   return end_transaction(writer, error);
 }
 
+/* Refuses a database file with a part of a page at its end, which SQLite would fill with zeros.
+ * After a kill the log may have the whole page. */
+static int check_length(const struct mo_store *store, struct mo_connection *writer,
+                        struct mo_message *message)
+{
+  struct stat file;
+  int64_t page_bytes = 0;
+  int error = mo_sql_find(writer, &page_bytes, "PRAGMA page_size");
+  if (error != MO_OK || stat(store->database_path, &file) != 0 || page_bytes == 0 ||
+      file.st_size % page_bytes == 0)
+    return error;
+  (void)sqlite3_wal_checkpoint_v2(writer->db, NULL, SQLITE_CHECKPOINT_TRUNCATE, NULL, NULL);
+  if (stat(store->database_path, &file) == 0 && file.st_size % page_bytes != 0)
+    error = mo_fail(message, MO_ERR_CORRUPT,
+                    "%s is cut short: its last page is not whole; restore a backup",
+                    store->database_path);
+  return error;
+}
+
 static int prepare_database(struct mo_store *store, struct mo_message *message)
 {
   struct mo_connection *writer = &store->writer;
@@ -259,6 +278,11 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
   if (header.version == 0 && header.tables == 0 && store->orphans.n > 0)
     return refuse_without_database(store, message);
+  if (header.version == 0 && header.tables > 0)
+    return mo_fail(
+        message, MO_ERR_UNSUPPORTED,
+        "%s has tables but no schema number: another program changed it; restore a backup",
+        store->database_path);
   if (header.version > NEWEST_SCHEMA || header.version < 0)
     return mo_fail(
         message, MO_ERR_UNSUPPORTED,
@@ -270,6 +294,11 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
                    "read: start with an empty folder, and store the files of %s again there",
                    store->path, store->controllers_path);
   error = use_log(store, writer, message);
+  if (error == MO_OK && header.version > 0) {
+    error = check_length(store, writer, message);
+    if (error != MO_OK)
+      return error;
+  }
   if (error == MO_OK && header.version > 0) {
     error = mo_sql_find(writer, &clean, "SELECT value FROM meta WHERE key='clean'");
     if (error == MO_OK && !clean)

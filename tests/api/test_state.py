@@ -121,6 +121,27 @@ def test_a_folder_that_others_may_write_to(tmp_path, mode):
     assert list(state.iterdir()) == []
 
 
+def test_a_database_that_is_cut_short(start, tmp_path):
+    """By less than a page, which SQLite would fill up; and one whose schema number is gone."""
+    running = start(state=tmp_path / "state")
+    running.evaluate({"designs": [DESIGN], "physics": SHORT})
+    assert running.stop() == 0
+    file = tmp_path / "state" / "morphod.db"
+    whole = file.read_bytes()
+    for n in (1, 4095):
+        file.write_bytes(whole[:-n])
+        ended = morphod(tmp_path / "state", *START)
+        assert ended.returncode == 74 and "is cut short" in ended.stderr, ended
+    file.write_bytes(whole)
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA user_version=0")
+        database.commit()
+    ended = morphod(tmp_path / "state", *START)
+    assert ended.returncode == 78 and "no schema number" in ended.stderr, ended
+    file.write_bytes(whole)
+    assert start(state=tmp_path / "state").stop() == 0
+
+
 @pytest.mark.parametrize("name",
                          ("lock", "reserve", "morphod.db", "morphod.db-wal", "morphod.db-shm",
                           "crash-marker", "controllers", "trainings", "campaigns"))
