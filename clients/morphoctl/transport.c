@@ -12,7 +12,10 @@
 
 #include "table.h"
 
-#define REPLY_BYTES_MAX (UINT64_C(2) << 30)
+/* What a server may make this program hold: of JSON, and of a file that was asked for. */
+#define JSON_BYTES_MAX (UINT64_C(256) << 20)
+#define FILE_BYTES_MAX (UINT64_C(2) << 30)
+#define WAIT_PAUSE_S   0.25 /* at least, between two requests that wait for the same */
 
 struct transport {
   CURL *curl;
@@ -21,6 +24,8 @@ struct transport {
   char *base;        /* "http://127.0.0.1:8765" */
   char *socket;      /* path of a unix socket, or NULL */
   bool has_answered; /* the server answered once, so it is worth retrying */
+  char *waited_for;  /* path of the last request that waited */
+  double waited_s;   /* when it was sent */
 };
 
 void pause_s(double seconds)
@@ -77,7 +82,10 @@ static size_t take_body(char *bytes, size_t size, size_t count, void *context)
   struct reply *reply = context;
   if (reply->file == NULL)
     reply->file = open_memstream(&reply->body, &reply->body_bytes);
-  if (reply->file == NULL || (size_t)ftello(reply->file) + size * count > REPLY_BYTES_MAX)
+  reply->is_too_long =
+      reply->file != NULL && (size_t)ftello(reply->file) + size * count >
+                                 (reply->is_file ? FILE_BYTES_MAX : JSON_BYTES_MAX);
+  if (reply->file == NULL || reply->is_too_long)
     return 0;
   return fwrite(bytes, 1, size * count, reply->file);
 }
@@ -147,6 +155,7 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
   if (transport->streaming && transport->aside == NULL)
     transport->aside = curl_easy_init();
   CURL *curl = need(transport->streaming ? transport->aside : transport->curl);
+  reply->is_file = request->accept != NULL && strcmp(request->accept, "application/json") != 0;
   struct curl_slist *headers = make_headers(request);
   char *url = format_text("%s%s", transport->base, request->path);
   curl_easy_reset(curl);
@@ -215,8 +224,26 @@ int complain_about_server(const struct ctl *ctl, const char *words)
   return STATUS_CONNECTION;
 }
 
+/* Pauses before a request that waits for the same as the last one if that one was answered at once,
+ * as by a proxy that drops Prefer. */
+static void pace(struct transport *transport, const struct request *request)
+{
+  if (request->wait_s == 0)
+    return;
+  const double left_s = transport->waited_s + WAIT_PAUSE_S - monotonic_s();
+  if (transport->waited_for != NULL && strcmp(transport->waited_for, request->path) == 0) {
+    if (left_s > 0)
+      pause_s(left_s);
+  } else {
+    free(transport->waited_for);
+    transport->waited_for = need(strdup(request->path));
+  }
+  transport->waited_s = monotonic_s();
+}
+
 int transport_try(struct ctl *ctl, const struct request *request, struct reply *reply)
 {
+  pace(ctl->transport, request);
   *reply = (struct reply){.retry_after_s = -1};
   double begin = monotonic_s(), pause = 0.1;
   for (;;) {
@@ -234,6 +261,9 @@ int transport_try(struct ctl *ctl, const struct request *request, struct reply *
         return STATUS_OK;
       pause_s(asked_s);
     } else {
+      if (reply->is_too_long)
+        return complain(STATUS_ERROR, "%s: the reply does not end; is morphod running there?",
+                        ctl->server);
       if (!is_passing(code))
         return complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
       if (request->once || pause > left_s)

@@ -27,7 +27,8 @@ struct reply {
   long status;
   char *body; /* a NUL follows the last byte; NULL: there is none */
   size_t body_bytes;
-  FILE *file; /* that writes the body; private */
+  FILE *file;                /* that writes the body; private */
+  bool is_file, is_too_long; /* private */
   char content_type[96], shape[64], step[24], request_id[32];
   long retry_after_s; /* −1: none */
 };

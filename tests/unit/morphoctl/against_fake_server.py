@@ -457,6 +457,37 @@ def test_train_watch_goes_on_after_a_break():
                        ("/v1/events?job=7", "45")]
 
 
+def test_wait_where_nobody_waits():
+    """A server, or a proxy, that drops Prefer and answers at once is not asked without a pause."""
+    running = JOB | {"state": "running"}
+    begun = time.monotonic()
+    assert len(ask([running, running, running, running, JOB], "wait 7")[2]) == 5
+    assert time.monotonic() - begun >= 4 * 0.25
+
+
+def test_a_list_that_does_not_end():
+    page = {"items": [JOB], "next_cursor": "7"}
+    _, err, seen = ask([page] * 9, "job list --limit 5000", 1)
+    assert "does not end" in err and len(seen) == 2, (err, len(seen))
+
+
+def test_a_reply_that_does_not_end():
+    """Its memory is bounded."""
+    def endless(handler):
+        handler.send_response(200)
+        handler.send_header("Content-Type", "application/json")
+        handler.send_header("Transfer-Encoding", "chunked")
+        handler.end_headers()
+        piece = b" " * (1 << 20)
+        try:
+            for _ in range(3000):
+                handler.wfile.write(b"%x\r\n%s\r\n" % (len(piece), piece))
+        except OSError:
+            handler.close_connection = True
+
+    assert "does not end" in ask([endless], "job show 7", 1)[1]
+
+
 def test_train_watch_one_that_has_ended():
     error = {"code": "io", "detail": "the disk broke"}
     for changes, status, words in (({}, 0, ""), ({"state": "cancelled"}, 3, "is cancelled"),
