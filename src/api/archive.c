@@ -1,5 +1,6 @@
 /* archive.c: see archive.h. Member sizes and the window of the compression are bounded, so that a
- * small file cannot take much memory. */
+ * small file cannot take much memory; and what a byte may unpack to, so that it cannot take hours.
+ */
 #include "api/archive.h"
 
 #include <stdio.h>
@@ -45,6 +46,12 @@ static size_t padding_of(size_t size)
   return (BLOCK - size % BLOCK) % BLOCK;
 }
 
+/* Returns how many bytes an archive of this size may unpack to. */
+static uint64_t most_bytes(uint64_t size)
+{
+  return MO_ARCHIVE_FREE + MO_ARCHIVE_RATIO * size;
+}
+
 static void add_sum(struct mo_text *sums, const struct mo_sha256 *sha256, const char *name)
 {
   mo_text_format(sums, "%s  %s\n", MO_SHA256_HEX(sha256), name);
@@ -54,6 +61,7 @@ static void add_sum(struct mo_text *sums, const struct mo_sha256 *sha256, const 
 
 struct mo_archive_writer {
   ZSTD_CCtx *stream;
+  uint64_t taken, made; /* bytes, before and after the compression */
   struct mo_text sums;
 };
 
@@ -90,7 +98,9 @@ static int compress(struct mo_archive_writer *writer, const void *bytes, size_t 
     if (ZSTD_isError(left))
       return MO_ERR_NO_MEMORY;
     mo_text_bytes(out, piece, made.pos);
+    writer->made += made.pos;
   }
+  writer->taken += size;
   return out->failed ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
@@ -116,10 +126,12 @@ int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out)
   static const char zeros[2 * BLOCK];
   struct mo_text sums = writer->sums;
   writer->sums = (struct mo_text){0}; /* its own line is not written */
-  const int error =
+  int error =
       sums.failed ? MO_ERR_NO_MEMORY : mo_archive_add(writer, SUMS, sums.data, sums.size, out);
   mo_text_free(&sums);
-  return error == MO_OK ? compress(writer, zeros, sizeof(zeros), true, out) : error;
+  if (error == MO_OK)
+    error = compress(writer, zeros, sizeof(zeros), true, out);
+  return error == MO_OK && writer->taken > most_bytes(writer->made) ? MO_ERR_LIMIT : error;
 }
 
 /* ---- reading ---- */
@@ -127,10 +139,11 @@ int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out)
 struct mo_archive_reader {
   ZSTD_DCtx *stream;
   ZSTD_inBuffer in;
-  bool ended;  /* the frame ended */
-  bool summed; /* SHA256SUMS was read, and agrees */
-  uint32_t n;  /* members */
-  char *bytes; /* of the member */
+  uint64_t left; /* bytes that it may still unpack to */
+  bool ended;    /* the frame ended */
+  bool summed;   /* SHA256SUMS was read, and agrees */
+  uint32_t n;    /* members */
+  char *bytes;   /* of the member */
   struct mo_text sums;
 };
 
@@ -143,6 +156,7 @@ struct mo_archive_reader *mo_archive_open(const void *bytes, size_t size)
     return NULL;
   }
   reader->in = (ZSTD_inBuffer){bytes, size, 0};
+  reader->left = most_bytes(size);
   return reader;
 }
 
@@ -156,10 +170,29 @@ void mo_archive_close(struct mo_archive_reader *reader)
   free(reader);
 }
 
+/* Checks that the frame is an ordinary one and ends with a checksum: a flag in its first byte. */
+static int check_frame(const struct mo_archive_reader *reader, struct mo_message *message)
+{
+  static const unsigned char magic[] = {0x28, 0xb5, 0x2f, 0xfd};
+  const unsigned char *bytes = reader->in.src;
+  if (reader->in.size <= sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "the file is damaged or no zstd");
+  return bytes[sizeof(magic)] >> 2 & 1
+             ? MO_OK
+             : mo_fail(message, MO_ERR_FORMAT, "the file lacks the checksum of zstd at its end");
+}
+
 /* Decompresses exactly n bytes. */
 static int pull(struct mo_archive_reader *reader, void *bytes, size_t n, struct mo_message *message)
 {
   ZSTD_outBuffer out = {bytes, n, 0};
+  const int error = reader->in.pos == 0 ? check_frame(reader, message) : MO_OK;
+  if (error != MO_OK)
+    return error;
+  if (n > reader->left)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the file unpacks to more than %d bytes for each of its own", MO_ARCHIVE_RATIO);
+  reader->left -= n;
   while (out.pos < n) {
     const size_t before = out.pos, at = reader->in.pos;
     const size_t left =

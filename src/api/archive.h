@@ -15,13 +15,16 @@
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
 #define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
 #define MO_ARCHIVE_MEMBERS    200000
+#define MO_ARCHIVE_RATIO      1000 /* bytes that a byte of the archive may unpack to, on average; */
+#define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but as many bytes in any case */
 
 struct mo_archive_writer;
 struct mo_archive_writer *mo_archive_create(void); /* NULL: no memory */
 /* Adds a member; appends to `out` what is ready of the archive, perhaps nothing. */
 int mo_archive_add(struct mo_archive_writer *writer, const char *name, const void *bytes,
                    size_t size, struct mo_text *out);
-/* Adds SHA256SUMS, and appends all that is left. */
+/* Adds SHA256SUMS, and appends all that is left. MO_ERR_LIMIT: the archive is packed so tightly
+ * that no reader would take it. */
 int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out);
 void mo_archive_writer_free(struct mo_archive_writer *writer); /* NULL-safe */
 

@@ -9,11 +9,22 @@
 #define MO_BUNDLE_VERSION   2
 #define MO_BUNDLE_CAMPAIGNS MO_REPLICATES_MAX /* of one bundle */
 #define MO_BUNDLE_ROLLOUTS  40000             /* recorded; each has up to MO_CHANNELS members */
+/* What fills a part: designs, also those whose scores it has, and steps; bytes of generations,
+ * after which it has no further line. */
+#define MO_BUNDLE_PART_ROWS  1000
+#define MO_BUNDLE_PART_BYTES 1000000
 
 /* ---- lines (bundle_lines.c, bundle_heads.c) ---- */
 
-/* Lines of struct mo_imported_campaign and mo_imported_evaluation. */
-extern const struct mo_fields mo_bundle_campaign_fields, mo_bundle_evaluation_fields;
+/* The first member, with its version. */
+struct mo_bundle_head {
+  char format[16], program[64];
+  uint32_t version, n;
+  int64_t campaigns[MO_BUNDLE_CAMPAIGNS]; /* (n) ids, ascending */
+};
+/* Lines of struct mo_bundle_head, mo_imported_campaign and mo_imported_evaluation. */
+extern const struct mo_fields mo_bundle_head_fields, mo_bundle_campaign_fields,
+    mo_bundle_evaluation_fields;
 void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_design *design);
 void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_generation *row,
                                 const struct mo_campaign_member *members, uint32_t n);
@@ -26,6 +37,8 @@ struct mo_bundle_lines *mo_bundle_lines_create(const struct mo_lattice *lattice,
 void mo_bundle_lines_free(struct mo_bundle_lines *lines); /* NULL-safe */
 /* Read one line, which a NUL ends. Each line must be the one that the function above writes of what
  * was read, or the table. MO_ERR_FORMAT: it is not; MO_ERR_NO_MEMORY. */
+int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t size,
+                        struct mo_bundle_head *head, struct mo_message *message);
 int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, size_t size,
                             struct mo_imported_campaign *campaign, struct mo_message *message);
 int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, size_t size,
@@ -48,6 +61,24 @@ int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, s
 int mo_bundle_read_weights(const struct mo_archive_member *member,
                            struct mo_controller **controller, struct mo_message *message);
 void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE_NAME_BYTES]);
+
+/* ---- what the scores of a design say together (bundle_scores.c) ---- */
+
+struct mo_bundle_scores;                                     /* of one design at a time */
+struct mo_bundle_scores *mo_bundle_scores_create(void);      /* NULL: no memory */
+void mo_bundle_scores_free(struct mo_bundle_scores *scores); /* NULL-safe */
+/* Begins with a campaign, whose environments were read. */
+void mo_bundle_scores_open(struct mo_bundle_scores *scores,
+                           const struct mo_imported_campaign *campaign);
+/* Forgets the lines so far; lines of this design follow. */
+void mo_bundle_scores_begin(struct mo_bundle_scores *scores, uint32_t number);
+/* Takes a line. Returns 1, or 0 where earlier lines have all its losses in other blocks.
+ * MO_ERR_DUPLICATE: they have the line itself, or there are too many such lines. MO_ERR_FORMAT. */
+int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campaign_score *score,
+                         struct mo_message *message);
+/* Checks that the losses are those of the design's score. MO_ERR_FORMAT. */
+int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bool is_cut,
+                         struct mo_message *message);
 
 /* ---- recordings (bundle_recordings.c): an evaluation, then an array for each of its designs,
  * environments and channels, in this order ---- */
@@ -93,12 +124,15 @@ struct mo_bundle_sink {
   /* Returns 1 to take the rollouts, 0 to skip them. */
   int (*evaluation)(void *context, const struct mo_imported_evaluation *evaluation);
   int (*rollout)(void *context, const struct mo_saved_trajectory *rollout);
+  bool (*is_over)(void *context); /* whether to end early, with MO_ERR_CANCELLED */
 };
 struct mo_bundle_campaign {
   struct mo_import_source source;
   uint64_t n_designs, n_scores;
   uint32_t n_recordings; /* evaluations that recorded */
   int64_t generation;
+  bool has_result;
+  struct mo_sha256 result_sha256;
 };
 struct mo_bundle_summary {
   uint32_t n, n_controllers;
@@ -112,6 +146,10 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
                    const struct mo_bundle_sink *sink, const struct mo_bundle_summary *known,
                    struct mo_bundle_summary *summary, struct mo_message *message);
 
+/* Adds to the digest of a campaign what tells it from others that have no generation either. */
+void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
+                             int64_t created_us);
+
 /* ---- making one (bundle_export.c) ---- */
 
 struct mo_bundle_export;
@@ -120,5 +158,11 @@ struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const c
                                                  int64_t *ids, uint32_t n, bool with_recordings);
 int mo_bundle_export_more(void *context, struct mo_text *text); /* a mo_download_more */
 void mo_bundle_export_free(void *context);
+/* Describes a stored campaign as its bundle would. MO_ERR_CONFLICT: it has not ended. */
+int mo_bundle_describe(struct mo_store *store, int64_t id, struct mo_campaign_status *status,
+                       struct mo_imported_campaign *campaign);
+/* Computes the digest that a bundle of the campaign would have. is_over (nullable): as above. */
+int mo_bundle_digest(struct mo_store *store, int64_t id, bool (*is_over)(void *context),
+                     void *context, struct mo_sha256 *digest);
 
 #endif

@@ -9,8 +9,7 @@
 #include "store/store.h"
 #include "store/worlds.h"
 
-#define SCORED_DESIGNS 1000    /* of a member with scores */
-#define PART_BYTES     1000000 /* of a member with generations, about */
+_Static_assert(MO_BUNDLE_PART_ROWS <= MO_PAGE_MAX, "a part is one page of a list");
 
 enum phase {
   HEAD,
@@ -31,8 +30,11 @@ struct mo_bundle_export {
   int64_t *ids;
   uint32_t n, i; /* i: the campaign that is written */
   enum phase phase;
-  struct mo_archive_writer *writer;
-  uint32_t n_controllers; /* that were written */
+  struct mo_archive_writer *writer; /* NULL: only the digest is wanted */
+  struct mo_text digest;
+  struct mo_bundle_scores *scores; /* of a design */
+  uint32_t scored_number;          /* of that design, plus 1 */
+  uint32_t n_controllers;          /* that were written */
   struct mo_sha256 *controllers;
   struct mo_campaign_status status;
   int64_t after; /* what was written of the phase: the newest number or generation */
@@ -44,21 +46,35 @@ struct mo_bundle_export {
   struct mo_text member;
 };
 
-struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
-                                                 int64_t *ids, uint32_t n, bool with_recordings)
+/* Takes over the ids. NULL: no memory. */
+static struct mo_bundle_export *create(struct mo_store *store, int64_t *ids, uint32_t n)
 {
   struct mo_bundle_export *export = calloc(1, sizeof(*export));
   if (export == NULL) {
     free(ids);
     return NULL;
   }
-  *export = (struct mo_bundle_export){
-      .store = store, .ids = ids, .n = n, .with_recordings = with_recordings};
-  snprintf(export->program, sizeof(export->program), "%s", program);
-  export->writer = mo_archive_create();
+  *export = (struct mo_bundle_export){.store = store, .ids = ids, .n = n};
   export->controllers = calloc(2 * (size_t)n + 1, sizeof(*export->controllers));
   export->recordings = calloc(1, sizeof(*export->recordings));
-  if (export->writer == NULL || export->controllers == NULL || export->recordings == NULL) {
+  export->scores = mo_bundle_scores_create();
+  if (export->controllers == NULL || export->recordings == NULL || export->scores == NULL) {
+    mo_bundle_export_free(export);
+    return NULL;
+  }
+  return export;
+}
+
+struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
+                                                 int64_t *ids, uint32_t n, bool with_recordings)
+{
+  struct mo_bundle_export *export = create(store, ids, n);
+  if (export == NULL)
+    return NULL;
+  export->with_recordings = with_recordings;
+  snprintf(export->program, sizeof(export->program), "%s", program);
+  export->writer = mo_archive_create();
+  if (export->writer == NULL) {
     mo_bundle_export_free(export);
     return NULL;
   }
@@ -70,6 +86,8 @@ void mo_bundle_export_free(void *context)
   struct mo_bundle_export *export = context;
   mo_archive_writer_free(export->writer);
   mo_text_free(&export->member);
+  mo_text_free(&export->digest);
+  mo_bundle_scores_free(export->scores);
   free(export->controllers);
   free(export->recordings);
   free(export->evaluations);
@@ -77,22 +95,23 @@ void mo_bundle_export_free(void *context)
   free(export);
 }
 
-/* Adds the member that was written, if it is not empty. part: its folder and number, or its name
- * alone. */
+/* Adds the member that was written, if it is not empty, to the archive or its hash to the digest.
+ * part: its folder, if it is numbered, or its name. */
 static int add(struct mo_bundle_export *export, const char *part, bool is_numbered,
                struct mo_text *out)
 {
-  char name[32 + MO_ARCHIVE_NAME_BYTES];
-  const long long id = (long long)export->ids[export->i];
-  if (is_numbered)
-    snprintf(name, sizeof(name), "campaigns/%lld/%s/%08u.ndjson", id, part, export->parts++);
-  else
-    snprintf(name, sizeof(name), "campaigns/%lld/%s", id, part);
-  const int error =
-      export->member.failed ? MO_ERR_NO_MEMORY
-      : export->member.size == 0
-          ? MO_OK
-          : mo_archive_add(export->writer, name, export->member.data, export->member.size, out);
+  char own[MO_ARCHIVE_NAME_BYTES], name[32 + MO_ARCHIVE_NAME_BYTES];
+  struct mo_sha256 sha256;
+  int error = export->member.failed ? MO_ERR_NO_MEMORY : MO_OK;
+  snprintf(own, sizeof(own), is_numbered ? "%s/%08u.ndjson" : "%s", part, export->parts);
+  export->parts += is_numbered;
+  if (error == MO_OK && export->member.size > 0 && export->writer == NULL) {
+    mo_sha256_of(export->member.data, export->member.size, &sha256);
+    mo_text_format(&export->digest, "%s  %s\n", MO_SHA256_HEX(&sha256), own);
+  } else if (error == MO_OK && export->member.size > 0) {
+    snprintf(name, sizeof(name), "campaigns/%lld/%s", (long long)export->ids[export->i], own);
+    error = mo_archive_add(export->writer, name, export->member.data, export->member.size, out);
+  }
   export->member.size = 0;
   return error;
 }
@@ -109,12 +128,12 @@ static void next_phase(struct mo_bundle_export *export)
 static int write_head(struct mo_bundle_export *export, struct mo_text *out)
 {
   struct mo_text *text = &export->member;
-  mo_text_format(text, "{\"format\":\"morphod-bundle\",\"version\":%d", MO_BUNDLE_VERSION);
-  mo_text_member(text, "program", export->program);
-  mo_text_add(text, ",\"campaigns\":[");
-  for (uint32_t i = 0; i < export->n; i++)
-    mo_text_format(text, i > 0 ? ",\"%lld\"" : "\"%lld\"", (long long)export->ids[i]);
-  mo_text_add(text, "]}\n");
+  struct mo_bundle_head head = {
+      .format = "morphod-bundle", .version = MO_BUNDLE_VERSION, .n = export->n};
+  snprintf(head.program, sizeof(head.program), "%s", export->program);
+  memcpy(head.campaigns, export->ids, export->n * sizeof(*export->ids));
+  mo_fields_write_object(text, &mo_bundle_head_fields, &head);
+  mo_text_add(text, "\n");
   const int error =
       text->failed ? MO_ERR_NO_MEMORY
                    : mo_archive_add(export->writer, "bundle.json", text->data, text->size, out);
@@ -159,43 +178,49 @@ static int write_controllers(struct mo_bundle_export *export, struct mo_text *ou
 
 /* ---- a campaign ---- */
 
+int mo_bundle_describe(struct mo_store *store, int64_t id, struct mo_campaign_status *status,
+                       struct mo_imported_campaign *campaign)
+{
+  const int error = mo_store_campaign(store, id, status);
+  if (error != MO_OK)
+    return error;
+  if (!mo_job_state_is_final(status->job.state))
+    return MO_ERR_CONFLICT;
+  *campaign = (struct mo_imported_campaign){.record = status->record,
+                                            .state = status->job.state,
+                                            .has_label = status->job.has_label,
+                                            .weight = status->job.weight,
+                                            .back_end = status->job.back_end,
+                                            .created_us = status->job.created_us,
+                                            .started_us = status->job.started_us,
+                                            .finished_us = status->job.finished_us,
+                                            .generation = status->generation,
+                                            .n_designs = status->n_designs,
+                                            .diversity_max = status->diversity_max,
+                                            .end = status->end,
+                                            .has_controller = status->job.has_controller,
+                                            .controller_sha256 = status->job.controller_sha256,
+                                            .has_result = status->job.has_result,
+                                            .result_sha256 = status->job.result_sha256,
+                                            .source = {mo_store_id(store), id, {{0}}}};
+  campaign->record.settings.sensor = status->job.sensor;
+  memcpy(campaign->label, status->job.label, sizeof(campaign->label));
+  memcpy(campaign->experiment, status->job.experiment, sizeof(campaign->experiment));
+  memcpy(campaign->note, status->job.note, sizeof(campaign->note));
+  memcpy(campaign->controller_name, status->job.controller_name, sizeof(campaign->controller_name));
+  if (status->source_campaign > 0)
+    campaign->source =
+        (struct mo_import_source){.store = status->source_store, .job = status->source_campaign};
+  return MO_OK;
+}
+
 static int write_campaign(struct mo_bundle_export *export, struct mo_text *out)
 {
-  struct mo_campaign_status *status = &export->status;
   struct mo_imported_campaign *campaign = calloc(1, sizeof(*campaign));
-  int error = campaign != NULL ? mo_store_campaign(export->store, export->ids[export->i], status)
-                               : MO_ERR_NO_MEMORY;
-  if (error == MO_OK && !mo_job_state_is_final(status->job.state))
-    error = MO_ERR_CONFLICT; /* it was extended meanwhile */
+  int error = campaign != NULL ? mo_bundle_describe(export->store, export->ids[export->i],
+                                                    &export->status, campaign)
+                               : MO_ERR_NO_MEMORY; /* MO_ERR_CONFLICT: it was extended meanwhile */
   if (error == MO_OK) {
-    *campaign = (struct mo_imported_campaign){.record = status->record,
-                                              .state = status->job.state,
-                                              .has_label = status->job.has_label,
-                                              .weight = status->job.weight,
-                                              .back_end = status->job.back_end,
-                                              .created_us = status->job.created_us,
-                                              .started_us = status->job.started_us,
-                                              .finished_us = status->job.finished_us,
-                                              .generation = status->generation,
-                                              .n_designs = status->n_designs,
-                                              .diversity_max = status->diversity_max,
-                                              .end = status->end,
-                                              .has_controller = status->job.has_controller,
-                                              .controller_sha256 = status->job.controller_sha256,
-                                              .has_result = status->job.has_result,
-                                              .result_sha256 = status->job.result_sha256};
-    campaign->record.settings.sensor = status->job.sensor;
-    memcpy(campaign->label, status->job.label, sizeof(campaign->label));
-    memcpy(campaign->experiment, status->job.experiment, sizeof(campaign->experiment));
-    memcpy(campaign->note, status->job.note, sizeof(campaign->note));
-    memcpy(campaign->controller_name, status->job.controller_name,
-           sizeof(campaign->controller_name));
-    if (status->source_campaign > 0)
-      campaign->source =
-          (struct mo_import_source){.store = status->source_store, .job = status->source_campaign};
-    else
-      campaign->source =
-          (struct mo_import_source){.store = mo_store_id(export->store), .job = status->job.id};
     mo_fields_write_object(&export->member, &mo_bundle_campaign_fields, campaign);
     error = add(export, "campaign.json", false, out);
   }
@@ -224,10 +249,11 @@ static int write_environments(struct mo_bundle_export *export, struct mo_text *o
 
 static int write_designs(struct mo_bundle_export *export, struct mo_text *out)
 {
-  struct mo_campaign_design *rows = malloc(MO_PAGE_MAX * sizeof(*rows));
-  const int64_t n = rows != NULL ? mo_store_campaign_designs(export->store, export->ids[export->i],
-                                                             export->after, rows, MO_PAGE_MAX)
-                                 : MO_ERR_NO_MEMORY;
+  struct mo_campaign_design *rows = malloc(MO_BUNDLE_PART_ROWS * sizeof(*rows));
+  const int64_t n = rows != NULL
+                        ? mo_store_campaign_designs(export->store, export->ids[export->i],
+                                                    export->after, rows, MO_BUNDLE_PART_ROWS)
+                        : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
     mo_bundle_write_design(&export->member, &rows[i]);
     mo_text_add(&export->member, "\n");
@@ -235,7 +261,7 @@ static int write_designs(struct mo_bundle_export *export, struct mo_text *out)
   }
   free(rows);
   const int error = n < 0 ? (int)n : add(export, "designs", true, out);
-  if (n < MO_PAGE_MAX)
+  if (n < MO_BUNDLE_PART_ROWS)
     next_phase(export);
   return error;
 }
@@ -246,7 +272,7 @@ static int write_generations(struct mo_bundle_export *export, struct mo_text *ou
   const int64_t id = export->ids[export->i];
   int error = MO_OK;
   while (error == MO_OK && export->after < export->status.generation &&
-         export->member.size < PART_BYTES) {
+         export->member.size < MO_BUNDLE_PART_BYTES) {
     struct mo_campaign_generation row;
     struct mo_campaign_member *members = NULL;
     uint32_t n = 0;
@@ -271,11 +297,11 @@ static int write_generations(struct mo_bundle_export *export, struct mo_text *ou
 
 static int write_learning(struct mo_bundle_export *export, struct mo_text *out)
 {
-  struct mo_campaign_step *rows = malloc(MO_PAGE_MAX * sizeof(*rows));
+  struct mo_campaign_step *rows = malloc(MO_BUNDLE_PART_ROWS * sizeof(*rows));
   const int64_t n = rows != NULL
                         ? mo_store_campaign_steps(export->store, export->ids[export->i],
                                                   export->after > 0 ? (uint32_t) export->after : 0,
-                                                  export->step, rows, MO_PAGE_MAX)
+                                                  export->step, rows, MO_BUNDLE_PART_ROWS)
                         : MO_ERR_NO_MEMORY;
   int64_t i = 0;
   for (; i < n && rows[i].generation <= export->status.generation; i++) {
@@ -286,7 +312,7 @@ static int write_learning(struct mo_bundle_export *export, struct mo_text *out)
   }
   free(rows);
   const int error = n < 0 ? (int)n : add(export, "learning", true, out);
-  if (i < MO_PAGE_MAX) /* further steps are of a generation that was never committed */
+  if (i < MO_BUNDLE_PART_ROWS) /* further steps are of a generation that was never committed */
     next_phase(export);
   return error;
 }
@@ -294,6 +320,13 @@ static int write_learning(struct mo_bundle_export *export, struct mo_text *out)
 static int take_score(void *context, const struct mo_campaign_score *score)
 {
   struct mo_bundle_export *export = context;
+  struct mo_message message;
+  if (export->scored_number != score->number + 1)
+    mo_bundle_scores_begin(export->scores, score->number);
+  export->scored_number = score->number + 1;
+  const int added = mo_bundle_scores_add(export->scores, score, &message);
+  if (added == 0 || added == MO_ERR_DUPLICATE)
+    return MO_OK; /* the store has the losses in another block, too */
   mo_bundle_write_score(&export->member, score);
   mo_text_add(&export->member, "\n");
   return export->member.failed ? MO_ERR_NO_MEMORY : MO_OK;
@@ -307,8 +340,8 @@ static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
   int error = MO_OK;
   if (status->record.settings.mode == MO_ZERO_SHOT && first < status->n_designs)
     error = mo_store_campaign_scores(export->store, export->ids[export->i], first,
-                                     first + SCORED_DESIGNS - 1, take_score, export);
-  export->after += SCORED_DESIGNS;
+                                     first + MO_BUNDLE_PART_ROWS - 1, take_score, export);
+  export->after += MO_BUNDLE_PART_ROWS;
   if (error == MO_OK)
     error = add(export, "scores", true, out);
   if (status->record.settings.mode == MO_ZERO_SHOT &&
@@ -383,7 +416,8 @@ static int write_recordings(struct mo_bundle_export *export, struct mo_text *out
   return error == MO_OK ? add(export, name, false, out) : error;
 }
 
-int mo_bundle_export_more(void *context, struct mo_text *text)
+/* Writes what comes next, before the end. */
+static int write_next(struct mo_bundle_export *export, struct mo_text *out)
 {
   static int (*const write[])(struct mo_bundle_export * export,
                               struct mo_text * out) = {[HEAD] = write_head,
@@ -395,9 +429,42 @@ int mo_bundle_export_more(void *context, struct mo_text *text)
                                                        [LEARNING] = write_learning,
                                                        [SCORES] = write_scores,
                                                        [RECORDINGS] = write_recordings};
+  return write[export->phase](export, out);
+}
+
+int mo_bundle_export_more(void *context, struct mo_text *text)
+{
   struct mo_bundle_export *export = context;
   if (export->phase == END)
     return mo_archive_end(export->writer, text);
-  const int error = write[export->phase](export, text);
+  const int error = write_next(export, text);
   return error != MO_OK ? error : 1;
+}
+
+int mo_bundle_digest(struct mo_store *store, int64_t id, bool (*is_over)(void *context),
+                     void *context, struct mo_sha256 *digest)
+{
+  int64_t *ids = malloc(sizeof(*ids));
+  struct mo_text nothing = {0};
+  if (ids == NULL)
+    return MO_ERR_NO_MEMORY;
+  *ids = id;
+  struct mo_bundle_export *export = create(store, ids, 1);
+  if (export == NULL)
+    return MO_ERR_NO_MEMORY;
+  int error = mo_store_campaign(store, id, &export->status);
+  export->phase = CAMPAIGN;
+  next_phase(export);
+  while (error >= 0 && export->phase < SCORES)
+    error = is_over != NULL && is_over(context) ? MO_ERR_CANCELLED : write_next(export, &nothing);
+  if (error == MO_OK && export->status.generation < 0)
+    mo_bundle_digest_source(&export->digest,
+                            &(struct mo_import_source){.store = mo_store_id(store), .job = id},
+                            export->status.job.created_us);
+  if (error == MO_OK && export->digest.failed)
+    error = MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    mo_sha256_of(export->digest.data, export->digest.size, digest);
+  mo_bundle_export_free(export);
+  return error;
 }

@@ -115,6 +115,71 @@ static const struct mo_field_own id = {.read = read_id, .write = write_id},
   MO_FIELD_TEXT, MO_FIELD_NULL | MO_FIELD_UTF8, AT(member), .max = 0.25 * (most)
 #define TEXT(member) AT(member), .max = sizeof(((STRUCT *)NULL)->member) - 1
 
+/* ---- the bundle ---- */
+
+#define FORMAT "morphod-bundle"
+
+static void read_campaigns(struct mo_json *json, void *value)
+{
+  struct mo_bundle_head *head = value;
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json))
+    if (head->n < MO_BUNDLE_CAMPAIGNS)
+      read_id(json, &head->campaigns[head->n++]);
+    else
+      mo_json_skip(json);
+}
+
+static void write_campaigns(struct mo_text *text, const void *value)
+{
+  const struct mo_bundle_head *head = value;
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < head->n; i++) {
+    mo_text_add(text, i > 0 ? "," : "");
+    write_id(text, &head->campaigns[i]);
+  }
+  mo_text_add(text, "]");
+}
+
+static const struct mo_field_own campaigns = {.read = read_campaigns, .write = write_campaigns};
+#define STRUCT     struct mo_bundle_head
+#define AT(member) offsetof(STRUCT, member)
+static const struct mo_field head_rows[] = {
+    {"format", MO_FIELD_TEXT, 0, TEXT(format)},
+    {"version", MO_FIELD_COUNT, 0, AT(version), .max = UINT32_MAX},
+    {"program", MO_FIELD_TEXT, 0, TEXT(program)},
+    {"campaigns", MO_FIELD_OWN, 0, 0, .own = &campaigns},
+};
+const struct mo_fields mo_bundle_head_fields = MO_FIELDS(head_rows);
+#undef AT
+#undef STRUCT
+
+static int check_head(const void *any, struct mo_message *message)
+{
+  const struct mo_bundle_head *head = any;
+  if (strcmp(head->format, FORMAT) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "/format: \"" FORMAT "\" is expected");
+  for (uint32_t i = 1; i < head->n; i++)
+    if (head->campaigns[i] <= head->campaigns[i - 1])
+      return mo_fail(message, MO_ERR_FORMAT, "/campaigns: must ascend");
+  return MO_OK;
+}
+
+int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t size,
+                        struct mo_bundle_head *head, struct mo_message *message)
+{
+  static const char begin[] = "{\"format\":\"" FORMAT "\",\"version\":";
+  memset(head, 0, sizeof(*head));
+  if (strncmp(line, begin, strlen(begin)) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "not a bundle");
+  if (strtoul(line + strlen(begin), NULL, 10) != MO_BUNDLE_VERSION)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "version %.10s of the format; this program reads version %d",
+                   line + strlen(begin), MO_BUNDLE_VERSION);
+  return mo_line_read(lines, line, size, &mo_bundle_head_fields, head, check_head, message);
+}
+
 /* ---- campaigns ---- */
 
 #define STRUCT     struct mo_imported_campaign
@@ -282,12 +347,14 @@ static int check_evaluation(const void *any, struct mo_message *message)
 int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_imported_evaluation *evaluation, struct mo_message *message)
 {
-  char source[64];
+  char source[160];
   memset(evaluation, 0, sizeof(*evaluation));
   const int error = mo_line_read(lines, line, size, &mo_bundle_evaluation_fields, evaluation,
                                  check_evaluation, message);
-  snprintf(source, sizeof(source), "evaluation %016llx %lld",
-           (unsigned long long)evaluation->source.store, (long long)evaluation->source.job);
+  snprintf(source, sizeof(source), "evaluation %016llx %lld %lld %lld %lld",
+           (unsigned long long)evaluation->source.store, (long long)evaluation->source.job,
+           (long long)evaluation->created_us, (long long)evaluation->started_us,
+           (long long)evaluation->finished_us);
   mo_sha256_of(source, strlen(source), &evaluation->source.digest);
   return error;
 }

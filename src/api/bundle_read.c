@@ -12,11 +12,14 @@
 
 /* The members of a campaign, in their order. */
 enum part { NOTHING, CAMPAIGN, ENVIRONMENTS, DESIGNS, GENERATIONS, LEARNING, SCORES, RECORDINGS };
+/* A name that ends with a slash is a folder; its members are numbered. */
 static const char *const parts[] = {
     [CAMPAIGN] = "campaign.json", [ENVIRONMENTS] = "environments.ndjson",
     [DESIGNS] = "designs/",       [GENERATIONS] = "generations/",
     [LEARNING] = "learning/",     [SCORES] = "scores/",
     [RECORDINGS] = "recordings/"};
+
+#define LINES_BETWEEN_LOOKS 256 /* whether to end early */
 
 /* What is known of a design. */
 struct born {
@@ -40,11 +43,14 @@ struct reading {
   const struct mo_bundle_summary *known;
   struct mo_bundle_summary *summary;
   struct mo_message *message;
-  bool begun; /* bundle.json was read */
-  uint32_t n_controllers;
+  struct mo_bundle_head head;     /* version 0: bundle.json was not read */
+  uint32_t n_controllers, n_used; /* n_used: that campaigns so far begin or end with */
   struct known_controller controllers[2 * MO_BUNDLE_CAMPAIGNS];
   /* The campaign that is read. */
   enum part part;
+  uint32_t n_parts;     /* numbers of parts that are used */
+  uint64_t part_number; /* of this one */
+  size_t part_size;
   bool taken; /* the sink takes it */
   char folder[64];
   struct mo_imported_campaign campaign;
@@ -56,7 +62,10 @@ struct reading {
   uint32_t n_alive;
   struct mo_campaign_member *members; /* (MO_POPULATION_MAX) */
   uint32_t step_generation, step;     /* of the newest step of learning */
-  struct mo_text digest;              /* lines of the members that make the history */
+  uint64_t n_steps;
+  struct mo_bundle_scores *scores; /* of the design scored_number − 1 */
+  uint32_t scored_number;          /* 0: there were no scores yet */
+  struct mo_text digest;           /* lines of the members that make the history */
   struct mo_bundle_recordings *recordings;
   bool evaluation_taken;
 };
@@ -68,17 +77,44 @@ static int refuse(struct reading *reading, uint32_t line, const char *words)
 
 /* ---- the head and the controllers ---- */
 
+static bool is_over(const struct reading *reading)
+{
+  return reading->sink->is_over != NULL && reading->sink->is_over(reading->sink->context);
+}
+
+/* Refuses a member with lines that has none, or whose last one does not end. */
+static int check_lines(struct reading *reading)
+{
+  const struct mo_archive_member *member = &reading->member;
+  return member->size > 0 && member->bytes[member->size - 1] == '\n'
+             ? MO_OK
+             : refuse(reading, 0, "has no line, or its last one has no end");
+}
+
 static int read_head(struct reading *reading)
 {
-  char expected[80];
-  snprintf(expected, sizeof(expected), "{\"format\":\"morphod-bundle\",\"version\":%d,",
-           MO_BUNDLE_VERSION);
-  if (strcmp(reading->member.name, "bundle.json") != 0)
+  struct mo_archive_member *member = &reading->member;
+  struct mo_message words = {""};
+  size_t at = 0, size;
+  char *line;
+  if (strcmp(member->name, "bundle.json") != 0)
     return refuse(reading, 0, "a bundle begins with bundle.json");
-  if (strncmp(reading->member.bytes, expected, strlen(expected)) != 0)
-    return refuse(reading, 0, "not a bundle of a version that this program reads");
-  reading->begun = true;
-  return MO_OK;
+  int error = check_lines(reading);
+  if (error != MO_OK)
+    return error;
+  mo_archive_line(member, &at, &line, &size);
+  error = mo_bundle_read_head(reading->lines, line, size, &reading->head, &words);
+  if (error == MO_ERR_FORMAT)
+    return refuse(reading, 1, words.text);
+  return error == MO_OK && at < member->size ? refuse(reading, 2, "one line is expected") : error;
+}
+
+static uint32_t find_controller(const struct reading *reading, const struct mo_sha256 *sha256)
+{
+  uint32_t i = 0;
+  while (i < reading->n_controllers && !mo_sha256_equal(&reading->controllers[i].sha256, sha256))
+    i++;
+  return i;
 }
 
 static int read_controller(struct reading *reading)
@@ -94,6 +130,10 @@ static int read_controller(struct reading *reading)
     mo_controller_free(controller);
     return refuse(reading, 0, "the controller has another workspace");
   }
+  if (find_controller(reading, &member->sha256) < reading->n_controllers) {
+    mo_controller_free(controller);
+    return refuse(reading, 0, "the controller is there twice");
+  }
   reading->controllers[reading->n_controllers++] =
       (struct known_controller){member->sha256, controller->sensor};
   reading->summary->n_controllers++;
@@ -104,13 +144,15 @@ static int read_controller(struct reading *reading)
   return error;
 }
 
-static const struct known_controller *find_controller(const struct reading *reading,
-                                                      const struct mo_sha256 *sha256)
+/* Finds a controller of a campaign: one that was used, or the next one. NULL: it is neither. */
+static const struct known_controller *use_controller(struct reading *reading,
+                                                     const struct mo_sha256 *sha256)
 {
-  for (uint32_t i = 0; i < reading->n_controllers; i++)
-    if (mo_sha256_equal(&reading->controllers[i].sha256, sha256))
-      return &reading->controllers[i];
-  return NULL;
+  const uint32_t i = find_controller(reading, sha256);
+  if (i == reading->n_controllers || i > reading->n_used)
+    return NULL;
+  reading->n_used += i == reading->n_used;
+  return &reading->controllers[i];
 }
 
 /* ---- a campaign begins and ends ---- */
@@ -120,19 +162,54 @@ static struct mo_bundle_campaign *summary_of(struct reading *reading)
   return &reading->summary->campaigns[reading->summary->n - 1];
 }
 
+/* Returns how many steps a generation learns. */
+static uint32_t steps_of(const struct mo_campaign_settings *settings, uint32_t generation)
+{
+  return mo_mode_learns(settings->mode)
+             ? (generation > 0 ? settings->parent_steps : 0) + settings->child_steps
+             : 0;
+}
+
+/* Ends the scores of a design. */
+static int end_scores(struct reading *reading)
+{
+  struct mo_message words = {""};
+  if (reading->scored_number == 0)
+    return MO_OK;
+  const struct born *born = &reading->born[reading->scored_number - 1];
+  const int error = mo_bundle_scores_end(reading->scores, born->score, born->is_cut, &words);
+  return error == MO_OK ? MO_OK
+                        : mo_fail(reading->message, error, "%.90sscores/: %.150s", reading->folder,
+                                  words.text);
+}
+
 static int end_campaign(struct reading *reading)
 {
   const struct mo_imported_campaign *campaign = &reading->campaign;
+  const struct mo_campaign_settings *settings = &campaign->record.settings;
   if (reading->part == NOTHING)
     return MO_OK;
-  if (reading->part < ENVIRONMENTS || reading->n_environments != campaign->record.n_environments ||
-      reading->n_born != campaign->n_designs || reading->generation != campaign->generation)
+  if (reading->part < ENVIRONMENTS || reading->n_born != campaign->n_designs ||
+      reading->generation != campaign->generation)
     return mo_fail(reading->message, MO_ERR_FORMAT,
                    "%s: there are fewer environments, designs or generations than the campaign has",
                    reading->folder);
   if (reading->recordings->channel != 0)
     return mo_fail(reading->message, MO_ERR_FORMAT, "%s: a recording lacks arrays",
                    reading->folder);
+  uint64_t n_steps = 0;
+  for (int64_t generation = 0; generation <= campaign->generation; generation++)
+    n_steps += steps_of(settings, (uint32_t)generation);
+  if (reading->n_steps != n_steps)
+    return mo_fail(reading->message, MO_ERR_FORMAT,
+                   "%slearning/: there are %llu steps, but the campaign learned in %llu",
+                   reading->folder, (unsigned long long)reading->n_steps,
+                   (unsigned long long)n_steps);
+  const int error = end_scores(reading);
+  if (error != MO_OK)
+    return error;
+  if (campaign->generation < 0)
+    mo_bundle_digest_source(&reading->digest, &campaign->source, campaign->created_us);
   if (reading->digest.failed)
     return MO_ERR_NO_MEMORY;
   mo_sha256_of(reading->digest.data, reading->digest.size, &summary_of(reading)->source.digest);
@@ -151,15 +228,18 @@ static int begin_campaign(struct reading *reading)
                                       campaign, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? refuse(reading, 1, words.text) : error;
-  start = campaign->has_controller ? find_controller(reading, &campaign->controller_sha256) : NULL;
+  start = campaign->has_controller ? use_controller(reading, &campaign->controller_sha256) : NULL;
   if ((campaign->has_controller && (start == NULL || start->sensor != record->settings.sensor)) ||
-      (campaign->has_result && find_controller(reading, &campaign->result_sha256) == NULL))
-    return refuse(reading, 1, "the bundle lacks the controller, or its sensor is another one");
-  if (summary->n == MO_BUNDLE_CAMPAIGNS)
-    return refuse(reading, 0, "too many campaigns");
-  summary->campaigns[summary->n] = (struct mo_bundle_campaign){.source = campaign->source,
-                                                               .n_designs = campaign->n_designs,
-                                                               .generation = campaign->generation};
+      (campaign->has_result && use_controller(reading, &campaign->result_sha256) == NULL))
+    return refuse(reading, 1,
+                  "the bundle lacks the controller or has it out of order, or its sensor is "
+                  "another one");
+  summary->campaigns[summary->n] =
+      (struct mo_bundle_campaign){.source = campaign->source,
+                                  .n_designs = campaign->n_designs,
+                                  .generation = campaign->generation,
+                                  .has_result = campaign->has_result,
+                                  .result_sha256 = campaign->result_sha256};
   if (reading->known != NULL)
     campaign->source.digest = reading->known->campaigns[summary->n].source.digest;
   summary->n++;
@@ -171,6 +251,8 @@ static int begin_campaign(struct reading *reading)
     return MO_ERR_NO_MEMORY;
   reading->n_environments = reading->n_born = reading->n_alive = 0;
   reading->step_generation = reading->step = 0;
+  reading->n_steps = 0;
+  reading->scored_number = 0;
   reading->generation = -1;
   reading->digest.size = 0;
   reading->recordings->n = 0;
@@ -183,15 +265,21 @@ static int read_environments(struct reading *reading)
   struct mo_imported_campaign *campaign = &reading->campaign;
   size_t at = 0, size;
   char *line;
+  int error = check_lines(reading);
+  if (error != MO_OK)
+    return error;
   while (mo_archive_line(&reading->member, &at, &line, &size)) {
     struct mo_message words = {""};
     if (reading->n_environments == campaign->record.n_environments)
       return refuse(reading, reading->n_environments + 1, "one environment too many");
-    const int error = mo_bundle_read_environment(
-        reading->lines, line, size, &campaign->environments[reading->n_environments++], &words);
+    error = mo_bundle_read_environment(reading->lines, line, size,
+                                       &campaign->environments[reading->n_environments++], &words);
     if (error != MO_OK)
       return error == MO_ERR_FORMAT ? refuse(reading, reading->n_environments, words.text) : error;
   }
+  if (reading->n_environments != campaign->record.n_environments)
+    return refuse(reading, 0, "there are fewer environments than the campaign has");
+  mo_bundle_scores_open(reading->scores, campaign);
   const int taken = reading->sink->campaign != NULL
                         ? reading->sink->campaign(reading->sink->context, campaign)
                         : 1;
@@ -210,15 +298,16 @@ static const char *check_design(const struct reading *reading,
   const struct mo_campaign_record *record = &reading->campaign.record;
   const int n = (descent->parents[0] != MO_NO_PARENT) + (descent->parents[1] != MO_NO_PARENT);
   struct mo_bits moved;
-  if (design->number != reading->n_born || design->number >= reading->campaign.n_designs)
-    return "designs are not numbered in order, or are too many";
+  if (design->number != reading->n_born || design->number >= reading->campaign.n_designs ||
+      design->number / MO_BUNDLE_PART_ROWS != reading->part_number)
+    return "designs are not numbered in order, are too many, or are in another part";
   if (n != n_parents[descent->op])
     return "another number of parents than the operator has";
   if (design->born > reading->campaign.generation ||
       (reading->n_born > 0 && design->born < reading->born[reading->n_born - 1].born) ||
       (design->died >= 0 && design->died < design->born) ||
       design->died > reading->campaign.generation)
-    return "born or died out of turn";
+    return "born or died out of order";
   if (design->score < 0)
     return "a score is a loss, and not below 0";
   if (design->is_cut && (n == 0 || design->died != design->born || !isfinite(design->score)))
@@ -316,7 +405,7 @@ static int read_generation(struct reading *reading, uint32_t n, const char *line
     return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
   const uint32_t generation = (uint32_t)(reading->generation + 1);
   if (row.generation != generation || generation > reading->campaign.generation)
-    return refuse(reading, n, "a generation out of turn");
+    return refuse(reading, n, "a generation out of order");
   reading->n_alive += reading->births[generation] - reading->deaths[generation];
   const char *fault = check_population(reading, generation, n_members);
   if (fault == NULL &&
@@ -349,12 +438,19 @@ static int read_step(struct reading *reading, uint32_t n, const char *line, size
   const int error = mo_bundle_read_step(reading->lines, line, size, &step, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
-  if (step.step < 1 || step.generation > reading->campaign.generation ||
-      step.generation < reading->step_generation ||
-      (step.generation == reading->step_generation && step.step <= reading->step))
-    return refuse(reading, n, "a step out of turn");
-  reading->step_generation = step.generation;
+  const struct mo_campaign_settings *settings = &reading->campaign.record.settings;
+  if (reading->n_steps / MO_BUNDLE_PART_ROWS != reading->part_number)
+    return refuse(reading, n, "the step belongs to another part");
+  while (reading->step == steps_of(settings, reading->step_generation) &&
+         reading->step_generation < reading->campaign.generation) {
+    reading->step_generation++;
+    reading->step = 0;
+  }
+  if (step.generation != reading->step_generation || step.step != reading->step + 1 ||
+      step.step > steps_of(settings, step.generation))
+    return refuse(reading, n, "a step out of order");
   reading->step = step.step;
+  reading->n_steps++;
   return reading->taken && reading->sink->step != NULL
              ? reading->sink->step(reading->sink->context, &step)
              : MO_OK;
@@ -365,7 +461,7 @@ static int read_score(struct reading *reading, uint32_t n, const char *line, siz
   struct mo_campaign_score score;
   struct mo_message words = {""};
   uint64_t places = 0;
-  const int error = mo_bundle_read_score(reading->lines, line, size, &score, &words);
+  int error = mo_bundle_read_score(reading->lines, line, size, &score, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? refuse(reading, n, words.text) : error;
   for (uint32_t k = 0; k < score.n; k++) {
@@ -375,8 +471,21 @@ static int read_score(struct reading *reading, uint32_t n, const char *line, siz
       return refuse(reading, n, "an environment twice or unknown, or a step beyond the last");
     places |= UINT64_C(1) << score.environments[k];
   }
-  if (score.number >= reading->n_born || !reading->campaign.has_controller)
-    return refuse(reading, n, "a score of no design of the campaign");
+  if (score.number >= reading->n_born || reading->campaign.record.settings.mode != MO_ZERO_SHOT)
+    return refuse(reading, n, "a score of no design of the campaign, or the campaign learns");
+  if (score.number + 1 < reading->scored_number ||
+      score.number / MO_BUNDLE_PART_ROWS != reading->part_number)
+    return refuse(reading, n, "a score out of order, or in another part");
+  if (score.number + 1 != reading->scored_number) {
+    error = end_scores(reading);
+    if (error != MO_OK)
+      return error;
+    reading->scored_number = score.number + 1;
+    mo_bundle_scores_begin(reading->scores, score.number);
+  }
+  error = mo_bundle_scores_add(reading->scores, &score, &words);
+  if (error < 0)
+    return refuse(reading, n, words.text);
   summary_of(reading)->n_scores += score.n;
   return reading->taken && reading->sink->score != NULL
              ? reading->sink->score(reading->sink->context, &score)
@@ -446,7 +555,7 @@ static int read_recordings(struct reading *reading, const char *name)
   char expected[MO_ARCHIVE_NAME_BYTES];
   mo_bundle_recordings_name(reading->recordings, expected);
   if (strcmp(name, expected) != 0)
-    return refuse(reading, 0, "the member is out of turn");
+    return refuse(reading, 0, "the member is out of order");
   return reading->recordings->channel == 0 ? read_evaluation(reading) : read_array(reading);
 }
 
@@ -457,47 +566,87 @@ static int read_lines(struct reading *reading)
                                              [GENERATIONS] = read_generation,
                                              [LEARNING] = read_step,
                                              [SCORES] = read_score};
-  size_t at = 0, size;
+  size_t at = 0, from = 0, size;
   uint32_t n = 0;
-  int error = MO_OK;
+  int error = check_lines(reading);
   char *line;
-  while (error == MO_OK && mo_archive_line(&reading->member, &at, &line, &size))
-    error = read[reading->part](reading, ++n, line, size);
+  while (error == MO_OK && mo_archive_line(&reading->member, &at, &line, &size)) {
+    if (reading->part == GENERATIONS && from >= MO_BUNDLE_PART_BYTES)
+      return refuse(reading, n + 1, "the line belongs to the next part");
+    from = at;
+    error = n % LINES_BETWEEN_LOOKS == 0 && is_over(reading)
+                ? MO_ERR_CANCELLED
+                : read[reading->part](reading, ++n, line, size);
+  }
   return error;
 }
 
 /* ---- members ---- */
 
+/* Begins the campaign that is the next one of bundle.json. */
+static int next_campaign(struct reading *reading)
+{
+  const struct mo_bundle_head *head = &reading->head;
+  const int error = end_campaign(reading);
+  if (error != MO_OK)
+    return error;
+  if (reading->summary->n == head->n)
+    return refuse(reading, 0, "bundle.json does not name the campaign");
+  snprintf(reading->folder, sizeof(reading->folder), "campaigns/%lld/",
+           (long long)head->campaigns[reading->summary->n]);
+  if (strncmp(reading->member.name, reading->folder, strlen(reading->folder)) != 0)
+    return refuse(reading, 0, "bundle.json names another campaign here");
+  reading->part = CAMPAIGN;
+  return begin_campaign(reading);
+}
+
+/* Says whether the name of a member is that of the next one of a part; sets part_number. */
+static bool is_next(struct reading *reading, enum part part, const char *name)
+{
+  const size_t folder = strlen(parts[part]);
+  char expected[MO_ARCHIVE_NAME_BYTES];
+  if (parts[part][folder - 1] != '/')
+    return strcmp(name, parts[part]) == 0 && part != reading->part;
+  if (part == RECORDINGS)
+    return true; /* see read_recordings */
+  const uint32_t n_parts = part == reading->part ? reading->n_parts : 0;
+  const uint64_t number = strtoull(name + folder, NULL, 10);
+  snprintf(expected, sizeof(expected), "%s%08llu.ndjson", parts[part], (unsigned long long)number);
+  /* Designs without scores may fill a part. */
+  if (strcmp(name, expected) != 0 || number >= UINT32_MAX || number < n_parts ||
+      (number > n_parts && part != SCORES) ||
+      (part == GENERATIONS && number > 0 && reading->part_size < MO_BUNDLE_PART_BYTES))
+    return false;
+  reading->part_number = number;
+  reading->part_size = reading->member.size;
+  reading->n_parts = (uint32_t)number + 1;
+  return true;
+}
+
 /* Reads a member of campaigns/ID/. */
 static int read_of_campaign(struct reading *reading)
 {
   const char *name = reading->member.name, *slash = strchr(name + strlen("campaigns/"), '/');
-  const size_t folder = slash != NULL ? (size_t)(slash - name) + 1 : 0;
+  const size_t folder = strlen(reading->folder);
   enum part part = CAMPAIGN;
-  int error = MO_OK;
-  if (folder == 0 || folder >= sizeof(reading->folder))
-    return refuse(reading, 0, "not a member of a bundle");
-  while (part <= RECORDINGS && strncmp(name + folder, parts[part], strlen(parts[part])) != 0)
+  if (slash != NULL && strcmp(slash + 1, parts[CAMPAIGN]) == 0)
+    return next_campaign(reading);
+  if (reading->part == NOTHING || strncmp(name, reading->folder, folder) != 0)
+    return refuse(reading, 0, "the member is of another campaign, or of none");
+  name += folder;
+  while (part <= RECORDINGS && strncmp(name, parts[part], strlen(parts[part])) != 0)
     part++;
   if (part > RECORDINGS)
     return refuse(reading, 0, "not a member of a bundle");
-  if (part == CAMPAIGN) {
-    error = end_campaign(reading);
-    snprintf(reading->folder, sizeof(reading->folder), "%.*s", (int)folder, name);
-    reading->part = CAMPAIGN;
-    return error == MO_OK ? begin_campaign(reading) : error;
-  }
-  if (strncmp(name, reading->folder, folder) != 0 || part < reading->part ||
-      reading->part == NOTHING || (part > ENVIRONMENTS && reading->part < ENVIRONMENTS) ||
-      (part == ENVIRONMENTS && reading->part == ENVIRONMENTS) ||
-      (part > DESIGNS && reading->n_born != reading->campaign.n_designs))
-    return refuse(reading, 0, "the member is out of turn");
+  if (part < reading->part || (part > ENVIRONMENTS && reading->part < ENVIRONMENTS) ||
+      (part > DESIGNS && reading->n_born != reading->campaign.n_designs) ||
+      !is_next(reading, part, name))
+    return refuse(reading, 0, "the member is out of order, or its name is not the one expected");
   reading->part = part;
   if (part < SCORES) /* scores and recordings may grow later */
-    mo_text_format(&reading->digest, "%s  %s\n", MO_SHA256_HEX(&reading->member.sha256),
-                   name + folder);
+    mo_text_format(&reading->digest, "%s  %s\n", MO_SHA256_HEX(&reading->member.sha256), name);
   return part == ENVIRONMENTS ? read_environments(reading)
-         : part == RECORDINGS ? read_recordings(reading, name + folder)
+         : part == RECORDINGS ? read_recordings(reading, name)
                               : read_lines(reading);
 }
 
@@ -507,18 +656,32 @@ static int read_members(struct reading *reading)
   while (error == MO_OK &&
          (more = mo_archive_next(reading->archive, &reading->member, reading->message)) > 0) {
     const char *name = reading->member.name;
-    if (!reading->begun)
+    if (is_over(reading))
+      error = MO_ERR_CANCELLED;
+    else if (reading->head.version == 0)
       error = read_head(reading);
     else if (strncmp(name, "campaigns/", strlen("campaigns/")) == 0)
       error = read_of_campaign(reading);
     else if (strncmp(name, "controllers/", strlen("controllers/")) == 0 && reading->summary->n == 0)
       error = read_controller(reading);
     else
-      error = refuse(reading, 0, "not a member of a bundle, or out of turn");
+      error = refuse(reading, 0, "not a member of a bundle, or out of order");
   }
   if (error == MO_OK && more == 0)
     error = end_campaign(reading);
+  if (error == MO_OK && more == 0 &&
+      (reading->summary->n != reading->head.n || reading->n_used != reading->n_controllers))
+    error = mo_fail(reading->message, MO_ERR_FORMAT,
+                    "the bundle lacks a campaign that bundle.json names, or has a controller that "
+                    "no campaign has");
   return error != MO_OK ? error : more;
+}
+
+void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
+                             int64_t created_us)
+{
+  mo_text_format(digest, "%016llx %lld %lld\n", (unsigned long long)source->store,
+                 (long long)source->job, (long long)created_us);
 }
 
 int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *lattice,
@@ -538,8 +701,9 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
   reading->lines = mo_bundle_lines_create(lattice, known != NULL);
   reading->members = malloc(MO_POPULATION_MAX * sizeof(*reading->members));
   reading->recordings = calloc(1, sizeof(*reading->recordings));
+  reading->scores = mo_bundle_scores_create();
   if (reading->archive != NULL && reading->lines != NULL && reading->members != NULL &&
-      reading->recordings != NULL)
+      reading->recordings != NULL && reading->scores != NULL)
     error = read_members(reading);
   if (error == MO_OK && summary->n == 0)
     error = mo_fail(message, MO_ERR_FORMAT, "the bundle has no campaign");
@@ -548,6 +712,7 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
   mo_text_free(&reading->digest);
   if (reading->recordings != NULL)
     mo_recording_free(&reading->recordings->recording);
+  mo_bundle_scores_free(reading->scores);
   free(reading->recordings);
   free(reading->members);
   free(reading->births);

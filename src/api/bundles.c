@@ -103,17 +103,127 @@ void mo_api_get_bundle(struct mo_request *request)
 
 /* One import: of a bundle in memory, of which a first reading made the summary. */
 struct entry {
+  struct mo_request *request;
   struct mo_api *api;
   const char *bytes;
   size_t size;
-  const struct mo_bundle_summary *summary;
+  struct mo_bundle_summary *summary;
   struct mo_message *message;
+  struct mo_import_comparison rows; /* of the first reading */
   struct mo_import *import;
-  uint32_t at; /* the campaign that is entered */
+  uint32_t at; /* campaigns so far */
   int64_t ids[MO_BUNDLE_CAMPAIGNS];
-  bool entered[MO_BUNDLE_CAMPAIGNS];
-  uint64_t n_scores; /* losses that were not stored */
+  bool entered[MO_BUNDLE_CAMPAIGNS], is_own[MO_BUNDLE_CAMPAIGNS]; /* is_own: it ran here */
+  struct mo_text settled[MO_BUNDLE_CAMPAIGNS]; /* what nobody can change of a campaign */
+  uint64_t n_scores;                           /* losses that were not stored */
 };
+
+static bool is_over(void *context)
+{
+  return mo_request_is_over(((struct entry *)context)->request);
+}
+
+static int read_bundle(struct entry *entry, struct mo_bundle_sink sink,
+                       const struct mo_bundle_summary *known, struct mo_bundle_summary *summary)
+{
+  sink.context = entry;
+  sink.is_over = is_over;
+  return mo_bundle_read(entry->bytes, entry->size, entry->api->lattice, &sink, known, summary,
+                        entry->message);
+}
+
+/* ---- the first reading: what is stored of the same rollouts must be the same ---- */
+
+/* Writes what neither a person nor an extension changes of a campaign. */
+static void write_settled(const struct mo_imported_campaign *campaign, struct mo_text *text)
+{
+  static const struct mo_sha256 none;
+  struct mo_imported_campaign *settled = malloc(sizeof(*settled));
+  if (settled == NULL) {
+    text->failed = true;
+    return;
+  }
+  *settled = *campaign;
+  settled->source = (struct mo_import_source){.store = 0};
+  settled->record.group = settled->record.replicate = 0;
+  settled->record.settings.generations = 0;
+  settled->record.environment_set[0] = '\0'; /* a name that may mean other environments here */
+  settled->state = MO_JOB_SUCCEEDED;
+  settled->end = MO_CAMPAIGN_OPEN;
+  settled->has_label = settled->has_result = false;
+  settled->result_sha256 = none;
+  settled->experiment[0] = settled->note[0] = '\0';
+  settled->weight = 1;
+  settled->started_us = settled->finished_us = 0;
+  settled->generation = -1;
+  settled->n_designs = 0;
+  settled->diversity_max = 0;
+  mo_fields_write_object(text, &mo_bundle_campaign_fields, settled);
+  free(settled);
+}
+
+static int compare_campaign(void *context, const struct mo_imported_campaign *campaign)
+{
+  struct entry *entry = context;
+  write_settled(campaign, &entry->settled[entry->at++]);
+  const int error = mo_compare_campaign(entry->api->store, &entry->rows, campaign);
+  return error == MO_OK ? 1 : error;
+}
+
+static int compare_design(void *context, const struct mo_campaign_design *design)
+{
+  struct entry *entry = context;
+  return mo_compare_design(entry->api->store, &entry->rows, design);
+}
+
+static int refuse_score(const struct entry *entry, uint32_t number)
+{
+  return mo_fail(entry->message, MO_ERR_CONFLICT,
+                 "a loss of design %u of campaign %lld is not the one that is stored here for the "
+                 "same rollout and class",
+                 number, (long long)entry->summary->campaigns[entry->at - 1].source.job);
+}
+
+static int compare_score(void *context, const struct mo_campaign_score *score)
+{
+  struct entry *entry = context;
+  const int error = mo_compare_score(entry->api->store, &entry->rows, score);
+  return error == MO_ERR_CONFLICT ? refuse_score(entry, score->number) : error;
+}
+
+static int compare_evaluation(void *context, const struct mo_imported_evaluation *evaluation)
+{
+  struct entry *entry = context;
+  return mo_compare_evaluation(entry->api->store, &entry->rows, evaluation);
+}
+
+static int compare_rollout(void *context, const struct mo_saved_trajectory *rollout)
+{
+  struct entry *entry = context;
+  const int error = mo_compare_rollout(entry->api->store, &entry->rows, rollout);
+  return error == MO_ERR_CONFLICT
+             ? mo_fail(entry->message, error,
+                       "evaluation %lld is here, and recorded something else in environment %u of "
+                       "design %u",
+                       (long long)entry->rows.evaluation, rollout->environment_position,
+                       rollout->design_position)
+             : error;
+}
+
+/* Checks all of the bundle, and fills in the summary. */
+static int check(struct entry *entry)
+{
+  static const struct mo_bundle_sink sink = {.campaign = compare_campaign,
+                                             .design = compare_design,
+                                             .score = compare_score,
+                                             .evaluation = compare_evaluation,
+                                             .rollout = compare_rollout};
+  const int error = read_bundle(entry, sink, NULL, entry->summary);
+  mo_compare_end(&entry->rows);
+  return error;
+}
+
+/* ---- entering ---- */
 
 static int write_file(void *context, const struct mo_controller *controller,
                       const struct mo_sha256 *sha256, const char *bytes, size_t size)
@@ -128,7 +238,7 @@ static int end_of_files(void *context, const struct mo_imported_campaign *campai
 {
   (void)context;
   (void)campaign;
-  return MO_ERR_CANCELLED;
+  return MO_ERR_EXHAUSTED;
 }
 
 static int enter_controller(void *context, const struct mo_controller *controller,
@@ -143,7 +253,8 @@ static int enter_campaign(void *context, const struct mo_imported_campaign *camp
 {
   struct entry *entry = context;
   int64_t *id = &entry->ids[entry->at];
-  int error = mo_import_find(entry->import, &campaign->source, id);
+  int error =
+      mo_import_find(entry->import, &campaign->source, entry->is_own[entry->at] ? *id : 0, id);
   entry->entered[entry->at] = error == MO_ERR_NOT_FOUND;
   if (error == MO_ERR_NOT_FOUND)
     error = mo_import_campaign(entry->import, campaign, id);
@@ -192,51 +303,93 @@ static int enter_score(void *context, const struct mo_campaign_score *score)
   bool is_new = false;
   const int error = mo_import_score(entry->import, score, &is_new);
   entry->n_scores += is_new ? score->n : 0;
-  return error == MO_ERR_CONFLICT
-             ? mo_fail(entry->message, error,
-                       "a loss of design %u of campaign %lld is not the one that is stored here "
-                       "for the same rollout and class",
-                       score->number,
-                       (long long)entry->summary->campaigns[entry->at - 1].source.job)
-             : error;
+  return error == MO_ERR_CONFLICT ? refuse_score(entry, score->number) : error;
 }
 
 /* Enters all of it, in the writer's transaction. */
 static int enter_all(void *context, struct mo_import *import)
 {
-  static const struct mo_bundle_sink sink = {NULL,         enter_controller, enter_campaign,
-                                             enter_design, enter_generation, enter_step,
-                                             enter_score,  enter_evaluation, enter_rollout};
+  static const struct mo_bundle_sink sink = {.controller = enter_controller,
+                                             .campaign = enter_campaign,
+                                             .design = enter_design,
+                                             .generation = enter_generation,
+                                             .step = enter_step,
+                                             .score = enter_score,
+                                             .evaluation = enter_evaluation,
+                                             .rollout = enter_rollout};
   struct entry *entry = context;
-  struct mo_bundle_sink own = sink;
   struct mo_bundle_summary *again = calloc(1, sizeof(*again));
   if (again == NULL)
     return MO_ERR_NO_MEMORY;
-  own.context = entry;
   entry->import = import;
   entry->at = 0;
   entry->n_scores = 0;
-  const int error = mo_bundle_read(entry->bytes, entry->size, entry->api->lattice, &own,
-                                   entry->summary, again, entry->message);
+  const int error = read_bundle(entry, sink, entry->summary, again);
   free(again);
   return error;
 }
 
 static int enter(struct entry *entry)
 {
-  const struct mo_bundle_sink files = {
-      .context = entry, .controller = write_file, .campaign = end_of_files};
+  static const struct mo_bundle_sink files = {.controller = write_file, .campaign = end_of_files};
   struct mo_store *store = entry->api->store;
   struct mo_bundle_summary *again = calloc(1, sizeof(*again));
   if (again == NULL)
     return MO_ERR_NO_MEMORY;
   mo_store_import_begin(store);
-  int error = mo_bundle_read(entry->bytes, entry->size, entry->api->lattice, &files, NULL, again,
-                             entry->message);
+  int error = read_bundle(entry, files, NULL, again);
   free(again);
-  if (error == MO_ERR_CANCELLED)
+  if (error == MO_ERR_EXHAUSTED)
     error = mo_store_import(store, enter_all, entry);
   mo_store_import_end(store);
+  return error;
+}
+
+/* ---- which campaigns are here already ---- */
+
+/* Finds the campaign that ran here, if its history is that of the bundle. MO_ERR_NOT_FOUND. */
+static int find_own(struct entry *entry, const struct mo_import_source *source, int64_t *id)
+{
+  struct mo_store *store = entry->api->store;
+  struct mo_sha256 digest;
+  int error = mo_store_import_own(store, source, id);
+  if (error == MO_OK)
+    error = mo_bundle_digest(store, *id, is_over, entry, &digest);
+  if (error != MO_OK)
+    return error;
+  return mo_sha256_equal(&digest, &source->digest) ? MO_OK : MO_ERR_NOT_FOUND;
+}
+
+/* Checks that a campaign with the history of the i-th one has its settings, too. */
+static int compare_settled(struct entry *entry, uint32_t i)
+{
+  struct mo_campaign_status *status = malloc(sizeof(*status));
+  struct mo_imported_campaign *stored = malloc(sizeof(*stored));
+  const struct mo_text *settled = &entry->settled[i];
+  const struct mo_bundle_campaign *campaign = &entry->summary->campaigns[i];
+  struct mo_text text = {0};
+  int error = status == NULL || stored == NULL
+                  ? MO_ERR_NO_MEMORY
+                  : mo_bundle_describe(entry->api->store, entry->ids[i], status, stored);
+  if (error == MO_ERR_CONFLICT) { /* somebody extends it just now */
+    error = MO_OK;
+  } else if (error == MO_OK) {
+    write_settled(stored, &text);
+    const bool same_result = stored->generation != campaign->generation ||
+                             (stored->has_result == campaign->has_result &&
+                              mo_sha256_equal(&stored->result_sha256, &campaign->result_sha256));
+    if (text.failed || settled->failed)
+      error = MO_ERR_NO_MEMORY;
+    else if (!same_result || text.size != settled->size ||
+             memcmp(text.data, settled->data, text.size) != 0)
+      error = mo_fail(entry->message, MO_ERR_CONFLICT,
+                      "campaign %lld is here as campaign %lld, with the same history, but with "
+                      "other settings, controllers or times",
+                      (long long)campaign->source.job, (long long)entry->ids[i]);
+  }
+  mo_text_free(&text);
+  free(status);
+  free(stored);
   return error;
 }
 
@@ -245,12 +398,17 @@ static int find_known(struct entry *entry)
 {
   int n = 0;
   for (uint32_t i = 0; i < entry->summary->n; i++) {
-    const int error = mo_store_import_find(entry->api->store, &entry->summary->campaigns[i].source,
-                                           &entry->ids[i]);
+    const struct mo_import_source *source = &entry->summary->campaigns[i].source;
+    int error = find_own(entry, source, &entry->ids[i]);
+    entry->is_own[i] = error == MO_OK;
+    if (error == MO_ERR_NOT_FOUND)
+      error = mo_store_import_find(entry->api->store, source, &entry->ids[i]);
+    if (error == MO_OK)
+      error = compare_settled(entry, i);
+    else if (error == MO_ERR_NOT_FOUND)
+      entry->ids[i] = 0;
     if (error != MO_OK && error != MO_ERR_NOT_FOUND)
       return error;
-    if (error == MO_ERR_NOT_FOUND)
-      entry->ids[i] = 0;
     n += error == MO_ERR_NOT_FOUND;
   }
   return n;
@@ -305,7 +463,6 @@ static void reply_refusal(struct mo_request *request, int error, const struct mo
 void mo_api_post_bundle(struct mo_request *request)
 {
   static const char *const modes[] = {"enter", "verify", NULL};
-  static const struct mo_bundle_sink nothing = {0};
   struct mo_api *api = mo_api_of(request);
   struct mo_message message = {""};
   int mode = 0;
@@ -316,13 +473,13 @@ void mo_api_post_bundle(struct mo_request *request)
   struct entry *entry = calloc(1, sizeof(*entry));
   int error = summary != NULL && entry != NULL ? MO_OK : MO_ERR_NO_MEMORY, n_new = 0;
   if (error == MO_OK) {
-    *entry = (struct entry){.api = api,
+    *entry = (struct entry){.request = request,
+                            .api = api,
                             .bytes = request->body,
                             .size = request->body_size,
                             .summary = summary,
                             .message = &message};
-    error = mo_bundle_read(request->body, request->body_size, api->lattice, &nothing, NULL, summary,
-                           &message);
+    error = check(entry);
   }
   if (error == MO_OK)
     n_new = find_known(entry);
@@ -334,6 +491,8 @@ void mo_api_post_bundle(struct mo_request *request)
     reply_refusal(request, error, &message);
   else
     reply_entered(request, entry, mode == 0 && n_new > 0);
+  for (uint32_t i = 0; entry != NULL && i < MO_BUNDLE_CAMPAIGNS; i++)
+    mo_text_free(&entry->settled[i]);
   free(summary);
   free(entry);
 }

@@ -32,6 +32,11 @@ static void push(struct mo_pool *pool, struct mo_request *request)
   pthread_cond_signal(&pool->work[kind]);
 }
 
+bool mo_request_is_over(const struct mo_request *request)
+{
+  return atomic_load(&request->http->stopping) || mo_connection_has_left(request->connection);
+}
+
 static void unlink_waiting(struct mo_request *request)
 {
   LIST_REMOVE(request, others_waiting);

@@ -121,6 +121,10 @@ struct mo_request *mo_request_begin(struct mo_connection *connection, struct MHD
 /* Logs and frees the connection's request, if it has one. complete: the whole reply was sent. */
 void mo_request_end(struct mo_connection *connection, bool complete);
 
+/* Says whether nobody waits for the reply any more: the client has left, or the service stops. A
+ * handler that works for seconds asks now and then, and ends with MO_ERR_CANCELLED. */
+bool mo_request_is_over(const struct mo_request *request);
+
 /* ---- the memory of bodies and of large replies (body.c) ---- */
 
 #define MO_BODY_GAVE_WAY                                                                           \

@@ -1,5 +1,6 @@
 /* import_recordings.c: evaluations that recorded designs of a campaign: out of a store, and into it
  * behind the scores of the campaign. See imports.h. */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -129,6 +130,33 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
 
 /* ---- into a store ---- */
 
+int mo_source_evaluation(struct mo_connection *connection, uint64_t own,
+                         const struct mo_imported_evaluation *evaluation, int64_t *id)
+{
+#define OF_TIMES "j.kind=?2 AND j.created_us=?3 AND j.started_us=?4 AND j.finished_us=?5"
+  static const char own_sql[] = "SELECT j.id FROM jobs j WHERE j.id=?1 AND j.state<6 AND " OF_TIMES
+                                " AND NOT EXISTS(SELECT 1 FROM imports WHERE job=?1)";
+  static const char sql[] = "SELECT i.job FROM imports i JOIN jobs j ON j.id=i.job"
+                            " WHERE i.digest IN (?1,?6) AND " OF_TIMES;
+#undef OF_TIMES
+  const struct mo_import_source *source = &evaluation->source;
+  const struct mo_value kind = mo_int(MO_JOB_EVALUATION), created = mo_int(evaluation->created_us),
+                        started = mo_int(evaluation->started_us),
+                        finished = mo_int(evaluation->finished_us);
+  struct mo_sha256 older; /* that earlier programs stored */
+  char text[64];
+  int error = source->store == own ? mo_sql_find(connection, id, own_sql, mo_int(source->job), kind,
+                                                 created, started, finished)
+                                   : MO_ERR_NOT_FOUND;
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  snprintf(text, sizeof(text), "evaluation %016llx %lld", (unsigned long long)source->store,
+           (long long)source->job);
+  mo_sha256_of(text, strlen(text), &older);
+  return mo_sql_find(connection, id, sql, mo_hash(&source->digest), kind, created, started,
+                     finished, mo_hash(&older));
+}
+
 static int insert_job(struct mo_import *import, const struct mo_imported_evaluation *evaluation)
 {
   static const char sql[] =
@@ -217,8 +245,8 @@ int mo_import_evaluation(struct mo_import *import, const struct mo_imported_eval
 {
   struct mo_connection *writer = &import->store->writer;
   struct mo_saved_design design = {.controller = import->controller, .physics = import->physics};
-  int error = mo_source_find(writer, mo_store_id(import->store), MO_JOB_EVALUATION,
-                             &evaluation->source, &import->evaluation);
+  int error =
+      mo_source_evaluation(writer, mo_store_id(import->store), evaluation, &import->evaluation);
   if (error != MO_ERR_NOT_FOUND)
     return error;
   free(import->diverged_steps);

@@ -22,9 +22,10 @@ struct mo_import {
   uint32_t recorded_environments;
 };
 
-/* Finds the job of a kind that came from this source, or is it. MO_ERR_NOT_FOUND. */
-int mo_source_find(struct mo_connection *connection, uint64_t own, enum mo_job_kind kind,
-                   const struct mo_import_source *source, int64_t *id);
+/* Finds the evaluation that came from this source, or is it: one of the same id and times there.
+ * Another one may have had the id before a backup was restored. MO_ERR_NOT_FOUND. */
+int mo_source_evaluation(struct mo_connection *connection, uint64_t own,
+                         const struct mo_imported_evaluation *evaluation, int64_t *id);
 int mo_source_insert(struct mo_import *import, int64_t id, const struct mo_import_source *source);
 
 #endif

@@ -64,28 +64,36 @@ int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
 
 /* ---- what is here already ---- */
 
-int mo_source_find(struct mo_connection *connection, uint64_t own, enum mo_job_kind kind,
-                   const struct mo_import_source *source, int64_t *id)
+int mo_store_import_own(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
-  static const char own_sql[] = "SELECT id FROM jobs WHERE id=?1 AND kind=?2 AND state<6";
+  static const char sql[] = "SELECT id FROM jobs WHERE id=?1 AND kind=?2 AND state<6"
+                            " AND NOT EXISTS(SELECT 1 FROM imports WHERE job=?1)";
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  return source->store == mo_store_id(store)
+             ? mo_sql_find(reader, id, sql, mo_int(source->job), mo_int(MO_JOB_CAMPAIGN))
+             : MO_ERR_NOT_FOUND;
+}
+
+static int find(struct mo_connection *connection, const struct mo_import_source *source,
+                int64_t *id)
+{
   static const char sql[] = "SELECT job FROM imports WHERE digest=?1";
-  const int error = source->store == own
-                        ? mo_sql_find(connection, id, own_sql, mo_int(source->job), mo_int(kind))
-                        : MO_ERR_NOT_FOUND;
-  return error == MO_ERR_NOT_FOUND ? mo_sql_find(connection, id, sql, mo_hash(&source->digest))
-                                   : error;
+  return mo_sql_find(connection, id, sql, mo_hash(&source->digest));
 }
 
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  return mo_source_find(reader, mo_store_id(store), MO_JOB_CAMPAIGN, source, id);
+  return find(reader, source, id);
 }
 
-int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t *id)
+int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
+                   int64_t *id)
 {
-  return mo_source_find(&import->store->writer, mo_store_id(import->store), MO_JOB_CAMPAIGN, source,
-                        id);
+  static const char sql[] = "SELECT id FROM jobs WHERE id=?1 AND state<6";
+  struct mo_connection *writer = &import->store->writer;
+  const int error = own > 0 ? mo_sql_find(writer, id, sql, mo_int(own)) : MO_ERR_NOT_FOUND;
+  return error == MO_ERR_NOT_FOUND ? find(writer, source, id) : error;
 }
 
 /* ---- rows ---- */

@@ -12,7 +12,7 @@ struct mo_store;
 struct mo_import_source {
   uint64_t store;          /* the id of its store */
   int64_t job;             /* its id there */
-  struct mo_sha256 digest; /* of a campaign's history; of an evaluation's source */
+  struct mo_sha256 digest; /* of a campaign's history; of an evaluation's source and times */
 };
 
 /* A campaign that has ended. */
@@ -89,9 +89,38 @@ int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **e
                                  uint32_t *n, uint64_t *rollouts);
 int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64_t id,
                                  struct mo_imported_evaluation *evaluation);
-/* Finds the campaign that came from this source, or is it. MO_ERR_NOT_FOUND. */
+/* Finds the campaign that ran here under the id of the source. Its history may be another one:
+ * where a backup was restored, ids are given again. MO_ERR_NOT_FOUND. */
+int mo_store_import_own(struct mo_store *store, const struct mo_import_source *source, int64_t *id);
+/* Finds the campaign that a bundle brought with this digest. MO_ERR_NOT_FOUND. */
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source,
                          int64_t *id);
+
+/* ---- compared with a store (import_compare.c): by content; stores nothing ---- */
+
+/* Rows of the store; 0: nothing of it is stored. {0} at first. */
+struct mo_import_comparison {
+  int64_t controller, physics, environments[MO_ENVIRONMENTS_MAX]; /* of the campaign */
+  int64_t *genotypes;                                             /* (n) by number */
+  uint32_t n, room;
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* of the score before */
+  int64_t class;
+  int64_t evaluation;
+};
+/* Each of what comes behind belongs to the campaign. MO_ERR_CONFLICT: what is stored of it has
+ * other bits. mo_compare_evaluation: returns 1, or 0: it is not here; rollouts belong to one that
+ * is. */
+int mo_compare_campaign(struct mo_store *store, struct mo_import_comparison *rows,
+                        const struct mo_imported_campaign *campaign);
+int mo_compare_design(struct mo_store *store, struct mo_import_comparison *rows,
+                      const struct mo_campaign_design *design);
+int mo_compare_score(struct mo_store *store, struct mo_import_comparison *rows,
+                     const struct mo_campaign_score *score);
+int mo_compare_evaluation(struct mo_store *store, struct mo_import_comparison *rows,
+                          const struct mo_imported_evaluation *evaluation);
+int mo_compare_rollout(struct mo_store *store, const struct mo_import_comparison *rows,
+                       const struct mo_saved_trajectory *rollout);
+void mo_compare_end(struct mo_import_comparison *rows);
 
 /* ---- into a store ---- */
 
@@ -106,8 +135,10 @@ struct mo_import;
 /* Runs `run` in one transaction of the writer, perhaps several times; all other writes wait. */
 int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
                     void *context);
-/* Only inside of `run`. mo_import_find: as mo_store_import_find. */
-int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t *id);
+/* Only inside of `run`. mo_import_find: as mo_store_import_find, but for a campaign that was found
+ * to be job `own` (0: it was not), if that still exists. */
+int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
+                   int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
                          const struct mo_sha256 *sha256, size_t size);
 /* Begins a campaign, to which the calls below belong. */

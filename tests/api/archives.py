@@ -29,14 +29,14 @@ def pack(members, sums=True, **header):
         members = [(name, body) for name, body in members if name != "SHA256SUMS"]
         text = "".join(f"{hashlib.sha256(body).hexdigest()}  {name}\n" for name, body in members)
         members.append(("SHA256SUMS", text.encode()))
-    data = b""
+    data = []
     for name, body in members:
         info = tarfile.TarInfo(name)
         info.size = len(body)
         for key, value in header.items():
             setattr(info, key, value)
-        data += info.tobuf(tarfile.USTAR_FORMAT, "ascii") + body + bytes(-len(body) % 512)
-    return zstd(data + bytes(1024))
+        data += [info.tobuf(tarfile.USTAR_FORMAT, "ascii"), body, bytes(-len(body) % 512)]
+    return zstd(b"".join([*data, bytes(1024)]))
 
 
 def altered(members, name, change, line=0):

@@ -1,0 +1,140 @@
+/* bundle_scores.c: what the lines with scores of one design say together: a loss of a class is in
+ * them once, and the score of the design is the mean of its losses, bit for bit.
+ *
+ * Older programs wrote a loss again where two blocks of their store had it. A line that repeats an
+ * earlier one in another block is taken, up to a number of them. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "api/bundle.h"
+
+#define CLASSES 32 /* of one design */
+#define AGAIN   64 /* lines of one design that have no new loss */
+
+struct class {
+  char fingerprint[MO_FINGERPRINT_BYTES];
+  uint64_t known; /* a bit for each place */
+  double losses[MO_ENVIRONMENTS_MAX];
+  uint32_t diverged_steps[MO_ENVIRONMENTS_MAX];
+  int64_t computed_us[MO_ENVIRONMENTS_MAX];
+};
+
+struct mo_bundle_scores {
+  uint32_t n_environments;
+  uint32_t same[MO_ENVIRONMENTS_MAX]; /* the first place with the same environment */
+  uint32_t number, n, n_again;        /* n: classes */
+  struct class classes[CLASSES];
+};
+
+struct mo_bundle_scores *mo_bundle_scores_create(void)
+{
+  return calloc(1, sizeof(struct mo_bundle_scores));
+}
+
+void mo_bundle_scores_free(struct mo_bundle_scores *scores)
+{
+  free(scores);
+}
+
+void mo_bundle_scores_open(struct mo_bundle_scores *scores,
+                           const struct mo_imported_campaign *campaign)
+{
+  const struct mo_environment *environments = campaign->environments;
+  scores->n_environments = campaign->record.n_environments;
+  for (uint32_t k = 0; k < scores->n_environments; k++) {
+    uint32_t i = 0;
+    while (memcmp(&environments[i], &environments[k], sizeof(*environments)) != 0)
+      i++;
+    scores->same[k] = i;
+  }
+}
+
+void mo_bundle_scores_begin(struct mo_bundle_scores *scores, uint32_t number)
+{
+  scores->number = number;
+  scores->n = scores->n_again = 0;
+}
+
+static bool same_bits(double a, double b)
+{
+  return memcmp(&a, &b, sizeof(a)) == 0;
+}
+
+static struct class *class_of(struct mo_bundle_scores *scores, const char *fingerprint)
+{
+  uint32_t i = 0;
+  while (i < scores->n && strcmp(scores->classes[i].fingerprint, fingerprint) != 0)
+    i++;
+  if (i == CLASSES)
+    return NULL;
+  if (i == scores->n) {
+    memset(&scores->classes[i], 0, sizeof(scores->classes[i]));
+    strcpy(scores->classes[i].fingerprint, fingerprint);
+    scores->n++;
+  }
+  return &scores->classes[i];
+}
+
+int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campaign_score *score,
+                         struct mo_message *message)
+{
+  struct class *class = class_of(scores, score->fingerprint);
+  bool is_new = false, is_same = true;
+  if (class == NULL)
+    return mo_fail(message, MO_ERR_FORMAT, "scores of more than %d classes", CLASSES);
+  for (uint32_t k = 0; k < score->n; k++) {
+    const uint32_t place = score->environments[k];
+    if (class->known >> place & 1) {
+      if (!same_bits(class->losses[place], score->losses[k]) ||
+          class->diverged_steps[place] != score->diverged_steps[k])
+        return mo_fail(message, MO_ERR_FORMAT,
+                       "environment %u has another loss in an earlier line of this class", place);
+      is_same = is_same && class->computed_us[place] == score->computed_us;
+      continue;
+    }
+    is_new = true;
+    class->known |= UINT64_C(1) << place;
+    class->losses[place] = score->losses[k];
+    class->diverged_steps[place] = score->diverged_steps[k];
+    class->computed_us[place] = score->computed_us;
+  }
+  if (!is_new && (is_same || ++scores->n_again > AGAIN))
+    return mo_fail(message, MO_ERR_DUPLICATE, "earlier lines of the design have all these losses");
+  return is_new;
+}
+
+/* Adds the losses in the order of the environments, as campaigns do (mo_race_score): those of class
+ * `a`, and where it has none those of class `b`. */
+static double mean_of(const struct mo_bundle_scores *scores, const struct class *a,
+                      const struct class *b, bool *is_whole)
+{
+  double sum = 0;
+  *is_whole = true;
+  for (uint32_t k = 0; k < scores->n_environments; k++) {
+    const uint32_t place = scores->same[k];
+    const struct class *class = a->known >> place & 1 ? a : b;
+    if (class->known >> place & 1)
+      sum += class->losses[place];
+    else
+      *is_whole = false;
+  }
+  return sum / scores->n_environments;
+}
+
+int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bool is_cut,
+                         struct mo_message *message)
+{
+  bool is_whole;
+  for (uint32_t a = 0; a < scores->n; a++)
+    for (uint32_t b = 0; b < scores->n; b++) {
+      const double mean = mean_of(scores, &scores->classes[a], &scores->classes[b], &is_whole);
+      /* A child is cut short when its score is above the bound, or infinite. Other jobs may have
+       * computed further losses of it. */
+      if ((is_cut && mean >= score) || (same_bits(mean, score) && (is_whole || isinf(mean))))
+        return MO_OK;
+    }
+  return mo_fail(message, MO_ERR_FORMAT,
+                 "the score of design %u, %.17g, is not the mean of its losses", scores->number,
+                 score);
+}
