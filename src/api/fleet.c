@@ -33,6 +33,17 @@ struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session)
   return NULL;
 }
 
+/* Finds the session in the path of a worker's request. It is the worker's only if it was opened
+ * with the same token: who knows the id of another one finds nothing. NULL: the reply is made. */
+static struct mo_fleet *own_session(struct mo_request *request, uint64_t *session)
+{
+  struct mo_fleet *fleet = mo_path_session(request, session);
+  if (fleet == NULL || mo_fleet_is_of(fleet, *session, request->caller.name))
+    return fleet;
+  mo_reply_error(request, MO_ERR_NOT_FOUND, "session");
+  return NULL;
+}
+
 /* ---- waiting ---- */
 
 /* Reads how long the request may wait. */
@@ -165,7 +176,7 @@ void mo_api_post_session(struct mo_request *request)
 void mo_api_delete_session(struct mo_request *request)
 {
   uint64_t session;
-  struct mo_fleet *fleet = mo_path_session(request, &session);
+  struct mo_fleet *fleet = own_session(request, &session);
   if (fleet == NULL)
     return;
   const int error = mo_fleet_leave(fleet, session, false, mo_clock_ns());
@@ -198,7 +209,7 @@ void mo_api_get_orders(struct mo_request *request)
 {
   struct mo_fleet_orders orders = {.state = MO_SESSION_ACTIVE};
   uint64_t session;
-  struct mo_fleet *fleet = mo_path_session(request, &session);
+  struct mo_fleet *fleet = own_session(request, &session);
   if (fleet == NULL)
     return;
   read_wait(request);
@@ -269,7 +280,7 @@ void mo_api_post_exchange(struct mo_request *request)
   uint8_t *down = NULL;
   size_t down_size = 0;
   uint32_t n_leases = 0;
-  struct mo_fleet *fleet = mo_path_session(request, &session);
+  struct mo_fleet *fleet = own_session(request, &session);
   if (fleet == NULL || (!request->wait_over && !check_results(request)))
     return;
   read_wait(request);

@@ -34,12 +34,14 @@ static void write_moment(struct mo_text *text, const char *name, uint64_t then_n
   mo_text_member_time(text, name, then_ns > 0 ? mo_clock_wall_us() - ago_us : 0);
 }
 
-static void write_session(struct mo_text *text, const struct mo_session_status *session)
+/* has_id: the reader may have the id, by which a session is drained or put in quarantine. */
+static void write_session(struct mo_text *text, const struct mo_session_status *session,
+                          bool has_id)
 {
   static const char *const names[] = {"cpu", "device"};
   const struct mo_fleet_offer *offer = &session->offer;
   mo_text_object(text);
-  mo_text_member_id(text, "id", (int64_t)session->id);
+  mo_text_member_id(text, "id", has_id ? (int64_t)session->id : -1);
   mo_text_member(text, "name", offer->name);
   mo_text_member(text, "host", offer->host);
   mo_text_member(text, "user", offer->user[0] != '\0' ? offer->user : NULL);
@@ -143,7 +145,7 @@ void mo_api_get_fleet(struct mo_request *request)
   write_outcasts(&text, outcasts, n_outcasts);
   mo_text_add(&text, ",\"sessions\":[");
   for (size_t i = 0; i < n; i++)
-    write_session(&text, &sessions[i]);
+    write_session(&text, &sessions[i], request->caller.right == MO_RIGHT_ADMIN);
   mo_text_add(&text, "]}");
   free(outcasts);
   free(sessions);

@@ -53,6 +53,30 @@ static int give(struct mo_fleet *fleet, struct mo_session *session, uint64_t now
   return encode(fleet, session, numbers, n, now_ns, after, down, down_size, n_leases);
 }
 
+/* Locked, but not while it calls. Gives the session its origin before its first result is
+ * delivered, and not before: a row of the store, which stays. Returns the session; NULL: it ended
+ * meanwhile, or *error says why its results are refused. */
+static struct mo_session *name_origin(struct mo_fleet *fleet, struct mo_session *session,
+                                      const struct mo_wire_results *results, int *error)
+{
+  const struct mo_fleet_config *config = &fleet->config;
+  char origin[2 * MO_FLEET_NAME_BYTES + 2];
+  const uint64_t id = session->id;
+  int64_t number = 1;
+  if (session->origin != 0 || !mo_results_count(fleet, session, results))
+    return session;
+  snprintf(origin, sizeof(origin), "%s@%s", session->offer.name, session->offer.host);
+  if (config->origin != NULL) {
+    pthread_mutex_unlock(&fleet->mutex);
+    *error = config->origin(config->context, origin, &number);
+    pthread_mutex_lock(&fleet->mutex);
+  }
+  session = *error == MO_OK ? mo_session_find(fleet, id) : NULL;
+  if (session != NULL)
+    session->origin = number;
+  return session;
+}
+
 int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, size_t up_size,
                       uint64_t now_ns, uint8_t **down, size_t *down_size, uint32_t *n_leases,
                       struct mo_message *message)
@@ -64,7 +88,11 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
     return error;
   pthread_mutex_lock(&fleet->mutex);
   struct mo_session *session = mo_session_find(fleet, id);
-  if (session == NULL) {
+  if (session != NULL && session->state != MO_SESSION_QUARANTINED)
+    session = name_origin(fleet, session, &results, &error);
+  if (error != MO_OK) {
+    mo_fail(message, error, "the origin of the results was not stored");
+  } else if (session == NULL) {
     error = mo_fail(message, MO_ERR_NOT_FOUND, "no such session is open: join again");
   } else if (session->state == MO_SESSION_QUARANTINED) {
     error = mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: %s", session->offer.name,

@@ -154,7 +154,17 @@ static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offe
                    outcast->why);
   if (fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
     return mo_fail(message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
-  return MO_OK;
+  if (offer->user[0] == '\0' || fleet->n_sessions < MO_FLEET_TOKEN_MAX)
+    return MO_OK;
+  uint32_t n = 0;
+  const struct mo_session *session;
+  TAILQ_FOREACH(session, &fleet->sessions, all) n += strcmp(session->offer.user, offer->user) == 0;
+  return n < MO_FLEET_TOKEN_MAX
+             ? MO_OK
+             : mo_fail(
+                   message, MO_ERR_LIMIT,
+                   "at most %d sessions of one token can be open; give some workers another one",
+                   MO_FLEET_TOKEN_MAX);
 }
 
 /* Locked, but not while it calls. Gives names to the absent classes that an offer has. */
@@ -194,16 +204,14 @@ static void open_session(struct mo_fleet *fleet, struct mo_session *session, str
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *ret_message)
 {
-  const struct mo_fleet_config *config = &fleet->config;
   struct mo_after after = {0};
   struct mo_message message = {""};
   struct mo_session *session = calloc(1, sizeof(*session));
   char origin[2 * MO_FLEET_NAME_BYTES + 2];
   if (session == NULL)
     return MO_ERR_NO_MEMORY;
-  *session =
-      (struct mo_session){.offer = *offer, .origin = 1, .joined_ns = now_ns, .heard_ns = now_ns};
-  session->is_older = strverscmp(offer->version, config->version) < 0;
+  *session = (struct mo_session){.offer = *offer, .joined_ns = now_ns, .heard_ns = now_ns};
+  session->is_older = strverscmp(offer->version, fleet->config.version) < 0;
   snprintf(origin, sizeof(origin), "%s@%s", offer->name, offer->host);
   session->worker = hash_of(offer->user, origin);
   pthread_mutex_lock(&fleet->mutex);
@@ -214,15 +222,6 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
     error = choose_classes(fleet, offer, session->serves, &message);
   if (error == MO_OK)
     error = admit(fleet, offer, &message);
-  if (error == MO_OK && config->origin != NULL) { /* a row of the store: not for who is refused */
-    pthread_mutex_unlock(&fleet->mutex);
-    error = config->origin(config->context, origin, &session->origin);
-    pthread_mutex_lock(&fleet->mutex);
-    if (error == MO_OK)
-      error = admit(fleet, offer, &message);
-    if (error == MO_OK) /* the canary of an absent class may be there now */
-      error = choose_classes(fleet, offer, session->serves, &message);
-  }
   if (error == MO_OK && (session->id = draw_id(fleet)) == 0)
     error = mo_fail(&message, MO_ERR_IO, "there are no random numbers");
   if (error == MO_ERR_CONFLICT || error == MO_ERR_UNSUPPORTED)
@@ -240,6 +239,13 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
 }
 
 /* ---- leaving, and what operators do ---- */
+
+bool mo_fleet_is_of(struct mo_fleet *fleet, uint64_t id, const char *user)
+{
+  MO_GUARD(&fleet->mutex);
+  const struct mo_session *session = mo_session_find(fleet, id);
+  return session != NULL && strcmp(session->offer.user, user) == 0;
+}
 
 int mo_fleet_leave(struct mo_fleet *fleet, uint64_t id, bool is_lost, uint64_t now_ns)
 {

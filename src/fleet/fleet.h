@@ -14,7 +14,8 @@
 #include "store/outcasts.h"
 
 #define MO_FLEET_SESSIONS_MAX 4096
-#define MO_FLEET_NAME_BYTES   64 /* of a session or host, without NUL */
+#define MO_FLEET_TOKEN_MAX    2048 /* of these, by one token */
+#define MO_FLEET_NAME_BYTES   64   /* of a session or host, without NUL */
 #define MO_FLEET_SILENCE_MS   6000
 #define MO_FLEET_LEASE_S      1.0  /* time that a lease should take */
 #define MO_FLEET_LEASES       2    /* of a session and back end at one time */
@@ -46,8 +47,9 @@ struct mo_fleet_config {
   const struct mo_outcast *outcasts;
   size_t n_outcasts;
   /* Called without locks. name_class: a worker has an absent class, which has no name yet; returns
-   * the names that it has from now on, which last. origin: the number of "name@host" under which
-   * results are delivered; an error of these two refuses the session. wake: the session may have
+   * the names that it has from now on, which last; an error refuses the session. origin: the number
+   * of "name@host" under which results are delivered, asked for before the first; an error refuses
+   * them. wake: the session may have
    * orders or work for a request that waits. event: type such as "fleet.joined", data: a JSON
    * object. save_outcasts: stores all that are in quarantine now; one call at a time. Each
    * nullable. */
@@ -85,6 +87,8 @@ struct mo_fleet_offer {
  * quarantined; MO_ERR_LIMIT. */
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *message);
+/* Says whether a session is open and was opened with this user's token. */
+bool mo_fleet_is_of(struct mo_fleet *fleet, uint64_t session, const char *user);
 /* Closes a session and puts its leases back. why: "left", "connection ended". MO_ERR_NOT_FOUND. */
 int mo_fleet_leave(struct mo_fleet *fleet, uint64_t session, bool is_lost, uint64_t now_ns);
 /* Takes results, and gives leases while the session holds fewer than MO_FLEET_LEASES. `up`: a

@@ -119,6 +119,16 @@ static void keep_pace(struct mo_pace *pace, const struct part *part, uint64_t no
   pace->lease_steps = part->steps;
 }
 
+bool mo_results_count(struct mo_fleet *fleet, const struct mo_session *session,
+                      const struct mo_wire_results *results)
+{
+  uint32_t n = 0, place = 0;
+  for (uint32_t i = 0; i < results->n; i++)
+    n += results->items[i].state == MO_RESULT_DONE &&
+         held_lease(fleet, session, results->items[i].id, &place) != NULL;
+  return n > 0 && check(fleet, session, results, NULL) == MO_OK;
+}
+
 int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
                     const struct mo_wire_results *results, uint64_t now_ns, struct mo_after *after,
                     struct mo_message *message)

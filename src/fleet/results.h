@@ -4,6 +4,9 @@
 
 #include "fleet/sessions.h"
 
+/* Locked. Says whether a message has a result that mo_results_take would count or deliver. */
+bool mo_results_count(struct mo_fleet *fleet, const struct mo_session *session,
+                      const struct mo_wire_results *results);
 /* Locked. Takes all results of a message, or none: MO_ERR_FORMAT (rows that do not belong to the
  * lease). Results of leases that the session does not hold are counted. The rows must live until
  * mo_after_run. */

@@ -86,7 +86,7 @@ struct mo_pace {
 struct mo_session {
   uint64_t id, worker; /* worker: a hash of its token, name and host */
   struct mo_fleet_offer offer;
-  int64_t origin;
+  int64_t origin; /* 0: it delivered nothing yet */
   enum mo_session_state state, told;
   char why[128];
   uint64_t joined_ns, heard_ns, ended_ns, rest_ns; /* rest: no lease before this */

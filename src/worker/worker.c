@@ -551,10 +551,12 @@ void mo_worker_stop(struct mo_worker *worker)
 
 void mo_worker_describe(struct mo_worker *worker, char *text, size_t capacity)
 {
+  static const char *const words[] = {
+      [JOINING] = "no session", [ACTIVE] = "joined", [LEAVING] = "leaving", [ENDED] = "left"};
   struct mo_holding_status status;
   mo_holding_get_status(worker->holding, &status);
   snprintf(text, capacity, "%s: %s, %u leases held, %" PRIu64 " done, %" PRIu64 " rollouts",
-           worker->config.link.server, worker->phase == ACTIVE ? "joined" : "no session",
+           worker->config.link.server, words[worker->phase],
            status.n_leases[MO_ON_CPU] + status.n_leases[MO_ON_DEVICE], status.leases_done,
            status.rows_done);
 }

@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import socket
+import sqlite3
 import ssl
 import struct
 import subprocess
@@ -118,6 +119,54 @@ def test_loopback_needs_no_token_where_there_is_none(start, tokens):
     write_tokens(tokens, ada=("admin", TOKENS["admin"]), node=("worker", TOKENS["worker"]))
     service.process.send_signal(signal.SIGHUP)
     until(lambda: fleet.request("GET", "/v1/whoami")[0] == 401)
+
+
+def test_a_session_is_of_its_token(start, tmp_path):
+    """Another token does nothing with a session, not even who knows its id."""
+    file, texts = tmp_path / "tokens", {"reader": "may-look-at-everything-and-no-more",
+                                        "honest": "a-token-of-an-honest-worker",
+                                        "thief": "a-token-of-a-worker-who-lies"}
+    write_tokens(file, ada=("admin", TOKENS["admin"]), rita=("read", texts["reader"]),
+                 honest=("worker", texts["honest"]), thief=("worker", texts["thief"]))
+    service = start("--fleet-listen=127.0.0.1:0", f"--token-file={file}", "--compute=fleet",
+                    "--token-on-loopback=yes", token=TOKENS["admin"])
+    fleet = Workers(service, token=texts["honest"])
+    session = fleet.join(name="honest")
+    service.post("/v1/campaigns", CAMPAIGN)
+    (lease, rows), *_ = fleet.take(session, wait=10)
+    lie = results(result(lease, [0.123] * rows))
+    fleet.token = texts["thief"]
+    assert fleet.exchange(session, lie)[0] == 404
+    for request in (("GET", session + "/orders"), ("DELETE", session)):
+        fleet.refuses(404, "session", *request)
+    fleet.token = texts["honest"]
+    assert fleet.request("GET", session + "/orders")[0] == 200
+    assert [(one["state"], one["leases_done"]) for one in fleet.status()["sessions"]] == [
+        ("active", 0)]
+    assert fleet.status()["sessions"][0]["id"] == session.rsplit("/", 1)[1]
+    service.token = texts["reader"]
+    assert [one["id"] for one in fleet.status()["sessions"]] == [None]
+    service.token = TOKENS["admin"]
+    assert fleet.exchange(session, results(result(lease, [0.5] * rows)))[0] == 200
+    assert fleet.request("DELETE", session)[0] == 204
+
+
+def test_names_leave_nothing(free):
+    """A worker has an origin in the store when it delivers a result, and not because it joined."""
+    def origins():
+        with sqlite3.connect(free.service.state / "morphod.db") as database:
+            return [text for text, in database.execute("SELECT text FROM origins")]
+    here = origins()
+    sessions = [free.join(name=f"name-{n}") for n in range(20)]
+    free.service.post("/v1/campaigns", CAMPAIGN)
+    (lease, rows), *_ = free.take(sessions[0], wait=10)
+    assert free.exchange(sessions[1], results(result(lease, [0.5] * rows)))[0] == 200, "not its own"
+    assert free.exchange(sessions[0], results(result(lease, [0.5] * (rows + 1))))[0] == 400
+    assert free.exchange(sessions[0], results(result(lease, [], state=1)))[0] == 200
+    assert origins() == here
+    (lease, rows), *_ = free.take(sessions[2], wait=10)
+    assert free.exchange(sessions[2], results(result(lease, [0.5] * rows)))[0] == 200
+    assert origins() == here + ["name-2@node.test"]
 
 
 @pytest.fixture

@@ -27,12 +27,18 @@ static void refused(void)
   CHECK_TEXT(fake->event, "fleet.refused");
   CHECK_HAS(fake->data, "\"name\":\"w\",\"host\":\"h\"");
   CHECK_INT(fake->n_origins, 0);
-  for (int i = 0; i < MO_FLEET_SESSIONS_MAX; i++)
+  offer = fake_offer("w", "h");
+  offer.user[0] = 'u';
+  for (int i = 0; i < MO_FLEET_TOKEN_MAX; i++)
+    CHECK(mo_fleet_join(fake->fleet, &offer, 1, &message) > 0);
+  CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_LIMIT);
+  CHECK_SAYS(message, "at most 2048 sessions of one token");
+  for (int i = MO_FLEET_TOKEN_MAX; i < MO_FLEET_SESSIONS_MAX; i++)
     join("many");
   offer = fake_offer("w", "h");
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_LIMIT);
   CHECK_SAYS(message, "at most 4096 sessions");
-  CHECK_INT(fake->n_origins, MO_FLEET_SESSIONS_MAX);
+  CHECK_INT(fake->n_origins, 0);
 }
 
 static void quarantined(void)
@@ -52,7 +58,6 @@ static void quarantined(void)
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_CONFLICT);
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_CONFLICT);
   CHECK_SAYS(message, "\"a\" is quarantined: an operator's words");
-  CHECK_INT(fake->n_origins, 3);
   offer.user[0] = 'u'; /* the name of another token */
   CHECK_OK(mo_fleet_leave(fake->fleet, (uint64_t)mo_fleet_join(fake->fleet, &offer, 1, &message),
                           false, fake->now_ns));
@@ -77,8 +82,10 @@ static void quarantined(void)
   leases = exchange(c);
   CHECK_OK(mo_fleet_drain(fake->fleet, c, false));
   CHECK(was_woken(c) && orders_of(c).state == MO_SESSION_DRAINING);
+  CHECK_INT(fake->n_origins, 0); /* nobody has delivered anything */
   leases = finish(c, &leases, MO_RESULT_DONE);
   CHECK(leases.n == 0 && status().leases_done == 2);
+  CHECK_INT(fake->n_origins, 1);
   /* Of ended sessions the newest are listed. */
   for (int i = 0; i < 300; i++)
     CHECK_OK(mo_fleet_leave(fake->fleet, join("short"), true, fake->now_ns));
