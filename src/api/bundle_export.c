@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "api/bundle.h"
+#include "api/bundle_scores.h"
 #include "api/scene.h"
 #include "store/campaigns.h"
 #include "store/store.h"

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "api/bundle.h"
+#include "api/bundle_scores.h"
 #include "store/store.h"
 
 #define ALIVE UINT32_MAX

@@ -1,13 +1,16 @@
-/* bundle_scores.c: what the lines with scores of one design say together: a loss of a class is in
- * them once, and the score of the design is the mean of its losses, bit for bit.
+/* bundle_scores.c: see bundle_scores.h. A loss of a class is in the lines of a design once, and the
+ * score of the design is the mean of its losses, bit for bit.
  *
  * Older programs wrote a loss again where two blocks of their store had it. A line that repeats an
  * earlier one in another block is taken, up to a number of them. */
+#include "api/bundle_scores.h"
+
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle.h"
+#include "store/hash.h"
 
 #define CLASSES 32 /* of one design */
 #define AGAIN   64 /* lines of one design that have no new loss */
@@ -40,11 +43,12 @@ void mo_bundle_scores_free(struct mo_bundle_scores *scores)
 void mo_bundle_scores_open(struct mo_bundle_scores *scores,
                            const struct mo_imported_campaign *campaign)
 {
-  const struct mo_environment *environments = campaign->environments;
+  struct mo_sha256 hashes[MO_ENVIRONMENTS_MAX];
   scores->n_environments = campaign->record.n_environments;
   for (uint32_t k = 0; k < scores->n_environments; k++) {
     uint32_t i = 0;
-    while (memcmp(&environments[i], &environments[k], sizeof(*environments)) != 0)
+    mo_environment_hash(&campaign->environments[k], &hashes[k]);
+    while (!mo_sha256_equal(&hashes[i], &hashes[k]))
       i++;
     scores->same[k] = i;
   }
@@ -58,7 +62,10 @@ void mo_bundle_scores_begin(struct mo_bundle_scores *scores, uint32_t number)
 
 static bool same_bits(double a, double b)
 {
-  return memcmp(&a, &b, sizeof(a)) == 0;
+  uint64_t words[2];
+  memcpy(&words[0], &a, sizeof(a));
+  memcpy(&words[1], &b, sizeof(b));
+  return words[0] == words[1];
 }
 
 static struct class *class_of(struct mo_bundle_scores *scores, const char *fingerprint)
@@ -70,7 +77,8 @@ static struct class *class_of(struct mo_bundle_scores *scores, const char *finge
     return NULL;
   if (i == scores->n) {
     memset(&scores->classes[i], 0, sizeof(scores->classes[i]));
-    strcpy(scores->classes[i].fingerprint, fingerprint);
+    snprintf(scores->classes[i].fingerprint, sizeof(scores->classes[i].fingerprint), "%s",
+             fingerprint);
     scores->n++;
   }
   return &scores->classes[i];

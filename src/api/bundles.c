@@ -7,6 +7,7 @@
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "http/download.h"
+#include "store/import_compare.h"
 
 /* ---- out ---- */
 
@@ -114,7 +115,7 @@ struct entry {
   uint32_t at; /* campaigns so far */
   int64_t ids[MO_BUNDLE_CAMPAIGNS];
   bool entered[MO_BUNDLE_CAMPAIGNS], is_own[MO_BUNDLE_CAMPAIGNS]; /* is_own: it ran here */
-  struct mo_text settled[MO_BUNDLE_CAMPAIGNS]; /* what nobody can change of a campaign */
+  struct mo_text lasting[MO_BUNDLE_CAMPAIGNS]; /* what nobody changes of a campaign */
   uint64_t n_scores;                           /* losses that were not stored */
 };
 
@@ -135,37 +136,37 @@ static int read_bundle(struct entry *entry, struct mo_bundle_sink sink,
 /* ---- the first reading: what is stored of the same rollouts must be the same ---- */
 
 /* Writes what neither a person nor an extension changes of a campaign. */
-static void write_settled(const struct mo_imported_campaign *campaign, struct mo_text *text)
+static void write_lasting(const struct mo_imported_campaign *campaign, struct mo_text *text)
 {
   static const struct mo_sha256 none;
-  struct mo_imported_campaign *settled = malloc(sizeof(*settled));
-  if (settled == NULL) {
+  struct mo_imported_campaign *lasting = malloc(sizeof(*lasting));
+  if (lasting == NULL) {
     text->failed = true;
     return;
   }
-  *settled = *campaign;
-  settled->source = (struct mo_import_source){.store = 0};
-  settled->record.group = settled->record.replicate = 0;
-  settled->record.settings.generations = 0;
-  settled->record.environment_set[0] = '\0'; /* a name that may mean other environments here */
-  settled->state = MO_JOB_SUCCEEDED;
-  settled->end = MO_CAMPAIGN_OPEN;
-  settled->has_label = settled->has_result = false;
-  settled->result_sha256 = none;
-  settled->experiment[0] = settled->note[0] = '\0';
-  settled->weight = 1;
-  settled->started_us = settled->finished_us = 0;
-  settled->generation = -1;
-  settled->n_designs = 0;
-  settled->diversity_max = 0;
-  mo_fields_write_object(text, &mo_bundle_campaign_fields, settled);
-  free(settled);
+  *lasting = *campaign;
+  lasting->source = (struct mo_import_source){.store = 0};
+  lasting->record.group = lasting->record.replicate = 0;
+  lasting->record.settings.generations = 0;
+  lasting->record.environment_set[0] = '\0'; /* a name that may mean other environments here */
+  lasting->state = MO_JOB_SUCCEEDED;
+  lasting->end = MO_CAMPAIGN_OPEN;
+  lasting->has_label = lasting->has_result = false;
+  lasting->result_sha256 = none;
+  lasting->experiment[0] = lasting->note[0] = '\0';
+  lasting->weight = 1;
+  lasting->started_us = lasting->finished_us = 0;
+  lasting->generation = -1;
+  lasting->n_designs = 0;
+  lasting->diversity_max = 0;
+  mo_fields_write_object(text, &mo_bundle_campaign_fields, lasting);
+  free(lasting);
 }
 
 static int compare_campaign(void *context, const struct mo_imported_campaign *campaign)
 {
   struct entry *entry = context;
-  write_settled(campaign, &entry->settled[entry->at++]);
+  write_lasting(campaign, &entry->lasting[entry->at++]);
   const int error = mo_compare_campaign(entry->api->store, &entry->rows, campaign);
   return error == MO_OK ? 1 : error;
 }
@@ -361,11 +362,11 @@ static int find_own(struct entry *entry, const struct mo_import_source *source, 
 }
 
 /* Checks that a campaign with the history of the i-th one has its settings, too. */
-static int compare_settled(struct entry *entry, uint32_t i)
+static int compare_lasting(struct entry *entry, uint32_t i)
 {
   struct mo_campaign_status *status = malloc(sizeof(*status));
   struct mo_imported_campaign *stored = malloc(sizeof(*stored));
-  const struct mo_text *settled = &entry->settled[i];
+  const struct mo_text *lasting = &entry->lasting[i];
   const struct mo_bundle_campaign *campaign = &entry->summary->campaigns[i];
   struct mo_text text = {0};
   int error = status == NULL || stored == NULL
@@ -374,14 +375,14 @@ static int compare_settled(struct entry *entry, uint32_t i)
   if (error == MO_ERR_CONFLICT) { /* somebody extends it just now */
     error = MO_OK;
   } else if (error == MO_OK) {
-    write_settled(stored, &text);
+    write_lasting(stored, &text);
     const bool same_result = stored->generation != campaign->generation ||
                              (stored->has_result == campaign->has_result &&
                               mo_sha256_equal(&stored->result_sha256, &campaign->result_sha256));
-    if (text.failed || settled->failed)
+    if (text.failed || lasting->failed)
       error = MO_ERR_NO_MEMORY;
-    else if (!same_result || text.size != settled->size ||
-             memcmp(text.data, settled->data, text.size) != 0)
+    else if (!same_result || text.size != lasting->size ||
+             memcmp(text.data, lasting->data, text.size) != 0)
       error = mo_fail(entry->message, MO_ERR_CONFLICT,
                       "campaign %lld is here as campaign %lld, with the same history, but with "
                       "other settings, controllers or times",
@@ -404,7 +405,7 @@ static int find_known(struct entry *entry)
     if (error == MO_ERR_NOT_FOUND)
       error = mo_store_import_find(entry->api->store, source, &entry->ids[i]);
     if (error == MO_OK)
-      error = compare_settled(entry, i);
+      error = compare_lasting(entry, i);
     else if (error == MO_ERR_NOT_FOUND)
       entry->ids[i] = 0;
     if (error != MO_OK && error != MO_ERR_NOT_FOUND)
@@ -492,7 +493,7 @@ void mo_api_post_bundle(struct mo_request *request)
   else
     reply_entered(request, entry, mode == 0 && n_new > 0);
   for (uint32_t i = 0; entry != NULL && i < MO_BUNDLE_CAMPAIGNS; i++)
-    mo_text_free(&entry->settled[i]);
+    mo_text_free(&entry->lasting[i]);
   free(summary);
   free(entry);
 }

@@ -1,5 +1,7 @@
-/* import_compare.c: compares what a bundle has with what is stored, by content: rows have other
- * numbers in the store that it came from. Stores nothing. See imports.h. */
+/* import_compare.c: see import_compare.h. Rows have other numbers in the store that a bundle came
+ * from, so each is found by its content. */
+#include "store/import_compare.h"
+
 #include <stdlib.h>
 #include <string.h>
 

@@ -156,8 +156,8 @@ def test_parts_are_full(service, start):
     name, body = next(member for member in members if "/generations/" in member[0])
     lines = body.splitlines(True)
     at = next(i for i, (own, _) in enumerate(members) if own == name)
-    split = members[:at] + [(name, lines[0]), (second(name), b"".join(lines[1:]))] + members[at + 1:]
-    assert enter(other, pack(split)).status == 422
+    split = [(name, lines[0]), (second(name), b"".join(lines[1:]))]
+    assert enter(other, pack(members[:at] + split + members[at + 1:])).status == 422
     # Designs without scores leave a part out.
     bare = [(own, body) for own, body in members if not own.endswith("scores/00000000.ndjson")]
     assert enter(other, pack(bare)).status == 201
