@@ -15,7 +15,7 @@
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
 #define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
 #define MO_ARCHIVE_MEMBERS    200000
-#define MO_ARCHIVE_RATIO      1000 /* bytes that a byte of the archive may unpack to, on average; */
+#define MO_ARCHIVE_RATIO      200 /* bytes that a byte of the archive may unpack to, on average; */
 #define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but as many bytes in any case */
 
 struct mo_archive_writer;

@@ -94,6 +94,8 @@ static int enter_next(struct mo_request *request, struct entering *entering,
 {
   const char *from = request->body + entering->at;
   size_t size = 0;
+  if (mo_request_is_over(request))
+    return MO_ERR_CANCELLED;
   int error = mo_score_block_head(from, request->body_size - entering->at, &size, message);
   if (error == MO_OK)
     error = mo_score_block_read(from + MO_SCORES_HEAD, size, entering->block, message);
