@@ -98,6 +98,20 @@ int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id
 int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
                         uint64_t *form);
 
+/* Writes the notation of a robot, which is what a score belongs to: a design in one orientation.
+ * ID@K is its id and the number of its orientation: image K of the canonical form, placed. Of the
+ * 8 images (bits of K: 4, the first, swaps x and y; 1 mirrors in x; 2 mirrors in y) the first that
+ * is the genotype. Two genotypes that differ only in their place have the same notation. Digits of
+ * the id + 3 bytes. MO_ERR_EMPTY; MO_ERR_NO_MEMORY, but only above MO_SMALL_VOXELS. */
+#define MO_ORIENTATIONS         8
+#define MO_DEFAULT_ROBOT_DIGITS (MO_DEFAULT_ID_DIGITS + 2) /* characters, in the default workspace */
+int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char *robot);
+/* Reads the notation of a robot, or an id, into the placed genotype. *orientation: K; −1: an id
+ * alone, and the genotype is that of orientation 0. Errors as mo_genotype_from_id. MO_ERR_FORMAT,
+ * too, for an orientation that does not fit the workspace. */
+int mo_genotype_from_robot(struct mo_workspace workspace, const char *robot, size_t length,
+                           uint64_t *bits, int *orientation);
+
 /* Moves a genotype to another workspace and places it there; turns it by 90° when it fits only that
  * way. MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
 int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,

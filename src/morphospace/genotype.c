@@ -194,3 +194,29 @@ int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t le
   mo_scratch_close(&given);
   return code;
 }
+
+int mo_genotype_from_robot(struct mo_workspace workspace, const char *robot, size_t length,
+                           uint64_t *bits, int *orientation)
+{
+  const uint32_t words = mo_workspace_words(workspace);
+  const size_t digits = (mo_workspace_voxels(workspace) + 3) / 4;
+  int k = -1;
+  if (length == digits + 2 && robot[digits] == '@')
+    k = robot[digits + 1] - '0';
+  if (k < 0 ? length != digits : k >= MO_ORIENTATIONS)
+    return MO_ERR_FORMAT;
+  struct mo_scratch form;
+  if (mo_scratch_open(&form, 2 * words) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  uint64_t *image = form.bits + words;
+  int code = mo_genotype_from_id(workspace, robot, digits, form.bits);
+  if (code == MO_OK && mo_shape_image(workspace, form.bits, k < 0 ? 0 : (unsigned)k, image) != 0)
+    code = MO_ERR_FORMAT;
+  if (code == MO_OK) {
+    mo_genotype_place(workspace, image);
+    memcpy(bits, image, words * sizeof(uint64_t));
+    *orientation = k;
+  }
+  mo_scratch_close(&form);
+  return code;
+}

@@ -10,6 +10,10 @@
  * must be set. */
 int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                        uint64_t *reached);
+/* Writes image k (below) of a genotype that is not empty, aligned to the origin; `image` and `bits`
+ * do not overlap. MO_ERR_RANGE: it does not fit. */
+int mo_shape_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
+                   uint64_t *image);
 /* Sets the lattice's masses and springs that a genotype expresses, in zeroed bit arrays (body.c).
  */
 void mo_body_mark(const struct mo_lattice *lattice, const uint64_t *bits, uint64_t *masses,

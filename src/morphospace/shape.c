@@ -87,19 +87,71 @@ void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, 
   });
 }
 
-int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
+int mo_shape_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, uint64_t *image)
+{
+  if (!mo_slabs_fit(workspace)) {
+    struct mo_grid_view view;
+    const int error = mo_grid_view_image(workspace, bits, k, &view);
+    if (error == MO_OK)
+      mo_grid_view_write(workspace, bits, &view, image);
+    return error;
+  }
+  WITH_SLABS(workspace, {
+    struct mo_slab_image upright;
+    mo_slabs_load(s, bits, slab);
+    mo_slabs_align(s, slab, &upright);
+    if (k & 4 && (upright.dx > s.ny || upright.dy > s.nx))
+      return MO_ERR_RANGE;
+    mo_slabs_image(s, &upright, k, slab);
+    mo_slabs_store(s, slab, image);
+  });
+  return MO_OK;
+}
+
+/* ---- notations ---- */
+
+static void spell(struct mo_workspace workspace, const uint64_t *form, char *id)
 {
   static const char digits[] = "0123456789abcdef";
   const uint32_t n = (mo_workspace_voxels(workspace) + 3) / 4;
+  for (uint32_t i = 0; i < n; i++) {
+    uint64_t nibble = form[i / 16] >> i % 16 * 4;
+    id[i] = digits[(nibble & 1) << 3 | (nibble & 2) << 1 | (nibble & 4) >> 1 | (nibble & 8) >> 3];
+  }
+  id[n] = '\0';
+}
+
+int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
+{
   struct mo_scratch form;
   if (mo_scratch_open(&form, mo_workspace_words(workspace)) != MO_OK)
     return MO_ERR_NO_MEMORY;
   mo_genotype_canonical(workspace, bits, form.bits);
-  for (uint32_t i = 0; i < n; i++) {
-    uint64_t nibble = form.bits[i / 16] >> i % 16 * 4;
-    id[i] = digits[(nibble & 1) << 3 | (nibble & 2) << 1 | (nibble & 4) >> 1 | (nibble & 8) >> 3];
-  }
-  id[n] = '\0';
+  spell(workspace, form.bits, id);
+  mo_scratch_close(&form);
+  return MO_OK;
+}
+
+int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char *robot)
+{
+  const uint32_t words = mo_workspace_words(workspace);
+  struct mo_scratch form;
+  unsigned k = 0;
+  if (mo_bits_empty(bits, words))
+    return MO_ERR_EMPTY;
+  if (mo_scratch_open(&form, 3 * words) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  uint64_t *aligned = form.bits + words, *image = aligned + words;
+  mo_genotype_canonical(workspace, bits, form.bits);
+  (void)mo_shape_image(workspace, bits, 0, aligned); /* it fits as it is */
+  while (mo_shape_image(workspace, form.bits, k, image) != MO_OK ||
+         memcmp(image, aligned, words * sizeof(uint64_t)) != 0)
+    k++; /* ends: the genotype is an image of its form */
+  spell(workspace, form.bits, robot);
+  robot += strlen(robot);
+  robot[0] = '@';
+  robot[1] = (char)('0' + k);
+  robot[2] = '\0';
   mo_scratch_close(&form);
   return MO_OK;
 }

@@ -1,4 +1,5 @@
 /* genotype.c: cells, text and ids in and out, and what they refuse. */
+#include "../image.h"
 #include "../make.h"
 
 #include <morpho/morphospace.h>
@@ -134,10 +135,82 @@ static void bad_ids(void)
   CHECK_INT(mo_genotype_from_id(odd, "f", 1, form), MO_ERR_FORMAT); /* a bit past the last voxel */
 }
 
+/* Every image of a body has the notation of the smallest K that gives it, and comes back from it,
+ * placed. So two images have the same notation only if they are the same robot. */
+static void robots(void)
+{
+  struct mo_random random = dice(6, 0, 0);
+  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1},
+                                                {7, 3, 1}, {2, 40, 3}, {12, 11, 10}};
+  for (size_t i = 0; i < COUNT(several); i++) {
+    const struct mo_workspace w = several[i];
+    const uint32_t words = mo_workspace_words(w);
+    const size_t digits = (mo_workspace_voxels(w) + 3) / 4;
+    for (int round = 0; round < 300; round++) {
+      uint64_t bits[21], image[21], form[21], same[21] = {0}, alone[21] = {0};
+      char id[400], robot[400], other[400];
+      int k = 9;
+      REQUIRE(mo_genotype_random(w, &random, bits) == MO_OK);
+      mo_genotype_id(w, bits, id);
+      mo_genotype_canonical(w, bits, form);
+      for (unsigned turn = 0; turn < MO_ORIENTATIONS; turn++) {
+        if (make_image(w, form, turn, image) != MO_OK)
+          continue;
+        CHECK_INT(mo_genotype_robot(w, image, robot), MO_OK); /* as if it was not placed */
+        mo_genotype_place(w, image);
+        CHECK_INT(mo_genotype_robot(w, image, other), MO_OK);
+        CHECK_TEXT(other, robot);
+        CHECK(strncmp(robot, id, digits) == 0 && strlen(robot) == digits + 2);
+        REQUIRE(mo_genotype_from_robot(w, robot, digits + 2, same, &k) == MO_OK);
+        CHECK(memcmp(image, same, words * sizeof(uint64_t)) == 0);
+        CHECK(k <= (int)turn && robot[digits + 1] == '0' + k);
+        for (int less = 0; less < k; less++)
+          CHECK(make_image(w, form, (unsigned)less, same) != MO_OK ||
+                (mo_genotype_place(w, same), memcmp(image, same, words * sizeof(uint64_t))) != 0);
+        if (turn == 0) {
+          CHECK_INT(mo_genotype_from_robot(w, id, digits, alone, &k), MO_OK);
+          CHECK(k == -1 && memcmp(image, alone, words * sizeof(uint64_t)) == 0);
+        }
+      }
+    }
+  }
+}
+
+static void bad_robots(void)
+{
+#define ONE "800000000000000000000000000000000000"
+  static const char *const refused[] = {
+      ONE "@", ONE "@8", ONE "@-1", ONE "@00", ONE "@a", ONE "@/", ONE "0", ONE "#0", "@0", "",
+      "400000000000000000000000000000000000@0"};
+  uint64_t bits[3] = {7, 7, 7};
+  int k = 9;
+  for (size_t i = 0; i < COUNT(refused); i++)
+    CHECK_INT(mo_genotype_from_robot(home, refused[i], strlen(refused[i]), bits, &k),
+              MO_ERR_FORMAT);
+  CHECK_INT(mo_genotype_from_robot(home, "a00000000000000000000000000000000000@0", 38, bits, &k),
+            MO_ERR_NOT_CONTIGUOUS);
+  CHECK_INT(mo_genotype_from_robot(home, "000000000000000000000000000000000000@0", 38, bits, &k),
+            MO_ERR_EMPTY);
+  CHECK(bits[0] == 7 && bits[1] == 7 && bits[2] == 7 && k == 9);
+  CHECK_INT(mo_genotype_from_robot(home, ONE "@7", 38, bits, &k), MO_OK); /* the same as 0 */
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1];
+  CHECK_INT(mo_genotype_robot(home, bits, robot), MO_OK);
+  CHECK_TEXT(robot, ONE "@0");
+  bits[0] = bits[1] = bits[2] = 0;
+  CHECK_INT(mo_genotype_robot(home, bits, robot), MO_ERR_EMPTY);
+  /* A row along y fits 1 × 3 × 1 as it is, and not turned. */
+  const struct mo_workspace narrow = {1, 3, 1};
+  CHECK_INT(mo_genotype_from_robot(narrow, "e@3", 3, bits, &k), MO_OK);
+  CHECK_INT(mo_genotype_from_robot(narrow, "e@4", 3, bits, &k), MO_ERR_FORMAT);
+#undef ONE
+}
+
 static const struct check_case test_cases[] = {
     {"cells are read or refused with the place of the fault", from_cells},
     {"text is read or refused with the place of the fault", from_text},
     {"ids spell canonical forms and come back", ids},
     {"ids that are not canonical are refused", bad_ids},
+    {"robots: every image has one notation, and comes back", robots},
+    {"notations of no robot are refused", bad_robots},
 };
 CHECK_MAIN(test_cases)

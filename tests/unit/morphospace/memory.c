@@ -82,6 +82,17 @@ static int read_id(void)
   return written(mo_genotype_from_id(large, id, strlen(id), bits), bits);
 }
 
+static int read_robot(void)
+{
+  char robot[WORDS * 16 + 3];
+  uint64_t bits[WORDS] = {0};
+  int k = 0;
+  const int code = mo_genotype_robot(large, body_bits, robot);
+  if (code != MO_OK)
+    return code;
+  return written(mo_genotype_from_robot(large, robot, strlen(robot), bits, &k), bits);
+}
+
 static int contiguous(void)
 {
   return mo_genotype_is_contiguous(large, body_bits) == 1 ? MO_OK : MO_ERR_NO_MEMORY;
@@ -129,6 +140,7 @@ static void every_allocation(void)
   each_fails(read_cells, 2);
   each_fails(read_text, 3);
   each_fails(read_id, 4);
+  each_fails(read_robot, 5);
   each_fails(contiguous, 2);
   each_fails(keep_largest, 2);
   each_fails(create_set, 1);
