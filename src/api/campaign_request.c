@@ -123,10 +123,10 @@ static void leave_out(struct founders *founders, uint32_t i, const char *format,
   parts->genotypes[i] = (struct mo_bits){{0}};
   if (founders->n_noted > 0)
     known = bsearch(&key, parts->notes, founders->n_noted, sizeof(key), by_place);
-  if (known != NULL) { /* it was repaired */
+  if (known != NULL) { /* it was repaired, or an id */
     *known = key;
     parts->n_skipped++;
-  } else if (!mo_parts_note(parts, key.place, 0, &key.fault)) {
+  } else if (!mo_parts_note(parts, &key)) {
     parts->error = MO_ERR_NO_MEMORY;
   }
 }

@@ -5,6 +5,7 @@
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 /* Skips the item that is next, and all after it. */
 static void skip_rest(struct mo_json *json)
@@ -19,6 +20,7 @@ struct shape {
   struct mo_bits *bits;
   bool repairs;
   uint32_t dropped; /* voxels */
+  enum mo_orientation orientation;
 };
 
 /* Drops all but the largest piece of a body in several pieces, if the request asks for it. Returns
@@ -107,16 +109,6 @@ static bool read_cells(struct mo_json *json, struct shape *shape)
   return code == MO_OK;
 }
 
-/* Skips the letter in front of an id (d) or a genotype (g): CSV files have these letters, and their
- * values may be sent back unchanged. */
-static void without_letter(struct mo_json_slice *text, char letter)
-{
-  if (text->size > 0 && text->bytes[0] == letter && text->size != MO_DEFAULT_ID_DIGITS) {
-    text->bytes++;
-    text->size--;
-  }
-}
-
 static bool read_voxels(struct mo_json *json, struct shape *shape)
 {
   unsigned depth = json->depth;
@@ -124,7 +116,10 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   struct mo_cell_fault fault;
   if (!mo_json_string(json, &text))
     return false;
-  without_letter(&text, 'g');
+  if (text.size > 0 && text.bytes[0] == 'g') { /* as in a CSV, to be sent back unchanged */
+    text.bytes++;
+    text.size--;
+  }
   int code = repaired(mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size,
                                             shape->bits->words, &fault),
                       shape);
@@ -151,20 +146,32 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   return code == MO_OK;
 }
 
-static bool read_id(struct mo_json *json, uint64_t *bits)
+int mo_robot_read(const char *text, size_t size, struct mo_bits *genotype, int *orientation)
+{
+  const char *at = memchr(text, '@', size);
+  const size_t digits = at != NULL ? (size_t)(at - text) : size;
+  const size_t letter = digits == MO_DEFAULT_ID_DIGITS + 1 && text[0] == 'd' ? 1 : 0;
+  return mo_genotype_from_robot(MO_DEFAULT_WORKSPACE, text + letter, size - letter, genotype->words,
+                                orientation);
+}
+
+static bool read_id(struct mo_json *json, struct shape *shape)
 {
   unsigned depth = json->depth;
   struct mo_json_slice text;
+  int orientation = -1;
   if (!mo_json_string(json, &text))
     return false;
-  without_letter(&text, 'd');
-  int code = mo_genotype_from_id(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits);
+  int code = mo_robot_read(text.bytes, text.size, shape->bits, &orientation);
   if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
     mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
   else if (code != MO_OK)
     mo_json_fault_at(json, depth, "",
-                     "not a design's id; %d hexadecimal digits of a canonical form are expected",
+                     "not a design's id; %d hexadecimal digits of a canonical form are expected, "
+                     "perhaps with an orientation: @0 to @7",
                      MO_DEFAULT_ID_DIGITS);
+  if (orientation < 0)
+    shape->orientation = MO_ORIENTATION_CANONICAL;
   return code == MO_OK;
 }
 
@@ -180,7 +187,7 @@ static void read_design(struct mo_json *json, struct shape *shape)
     else if (mo_json_is(key, "voxels"))
       read_voxels(json, shape);
     else if (mo_json_is(key, "id"))
-      read_id(json, shape->bits->words);
+      read_id(json, shape);
     else {
       mo_fields_unknown(json, "cells, voxels or id", NULL);
       continue;
@@ -204,18 +211,15 @@ void *mo_next_item(void **items, size_t n, size_t size)
   return (char *)*items + n * size;
 }
 
-bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
-                   const struct mo_fault *fault)
+bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note)
 {
-  struct mo_design_note *note =
+  struct mo_design_note *next =
       mo_next_item((void **)&parts->notes, parts->n_notes, sizeof(*parts->notes));
-  if (note == NULL)
+  if (next == NULL)
     return false;
-  *note = (struct mo_design_note){.place = place, .dropped = dropped};
-  if (fault != NULL)
-    note->fault = *fault;
+  *next = *note;
   parts->n_notes++;
-  parts->n_skipped += fault != NULL;
+  parts->n_skipped += mo_is_skipped(note);
   return true;
 }
 
@@ -238,10 +242,14 @@ bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t plac
     all->malformed = true;
     all->items[0] = own.items[0];
     all->n = 1;
-  } else if ((own.n > 0 || shape.dropped > 0) &&
-             !mo_parts_note(parts, place, own.n > 0 ? 0 : shape.dropped,
-                            own.n > 0 ? &own.items[0] : NULL)) {
-    return false;
+  } else if (own.n > 0) {
+    if (!mo_parts_note(parts, &(struct mo_design_note){.place = place, .fault = own.items[0]}))
+      return false;
+  } else if (shape.dropped > 0 || shape.orientation != MO_ORIENTATION_GIVEN) {
+    const struct mo_design_note note = {
+        .place = place, .dropped = shape.dropped, .orientation = shape.orientation};
+    if (!mo_parts_note(parts, &note))
+      return false;
   }
   parts->n_designs += own.n == 0;
   return true;

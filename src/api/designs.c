@@ -7,6 +7,7 @@
 
 #include "api/handlers.h"
 #include "api/job_json.h"
+#include "api/requests.h"
 
 #define CAMPAIGNS_MAX 100
 
@@ -88,6 +89,7 @@ static int write_design(struct mo_api *api, struct mo_text *text, const struct m
   for (uint32_t i = 0; i < design->n_orientations; i++) {
     const struct mo_design_orientation *orientation = &design->orientations[i];
     mo_text_object(text);
+    mo_member_robot(text, &orientation->genotype);
     mo_member_bits(text, "genotype", &orientation->genotype);
     mo_text_open(text, "scores", "[");
     for (uint32_t k = 0; k < orientation->n_scores; k++)
@@ -108,15 +110,17 @@ void mo_api_get_design(struct mo_request *request)
   const char *id = request->parameters[0];
   struct mo_design *design = NULL;
   struct mo_text text = {0};
-  struct mo_bits form;
-  id += id[0] == 'd' && strlen(id) == MO_DEFAULT_ID_DIGITS + 1; /* as in a CSV */
-  if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, id, strlen(id), form.words) != MO_OK) {
+  struct mo_bits genotype, form;
+  int orientation;
+  if (mo_robot_read(id, strlen(id), &genotype, &orientation) != MO_OK) {
     mo_reply_problem(
         request, 404, NULL,
-        "There is no such design: an id has %d hexadecimal digits of a canonical form.",
+        "There is no such design: an id has %d hexadecimal digits of a canonical form, and an "
+        "orientation behind it is @0 to @7.",
         MO_DEFAULT_ID_DIGITS);
     return;
   }
+  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype.words, form.words);
   int error = mo_store_design(api->store, &form, &design);
   if (error == MO_OK)
     error = write_design(api, &text, design);
@@ -149,6 +153,7 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
     error = write_head(mo_api_of(request), &text, &rows[i].form, rows[i].first_seen_us);
     if (query->sort == MO_DESIGNS_BY_SCORE) {
       mo_text_member_number(&text, "score", rows[i].score);
+      mo_member_robot(&text, &rows[i].genotype);
       mo_member_bits(&text, "scored_genotype", &rows[i].genotype);
     }
     mo_text_add(&text, "}");

@@ -17,6 +17,7 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   mo_text_object(text);
   const int error =
       mo_members_design(text, lattice, &results->forms[d], &results->genotypes[d], note);
+  mo_member_orientation(text, note != NULL ? note->orientation : MO_ORIENTATION_GIVEN);
   mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);
   mo_text_member_bool(text, "lower_bound", results->is_bound[d]);

@@ -34,6 +34,27 @@ void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits
   mo_text_bytes(text, "\"", 1);
 }
 
+void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype)
+{
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
+  (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, genotype->words, robot); /* it is not empty */
+  mo_text_add(text, robot);
+}
+
+void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype)
+{
+  mo_text_name(text, "robot");
+  mo_text_bytes(text, "\"", 1);
+  mo_robot_write(text, genotype);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation)
+{
+  static const char *const words[] = {NULL, "canonical", "best"};
+  mo_text_member(text, "orientation", words[orientation]);
+}
+
 /* Writes what a note says as members; NULL: nothing. */
 static void write_note(struct mo_text *text, const struct mo_design_note *note)
 {
@@ -55,6 +76,8 @@ void mo_member_notes(struct mo_text *text, const char *name, const struct mo_des
   for (uint32_t i = 0; i < n; i++) {
     mo_text_object(text);
     mo_text_member_count(text, "place", notes[i].place);
+    mo_text_member(text, "robot", notes[i].robot[0] != '\0' ? notes[i].robot : NULL);
+    mo_member_orientation(text, notes[i].orientation);
     write_note(text, &notes[i]);
     mo_text_add(text, "}");
   }
@@ -70,9 +93,11 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
   const bool known = error == MO_OK && size.voxels > 0;
   if (known) {
     mo_member_form(text, "id", form);
+    mo_member_robot(text, genotype);
     mo_member_bits(text, "genotype", genotype);
   } else {
     mo_text_member(text, "id", NULL);
+    mo_text_member(text, "robot", NULL);
     mo_text_member(text, "genotype", NULL);
   }
   mo_member_count_if(text, "voxels", known, size.voxels);

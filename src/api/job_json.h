@@ -12,10 +12,16 @@ void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
 /* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
 void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
 void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
+/* Writes the notation of a genotype that is scored: the member "robot"; without its name and
+ * quotes. */
+void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype);
+void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype);
+/* Writes how the orientation of a design was chosen; null: the request gave it. */
+void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation);
 void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
-/* Writes the members of a design of a request: id, genotype, sizes, and what its note (nullable)
- * says. An empty genotype: all null. MO_ERR_NO_MEMORY. */
+/* Writes the members of a design of a request: id, robot, genotype, sizes, and what its note
+ * (nullable) says. An empty genotype: all null. MO_ERR_NO_MEMORY. */
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
                       const struct mo_bits *form, const struct mo_bits *genotype,
                       const struct mo_design_note *note);
@@ -39,8 +45,8 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
 /* Writes the paths of what belongs to a job. below: pairs of member and path, then NULL. */
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below);
 
-/* Writes a training. live: its current live state. population_kind: the kind of the job
- * record.population, if there is one. */
+/* Writes a training, without the end of the object. live: its current live state. population_kind:
+ * the kind of the job record.population, if there is one. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
                             enum mo_job_kind population_kind, const struct mo_live *live);
 /* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
@@ -53,7 +59,8 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
 void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
 /* Writes a design of a campaign: the members of an object without its braces, so that more can
- * follow. words: of a study, whose measures it writes, too; nullable. */
+ * follow. words: those of a study, whose measures it writes, too. NULL: a line of a bundle, which
+ * has neither measures nor the robot. */
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
                              const struct mo_study_words *words);
 void mo_member_parents(struct mo_text *text, const struct mo_descent *descent);

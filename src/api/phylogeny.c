@@ -51,6 +51,8 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
 {
   mo_text_member_count(text, "number", row->number);
   mo_member_form(text, "id", &row->form);
+  if (words != NULL)
+    mo_member_robot(text, &row->genotype);
   mo_member_bits(text, "genotype", &row->genotype);
   mo_campaign_json_life(text, row);
   mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
@@ -65,7 +67,7 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
 
 static const char csv_heading[] =
     "id,ancestor_list,origin_time,destruction_time,operator,"
-    "score,design,genotype,voxels,footprint,masses,springs,lower_bound";
+    "score,design,robot,genotype,voxels,footprint,masses,springs,lower_bound";
 
 void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end,
                             const struct mo_phylogeny_shape *shape)
@@ -90,6 +92,8 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     mo_text_json_number(text, row->score);
   mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
   mo_bits_write_id(text, &row->form);
+  mo_text_add(text, ",");
+  mo_robot_write(text, &row->genotype);
   mo_text_add(text, ",g");
   mo_bits_write(text, &row->genotype);
   mo_text_format(text, ",%u,%u,%u,%u,%d", row->size.voxels, row->size.footprint, row->size.masses,

@@ -32,7 +32,7 @@ struct mo_parts {
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
   struct mo_bits *genotypes;              /* (n_designs) those to take, as given, not placed */
   uint32_t n_designs;
-  struct mo_design_note *notes; /* (n_notes) ascending: what was skipped or repaired */
+  struct mo_design_note *notes; /* (n_notes) ascending: what was skipped, repaired, or an id */
   uint32_t n_notes, n_skipped;
   struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */
   uint32_t n_environments;
@@ -52,9 +52,11 @@ extern const struct mo_field_own mo_name_field, mo_hash_field;
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
  * placed, unless it was skipped. False: no memory. */
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
-/* Notes that a design was repaired, or skipped because of a fault (else NULL). False: no memory. */
-bool mo_parts_note(struct mo_parts *parts, uint32_t place, uint32_t dropped,
-                   const struct mo_fault *fault);
+/* Adds a note on a design; one with a fault says that it was skipped. False: no memory. */
+bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
+/* Reads the notation of a robot or an id, perhaps behind a d, as CSV files have it, into the placed
+ * genotype. Errors and *orientation as mo_genotype_from_robot. */
+int mo_robot_read(const char *text, size_t size, struct mo_bits *genotype, int *orientation);
 /* Returns item n of a growing array of n items of `size` bytes each. NULL: no memory. */
 void *mo_next_item(void **items, size_t n, size_t size);
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */

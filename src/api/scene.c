@@ -236,6 +236,8 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
     const struct mo_rolled_design *design = &rollouts->designs[i];
     mo_text_object(text);
     mo_member_form(text, "id", &design->form);
+    mo_member_robot(text, &design->genotype);
+    mo_member_orientation(text, design->orientation);
     mo_member_bits(text, "genotype", &design->genotype);
     mo_text_member_count(text, "repaired", design->dropped);
     mo_text_member_number(text, "score", design->score);

@@ -14,8 +14,8 @@ struct mo_request;
 /* Whether a genotype has a voxel at (x, y, z); none has one outside of the workspace. */
 bool mo_has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
                   int z);
-/* Reads the design that a path names: an id, whose body is canonical, or a genotype, which tells
- * its orientation. False: the reply is made. */
+/* Reads the design that a path names: the notation of a robot, an id, whose body is canonical, or
+ * a genotype. False: the reply is made. */
 bool mo_read_design(struct mo_request *request, struct mo_bits *genotype);
 /* An array of numbers, little-endian as this machine is. */
 struct mo_scene_array {

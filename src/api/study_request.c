@@ -86,24 +86,24 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
   const struct mo_workspace w = parsed->workspace;
   struct mo_parts *parts = &parsed->parts;
   struct mo_bits *body = &parts->genotypes[parts->n_designs - 1], moved;
-  struct mo_fault fault;
+  struct mo_design_note note = {.place = place};
   if (mo_genotype_count(MO_DEFAULT_WORKSPACE, body->words) == 0)
     return true; /* it has a fault of its own */
   mo_genotype_place(MO_DEFAULT_WORKSPACE, body->words);
   if (mo_genotype_move(MO_DEFAULT_WORKSPACE, body->words, w, moved.words) == MO_OK)
     return true;
-  snprintf(fault.where, sizeof(fault.where), "/children/%u/body", place);
-  snprintf(fault.detail, sizeof(fault.detail),
+  snprintf(note.fault.where, sizeof(note.fault.where), "/children/%u/body", place);
+  snprintf(note.fault.detail, sizeof(note.fault.detail),
            "the body does not fit the workspace of the study, which has %u × %u × %u voxels", w.nx,
            w.ny, w.nz);
   if (parts->on_fault != MO_FAULT_SKIP) {
-    mo_json_fault(json, "%s", fault.detail);
+    mo_json_fault(json, "%s", note.fault.detail);
     return true;
   }
   if (parts->n_notes > 0 && parts->notes[parts->n_notes - 1].place == place)
-    parts->n_notes--; /* it was repaired */
+    parts->n_notes--; /* it was repaired, or an id */
   parts->n_designs--;
-  return mo_parts_note(parts, place, 0, &fault);
+  return mo_parts_note(parts, &note);
 }
 
 /* Reads a child. *is_there: it was not skipped. */

@@ -469,9 +469,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " result.controller.sha256"
 #define DESIGNS                                                                                    \
   "id:d genotype:g voxels:n masses:n springs:n first_seen_at score:n"                              \
-  " scored_genotype:g"
+  " robot scored_genotype:g"
 #define BORN                                                                                       \
-  "number:n id:d genotype:g parents operator born:n died:n score:n voxels:n"                       \
+  "number:n id:d robot genotype:g parents operator born:n died:n score:n voxels:n"                 \
   " footprint:n masses:n springs:n lower_bound:n measures"
 #define CHAMPIONS            BORN " distinctiveness:n"
 #define CONTROLLERS          "name sha256 bytes:n parameters:n sensor workspace metadata stored_at"

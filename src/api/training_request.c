@@ -156,6 +156,8 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
   request->parent = mo_parts_controller(parts);
   request->job = parts->job;
   request->genotypes = parts->genotypes;
+  request->notes = parts->notes;
+  request->n_notes = parts->n_notes;
   request->record.n_designs = parts->n_designs;
   return error;
 }

@@ -1,5 +1,6 @@
 /* trainings.c: trainings: submission and state. */
 #include <math.h>
+#include <stdlib.h>
 
 #include "api/columns.h"
 #include "api/job_json.h"
@@ -108,7 +109,6 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   mo_member_controller(text, "controller", status->job.has_result, name,
                        &status->job.result_sha256);
   mo_links_write(text, &status->job, below);
-  mo_text_add(text, "}");
 }
 
 void mo_training_json_job(struct mo_text *text, const void *any, const struct mo_live *live)
@@ -145,8 +145,17 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
                        const struct mo_live *live, bool is_listed)
 {
   (void)is_listed;
-  mo_training_json_write(text, status, population_kind(api->store, status), live);
-  return MO_OK;
+  struct mo_design_note *notes = NULL;
+  uint32_t n = 0;
+  const struct mo_training_status *training = status;
+  const int error =
+      is_listed ? MO_OK : mo_store_design_notes(api->store, training->job.id, &notes, &n);
+  mo_training_json_write(text, training, population_kind(api->store, training), live);
+  if (!is_listed)
+    mo_member_notes(text, "notes", notes, n);
+  mo_text_add(text, "}");
+  free(notes);
+  return error;
 }
 
 const struct mo_resource mo_training_resource = {.kind = MO_JOB_TRAINING,

@@ -5,6 +5,7 @@
 
 #include "api/job_json.h"
 #include "api/jobs.h"
+#include "api/requests.h"
 #include "api/scene.h"
 #include "rollout/physics.h"
 #include "store/worlds.h"
@@ -102,14 +103,15 @@ bool mo_read_design(struct mo_request *request, struct mo_bits *genotype)
 {
   const char *digits = request->parameters[0];
   const size_t size = strlen(digits);
-  const int error =
-      size == MO_DEFAULT_VOXELS
-          ? mo_genotype_from_text(MO_DEFAULT_WORKSPACE, digits, size, genotype->words, NULL)
-          : mo_genotype_from_id(MO_DEFAULT_WORKSPACE, digits, size, genotype->words);
+  int orientation;
+  const int error = size == MO_DEFAULT_VOXELS ? mo_genotype_from_text(MO_DEFAULT_WORKSPACE, digits,
+                                                                      size, genotype->words, NULL)
+                                              : mo_robot_read(digits, size, genotype, &orientation);
   if (error == MO_OK)
     return true;
   mo_reply_problem(request, 404, NULL,
-                   "A design is an id of 36 digits, or a genotype of 144 digits of 0 and 1.");
+                   "A design is an id of 36 digits, perhaps with an orientation (ID@K, K from 0 to "
+                   "7; without it: @0), or a genotype of 144 digits of 0 and 1.");
   return false;
 }
 
@@ -125,6 +127,7 @@ void mo_api_get_design_body(struct mo_request *request)
   int error = mo_body_create(lattice, genotype.words, &body);
   if (error == MO_OK) {
     mo_text_object(&text);
+    mo_member_robot(&text, &genotype);
     mo_member_bits(&text, "genotype", &genotype);
     error = mo_scene_write_body(&text, NULL, lattice, body, &genotype);
     mo_text_add(&text, "}");

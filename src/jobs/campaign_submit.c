@@ -107,6 +107,23 @@ static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings 
   return mo_memory_check(jobs, &need, message);
 }
 
+/* The scores are those of the controller that the campaign starts from. */
+static int orient(struct mo_jobs *jobs, const struct mo_campaign_request *request,
+                  struct mo_placed *placed, struct mo_message *message)
+{
+  const struct mo_campaign_record *record = &request->record;
+  const bool has_set = record->environment_set[0] != '\0';
+  const struct mo_orienting under = {.controller = request->controller,
+                                     .environment_set = has_set ? record->environment_set : NULL,
+                                     .environments = request->environments,
+                                     .n_environments = record->n_environments,
+                                     .physics = &record->settings.physics,
+                                     .precision = MO_FLOAT32,
+                                     .workspace = record->settings.workspace};
+  return mo_placed_orient(jobs, &under, (enum mo_back_end)request->job.back_end, placed,
+                          record->n_listed, request->notes, request->n_notes, message);
+}
+
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *asked,
                             int64_t *id, bool *replayed, struct mo_message *message)
 {
@@ -132,6 +149,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
                          (enum mo_back_end)request.job.back_end, message);
   if (error == MO_OK)
     error = mo_placed_create(asked->genotypes, record->n_listed, &placed);
+  if (error == MO_OK)
+    error = orient(jobs, &request, &placed, message);
   request.forms = placed.forms;
   request.genotypes = placed.genotypes;
   if (error == MO_OK)

@@ -64,6 +64,20 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   return error;
 }
 
+int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                         struct mo_placed *placed, struct mo_message *message)
+{
+  const struct mo_orienting under = {.controller = request->controller,
+                                     .environment_set = request->environment_set,
+                                     .environments = request->environments,
+                                     .n_environments = request->n_environments,
+                                     .physics = &request->physics,
+                                     .precision = request->precision,
+                                     .workspace = MO_DEFAULT_WORKSPACE};
+  return mo_placed_orient(jobs, &under, (enum mo_back_end)request->job.back_end, placed,
+                          request->n_designs, request->notes, request->n_notes, message);
+}
+
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *asked,
                               int64_t *id, bool *replayed, struct mo_message *message)
 {
@@ -83,6 +97,8 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   request.genotypes = placed.genotypes;
   if (error == MO_OK)
     error = choose(jobs, &request, message);
+  if (error == MO_OK)
+    error = mo_evaluation_orient(jobs, &request, &placed, message);
   submitting.rollouts = (uint64_t)request.n_designs * request.n_environments;
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, submitting.rollouts, message);

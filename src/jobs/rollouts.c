@@ -47,14 +47,17 @@ static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_re
 }
 
 static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                        struct mo_rollouts *rollouts)
+                        struct mo_rollouts *rollouts, struct mo_message *message)
 {
+  struct mo_evaluation_request here = *request;
   struct mo_placed placed;
   int error = mo_placed_create(request->genotypes, request->n_designs, &placed);
   if (error != MO_OK)
     return error;
+  here.job.back_end = MO_ON_CPU;
+  error = mo_evaluation_orient(jobs, &here, &placed, message);
   rollouts->designs = calloc(request->n_designs, sizeof(*rollouts->designs));
-  if (rollouts->designs == NULL)
+  if (error == MO_OK && rollouts->designs == NULL)
     error = MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < request->n_designs && error == MO_OK; i++) {
     struct mo_rolled_design *design = &rollouts->designs[i];
@@ -63,8 +66,11 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
     design->genotype = placed.genotypes[i];
     error = mo_body_create(jobs->lattice, design->genotype.words, &design->body);
   }
-  for (uint32_t i = 0; i < request->n_notes && error == MO_OK; i++)
-    rollouts->designs[request->notes[i].place].dropped = request->notes[i].dropped;
+  for (uint32_t i = 0; i < request->n_notes && error == MO_OK; i++) {
+    struct mo_rolled_design *design = &rollouts->designs[request->notes[i].place];
+    design->dropped = request->notes[i].dropped;
+    design->orientation = request->notes[i].orientation;
+  }
   mo_placed_free(&placed);
   return error;
 }
@@ -208,7 +214,7 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
   if (error == MO_OK)
     error = find_controller(jobs, request->controller, &rollouts->controller, message);
   if (error == MO_OK)
-    error = take_designs(jobs, request, rollouts);
+    error = take_designs(jobs, request, rollouts, message);
   if (error == MO_OK) {
     rollouts->physics = request->physics;
     rollouts->precision = request->precision;

@@ -12,6 +12,7 @@ struct mo_rolled_design {
   struct mo_body *body;
   double score;     /* mean loss; +infinity: a rollout diverged */
   uint32_t dropped; /* voxels that its repair removed */
+  enum mo_orientation orientation;
 };
 
 struct mo_rolled {

@@ -3,8 +3,10 @@
 
 #include <inttypes.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "jobs/submission.h"
+#include "store/worlds.h"
 
 static int read_study(struct mo_jobs *jobs, int64_t id, struct mo_campaign_status *status)
 {
@@ -26,6 +28,36 @@ static int place_bodies(struct mo_workspace workspace, struct mo_study_telling *
       return error;
   }
   return MO_OK;
+}
+
+/* Turns the children that came as ids, by the scores that the study gives. */
+static int orient(struct mo_jobs *jobs, int64_t id, const struct mo_campaign_status *status,
+                  struct mo_study_telling *telling, struct mo_message *message)
+{
+  const uint32_t n = telling->batch.n_children;
+  char controller[MO_SHA256_DIGITS + 8] = "sha256:";
+  struct mo_environment *environments = NULL;
+  struct mo_placed placed = {NULL, calloc((size_t)n + 1, sizeof(*placed.genotypes))};
+  struct mo_orienting under = {.physics = &status->record.settings.physics,
+                               .controller = controller,
+                               .precision = MO_FLOAT32,
+                               .workspace = status->record.settings.workspace};
+  int error = placed.genotypes != NULL
+                  ? mo_store_job_environments(jobs->store, id, MO_JOB_CAMPAIGN, &environments,
+                                              &under.n_environments)
+                  : MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++)
+    placed.genotypes[i] = telling->batch.children[i].genotype;
+  mo_sha256_to_hex(&status->job.controller_sha256, controller + strlen(controller));
+  under.environments = environments;
+  if (error == MO_OK)
+    error = mo_placed_orient(jobs, &under, status->job.back_end, &placed, n, telling->notes,
+                             telling->n_notes, message);
+  for (uint32_t i = 0; i < n && error == MO_OK; i++)
+    telling->batch.children[i].genotype = placed.genotypes[i];
+  free(environments);
+  mo_placed_free(&placed);
+  return error;
 }
 
 static int explain(int error, const struct mo_telling_reply *reply,
@@ -74,6 +106,9 @@ int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *tell
   error = place_bodies(status.record.settings.workspace, telling);
   if (error != MO_OK)
     return mo_fail(message, error, "a child is no body of the study's workspace");
+  error = telling->n_notes > 0 ? orient(jobs, id, &status, telling, message) : MO_OK;
+  if (error != MO_OK)
+    return error;
   error = mo_store_study_tell(jobs->store, id, telling, reply);
   if (error != MO_OK)
     return explain(error, reply, telling, &status, message);

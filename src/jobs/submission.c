@@ -74,6 +74,20 @@ void mo_placed_free(struct mo_placed *placed)
   *placed = (struct mo_placed){NULL, NULL};
 }
 
+int mo_placed_orient(struct mo_jobs *jobs, const struct mo_orienting *under,
+                     enum mo_back_end back_end, struct mo_placed *placed, uint32_t n,
+                     struct mo_design_note *notes, uint32_t n_notes, struct mo_message *message)
+{
+  struct mo_orienting of_class = *under;
+  of_class.workers = jobs->classes.cpu[under->precision];
+  of_class.fingerprint =
+      back_end == MO_ON_DEVICE ? mo_back_end_fingerprint(jobs, back_end) : of_class.workers;
+  const int error = mo_store_orient(jobs->store, &of_class, placed->genotypes, n, notes, n_notes);
+  return error == MO_OK ? MO_OK
+                        : mo_fail(message, error, "the stored scores cannot be read: %s",
+                                  mo_error_text(error));
+}
+
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message)
 {

@@ -3,6 +3,7 @@
 #define MORPHO_JOBS_SUBMISSION_H
 
 #include "jobs/state.h"
+#include "store/designs.h"
 #include "store/runner.h"
 
 /* A submission on its way. */
@@ -29,6 +30,15 @@ struct mo_placed {
 /* Places every genotype, a body, and finds its canonical form. MO_ERR_NO_MEMORY. */
 int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *placed);
 void mo_placed_free(struct mo_placed *placed);
+/* Turns designs that came as an id alone as mo_store_orient does, and completes their notes. The
+ * class in `under` is that of the back end. */
+int mo_placed_orient(struct mo_jobs *jobs, const struct mo_orienting *under,
+                     enum mo_back_end back_end, struct mo_placed *placed, uint32_t n,
+                     struct mo_design_note *notes, uint32_t n_notes, struct mo_message *message);
+
+/* The same for the designs of an evaluation, whose back end is chosen. */
+int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                         struct mo_placed *placed, struct mo_message *message);
 
 /* Reads the size of a named set. MO_ERR_NOT_FOUND with its message. */
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,

@@ -477,6 +477,11 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
                     struct mo_placed *placed, struct mo_message *message)
 {
   struct mo_training_record *record = &request->record;
+  const struct mo_orienting under = {.controller = request->parent, /* its worlds are drawn */
+                                     .environment_set = "paper-test",
+                                     .physics = &record->settings.physics,
+                                     .precision = MO_FLOAT32,
+                                     .workspace = MO_DEFAULT_WORKSPACE};
   struct mo_bits *population = NULL;
   struct mo_need need;
   int error = mo_back_end_choose(jobs, &request->job, true, true, message);
@@ -490,6 +495,9 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
     error = mo_placed_create(population != NULL ? population : request->genotypes,
                              record->n_designs, placed);
   free(population);
+  if (error == MO_OK)
+    error = mo_placed_orient(jobs, &under, (enum mo_back_end)request->job.back_end, placed,
+                             record->n_designs, request->notes, request->n_notes, message);
   request->forms = placed->forms;
   request->genotypes = placed->genotypes;
   return error;

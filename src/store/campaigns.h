@@ -27,7 +27,7 @@ struct mo_campaign_request {
   const struct mo_environment *environments; /* (record.n_environments) if there is no set */
   const struct mo_bits *genotypes;           /* (record.n_listed) of the default workspace */
   const struct mo_bits *forms;               /* (record.n_listed) canonical; as stored */
-  const struct mo_design_note *notes;        /* (n_notes) ascending: skipped or repaired */
+  struct mo_design_note *notes;              /* (n_notes) as mo_evaluation_request */
   uint32_t n_notes;
   bool reuses; /* a study: the one of this label that has not ended, if there is one */
   /* The population of initial_campaign is copied in the same transaction, like listed designs. */

@@ -175,14 +175,16 @@ int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_
 int mo_notes_insert(struct mo_connection *writer, int64_t id, const struct mo_design_note *notes,
                     uint32_t n)
 {
-  static const char sql[] = "INSERT INTO design_notes(job,position,dropped,pointer,detail)"
-                            " VALUES(?1,?2,?3,?4,?5)";
+  static const char sql[] = "INSERT INTO design_notes(job,position,dropped,pointer,detail,"
+                            "robot,orientation) VALUES(?1,?2,?3,?4,?5,?6,?7)";
   int error = MO_OK;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     const bool skipped = mo_is_skipped(&notes[i]);
     error = mo_sql_do(writer, sql, mo_int(id), mo_int(notes[i].place), mo_int(notes[i].dropped),
                       mo_string(skipped ? notes[i].fault.where : NULL),
-                      mo_string(skipped ? notes[i].fault.detail : NULL));
+                      mo_string(skipped ? notes[i].fault.detail : NULL),
+                      mo_string(notes[i].robot[0] != '\0' ? notes[i].robot : NULL),
+                      mo_int(notes[i].orientation));
   }
   return error;
 }
@@ -191,8 +193,9 @@ int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_not
                   uint32_t *n)
 {
   static const char n_sql[] = "SELECT count(*) FROM design_notes WHERE job=?1";
-  static const char sql[] = "SELECT position,dropped,coalesce(pointer,''),coalesce(detail,'')"
-                            " FROM design_notes WHERE job=?1 ORDER BY position";
+  static const char sql[] =
+      "SELECT position,dropped,coalesce(pointer,''),coalesce(detail,''),"
+      "coalesce(robot,''),orientation FROM design_notes WHERE job=?1 ORDER BY position";
   int64_t count = 0;
   int error = mo_sql_find(reader, &count, n_sql, mo_int(id));
   *n = 0;
@@ -209,6 +212,10 @@ int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_not
     note->dropped = mo_column_u32(row, 1);
     mo_column_text(row, 2, note->fault.where, sizeof(note->fault.where));
     mo_column_text(row, 3, note->fault.detail, sizeof(note->fault.detail));
+    mo_column_text(row, 4, note->robot, sizeof(note->robot));
+    note->orientation = (enum mo_orientation)sqlite3_column_int(row, 5);
+    if (note->orientation < MO_ORIENTATION_GIVEN || note->orientation > MO_ORIENTATION_BEST)
+      return MO_ERR_CORRUPT;
   }
   return error == MO_OK && *n != count ? MO_ERR_CORRUPT : error;
 }

@@ -1,16 +1,28 @@
-/* design_notes.h: what happened to designs of a request that were not taken as they are. */
+/* design_notes.h: what happened to designs of a request that were not taken as they are, or did not
+ * say all. */
 #ifndef MORPHO_STORE_DESIGN_NOTES_H
 #define MORPHO_STORE_DESIGN_NOTES_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
+#include <morpho/morphospace.h>
+
 #include "base/faults.h"
 
+/* How the orientation of a design was chosen. */
+enum mo_orientation {
+  MO_ORIENTATION_GIVEN = 0,     /* by the request */
+  MO_ORIENTATION_CANONICAL = 1, /* an id was given, and no orientation of it has a score */
+  MO_ORIENTATION_BEST = 2 /* an id was given, and of the scored orientations this is the best */
+};
+
 struct mo_design_note {
-  uint32_t place;        /* in the request, from 0 */
-  uint32_t dropped;      /* voxels that its repair removed */
-  struct mo_fault fault; /* why it was skipped; detail "": it was not */
+  uint32_t place;   /* in the request, from 0 */
+  uint32_t dropped; /* voxels that its repair removed */
+  enum mo_orientation orientation;
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1]; /* what was taken for an id; "": the request said it */
+  struct mo_fault fault;                   /* why it was skipped; detail "": it was not */
 };
 static inline bool mo_is_skipped(const struct mo_design_note *note)
 {

@@ -79,4 +79,25 @@ int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **ge
 int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_note **notes,
                           uint32_t *n);
 
+/* ---- the orientation of a design that came as an id ---- */
+
+/* What a score depends on besides the body. */
+struct mo_orienting {
+  const char *controller;                    /* name or "sha256:…"; NULL: random weights */
+  const char *environment_set;               /* NULL: `environments` */
+  const struct mo_environment *environments; /* (n_environments) */
+  uint32_t n_environments;
+  const struct mo_physics *physics;
+  enum mo_precision precision;
+  int64_t fingerprint, workers;  /* its class; that of bodies that devices leave to the workers */
+  struct mo_workspace workspace; /* into which the orientation must fit as it is */
+};
+/* Turns each design that came as an id alone, as its note says (the genotype is canonical), to the
+ * orientation that has the best stored score, the mean loss over all environments; a diverged one
+ * is the worst score, and of equal ones the first orientation is taken. The genotype stays where
+ * there is no score. Completes these notes. */
+int mo_store_orient(struct mo_store *store, const struct mo_orienting *under,
+                    struct mo_bits *genotypes, uint32_t n, struct mo_design_note *notes,
+                    uint32_t n_notes);
+
 #endif

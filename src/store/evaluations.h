@@ -12,12 +12,12 @@ struct mo_store;
  * their forms. */
 struct mo_evaluation_request {
   struct mo_submission job;
-  const struct mo_bits *genotypes;           /* (n_designs) */
-  const struct mo_bits *forms;               /* (n_designs) canonical; as stored */
-  uint32_t n_designs;                        /* with n_skipped 1 … MO_DESIGNS_MAX */
-  const struct mo_design_note *notes;        /* (n_notes) ascending */
-  uint32_t n_notes, n_skipped;               /* n_skipped: notes of skipped designs */
-  const char *environment_set;               /* "paper-test", or NULL: `environments` */
+  const struct mo_bits *genotypes; /* (n_designs) */
+  const struct mo_bits *forms;     /* (n_designs) canonical; as stored */
+  uint32_t n_designs;              /* with n_skipped 1 … MO_DESIGNS_MAX */
+  struct mo_design_note *notes;    /* (n_notes) ascending; submission completes those of ids */
+  uint32_t n_notes, n_skipped;     /* n_skipped: notes of skipped designs */
+  const char *environment_set;     /* "paper-test", or NULL: `environments` */
   const struct mo_environment *environments; /* (n_environments) checked */
   uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */
   const char *controller;                    /* name or "sha256:<64 hex>" */

@@ -37,7 +37,7 @@ struct mo_study_telling {
   struct mo_study_words words;
   const uint8_t *sampler; /* (sampler_size ≤ MO_SAMPLER_BYTES_MAX); NULL: none */
   size_t sampler_size;
-  const struct mo_design_note *notes; /* (n_notes) ascending: children that are not there */
+  struct mo_design_note *notes; /* (n_notes) ascending, as mo_evaluation_request */
   uint32_t n_notes;
   struct mo_sha256 sha256; /* of the request */
 };

@@ -36,6 +36,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
     error =
         mo_sql_do(writer, sql, mo_int(*id), mo_int(record.n_designs), mo_int(record.population));
   if (error == MO_OK)
+    error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
+  if (error == MO_OK)
     error = mo_designs_insert(writer, *id, request->forms, request->genotypes, record.n_designs,
                               NULL, 0, mo_clock_wall_us());
   if (error != MO_OK)

@@ -62,7 +62,9 @@ struct mo_training_request {
   const struct mo_bits *genotypes; /* (record.n_designs) finetune; as requested: unless there is a
                                       population */
   const struct mo_bits *forms;     /* (record.n_designs) canonical; as stored */
-  uint32_t population_best;        /* of record.population; 0: all of them */
+  struct mo_design_note *notes;    /* (n_notes) as mo_evaluation_request */
+  uint32_t n_notes;
+  uint32_t population_best; /* of record.population; 0: all of them */
 };
 /* Errors as mo_store_submit. */
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,

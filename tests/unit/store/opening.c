@@ -3,7 +3,7 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 11 /* schema */
+#define NEWEST 12 /* schema */
 
 static void opens_and_locks(void)
 {
@@ -39,7 +39,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=11; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=12; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* no database, whatever its name says */
@@ -58,7 +58,7 @@ static void refuses_version_0_1(void)
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=11"));
+  CHECK_OK(reopen_after("PRAGMA user_version=12"));
 }
 
 /* A database of version 9: what later ones added is not there. */

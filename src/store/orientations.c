@@ -1,0 +1,154 @@
+/* orientations.c: which orientation of a design an id alone means: the best that is scored. */
+#include <math.h>
+#include <string.h>
+
+#include "store/contents.h"
+#include "store/controller_rows.h"
+#include "store/designs.h"
+#include "store/scores.h"
+
+/* What mo_orienting names, as rows. */
+struct scored_under {
+  struct mo_saved_design design; /* but for its genotype */
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  uint32_t n;
+  struct mo_workspace workspace;
+};
+
+static int find_environments(struct mo_connection *reader, const struct mo_orienting *under,
+                             struct scored_under *found)
+{
+  static const char set_sql[] =
+      "SELECT m.environment FROM environment_sets s JOIN environment_set_members m"
+      " ON m.environment_set=s.id WHERE s.name=?1 ORDER BY m.position LIMIT ?2";
+  static const char sql[] = "SELECT id FROM environments WHERE sha256=?1";
+  int error = MO_OK;
+  if (under->environment_set == NULL) {
+    for (; found->n < under->n_environments && error == MO_OK; found->n++) {
+      struct mo_sha256 hash;
+      mo_environment_hash(&under->environments[found->n], &hash);
+      error = mo_sql_find(reader, &found->environments[found->n], sql, mo_hash(&hash));
+    }
+    return error;
+  }
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, set_sql, mo_string(under->environment_set),
+                                  mo_int(MO_ENVIRONMENTS_MAX));
+  while (mo_sql_next(reader, row, &error))
+    found->environments[found->n++] = sqlite3_column_int64(row, 0);
+  return error == MO_OK && found->n == 0 ? MO_ERR_NOT_FOUND : error;
+}
+
+/* MO_ERR_NOT_FOUND: nothing can have been scored under it. */
+static int find_rows(struct mo_connection *reader, const struct mo_orienting *under,
+                     struct scored_under *found)
+{
+  static const char physics_sql[] = "SELECT id FROM physics WHERE sha256=?1";
+  enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
+  struct mo_sha256 hash;
+  *found = (struct scored_under){
+      .design = {.fingerprint = under->fingerprint, .workers = under->workers},
+      .workspace = under->workspace};
+  if (under->controller == NULL)
+    return MO_ERR_NOT_FOUND;
+  int error = mo_controller_find(reader, under->controller, &found->design.controller, &sensor);
+  if (error == MO_ERR_UNSUPPORTED)
+    return MO_ERR_NOT_FOUND;
+  mo_physics_hash(under->physics, under->precision, sensor, &hash);
+  if (error == MO_OK)
+    error = mo_sql_find(reader, &found->design.physics, physics_sql, mo_hash(&hash));
+  return error == MO_OK ? find_environments(reader, under, found) : error;
+}
+
+/* Whether a body stays in its orientation in the workspace: some fit only when they are turned. */
+static bool fits(struct mo_workspace workspace, const struct mo_bits *genotype)
+{
+  struct mo_bits moved = {{0}}, back = {{0}};
+  return mo_genotype_move(MO_DEFAULT_WORKSPACE, genotype->words, workspace, moved.words) == MO_OK &&
+         mo_genotype_move(workspace, moved.words, MO_DEFAULT_WORKSPACE, back.words) == MO_OK &&
+         memcmp(&back, genotype, sizeof(back)) == 0;
+}
+
+/* Computes the mean loss of a genotype. *known: it has all losses. */
+static int score_of(struct mo_connection *reader, const struct scored_under *under,
+                    int64_t genotype, double *score, bool *known)
+{
+  struct mo_score losses[MO_ENVIRONMENTS_MAX];
+  struct mo_saved_design design = under->design;
+  double sum = 0;
+  design.genotype = genotype;
+  const int error = mo_losses_read(reader, &design, under->environments, under->n, losses);
+  *known = error == MO_OK;
+  for (uint32_t k = 0; k < under->n && *known; k++) {
+    *known = losses[k].known;
+    sum += losses[k].loss; /* diverged: infinity */
+  }
+  *score = sum / under->n;
+  return error;
+}
+
+/* Replaces a canonical genotype by the best scored orientation of its design, if there is one. */
+static int orient(struct mo_connection *reader, const struct scored_under *under,
+                  struct mo_bits *genotype, struct mo_design_note *note)
+{
+  static const char sql[] = "SELECT g.id,g.bits,d.form FROM designs d JOIN genotypes g"
+                            " ON g.design=d.id WHERE d.form=?1 LIMIT ?2";
+  struct mo_bits form = {{0}}, found[MO_ORIENTATIONS];
+  int64_t rows[MO_ORIENTATIONS];
+  uint8_t bytes[MO_BITS_BYTES];
+  double best = INFINITY;
+  uint32_t n = 0;
+  int error = MO_OK;
+  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, form.words);
+  mo_encode_bits(&form, bytes);
+  sqlite3_stmt *row =
+      mo_sql_rows(reader, &error, sql, mo_blob(bytes, sizeof(bytes)), mo_int(MO_ORIENTATIONS));
+  while (mo_sql_next(reader, row, &error)) {
+    rows[n] = sqlite3_column_int64(row, 0);
+    error = mo_column_genotype(row, 1, 2, &found[n++], NULL);
+  }
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    char robot[MO_DEFAULT_ROBOT_DIGITS + 1];
+    double score = 0;
+    bool known = false;
+    error = score_of(reader, under, rows[i], &score, &known);
+    if (error != MO_OK || !known || !fits(under->workspace, &found[i]))
+      continue;
+    mo_genotype_robot(MO_DEFAULT_WORKSPACE, found[i].words, robot);
+    if (note->orientation != MO_ORIENTATION_BEST || score < best ||
+        (score == best && strcmp(robot, note->robot) < 0)) {
+      note->orientation = MO_ORIENTATION_BEST;
+      memcpy(note->robot, robot, sizeof(robot));
+      *genotype = found[i];
+      best = score;
+    }
+  }
+  return error;
+}
+
+int mo_store_orient(struct mo_store *store, const struct mo_orienting *under,
+                    struct mo_bits *genotypes, uint32_t n, struct mo_design_note *notes,
+                    uint32_t n_notes)
+{
+  struct scored_under found;
+  uint32_t open = 0;
+  for (; open < n_notes && notes[open].orientation == MO_ORIENTATION_GIVEN; open++)
+    ;
+  if (open == n_notes)
+    return MO_OK;
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  int error = find_rows(reader, under, &found);
+  const bool scored = error == MO_OK;
+  if (error == MO_ERR_NOT_FOUND)
+    error = MO_OK;
+  for (uint32_t i = 0, place = 0, k = 0; i < n && error == MO_OK; i++, place++) {
+    for (; k < n_notes && notes[k].place <= place; k++)
+      place += mo_is_skipped(&notes[k]);
+    struct mo_design_note *note = k > 0 && notes[k - 1].place == place ? &notes[k - 1] : NULL;
+    if (note == NULL || note->orientation == MO_ORIENTATION_GIVEN)
+      continue;
+    mo_genotype_robot(MO_DEFAULT_WORKSPACE, genotypes[i].words, note->robot);
+    if (scored)
+      error = orient(reader, &found, &genotypes[i], note);
+  }
+  return error;
+}
