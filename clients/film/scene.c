@@ -143,7 +143,8 @@ struct scene scene_read(const void *bytes, size_t size)
   const json_t *designs = json_object_get(keep(header), "designs"),
                *environments = json_object_get(header, "environments"),
                *rollouts = json_object_get(header, "rollouts");
-  struct scene scene = {.frame_s = json_number_value(json_object_get(header, "frame_s"))};
+  struct scene scene = {.frame_s = json_number_value(json_object_get(header, "frame_s")),
+                        .designs = designs};
   if (!(scene.frame_s > 0))
     refuse("it does not tell the time between its frames");
   scene.bodies = list(designs, sizeof(*scene.bodies), &scene.n_bodies);

@@ -32,6 +32,7 @@ struct scene {
   struct scene_body *bodies;
   struct scene_world *worlds;
   struct scene_rollout *rollouts;
+  const json_t *designs; /* what the header says of the bodies; kept (ctl.h) */
 };
 
 /* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Its lists are kept

@@ -107,7 +107,7 @@ void run_campaign_champions(struct ctl *ctl)
   print_items(ctl,
               get_json(ctl, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
                        generation >= 0 ? path_to("&generation=%" PRId64, generation) : ""),
-              ">number={number}|design={id}|>voxels={voxels:,}|>footprint={footprint:,}"
+              ">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
               "|>score={score:.4f}|>distinctness={distinctiveness:.4f}|born={operator}"
               "|>generation={born:,}");
   if (records)

@@ -40,15 +40,14 @@ static void print_design(const struct ctl *ctl, const json_t *design)
   }
   if (json_is_true(json_object_get(design, "truncated")))
     print_fact(ctl, "scores", "only the first 1,000 rollouts are shown");
-  if (n == 0 && id_voxels(text_of(design, "id"), voxels)) {
+  if (n == 0 && robot_voxels(text_of(design, "id"), voxels)) {
     putchar('\n');
     draw_body(stdout, voxels, ctl->utf8);
   }
   json_array_foreach(orientations, i, item)
   {
     putchar('\n');
-    if (n > 1)
-      printf("orientation %zu of %zu\n", i + 1, n);
+    print_from(stdout, item, "{robot}");
     print_orientation(ctl, item);
   }
 }
@@ -56,13 +55,13 @@ static void print_design(const struct ctl *ctl, const json_t *design)
 void run_design_show(struct ctl *ctl)
 {
   const char *id = ctl->operands[0];
-  if (!is_id(id, strlen(id)))
-    fail(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits", id);
+  if (!is_robot(id, strlen(id)))
+    fail(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits, perhaps with @0 to @7", id);
   show(ctl, path_to("/v1/designs/%s", id), print_design);
 }
 
-#define DESIGN_COLUMNS(score)                                                                      \
-  "design={id}|>voxels={voxels}|>masses={masses}|>springs={springs}" score                         \
+#define DESIGN_COLUMNS(design, score)                                                              \
+  "design={" design "}|>voxels={voxels}|>masses={masses}|>springs={springs}" score                 \
   "|first seen={first_seen_at:time}"
 
 void run_design_list(struct ctl *ctl)
@@ -70,7 +69,7 @@ void run_design_list(struct ctl *ctl)
   static const char *const orders[] = {"id", "score", NULL};
   const bool by_score = strcmp(option_word(ctl, "sort", orders, "id"), "score") == 0;
   list_items(ctl, "/v1/designs", 100,
-             by_score ? DESIGN_COLUMNS("|>score={score:.4f}") : DESIGN_COLUMNS(""));
+             by_score ? DESIGN_COLUMNS("robot", "|>score={score:.4f}") : DESIGN_COLUMNS("id", ""));
 }
 
 void run_design_draw(struct ctl *ctl)
@@ -82,7 +81,7 @@ void run_design_draw(struct ctl *ctl)
   {
     const char *name = json_string_value(json_array_get(designs.names, i));
     char voxels[VOXELS + 1];
-    if (!design_voxels(design, voxels) && !id_voxels(text_of(design, "id"), voxels))
+    if (!design_voxels(design, voxels) && !robot_voxels(text_of(design, "id"), voxels))
       fail(STATUS_USAGE, "design %zu does not fit the workspace of 6 × 6 × 4 voxels", i);
     if (i > 0)
       putchar('\n');

@@ -158,12 +158,13 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
     json_array_append_new(rows, result_row(json_array_get(results, i), i, name_of(designs, i)));
   }
   snprintf(columns, sizeof(columns),
-           ">#={number}%s|design={id}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
+           ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
            "]{score:.4f}|>best={best:.4f}"
            "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
            "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
            named ? "|name={name}" : "", verified ? "bits" : "note");
   print_table(stdout, ctl, rows, columns);
+  say_orientations(ctl, results);
   if (shown < n)
     printf("… and %zu more\n", n - shown);
 }
@@ -259,7 +260,7 @@ void run_verify(struct ctl *ctl)
     const char *operand = ctl->operands[i];
     if (!is_id(operand, strlen(operand)))
       designs_add_operand(&designs, operand);
-    else /* in all orientations in which it was scored: a score belongs to one oriented body */
+    else /* in all orientations in which it was scored */
       designs_add_genotypes(
           &designs, json_object_get(get_json(ctl, "/v1/designs/%s", operand), "orientations"));
   }

@@ -76,6 +76,7 @@ static void load_scene(struct ctl *ctl, struct film *film)
   how.accept = "application/vnd.morphod.scene";
   transport_send(ctl, &how, reply);
   film->scene = scene_read(reply->body, reply->body_bytes);
+  say_orientations(ctl, film->scene.designs);
 }
 
 /* ---- drawing ---- */

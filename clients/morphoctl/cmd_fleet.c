@@ -234,7 +234,7 @@ void print_differences(const struct ctl *ctl, const json_t *different)
 {
   if (json_array_size(different) > 0 && !ctl->json)
     print_table(stdout, ctl, different,
-                "id={id}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
+                "design={robot}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
                 "|environment={environment:.12}|controller={controller:.12}"
                 "|physics={physics:.12}|since={computed_at:time}");
 }

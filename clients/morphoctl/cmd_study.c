@@ -156,8 +156,9 @@ static void print_batch(const struct ctl *ctl, const json_t *batch)
     if (json_is_object(json_object_get(note, "fault")) && !ctl->quiet)
       print_from(stderr, note, "child {place} is left out: {fault.pointer}: {fault.detail}");
   }
+  say_orientations(ctl, json_object_get(batch, "notes"));
   print_table(stdout, ctl, json_object_get(batch, "children"),
-              ">number={number}|design={id}|operator={operator}|>voxels={voxels}"
+              ">number={number}|design={robot}|operator={operator}|>voxels={voxels}"
               "|>score={score:.4f}");
 }
 

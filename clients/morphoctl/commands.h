@@ -28,6 +28,8 @@ void request_fill_physics(const struct ctl *ctl, json_t *request);
 struct request json_request(const char *method, const char *path, const json_t *json);
 /* Posts what does nothing the second time. */
 json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
+/* Says on standard error which robots were taken for designs that came as an id alone. */
+void say_orientations(const struct ctl *ctl, const json_t *designs);
 /* Returns the designs of the operands from `first` on, and n_random random ones, which the server
  * draws; those of standard input if there is neither. */
 struct designs given_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed);

@@ -42,13 +42,32 @@ char *read_input(const char *path, size_t limit, size_t *length)
   return text;
 }
 
-bool is_id(const char *text, size_t length)
+/* Finds the digits of the id in a robot's notation, and K; −1: an id alone. NULL: it is neither. */
+static const char *find_id(const char *text, size_t length, int *orientation)
 {
+  *orientation = -1;
+  if (length >= ID_DIGITS + 2 && text[length - 2] == '@' && text[length - 1] >= '0' &&
+      text[length - 1] <= '7') {
+    *orientation = text[length - 1] - '0';
+    length -= 2;
+  }
   if (length == ID_DIGITS + 1 && *text == 'd') { /* as in the CSV files */
     text++;
     length--;
   }
-  return length == ID_DIGITS && strspn(text, "0123456789abcdefABCDEF") >= length;
+  return length == ID_DIGITS && strspn(text, "0123456789abcdefABCDEF") >= length ? text : NULL;
+}
+
+bool is_robot(const char *text, size_t length)
+{
+  int orientation;
+  return find_id(text, length, &orientation) != NULL;
+}
+
+bool is_id(const char *text, size_t length)
+{
+  int orientation;
+  return find_id(text, length, &orientation) != NULL && orientation < 0;
 }
 
 bool is_voxels(const char *text, size_t length)
@@ -130,10 +149,10 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
   if (json_is_string(json)) {
     const char *text = json_string_value(json);
     size_t length = json_string_length(json);
-    if (!is_id(text, length) && !is_voxels(text, length))
-      fail(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or 36 hexadecimal digits", source,
-           line);
-    add(designs, json_pack("{s:s}", is_id(text, length) ? "id" : "voxels", text), NULL);
+    if (!is_robot(text, length) && !is_voxels(text, length))
+      fail(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or an id, perhaps with @0 to @7",
+           source, line);
+    add(designs, json_pack("{s:s}", is_robot(text, length) ? "id" : "voxels", text), NULL);
     return;
   }
   if (json_is_array(json) && json_array_size(json) > 0 && is_point(json_array_get(json, 0))) {
@@ -215,7 +234,7 @@ void designs_add_text(struct designs *designs, const char *source, const char *t
       size_t n = 0;
       while (i + n < length && !isspace((unsigned char)text[i + n]) && text[i + n] != ',')
         n++;
-      if (is_id(text + i, n))
+      if (is_robot(text + i, n))
         add(designs, json_pack("{s:s%}", "id", text + i, n), NULL);
       else if (is_voxels(text + i, n))
         add(designs, json_pack("{s:s%}", "voxels", text + i, n), NULL);
@@ -223,8 +242,8 @@ void designs_add_text(struct designs *designs, const char *source, const char *t
         fail(STATUS_USAGE, "%s:%zu: %zu digits; voxels are 144", source, line, n);
       else
         fail(STATUS_USAGE,
-             "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 hexadecimal "
-             "digits" OTHER_PROGRAMS,
+             "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or an id of 36 "
+             "hexadecimal digits, perhaps with an orientation, @0 to @7" OTHER_PROGRAMS,
              source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
       i += n;
     }
@@ -246,7 +265,7 @@ void designs_add_operand(struct designs *designs, const char *operand)
 {
   size_t length = strlen(operand);
   if (strcmp(operand, "-") != 0 && access(operand, F_OK) != 0 &&
-      (is_id(operand, length) || is_voxels(operand, length) || *operand == '{' ||
+      (is_robot(operand, length) || is_voxels(operand, length) || *operand == '{' ||
        *operand == '[')) {
     designs_add_text(designs, "operand", operand, length);
     return;
@@ -266,15 +285,30 @@ static int voxel_index(int x, int y, int z)
   return (x * WORKSPACE_Y + y) * WORKSPACE_Z + z;
 }
 
-bool id_voxels(const char *id, char voxels[VOXELS + 1])
+bool robot_voxels(const char *robot, char voxels[VOXELS + 1])
 {
-  if (!is_id(id, strlen(id)))
+  int k, side[2] = {0, 0};
+  const char *id = find_id(robot, strlen(robot), &k);
+  if (id == NULL)
     return false;
-  id += strlen(id) - ID_DIGITS;
-  for (size_t i = 0; i < VOXELS; i++) {
-    voxels[i] = mo_hex_digit(id[i / 4]) >> (3 - i % 4) & 1 ? '1' : '0';
-  }
+  memset(voxels, '0', VOXELS);
   voxels[VOXELS] = 0;
+  /* The sides of the canonical form first, which lies in the corner; then image k. */
+  for (int pass = 0; pass < 2; pass++)
+    for (int i = 0; i < VOXELS; i++) {
+      int at[2] = {i / WORKSPACE_Z / WORKSPACE_Y, i / WORKSPACE_Z % WORKSPACE_Y};
+      if ((mo_hex_digit(id[i / 4]) >> (3 - i % 4) & 1) == 0)
+        continue;
+      for (int axis = 0; axis < 2 && pass == 0; axis++)
+        side[axis] = at[axis] >= side[axis] ? at[axis] + 1 : side[axis];
+      if (pass == 0)
+        continue;
+      const bool swaps = k > 0 && k & 4;
+      int x = at[swaps], y = at[!swaps];
+      x = k > 0 && k & 1 ? side[swaps] - 1 - x : x;
+      y = k > 0 && k & 2 ? side[!swaps] - 1 - y : y;
+      voxels[voxel_index(x, y, i % WORKSPACE_Z)] = '1';
+    }
   return true;
 }
 

@@ -6,7 +6,8 @@
  * - [[x,y,z], …]: the cells of one design. It is refused if they are not in one piece, and could
  *   be rows of materials of EvoGym
  * - 144 digits 0 and 1, optionally after a g: the voxels of one design
- * - 36 hexadecimal digits, optionally after a d: an id
+ * - 36 hexadecimal digits, optionally after a d: an id; with @0 to @7 behind them: a robot, which
+ *   is the design in one orientation
  * - # to the end of the line: ignored */
 #ifndef MORPHOCTL_DESIGNS_H
 #define MORPHOCTL_DESIGNS_H
@@ -39,9 +40,10 @@ void designs_add_genotypes(struct designs *designs, const json_t *objects);
 
 /* Writes the voxels of a design as 144 digits. False: the design is an id or invalid. */
 bool design_voxels(const json_t *design, char voxels[VOXELS + 1]);
-/* Decodes the canonical voxels of an id. */
-bool id_voxels(const char *id, char voxels[VOXELS + 1]);
-bool is_id(const char *text, size_t length);
+/* Decodes the voxels of a robot, not placed; of an id the canonical ones. False: it is neither. */
+bool robot_voxels(const char *robot, char voxels[VOXELS + 1]);
+bool is_robot(const char *text, size_t length); /* or an id alone */
+bool is_id(const char *text, size_t length);    /* without an orientation */
 bool is_voxels(const char *text, size_t length);
 
 /* Reads a whole file or standard input ("-"): kept, NUL-terminated. */

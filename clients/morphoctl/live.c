@@ -240,6 +240,8 @@ void live_start(struct ctl *ctl, const json_t *request)
       print_plain(stderr, "; morphoctl %s watch %s", kind->command, id);
     fputc('\n', stderr);
     print_left_out(job);
+    say_orientations(ctl, json_object_get(job, "notes"));
+    say_orientations(ctl, json_object_get(job, "founders"));
   }
   if (!watches)
     return;

@@ -7,6 +7,8 @@
 #include "commands.h"
 #include "settings.inc"
 
+#define SAID_MAX 8 /* designs by id about which a line is printed */
+
 /* ---- options that are fields ---- */
 
 /* Reads a value; NULL: it is not of this kind. */
@@ -150,6 +152,24 @@ json_t *post_again(struct ctl *ctl, const char *path, const json_t *request)
 {
   const struct request how = json_request("POST", path, request);
   return keep(send_json(ctl, &how, NULL));
+}
+
+void say_orientations(const struct ctl *ctl, const json_t *designs)
+{
+  const json_t *design;
+  size_t n = 0, i;
+  json_array_foreach(designs, i, design)
+  {
+    if (!json_is_string(json_object_get(design, "orientation")) || ctl->quiet)
+      continue;
+    if (n++ < SAID_MAX)
+      print_from(stderr, design,
+                 "{robot} is taken[{orientation=best}: of its orientations it has the best stored "
+                 "score|, the canonical orientation: none has a stored score]");
+  }
+  if (n > SAID_MAX)
+    fprintf(stderr, "… and so on for %zu more designs that are given by an id alone\n",
+            n - SAID_MAX);
 }
 
 struct designs given_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed)

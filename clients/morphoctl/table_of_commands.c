@@ -360,16 +360,20 @@ static const struct option_spec fleet_kubernetes_options[] = {
 
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
-     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, or "
-     "an id. Files hold, in any mixture: JSON designs, alone, one per line or in lists "
+     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, "
+     "the robot that a table shows (ID@K: an id and an orientation, @0 to @7), or an id alone, "
+     "which "
+     "means its orientation with the best stored score. Files hold, in any mixture: JSON designs, "
+     "alone, one per line or in lists "
      "({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, {\"id\": \"...\"}, each perhaps "
-     "with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, or ids. # begins a "
-     "comment. The score is the mean over the environments of (distance to the light at the end) / "
+     "with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, robots or ids. # begins "
+     "a comment. The score is the mean over the environments of (distance to the light at the end) "
+     "/ "
      "(at the start): lower is better, 1 is standing still.",
      eval_options},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.", run_verify,
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
-     "stored. Of an id, every stored orientation is verified.",
+     "stored. Of an id alone, every stored orientation is verified.",
      verify_options},
     {"design show", "ID", "Show a design: its body, layer by layer, and its scores.",
      run_design_show},

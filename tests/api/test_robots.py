@@ -1,9 +1,11 @@
 """The robot that was scored: the notation ID@K of a design in one orientation, which every reply has
 beside a score, and what an id alone means."""
 
-import random
+import json
 
 import pytest
+
+from ctl import ctl
 from service import DESIGN, awaited, run
 
 QUICK = {"n_steps": 30}
@@ -203,3 +205,53 @@ def test_studies(service):
     assert (note["place"], note["robot"], note["orientation"]) == (1, best["robot"], "best")
     assert (batch["children"][1]["robot"], batch["children"][1]["score"]) == (
         best["robot"], best["score"])
+
+
+def rows_of(table):
+    """The rows of a table of morphoctl, by their headings."""
+    lines = [line.split() for line in table.splitlines() if line.strip()]
+    return [dict(zip(lines[0], line)) for line in lines[1:]]
+
+
+def test_morphoctl(service, ctl):
+    """What a table shows beside a score has that score, wherever it is given."""
+    quick = "--physics n_steps=30"
+    campaign = run(service, "campaigns", dict(SEARCH, seed=9))
+    status, table, err = ctl(f"campaign champions {campaign['id']} --count 3")
+    assert status == 0, err
+    best = rows_of(table)
+    robots = [row["design"] for row in best]
+    assert len(best) == 3 and any(not robot.endswith("@0") for robot in robots)
+    status, table, err = ctl(f"eval {quick} {' '.join(robots)}")
+    assert status == 0 and "30 of them from the store" in err, err
+    assert [(row["design"], row["score"]) for row in rows_of(table)] == [
+        (row["design"], row["score"]) for row in best]
+    # Ids alone are the same robots, and that is said.
+    ids = [robot[:-2] for robot in robots]
+    status, table, err = ctl(f"eval {quick} {' '.join(ids)}")
+    assert [(row["design"], row["score"]) for row in rows_of(table)] == [
+        (row["design"], row["score"]) for row in best]
+    assert err.count("is taken: of its orientations it has the best stored score") == 3, err
+    status, _, err = ctl(f"eval --physics n_steps=33 {ids[0]}")
+    assert f"{ids[0]}@0 is taken, the canonical orientation: none has a stored score" in err, err
+    # In detail: the orientation, its drawing, and what else takes it.
+    status, text, err = ctl(f"design show {robots[0]}")
+    assert status == 0 and f"\n{robots[0]}\n" in text and best[0]["score"] in text, text
+    drawn = json.loads(ctl(f"eval {quick} {robots[0]} --json")[1])["results"][0]["genotype"]
+    turned = ctl(f"design draw {robots[0]}", LC_ALL="C")[1].count("##")
+    assert turned == drawn.count("1")
+    status, text, err = ctl(f"verify {quick} {robots[0]}")
+    assert status == 0 and "1 the same, 0 different" in text, (text, err)
+    assert ctl(f"eval {quick} {ids[0]}@9")[0] == 2 and ctl(f"design show {ids[0]}@")[0] == 2
+
+
+@pytest.mark.parametrize("command", ["picture -o {}.png", "film -o {}/"])
+def test_films(service, ctl, command, tmp_path):
+    """A film and a picture of an id alone show the robot that was scored, and say so."""
+    [row] = scored(service, [{"cells": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 2, 0], [1, 2, 1]]}])
+    command = command.format(tmp_path / "made")
+    (tmp_path / "made").mkdir()
+    status, _, err = ctl(f"{command} --physics n_steps=30 --size 64x64 {row['id']}")
+    assert status == 0 and f"{row['robot']} is taken: of its" in err, err
+    status, _, err = ctl(f"{command} --physics n_steps=30 --size 64x64 {row['robot']}")
+    assert status == 0 and "is taken" not in err and not row["robot"].endswith("@0"), err

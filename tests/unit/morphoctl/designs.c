@@ -74,14 +74,31 @@ static void drawing(void)
 static void ids(void)
 {
   char voxels[VOXELS + 1];
-  CHECK(id_voxels("800000000000000000000000000000000001", voxels));
+  CHECK(robot_voxels("800000000000000000000000000000000001", voxels));
   CHECK(voxels[0] == '1' && voxels[1] == '0' && voxels[143] == '1' && voxels[142] == '0');
-  CHECK(!id_voxels("80000000000000000000000000000000000", voxels));
-  CHECK(!id_voxels("80000000000000000000000000000000000g", voxels));
+  CHECK(!robot_voxels("80000000000000000000000000000000000", voxels));
+  CHECK(!robot_voxels("80000000000000000000000000000000000g", voxels));
+  /* An L in the plane, along y: image 1 is mirrored in x, 5 is swapped first. */
+  static const char form[] = "888000800000000000000000000000000000";
+  static const char *const images[8] = {"0 4 8 24 ",  "0 24 28 32 ", "0 4 8 32 ",  "8 24 28 32 ",
+                                        "0 4 24 48 ", "0 24 48 52 ", "0 4 28 52 ", "4 28 48 52 "};
+  for (size_t k = 0; k < 8; k++) {
+    char robot[64], places[64] = "";
+    snprintf(robot, sizeof(robot), "%s%s@%zu", k % 2 ? "d" : "", form, k);
+    CHECK(is_robot(robot, strlen(robot)) && !is_id(robot, strlen(robot)));
+    CHECK(robot_voxels(robot, voxels));
+    for (size_t v = 0; v < VOXELS; v++)
+      if (voxels[v] == '1')
+        snprintf(places + strlen(places), sizeof(places) - strlen(places), "%zu ", v);
+    CHECK_TEXT(places, images[k]);
+  }
+  CHECK(!is_robot("800000000000000000000000000000000001@8", 38) &&
+        !is_robot("800000000000000000000000000000000001@", 37) &&
+        is_robot("d00000000000000000000000000000000001@0", 38));
   /* As they are in CSV. */
-  CHECK(id_voxels("d800000000000000000000000000000000001", voxels) && voxels[0] == '1' &&
+  CHECK(robot_voxels("d800000000000000000000000000000000001", voxels) && voxels[0] == '1' &&
         voxels[143] == '1');
-  CHECK(id_voxels("d00000000000000000000000000000000001", voxels) &&
+  CHECK(robot_voxels("d00000000000000000000000000000000001", voxels) &&
         voxels[1] == '1'); /* here d is a digit */
   char genotype[VOXELS + 2] = "g";
   memset(genotype + 1, '0', VOXELS);
