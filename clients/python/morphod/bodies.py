@@ -73,8 +73,9 @@ class Body:
           smaller than the workspace, and larger if what is outside is empty.
         - a list of cells `[[x, y, z], …]`, or one of the service's `{"cells": …}`, `{"voxels": …}`
           and `{"id": …}`. In `{"cells": …}` cells may be an array (n, 3), as `np.argwhere` gives.
-        - a text: a genotype of 144 digits, or an id of 36 hexadecimal digits; the letters g and d
-          that CSV puts in front are taken off.
+        - a text: a genotype of 144 digits, a robot as `Result.robot` names it (ID@K: an id and an
+          orientation), or an id of 36 hexadecimal digits, which becomes the body in its canonical
+          orientation; the letters g and d that CSV puts in front are taken off.
 
         A robot of EvoGym is read by `Body.evogym` only. Arrays of 2 dimensions, and lists of rows
         that could be both cells and a robot, are refused.
@@ -290,8 +291,26 @@ def voxels_of(genotypes: Iterable[str | None]) -> NDArray[np.bool_]:
 
 
 def _is_id(text: str) -> bool:
-    digits = text[1:] if text[:1] == "d" and len(text) == 37 else text
-    return len(digits) == 36 and all(digit in "0123456789abcdefABCDEF" for digit in digits)
+    """Whether a text is an id, alone or with an orientation: ID@K."""
+    digits, at, k = text.partition("@")
+    digits = digits[1:] if digits[:1] == "d" and len(digits) == 37 else digits
+    return (len(digits) == 36 and all(digit in "0123456789abcdefABCDEF" for digit in digits) and
+            (not at or k in tuple("01234567")))
+
+
+def _of_id(text: str) -> NDArray[np.bool_]:
+    """The voxels of ID@K, image K of the canonical form in a corner; of an id alone that form."""
+    digits, _, k = text.partition("@")
+    packed = np.frombuffer(bytes.fromhex(digits[-36:]), dtype=np.uint8)
+    form = np.unpackbits(packed).astype(np.bool_).reshape(WORKSPACE)
+    image = form[form.any(axis=(1, 2))][:, form.any(axis=(0, 2))]
+    turns = int(k or "0")
+    if turns & 4:
+        image = image.swapaxes(0, 1)
+    image = image[::-1 if turns & 1 else 1, ::-1 if turns & 2 else 1]
+    voxels = np.zeros(WORKSPACE, dtype=np.bool_)
+    voxels[:image.shape[0], :image.shape[1]] = image
+    return voxels
 
 
 def _convert(body: BodyLike) -> Body:
@@ -333,12 +352,11 @@ def _from_array(array: NDArray[Any]) -> Body:
 
 def _from_text(text: str) -> NDArray[np.bool_]:
     if _is_id(text):
-        packed = np.frombuffer(bytes.fromhex(text[-36:]), dtype=np.uint8)
-        return np.unpackbits(packed).astype(np.bool_).reshape(WORKSPACE)
+        return _of_id(text)
     digits = text[1:] if text[:1] == "g" else text
     if len(digits) != _VOXELS or set(digits) - {"0", "1"}:
         raise BodyError(f"a text of {len(text)} characters is neither a genotype (144 digits 0 or "
-                        "1) nor an id (36 hexadecimal digits)")
+                        "1) nor an id (36 hexadecimal digits, perhaps with @0 to @7)")
     voxels: NDArray[np.bool_] = voxels_of([digits])[0]
     return voxels
 

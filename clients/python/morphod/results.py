@@ -22,9 +22,12 @@ if TYPE_CHECKING:
 class Result:
     """The scores of one design in all environments of its evaluation.
 
-    `id` is the canonical form of the design, `genotype` what was simulated, `lost` what the
-    conversion and the repair of the body left out. `fault` is None, or why there was no body to
-    score: then `id` and `genotype` are empty, and the score is NaN. `lower_bound` says that the
+    `robot` names what has the score, the design in the orientation that was simulated (ID@K), and
+    `genotype` has its voxels. `id` is the design in all orientations, which have scores of their
+    own. `orientation` says how the orientation was chosen for an id alone: "best" stored score, or
+    "canonical" because there was none; None: it was given. `lost` has what the conversion and the
+    repair of the body left out. `fault` is None, or why there was no body to
+    score: then `id`, `robot` and `genotype` are empty, and the score is NaN. `lower_bound` says that the
     score is one, because the design cannot be among the `best` that were asked for.
     """
 
@@ -36,6 +39,8 @@ class Result:
         told = data["fault"]
         self.fault: str | None = fault if told and fault else told and str(told["detail"])
         self.id = str(data["id"] or "")
+        self.robot = str(data["robot"] or "")
+        self.orientation: str | None = data["orientation"]
         self.genotype = str(data["genotype"] or "")
         score = data["score"]
         self.score = float("nan") if score is None else float(score)
@@ -54,7 +59,7 @@ class Result:
         return np.array(self.data["losses"], dtype=np.float64)
 
     def __repr__(self) -> str:
-        return f"<Result {self.id}: score {self.score:.6g}>"
+        return f"<Result {self.robot}: score {self.score:.6g}>"
 
 
 class Batch:

@@ -31,8 +31,8 @@ JOB = {
     "progress": {"rollouts_per_s": None, "seconds_left": None, "busy_s": None},
     "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"}
 }
-RESULT = {"id": ID, "genotype": VOXELS, "voxels": 1, "repaired": 0, "fault": None, "score": 0.75,
-          "losses": [0.5, 1.0], "diverged": []}
+RESULT = {"id": ID, "robot": ID + "@0", "genotype": VOXELS, "voxels": 1, "repaired": 0,
+          "fault": None, "score": 0.75, "losses": [0.5, 1.0], "diverged": []}
 
 
 class Server:
@@ -138,7 +138,7 @@ def test_table_and_request():
                          input_text='{"name": "walker", "cells": [[0,0,0]]}')
     lines = out.splitlines()
     assert re.match(r"#\s+name\s+design\s+voxels\s+score\s+best\s+worst", lines[0]), out
-    assert re.match(rf"0\s+walker\s+{ID}\s+1\s+0\.7500\s+0\.5000\s+1\.0000", lines[1]), out
+    assert re.match(rf"0\s+walker\s+{ID}@0\s+1\s+0\.7500\s+0\.5000\s+1\.0000", lines[1]), out
     assert "\033" not in out + err, "colors without a terminal"
     method, path, headers, body = seen[0]
     assert (method, path) == ("POST", "/v1/evaluations")

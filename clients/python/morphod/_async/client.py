@@ -89,7 +89,8 @@ class AsyncClient:
         `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
         piece. `on_fault="skip"` leaves out what is no body; its result has a `fault`, and NaN.
         `best=10` computes the whole scores of the ten best only; the others are cut short, and have
-        lower bounds.
+        lower bounds. An id alone is scored in the orientation with the best stored score, or else in
+        the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _DESIGNS_MAX:
@@ -193,7 +194,8 @@ class AsyncClient:
 
     async def canonical(self, bodies: Iterable[BodyLike] | NDArray[Any]) -> list[str]:
         """The ids of bodies: their canonical forms, which rotations about z and reflections in x
-        and y do not change. `Body.of` turns one into a body."""
+        and y do not change. `Body.of` turns one into the body of the canonical orientation; to be
+        scored, an id alone means the orientation with the best stored score."""
         made = await self._make("canonical", {"designs": designs_of(bodies)})
         with reading():
             return [row["id"] for row in made]

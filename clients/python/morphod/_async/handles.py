@@ -270,8 +270,20 @@ class AsyncEvaluation(AsyncJob):
     @property
     @reading()
     def ids(self) -> list[str | None]:
-        """The designs' ids: their canonical forms; None where there was no body."""
+        """The designs' ids: their canonical forms; None where there was no body.
+
+        A score belongs to one orientation of a design, and an id names all of them. To score the
+        same robots again, or to keep them, take `robots`: an id alone means the orientation that
+        has the best stored score.
+        """
         return [row["id"] for row in self._results]
+
+    @property
+    @reading()
+    def robots(self) -> list[str | None]:
+        """What has the scores: the designs in the orientations that were simulated, as ID@K, which
+        everything takes that takes a body; None where there was no body."""
+        return [row["robot"] for row in self._results]
 
     @reading()
     def __len__(self) -> int:
@@ -305,7 +317,7 @@ class AsyncEvaluation(AsyncJob):
         return (self[place] for place in range(len(self)))
 
     def frame(self) -> pd.DataFrame:
-        """A table, a line per design: id, genotype, score, lower_bound (with `best`: whether the
+        """A table, a line per design: id, robot (what has the score), genotype, score, lower_bound (with `best`: whether the
         score is one), diverged (rollouts), voxels, masses, springs, footprint, repaired (voxels
         that were dropped), path_length_m (where com is recorded), fault (None, or why there was no
         body), and a column loss_0, loss_1, … per environment."""
@@ -317,6 +329,7 @@ class AsyncEvaluation(AsyncJob):
     def _table(self, results: list[dict[str, Any]], losses: NDArray[np.float64]) -> pd.DataFrame:
         table: pd.DataFrame = pandas().DataFrame({
             "id": [row["id"] for row in results],
+            "robot": [row["robot"] for row in results],
             "genotype": [row["genotype"] for row in results],
             "score": self.scores,
             "lower_bound": self.lower_bound,
