@@ -104,7 +104,7 @@ int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t le
  * is the genotype. Two genotypes that differ only in their place have the same notation. Digits of
  * the id + 3 bytes. MO_ERR_EMPTY; MO_ERR_NO_MEMORY, but only above MO_SMALL_VOXELS. */
 #define MO_ORIENTATIONS         8
-#define MO_DEFAULT_ROBOT_DIGITS (MO_DEFAULT_ID_DIGITS + 2) /* characters, in the default workspace */
+#define MO_DEFAULT_ROBOT_DIGITS (MO_DEFAULT_ID_DIGITS + 2) /* characters */
 int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char *robot);
 /* Reads the notation of a robot, or an id, into the placed genotype. *orientation: K; −1: an id
  * alone, and the genotype is that of orientation 0. Errors as mo_genotype_from_id. MO_ERR_FORMAT,

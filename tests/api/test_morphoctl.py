@@ -25,8 +25,8 @@ def test_named_designs(ctl):
     for path, line in zip(files, lines[1:]):
         name = os.path.basename(path)[:-5]
         assert re.match(
-            rf"\s*\d+\s+{name}\s+[0-9a-f]{{36}}\s+\d+\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}",
-            line), line
+            rf"\s*\d+\s+{name}\s+[0-9a-f]{{36}}@[0-7]\s+\d+"
+            r"\s+\d+\.\d{4}\s+\d+\.\d{4}\s+\d+\.\d{4}", line), line
 
 
 def test_the_json_is_the_apis(service, ctl):

@@ -1,5 +1,5 @@
-"""The robot that was scored: the notation ID@K of a design in one orientation, which every reply has
-beside a score, and what an id alone means."""
+"""The robot that was scored: the notation ID@K of a design in one orientation, which every reply
+has beside a score, and what an id alone means."""
 
 import json
 

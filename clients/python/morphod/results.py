@@ -26,9 +26,9 @@ class Result:
     `genotype` has its voxels. `id` is the design in all orientations, which have scores of their
     own. `orientation` says how the orientation was chosen for an id alone: "best" stored score, or
     "canonical" because there was none; None: it was given. `lost` has what the conversion and the
-    repair of the body left out. `fault` is None, or why there was no body to
-    score: then `id`, `robot` and `genotype` are empty, and the score is NaN. `lower_bound` says that the
-    score is one, because the design cannot be among the `best` that were asked for.
+    repair of the body left out. `fault` is None, or why there was no body to score: then `id`,
+    `robot` and `genotype` are empty, and the score is NaN. `lower_bound` says that the score is
+    one, because the design cannot be among the `best` that were asked for.
     """
 
     @reading()

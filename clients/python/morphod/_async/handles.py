@@ -317,10 +317,10 @@ class AsyncEvaluation(AsyncJob):
         return (self[place] for place in range(len(self)))
 
     def frame(self) -> pd.DataFrame:
-        """A table, a line per design: id, robot (what has the score), genotype, score, lower_bound (with `best`: whether the
-        score is one), diverged (rollouts), voxels, masses, springs, footprint, repaired (voxels
-        that were dropped), path_length_m (where com is recorded), fault (None, or why there was no
-        body), and a column loss_0, loss_1, … per environment."""
+        """A table, a line per design: id, robot (what has the score), genotype, score, lower_bound
+        (with `best`: whether the score is one), diverged (rollouts), voxels, masses, springs,
+        footprint, repaired (voxels that were dropped), path_length_m (where com is recorded), fault
+        (None, or why there was no body), and a column loss_0, loss_1, … per environment."""
         results = self._results
         losses = self.losses
         with reading():

@@ -89,8 +89,8 @@ class Client:
         `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
         piece. `on_fault="skip"` leaves out what is no body; its result has a `fault`, and NaN.
         `best=10` computes the whole scores of the ten best only; the others are cut short, and have
-        lower bounds. An id alone is scored in the orientation with the best stored score, or else in
-        the canonical one; `Result.orientation` says which.
+        lower bounds. An id alone is scored in the orientation with the best stored score, or else
+        in the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _DESIGNS_MAX:
