@@ -92,7 +92,7 @@ static void keeps_every_bit(void)
 /* Results stand at the places of the request; work has only what is left of it. */
 static void keeps_places_of_skipped_designs(void)
 {
-  const struct mo_design_note notes[] = {
+  struct mo_design_note notes[] = {
       {.place = 0, .fault = {.where = "/designs/0", .detail = "empty"}},
       {.place = 2, .fault = {.where = "/designs/2/voxels", .detail = "torn"}},
       {.place = 3, .dropped = 5}};
