@@ -67,9 +67,9 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
       error = compute_again(compute, lattice, &samples[i], loaded->ready, &agrees);
     mo_loaded_release(&controllers, loaded);
     if (error == MO_OK && !agrees) {
-      char id[MO_DEFAULT_ID_DIGITS + 1];
-      mo_genotype_id(MO_DEFAULT_WORKSPACE, samples[i].genotype.words, id);
-      printf("a loss of the body %s is not what is computed again: %.17g is stored\n", id,
+      char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
+      (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, samples[i].genotype.words, robot);
+      printf("a loss of the body %s is not what is computed again: %.17g is stored\n", robot,
              samples[i].loss);
       (*n_differ)++;
     }

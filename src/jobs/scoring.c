@@ -218,10 +218,10 @@ int mo_window_take(struct mo_window *window, const struct mo_flight *flight, boo
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
     *is_done = mo_grid_finish(window->grid, flight->design, flight->places[i]);
   if (block->status == MO_ERR_EXHAUSTED) { /* as an error of its own, it would end a campaign */
-    char id[MO_SMALL_VOXELS / 4 + 1] = "";
-    (void)mo_genotype_id(block->lattice->workspace, block->genotype, id);
+    char robot[MO_SMALL_VOXELS / 4 + 3] = "";
+    (void)mo_genotype_robot(block->lattice->workspace, block->genotype, robot);
     error = NOT_A_LOSS;
-    snprintf(text, 128, "workers end, again and again, while they compute the design %.64s", id);
+    snprintf(text, 128, "workers end, again and again, while they compute the design %.64s", robot);
   } else if (error == NOT_A_LOSS)
     snprintf(text, 128, "the runner of rollouts gave a loss that is not a number");
   else if (error != MO_OK && error != MO_ERR_CANCELLED)

@@ -38,6 +38,68 @@ static void shares_designs_between_orientations(void)
   CHECK_INT(mo_store_design(store, &genotypes[39], &design), MO_ERR_NOT_FOUND);
 }
 
+/* Of a design with 8 orientations, which were scored in the order below: their mean losses. */
+static const unsigned order[] = {6, 2, 5, 0, 7, 3};
+static const double means[] = {2, 1, 1, 3, INFINITY, 1}; /* of 6, 2, 5, 0, 7, 3 */
+
+static double mean_loss(uint32_t n, uint32_t k)
+{
+  return k == 4 ? means[n] : isinf(means[n]) ? 1 : means[n];
+}
+
+/* What an id alone means: the best score in exactly these worlds; of equal ones the smallest K. */
+static void orients_ids(void)
+{
+  struct mo_bits body = {{0}}, same_forms[6], images[6], asked[3];
+  struct mo_design_note notes[] = {{.place = 0, .fault = {.detail = "empty"}},
+                                   {.place = 1, .orientation = MO_ORIENTATION_CANONICAL},
+                                   {.place = 3, .orientation = MO_ORIENTATION_CANONICAL}};
+  const struct mo_physics physics = mo_default_physics();
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1];
+  int64_t fingerprint = 0;
+  int k = -1;
+  for (uint64_t seed = 1; k != 7; seed++) { /* a body of which all images differ */
+    struct mo_random random = dice(seed, 0, 0);
+    REQUIRE_OK(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body.words));
+    REQUIRE_OK(mo_genotype_robot(MO_DEFAULT_WORKSPACE, body.words, robot));
+    k = robot[MO_DEFAULT_ROBOT_DIGITS - 1] - '0';
+  }
+  for (size_t i = 0; i < COUNT(order); i++) {
+    robot[MO_DEFAULT_ROBOT_DIGITS - 1] = (char)('0' + order[i]);
+    REQUIRE_OK(mo_genotype_from_robot(MO_DEFAULT_WORKSPACE, robot, MO_DEFAULT_ROBOT_DIGITS,
+                                      images[i].words, &k));
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, images[i].words, same_forms[i].words);
+  }
+  struct mo_evaluation_request submission = fixture_submission(same_forms, images, 6);
+  REQUIRE_OK(run_by_hand(submit_evaluation(&submission), mean_loss));
+  REQUIRE_OK(mo_store_fingerprint(store, "by hand", &fingerprint));
+  struct mo_orienting under = {.controller = "default",
+                               .environment_set = "paper-test",
+                               .physics = &physics,
+                               .precision = MO_FLOAT32,
+                               .fingerprint = fingerprint,
+                               .workspace = MO_DEFAULT_WORKSPACE};
+  for (int round = 0; round < 4; round++) {
+    const bool is_scored = round == 0;
+    asked[0] = asked[1] = images[3]; /* orientation 0; the second one was given so */
+    asked[2] = make_bodies(77, 1, NULL)[0];
+    notes[1].orientation = notes[2].orientation = MO_ORIENTATION_CANONICAL;
+    CHECK_OK(mo_store_orient(store, &under, asked, 3, notes, 3));
+    CHECK_INT(notes[0].orientation, MO_ORIENTATION_GIVEN);
+    CHECK_INT(notes[1].orientation, is_scored ? MO_ORIENTATION_BEST : MO_ORIENTATION_CANONICAL);
+    CHECK(SAME(&asked[0], is_scored ? &images[1] : &images[3], 1)); /* 2, as good as 3 and 5 */
+    CHECK_INT(notes[1].robot[MO_DEFAULT_ROBOT_DIGITS - 1], is_scored ? '2' : '0');
+    CHECK(SAME(&asked[1], &images[3], 1));
+    CHECK_INT(notes[2].orientation, MO_ORIENTATION_CANONICAL); /* never seen */
+    if (round == 0)
+      under.precision = MO_FLOAT64;
+    else if (round == 1)
+      under.precision = MO_FLOAT32, under.fingerprint = fingerprint + 1;
+    else
+      under.fingerprint = fingerprint, under.controller = "nobody";
+  }
+}
+
 static double odd_loss(uint32_t n, uint32_t k)
 {
   static const double values[] = {-0.0, 0.0, 4.9e-324, 1.0 / 3.0, INFINITY, 1.7976931348623157e308};
@@ -299,6 +361,7 @@ static void stores_again_what_is_deleted(void)
 
 static const struct check_case cases[] = {
     {"shares a design between its orientations", shares_designs_between_orientations},
+    {"turns an id to the best scored orientation", orients_ids},
     {"keeps every bit of a loss", keeps_every_bit},
     {"keeps the places of skipped designs", keeps_places_of_skipped_designs},
     {"ranks designs by score", ranks_designs},
