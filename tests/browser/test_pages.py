@@ -143,15 +143,16 @@ def test_what_the_editor_reads(browser):
     """, [
         "[[0, 3, 3], [1, 1, 0], [4, 0, 0]]", "array([[0., 3., 3.],\n       [1., 1., 0.]])",
         "[[0 3 3]\n [1 1 0]]", "[[2,2,0],[3,2,0],[2,3,0]]", "1" + "0" * 142 + "1", "88" + "0" * 34,
-        "[[1, 1], [1, 1], [1, 1], [1, 1], [1, 1]]", "nothing", "[[7, 0, 0]]"
+        "88" + "0" * 34 + "@4", "[[1, 1], [1, 1], [1, 1], [1, 1], [1, 1]]", "nothing", "[[7, 0, 0]]"
     ])
     two = [[x, y, z] for x, z in ((0, 0), (1, 0), (1, 1), (2, 1)) for y in (2, 3)]
     three = [[x, y, z] for x, z in ((0, 0), (0, 1), (1, 1), (1, 2), (2, 2)) for y in (2, 3)]
     assert sorted(read[0]) == sorted(three) and sorted(read[1]) == sorted(read[2]) == sorted(two)
     assert sorted(read[3]) == [[2, 2, 0], [2, 3, 0], [3, 2, 0]]
     assert read[4] == [[0, 0, 0], [5, 5, 3]] and read[5] == [[0, 0, 0], [0, 1, 0]]
-    assert "outside of the workspace of 6 × 6 × 4" in read[6] and "neither" in read[7]
-    assert "outside" in read[8]
+    assert read[6] == [[0, 0, 0], [1, 0, 0]]
+    assert "outside of the workspace of 6 × 6 × 4" in read[7] and "neither" in read[8]
+    assert "outside" in read[9]
 
 
 def test_what_the_editor_does(service, browser):
@@ -256,6 +257,33 @@ def test_the_leaderboard_from_both_ends(service, browser):
                     "order.dispatchEvent(new Event('change'))", order)
         browser.until(f"{cards} === {' '.join(expected[:48])!r}")  # a page
         assert f"order={order}" in browser.driver.current_url
+
+
+def test_links_carry_the_orientation(service, browser):
+    """What a page shows beside a score, and what it leads to, is the robot that has the score."""
+    cells = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 2, 0], [1, 2, 1], [2, 2, 1]]
+    robot = service.evaluate({"designs": [{"cells": cells}]}).json()["results"][0]["robot"]
+    assert not robot.endswith("@0")
+    best = service.get("/v1/designs?sort=score&limit=1")["items"][0]["robot"]
+    browser.open("designs")
+    browser.until("document.querySelector('.pick a')")
+    assert browser.run("return document.querySelector('.pick a').hash") == f"#/designs/{best}"
+    browser.open("designs/" + robot)
+    browser.until_walking()
+    assert browser.texts("main h1 + code") == [robot]
+    links = browser.run("return [...document.querySelectorAll('main a')].map((a) => a.hash)")
+    assert {f"#/editor?design={robot}", f"#/stage?designs={robot}",
+            f"#/designs/{robot}"} <= set(links)
+    browser.open("editor?design=" + robot)
+    genotype = service.get(f"/v1/designs/{robot}/body")["genotype"]
+    cells = [f"{v // 24},{v // 4 % 6},{v % 4}" for v in range(144) if genotype[v] == "1"]
+    selected = "[...document.querySelectorAll('[aria-selected=true]')]"
+    browser.until(f"{selected}.map((e) => e.dataset.cell).sort().join(' ') === "
+                  f"{' '.join(sorted(cells))!r}")
+    # An id alone becomes the robot that walks, and stays it.
+    browser.open("stage?designs=" + robot[:-2])
+    browser.until(f"decodeURIComponent(location.hash).includes('designs={robot}')")
+    assert browser.faults() == []
 
 
 def bred(service, browser, label):

@@ -35,11 +35,12 @@ export function decodeScene(buffer) {
 export function robotsOf({ header, array }) {
   const bodies = new Map();
   return header.rollouts.map((rollout) => {
-    const { genotype, id } = header.designs[rollout.design];
+    const { genotype, id, robot } = header.designs[rollout.design];
     const environment = header.environments[rollout.environment];
     if (!bodies.has(genotype)) bodies.set(genotype, bodyOf(genotype));
     return {
       id,
+      robot,
       genotype,
       body: bodies.get(genotype),
       track: array(rollout.masses_m),

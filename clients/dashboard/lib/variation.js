@@ -92,13 +92,13 @@ export function cross(a, b) {
 }
 
 /**
- * Reads a body from a text: an id of 36 digits, 144 digits of voxels, a list of cells, or an EvoGym
+ * Reads a body from a text: a robot (ID@K) or an id, 144 digits of voxels, a list of cells, or an EvoGym
  * array (rows of materials, 0 is empty), which is given a depth of two voxels.
  * @returns {{id?: string, genotype?: string}} one of them; throws with what is wrong
  */
 export function readBody(text) {
   const trimmed = text.trim();
-  if (/^[0-9a-f]{36}$/i.test(trimmed)) return { id: trimmed.toLowerCase() };
+  if (/^[0-9a-f]{36}(@[0-7])?$/i.test(trimmed)) return { id: trimmed.toLowerCase() };
   if (/^[01]{144}$/.test(trimmed)) return { genotype: trimmed };
   let rows;
   try {

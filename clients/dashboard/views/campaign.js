@@ -304,7 +304,7 @@ async function mountOne(main, id, parameters, app) {
   function champion(design) {
     const { number, genotype, operator } = design;
     const card = h('button.card', {
-      type: 'button', title: `Design ${design.id}`, onclick: () => walk([number], [design]),
+      type: 'button', title: `Design ${design.robot}`, onclick: () => walk([number], [design]),
     }, picture(genotype, `Champion ${number}`), h('strong.number', {}, score(design.score)),
     h('span.crown', { hidden: true }, '♛ best'),
     h('span.muted', {}, `#${number}, ${voxels(design.voxels)}`), h('span.muted', {}, operator));

@@ -1,6 +1,7 @@
 /** Designs: the leaderboard, the results of one evaluation, and one design. */
 
 import { LinkError, getJson, withQuery } from '../lib/api.js';
+import { genotypeOfId } from '../lib/body.js';
 import { button, fill, h, say, select, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { pythonOf } from '../lib/commands.js';
@@ -49,11 +50,11 @@ class Wall {
   }
 
   card(design) {
-    const { id, genotype, voxels, row } = design;
+    const { id, robot = id, genotype, voxels, row } = design;
     const shown = design.score === undefined ? '–' : scoreOf(design);
     const card = h('button.card', {
       type: 'button', 'aria-pressed': String(this.chosen.has(genotype)),
-      'aria-label': `Design ${id}, score ${shown}, ${inVoxels(voxels)}`,
+      'aria-label': `Design ${robot}, score ${shown}, ${inVoxels(voxels)}`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
         if (on) this.chosen.set(genotype, { id, row });
@@ -61,12 +62,12 @@ class Wall {
         this.#offer();
         this.app.remember({ chosen: [...this.chosen] });
       },
-      ondblclick: () => this.app.go(`designs/${id}`),
+      ondblclick: () => this.app.go(`designs/${robot}`),
     }, picture(genotype), h('strong.number', {}, shown),
     design.isBest ? h('span.crown', {}, '♛ of the best') : null,
     h('span.muted', {}, inVoxels(voxels)));
-    const link = { href: `#/designs/${id}`, 'aria-label': `Design ${id}` };
-    return h('div.pick', {}, card, h('a', link, `${id.slice(0, 10)}…`));
+    const link = { href: `#/designs/${robot}`, 'aria-label': `Design ${robot}` };
+    return h('div.pick', {}, card, h('a', link, `${id.slice(0, 10)}…${robot.slice(36)}`));
   }
 
   /** The chosen, each form once: a design may be here in several orientations. */
@@ -227,22 +228,26 @@ const placesOf = (environments) => (typeof environments === 'string'
 async function mountDesign(main, id, app) {
   const stop = new AbortController();
   const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
+  const name = design.id + (/@[0-7]$/.exec(id)?.[0] ?? ''); // of the link: a robot, or an id alone
   const player = new Player(app, { height: 420 });
   const scored = design.orientations.flatMap((orientation) =>
-    orientation.scores.map((one) => ({ ...one, genotype: orientation.genotype })));
+    orientation.scores.map((one) => ({ ...one, robot: orientation.robot })));
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Design'), h('code', {}, design.id), h('div.actions', {},
-      h('a.button', { href: `#/editor?design=${design.id}` }, 'Edit'),
-      h('a.button', { href: `#/stage?designs=${design.id}` }, 'Stage'),
-      breedButton(app, 'Breed', () => [{ id: design.id }]),
-      copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${design.id}` })))),
-    h('div.grid', {}, h('section.panel.row.portrait', {}, picture(design.genotype, 'The design'),
+    h('div.title', {}, h('h1', {}, 'Design'), h('code', {}, name), h('div.actions', {},
+      h('a.button', { href: `#/editor?design=${name}` }, 'Edit'),
+      h('a.button', { href: `#/stage?designs=${name}` }, 'Stage'),
+      breedButton(app, 'Breed', () => [{ id: name }]),
+      copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${name}` })))),
+    h('div.grid', {}, h('section.panel.row.portrait', {}, picture(genotypeOfId(name), 'The design'),
       h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)), h('div', {}, `${design.masses} masses`),
         h('div', {}, `${design.springs} springs`), h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('p.muted', {}, 'It walks in environment 0 of paper-test, under the controller default.'),
-    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, table(['Score', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'],
-      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, scoreOf(one)), h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
+    h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, table(
+      ['Score', 'Orientation', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'],
+      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, scoreOf(one)),
+        h('td', { 'data-name': 'Orientation' }, h('a', { href: `#/designs/${one.robot}` }, one.robot.slice(36))),
+        h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
         h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
         h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))
       : h('p.empty', {}, 'No score is stored for this design.')),
@@ -252,8 +257,8 @@ async function mountDesign(main, id, app) {
       : h('p.empty', {}, 'It was not born in a campaign.')));
   app.setTitle(`Design ${design.id.slice(0, 10)}`);
   const environments = await environmentSet('paper-test');
-  roll([{ voxels: design.orientations[0]?.genotype ?? design.genotype }], environments[0], { signal: stop.signal })
-    .then((robots) => player.setRobots(robots.map((robot) => ({ ...robot, label: 'this design' }))))
+  roll([{ id: name }], environments[0], { signal: stop.signal })
+    .then((robots) => player.setRobots(robots.map((robot) => ({ ...robot, label: robot.robot.slice(36) }))))
     .catch((error) => { if (!stop.signal.aborted) player.setNote(error.message); });
   return {
     unmount() {

@@ -242,6 +242,7 @@ async function startBody(parameters, last) {
   }
   const id = parameters.get('design');
   if (id) {
+    if (id.includes('@')) return (await getJson(`v1/designs/${encodeURIComponent(id)}/body`)).genotype;
     const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
     return design.orientations[0]?.genotype ?? design.genotype;
   }

@@ -336,7 +336,7 @@ export async function mount(main, id, parameters, app) {
       h('div.muted', {}, `born in generation ${design.born}, ` +
         `${design.died === null ? 'alive' : `died in ${design.died}`}`),
       design.lower_bound ? h('div.muted', {}, 'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
-      h('a', { href: `#/designs/${design.id}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
+      h('a', { href: `#/designs/${design.robot}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
     const [robots, ancestors] = await Promise.all([rollOfCampaign(campaign, [design], stop.signal),
       getJson(`v1/campaigns/${id}/designs/${number}/ancestors?limit=24`, { signal: stop.signal })]);
     if (selected !== row) return;
@@ -350,7 +350,7 @@ export async function mount(main, id, parameters, app) {
 
   async function find(text) {
     let number = Number(text);
-    if (/^[0-9a-f]{36}$/i.test(text)) {
+    if (/^[0-9a-f]{36}(@[0-7])?$/i.test(text)) {
       const design = await getJson(`v1/designs/${text.toLowerCase()}`).catch(() => null);
       number = design?.campaigns.find((one) => one.campaign === id)?.number ?? NaN;
     }

@@ -120,7 +120,7 @@ async function rollouts(parameters) {
   let ids = designsOf(parameters.get('designs') ?? '');
   const [world, best] = await Promise.all([worldIn(parameters),
     ids.length ? null : getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }))]);
-  if (best) ids = best.items.map((design) => design.id);
+  if (best) ids = best.items.map((design) => design.robot);
   const { environments, physics } = world;
   /** The same robots under each of them. */
   const controllers = parameters.get('controller')?.split(',') ?? [world.controller];
@@ -130,6 +130,8 @@ async function rollouts(parameters) {
     for (const controller of controllers) {
       const more = await roll(ids.map(designOf), environments[environment],
         { controller, physics, signal });
+      // An id alone is a robot now, which stays the same in other environments.
+      ids = ids.map((id, i) => (id.length === 36 ? more[i].robot : id));
       more.forEach((robot, i) => {
         robot.label = controllers.length > 1 ? controller : labelOf(ids, i);
       });
@@ -146,8 +148,8 @@ async function rollouts(parameters) {
       if (!lines) throw new Error('Name a design.');
       ids = designsOf(lines);
       changed();
-    }, h('p.wide', {}, 'One design a line: an id of 36 digits, or 144 digits of voxels; at most ' +
-      `${ROBOTS_MAX}.`), h('div.stack.wide', {}, text));
+    }, h('p.wide', {}, 'One design a line: a robot (ID@K), an id of 36 digits, or 144 ' +
+      `digits of voxels; at most ${ROBOTS_MAX}.`), h('div.stack.wide', {}, text));
   }
 
   const how = (environment, controller, output) => ({ world, environment, controller, output });
@@ -183,7 +185,7 @@ async function recordings(parameters) {
     throw new LinkError(`rows=${parameters.get('rows')}: the evaluation has no design ${wrong}.`);
   }
   checkCount(rows.length);
-  const ids = rows.map((row) => job.results[row].id);
+  const ids = rows.map((row) => job.results[row].robot);
   return {
     n: items.length, nRobots: rows.length,
     world: ['Recorded by ', h('a', { href: `#/designs?evaluation=${encodeURIComponent(id)}` },
@@ -203,7 +205,7 @@ async function recordings(parameters) {
   };
 }
 
-const isDesign = (text) => /^([0-9a-f]{36}|[01]{144})$/.test(text);
+const isDesign = (text) => /^([0-9a-f]{36}(@[0-7])?|[01]{144})$/.test(text);
 
 function checkCount(n) {
   if (n > ROBOTS_MAX) {
@@ -216,16 +218,16 @@ function designsOf(text) {
   const all = text.split(',').filter(Boolean);
   const wrong = all.find((one) => !isDesign(one));
   if (wrong) {
-    throw new LinkError(`${wrong.slice(0, 40)} is no design: 36 hexadecimal digits or 144 digits ` +
-      'of voxels are expected.');
+    throw new LinkError(`${wrong.slice(0, 40)} is no design: a robot (ID@K), an id of 36 ` +
+      'hexadecimal digits, or 144 digits of voxels are expected.');
   }
   checkCount(all.length);
   return all;
 }
 
-/** A design in a link: an id of 36 digits, or a genotype of 144 digits, which tells its direction. */
+/** A design in a link: a robot (ID@K), an id, or a genotype of 144 digits. */
 const designOf = (text) => (text.length === 144 ? { voxels: text } : { id: text });
-const shortOf = (id) => `${id.replace(/0+$/, '').slice(0, 8)}…`;
+const shortOf = (id) => `${id.slice(0, 36).replace(/0+$/, '').slice(0, 8)}…${id.slice(36)}`;
 
 /** The name of a robot: the first digits of its id, with its place where another begins alike. */
 function labelOf(ids, i) {
