@@ -43,6 +43,9 @@ def test_what_takes_a_robot(m):
     assert m.mutate([row.robot], seed=4).tolist() == m.mutate([genotype], seed=4).tolist()
     assert m.rollouts([row.robot], physics=QUICK).designs[0]["genotype"] == row.genotype
     assert m.canonical([row.robot, "d" + row.robot]) == [row.id] * 2
+    objects = m.evaluate([{"id": row.robot}, {"id": row.id}], physics=QUICK)
+    assert objects.robots == [row.robot] * 2
+    assert [one.orientation for one in objects] == [None, "best"]
     for wrong in ("@8", "@", "@00", "@-1"):
         with pytest.raises(morphod.BodyError):
             morphod.Body.of(row.id + wrong)

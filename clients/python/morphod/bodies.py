@@ -373,7 +373,7 @@ def _from_mapping(body: Mapping[str, Any]) -> Body:
         return Body(_from_cells(value))
     if not isinstance(value, str) or _is_id(value) != (kind == "id"):
         raise BodyError('"voxels" is a genotype of 144 digits' if kind == "voxels" else
-                        '"id" is an id of 36 hexadecimal digits')
+                        '"id" is an id of 36 hexadecimal digits, perhaps with @0 to @7')
     return Body(_from_text(value))
 
 
