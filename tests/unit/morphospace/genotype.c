@@ -140,7 +140,7 @@ static void bad_ids(void)
 static void robots(void)
 {
   struct mo_random random = dice(6, 0, 0);
-  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1},
+  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2},  {1, 1, 1},
                                                 {7, 3, 1}, {2, 40, 3}, {12, 11, 10}};
   for (size_t i = 0; i < COUNT(several); i++) {
     const struct mo_workspace w = several[i];
@@ -179,9 +179,17 @@ static void robots(void)
 static void bad_robots(void)
 {
 #define ONE "800000000000000000000000000000000000"
-  static const char *const refused[] = {
-      ONE "@", ONE "@8", ONE "@-1", ONE "@00", ONE "@a", ONE "@/", ONE "0", ONE "#0", "@0", "",
-      "400000000000000000000000000000000000@0"};
+  static const char *const refused[] = {ONE "@",
+                                        ONE "@8",
+                                        ONE "@-1",
+                                        ONE "@00",
+                                        ONE "@a",
+                                        ONE "@/",
+                                        ONE "0",
+                                        ONE "#0",
+                                        "@0",
+                                        "",
+                                        "400000000000000000000000000000000000@0"};
   uint64_t bits[3] = {7, 7, 7};
   int k = 9;
   for (size_t i = 0; i < COUNT(refused); i++)
