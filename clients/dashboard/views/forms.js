@@ -114,7 +114,8 @@ export function startButton(app, kind, attributes = {}) {
 /** Designs of a text, one a line. */
 const designsIn = (text) => text.split('\n').map((line) => line.trim()).filter(Boolean)
   .map((line) => (line.length === 144 ? { voxels: line } : { id: line }));
-const DESIGNS_HINT = 'one design a line: a robot (ID@K), an id of 36 digits, or 144 digits of voxels';
+const DESIGNS_HINT = 'one design a line: a robot (ID@K), an id of 36 digits, or 144 digits of ' +
+  'voxels';
 
 /** What a finetuning learns on: fields, what the request has of them, and what morphoctl has. */
 class LearnedOn {
