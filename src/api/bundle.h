@@ -57,6 +57,9 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
 int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_imported_evaluation *evaluation,
                               struct mo_message *message);
+/* Adds to the digest of a campaign what tells it from others that have no generation either. */
+void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
+                             int64_t created_us);
 /* A controller's file as a member: its content (MO_ERR_FORMAT), and its name. */
 int mo_bundle_read_weights(const struct mo_archive_member *member,
                            struct mo_controller **controller, struct mo_message *message);
@@ -127,10 +130,6 @@ struct mo_bundle_summary {
 int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *lattice,
                    const struct mo_bundle_sink *sink, const struct mo_bundle_summary *known,
                    struct mo_bundle_summary *summary, struct mo_message *message);
-
-/* Adds to the digest of a campaign what tells it from others that have no generation either. */
-void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
-                             int64_t created_us);
 
 /* ---- making one (bundle_export.c) ---- */
 

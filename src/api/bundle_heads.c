@@ -273,6 +273,13 @@ int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, siz
                       message);
 }
 
+void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
+                             int64_t created_us)
+{
+  mo_text_format(digest, "%016llx %lld %lld\n", (unsigned long long)source->store,
+                 (long long)source->job, (long long)created_us);
+}
+
 /* ---- evaluations with recordings ---- */
 
 static void read_environments(struct mo_json *json, void *value)

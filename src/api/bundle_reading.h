@@ -1,0 +1,87 @@
+/* bundle_reading.h: the state of a reading of a bundle, and the lines of one campaign. Only for
+ * bundle_read.c and bundle_campaign.c. */
+#ifndef MORPHO_API_BUNDLE_READING_H
+#define MORPHO_API_BUNDLE_READING_H
+
+#include "api/bundle.h"
+#include "api/bundle_scores.h"
+
+/* The members of a campaign, in their order. */
+enum mo_bundle_part {
+  MO_PART_NOTHING,
+  MO_PART_CAMPAIGN,
+  MO_PART_ENVIRONMENTS,
+  MO_PART_DESIGNS,
+  MO_PART_GENERATIONS,
+  MO_PART_LEARNING,
+  MO_PART_SCORES,
+  MO_PART_RECORDINGS
+};
+
+/* What is known of a design. */
+struct mo_born {
+  struct mo_descent descent;
+  uint32_t born, died, stamp; /* stamp: the last population that has it, plus 1 */
+  uint16_t masses, springs;
+  bool is_cut;
+  double score;
+};
+
+struct mo_known_controller {
+  struct mo_sha256 sha256;
+  enum mo_sensor sensor;
+};
+
+struct mo_reading {
+  struct mo_archive_reader *archive;
+  struct mo_archive_member member;
+  struct mo_bundle_lines *lines;
+  const struct mo_bundle_sink *sink;
+  const struct mo_bundle_summary *known;
+  struct mo_bundle_summary *summary;
+  struct mo_message *message;
+  struct mo_bundle_head head;     /* version 0: bundle.json was not read */
+  uint32_t n_controllers, n_used; /* n_used: that campaigns so far begin or end with */
+  struct mo_known_controller controllers[2 * MO_BUNDLE_CAMPAIGNS];
+  /* The campaign that is read. */
+  enum mo_bundle_part part;
+  uint32_t n_parts;     /* numbers of parts that are used */
+  uint64_t part_number; /* of this one */
+  size_t part_size;
+  bool taken; /* the sink takes it */
+  char folder[64];
+  struct mo_imported_campaign campaign;
+  uint32_t n_environments;
+  struct mo_born *born; /* (n_born) */
+  uint32_t n_born, room;
+  uint32_t *births, *deaths; /* (generation + 1) */
+  int64_t generation;        /* of the newest row */
+  uint32_t n_alive;
+  struct mo_campaign_member *members; /* (MO_POPULATION_MAX) */
+  uint32_t step_generation, step;     /* of the newest step of learning */
+  uint64_t n_steps;
+  struct mo_bundle_scores *scores; /* of the design scored_number − 1 */
+  uint32_t scored_number;          /* 0: there were no scores yet */
+  struct mo_text digest;           /* lines of the members that make the history */
+  struct mo_bundle_recordings *recordings;
+  bool evaluation_taken;
+};
+
+/* ---- bundle_campaign.c ---- */
+
+/* Says what is wrong with a line of the member; line 0: with the member. MO_ERR_FORMAT. */
+int mo_reading_refuse(struct mo_reading *reading, uint32_t line, const char *words);
+/* Refuses a member with lines that has none, or whose last one does not end. */
+int mo_reading_check_lines(struct mo_reading *reading);
+bool mo_reading_is_over(const struct mo_reading *reading);
+/* Returns the place of a controller; n_controllers: it was not read. */
+uint32_t mo_reading_find_controller(const struct mo_reading *reading,
+                                    const struct mo_sha256 *sha256);
+/* Read the members of a campaign. name: behind its folder. */
+int mo_reading_begin(struct mo_reading *reading);
+int mo_reading_environments(struct mo_reading *reading);
+int mo_reading_lines(struct mo_reading *reading);
+int mo_reading_recordings(struct mo_reading *reading, const char *name);
+int mo_reading_end(struct mo_reading *reading);
+
+#endif
