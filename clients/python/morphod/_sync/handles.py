@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..bodies import voxels_of
+from ..checks import check_results
 from ..errors import JobError, MorphodError, WaitError, printable, reading
 from ..frames import frame, frame_of_columns, pandas
 from ..phylogenies import Phylogeny
@@ -38,18 +38,6 @@ def interrupted(*jobs: Job) -> KeyboardInterrupt:
     words = "; ".join(f"{job.noun} {job.id} goes on: {job.finder}({job.id!r}).cancel(), or "
                       f"morphoctl job cancel {job.id}, ends it" for job in jobs if not job.ended)
     return KeyboardInterrupt(*([words] if words else []))
-
-
-def corner_of(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Bodies (n, 6, 6, 4), each moved to the corner of the workspace."""
-    for axis in (1, 2, 3):
-        others = tuple({1, 2, 3} - {axis})
-        first = voxels.any(axis=others).argmax(axis=1)
-        places = (first[:, None] + np.arange(voxels.shape[axis])) % voxels.shape[axis]
-        shape = [-1 if side in (0, axis) else 1 for side in range(4)]
-        shape[0] = len(voxels)
-        voxels = np.take_along_axis(voxels, places.reshape(shape), axis=axis)
-    return voxels
 
 
 class Job:
@@ -113,14 +101,16 @@ class Job:
         return self.state in _ENDED
 
     @property
+    @reading()
     def warnings(self) -> list[str]:
         """What a reader of the result must know although the job did what was asked, as of the last
         look: that every robot diverged, for example. `wait` and `live` raise each as a
         `UserWarning`; `data["warnings"]` has their codes."""
-        return [warning["detail"] for warning in self.data["warnings"]]
+        return [printable(warning["detail"]) for warning in self.data["warnings"]]
 
+    @reading()
     def __repr__(self) -> str:
-        codes = "".join(f", {warning['code']}" for warning in self.data["warnings"])
+        codes = "".join(f", {printable(warning['code'])}" for warning in self.data["warnings"])
         label = f", label={self.label!r}" if self.label else ""
         return f"<{type(self).__name__} {self.id}: {self.state}{codes}{label}>"
 
@@ -293,24 +283,8 @@ class Evaluation(Job):
         lost = tuple(self.lost[place]) if self.lost else ()
         return Result(row, lost, self._faults.get(place % len(self)))
 
-    @reading()
     def _check(self, designs: Sequence[Mapping[str, str]]) -> None:
-        """Checks that the results are of the designs that were asked for."""
-        asked = [design.get("voxels") for design in designs]
-        rows = self._results
-        found = [None if row["repaired"] or row["fault"] else row["genotype"] for row in rows]
-        if len(rows) != len(asked):
-            raise MorphodError(f"evaluation {self.id} has {len(rows)} results, not the "
-                               f"{len(asked)} that were asked for")
-        known = [place for place, (one, other) in enumerate(zip(asked, found)) if one and other]
-        if not known:
-            return
-        first, second = (corner_of(voxels_of(texts[place] for place in known))
-                         for texts in (asked, found))
-        wrong = np.flatnonzero((first != second).any(axis=(1, 2, 3)))
-        if wrong.size:
-            raise MorphodError(f"result {known[wrong[0]]} of evaluation {self.id} is of another "
-                               "body than was asked for")
+        check_results(self.id, self._results, designs)
 
     def __iter__(self) -> Iterator[Result]:
         return (self[place] for place in range(len(self)))
