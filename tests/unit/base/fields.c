@@ -229,7 +229,35 @@ static void counts(void)
   check_counts("3", 0, "[7,7,7]");
 }
 
+static void add_difference(void *context, const char *pointer, const char *first,
+                           const char *second)
+{
+  mo_text_format(context, "%s: %s, %s; ", pointer, first, second);
+}
+
+/* Each row that differs, by its pointer, with both values. */
+static void compares(void)
+{
+  struct mo_text text = {0};
+  struct outer other = start;
+  mo_fields_compare(&fields, "", &start, &other, add_difference, &text);
+  CHECK_INT(text.size, 0);
+  other.batch = 7;
+  other.inner.flat = 4;
+  other.inner.steps = 11;
+  other.rate = 0.25;
+  other.color = GREEN;
+  other.side[1] = 6;
+  mo_fields_compare(&fields, "/settings", &start, &other, add_difference, &text);
+  REQUIRE(!text.failed);
+  CHECK_TEXT(text.data, "/settings/batch: null, 7; /settings/flat: 3, 4; "
+                        "/settings/rate: 0.5, 0.25; /settings/color: \"red\", \"green\"; "
+                        "/settings/inner/steps: 10, 11; /settings/side: [1,1], [1,6]; ");
+  mo_text_free(&text);
+}
+
 static const struct check_case cases[] = {
+    {"compares", compares},
     {"reads what is given", reads_what_is_given},
     {"returns every bit", returns_every_bit},
     {"says what is wrong", says_what_is_wrong},
