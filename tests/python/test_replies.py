@@ -10,13 +10,14 @@ import pytest
 
 JOB = {"id": "7", "state": "succeeded", "label": None, "n_designs": 1, "results": [{}],
        "study": {"next_batch": 1, "pending": False, "sampler": {}}, "group": 5, "progress": [],
-       "newest": 3, "settings": None, "founders": [5], "controller": 1, "result": None}
+       "newest": 3, "settings": None, "warnings": [], "founders": [5], "controller": 1, "result": None}
 NOT_OF_THE_FORM = [
     b"", b"null", b"5", b"[1,2]", b'"text"', b"{}", b"[" * 100000, b'{"items": 5}',
     b'{"items": [5], "next_cursor": null}', b'{"items": [{}], "next_cursor": []}', b"\xff\xfe",
     b'{"id": [], "state": {}}', b'{"id": "1", "state": "succeeded", "results": 3}',
     json.dumps(JOB).encode(),
     json.dumps(JOB | {"study": [], "results": [5], "progress": None, "group": {}}).encode(),
+    json.dumps(JOB | {"warnings": [5]}).encode(),
     json.dumps(JOB | {"results": None, "n_designs": "x", "study": None,
                       "items": {"a": 1}, "newest": {"score": []}}).encode(),
     json.dumps(JOB | {"results": [{"score": "x", "losses": {}, "id": 5, "genotype": 7,
@@ -174,7 +175,7 @@ def test_a_wait_that_is_answered_at_once_is_not_repeated_at_once(answered):
 def test_results_of_other_bodies_are_refused(answered):
     client, replies = answered
     row = {"score": 1.0, "lower_bound": False, "losses": [1.0], "id": "x", "fault": None,
-           "repaired": 0}
+           "repaired": 0, "robot": "x@0", "orientation": None}
     bar = np.zeros((6, 6, 4), dtype=bool)
     bar[3:5, 2, 1] = True
     for genotype, is_right in ((bar, True), (np.roll(bar, (-2, 1, -1), (0, 1, 2)), True),
