@@ -2,8 +2,9 @@
 
 import pytest
 
-from conftest import CAMPAIGN
-from service import run
+from browser import Browser
+from conftest import CAMPAIGN, TRAINING
+from service import DESIGN, await_end, run
 
 MODULE = """
 const done = arguments[arguments.length - 1];
@@ -207,3 +208,38 @@ def test_replicates_are_one_row(service, browser):
     assert "replicate 2 of 3" in text and text.count("1 run: no interval") == 2
     links = browser.texts(".title a")
     assert "replicate 2" in links and "replicate 3" in links
+
+
+# ---- results of little use ----
+
+
+def test_warnings_stand_beside_the_state(start):
+    """Of robots that all diverged, and of a campaign that found no new bodies."""
+    other = start()
+    stiff = {"n_steps": 20, "stiffness_n_per_m": 1e6}
+    diverged = run(other, "campaigns", CAMPAIGN | {"physics": stiff, "generations": 1})["id"]
+    ended = run(other, "campaigns", CAMPAIGN | {"workspace": [2, 1, 1], "label": "tiny"})["id"]
+    training = other.post("/v1/trainings", TRAINING | {"physics": stiff})["id"]
+    await_end(other, f"/v1/trainings/{training}")
+    other.evaluate({"designs": [DESIGN], "physics": stiff})
+    page = Browser(other)
+    try:
+        for path, state, detail in (
+            (f"campaigns/{diverged}", "succeeded, but every robot diverged", "generation 1"),
+            (f"campaigns/{ended}", "succeeded, but no unseen body is left", "it ended at"),
+            (f"trainings/{training}", "failed, but every robot diverged", "nothing was learned")):
+            page.open(path)
+            page.until(f"document.querySelector('.title .state')?.textContent === {state!r}")
+            assert detail in page.run("return document.querySelector('p.error').textContent")
+            assert page.faults() == []
+        page.open(f"campaigns/{diverged}")
+        page.until("document.querySelector('canvas')?.getAttribute('aria-label') === "
+                   "'Score: No value: all 12 robots diverged.'")
+        page.open(f"trainings/{training}")
+        page.until("document.querySelector('canvas')?.getAttribute('aria-label') === "
+                   "'Mean loss of the batch: No value: all 4 robots diverged.'")
+        page.open("")
+        page.until("document.body.innerText.includes('but every robot diverged')")
+        assert "but no unseen body is left" in page.run("return document.body.innerText")
+    finally:
+        page.quit()

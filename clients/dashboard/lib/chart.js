@@ -121,7 +121,8 @@ export class Chart {
       return `${s.name} from ${number(s.y[0])} at ${xName} ${number(s.x[0])} to ${number(s.y[last])} ` +
         `at ${xName} ${number(s.x[last])}`;
     });
-    return parts.length ? `${title}: ${parts.join('; ')}` : `${title}: ${this.options.empty}`;
+    return this.range && parts.length ? `${title}: ${parts.join('; ')}`
+      : `${title}: ${this.options.empty}`;
   }
 
   #range() {

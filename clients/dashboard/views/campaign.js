@@ -11,8 +11,8 @@ import { rollOfCampaign } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
 import {
-  JobParts, comparedIn, comparing, progressBar, replicateOf, shortProgress, stateChip, stateOf,
-  submitter, titleOf,
+  JobParts, comparedIn, comparing, emptyText, progressBar, replicateOf, shortProgress, stateChip,
+  stateOf, submitter, titleOf,
 } from './jobs.js';
 import { Comparison, DASHES, HUES } from './comparison.js';
 import { Scatter } from './scatter.js';
@@ -246,6 +246,9 @@ async function mountOne(main, id, parameters, app) {
         low: column(r, (row) => row.score.quantiles.p25), high: column(r, (row) => row.score.quantiles.p75) },
       { name: `median of ${other}`, x: ox, y: column(r, (row) => row.score.quantiles.p50), color: HUES[i + 1], dash: DASHES[i + 1] });
     });
+    const newest = rows.at(-1);
+    charts.scores.options.empty = emptyText(newest?.population, newest?.score.diverged,
+      'No generation has ended yet.');
     charts.scores.set(scores);
     charts.diversity.set([
       { name: 'diversity', x, y: column(rows, (row) => row.diversity), color: '--blue' },

@@ -33,9 +33,22 @@ export function replicateOf({ group }) {
 
 const isStudy = (job) => (job.mode ?? job.campaign?.mode) === 'study';
 
-/** The state in words. */
+/** Warnings in a few words, by their codes. */
+const WARNED = {
+  all_diverged: 'every robot diverged', diverged: 'robots diverged',
+  exhausted: 'no unseen body is left', light_near_start: 'a light is near the start',
+};
+
+/** The state in words, with what its result does not show. */
 export function stateOf(job) {
-  return isStudy(job) && job.state === 'queued' && job.reason ? 'waits for its client' : job.state;
+  if (isStudy(job) && job.state === 'queued' && job.reason) return 'waits for its client';
+  const warned = job.warnings.map(({ code }) => WARNED[code] ?? code);
+  return job.state + (warned.length ? `, but ${warned.join(', ')}` : '');
+}
+
+/** What a chart without values says: why there are none, if all robots diverged. */
+export function emptyText(n, diverged, otherwise) {
+  return n > 0 && diverged === n ? `No value: all ${countOf(n, 'robot')} diverged.` : otherwise;
 }
 
 /** What a campaign does within a generation, by its phase, with what is counted. */
@@ -184,9 +197,10 @@ export class JobParts {
     this.chip.className = `state ${job.state}`;
     say(this.chip, stateOf(job));
     this.progress.update(job);
-    const { error } = job;
-    say(this.trouble, error ? `${error.detail ?? error.code ?? error}` : job.reason ?? '');
-    this.trouble.className = error ? 'error' : 'muted';
+    const { error, warnings } = job;
+    say(this.trouble, error ? `${error.detail ?? error.code ?? error}`
+      : [...warnings.map(({ detail }) => detail), job.reason].filter(Boolean).join('; '));
+    this.trouble.className = error || warnings.length ? 'error' : 'muted';
     this.trouble.hidden = !this.trouble.textContent;
     say(this.remark, [job.experiment && `in ${job.experiment}`, job.note,
       job.archived_at && 'archived'].filter(Boolean).join(' – '));

@@ -11,7 +11,7 @@ import { CONFIDENCE, compareCrossed } from '../lib/statistics.js';
 import { Player } from '../stage/player.js';
 import { startButton } from './forms.js';
 import {
-  JobParts, comparedIn, comparing, progressBar, shortProgress, stateChip, titleOf,
+  JobParts, comparedIn, comparing, emptyText, progressBar, shortProgress, stateChip, titleOf,
 } from './jobs.js';
 import { copyButton, saveLink } from './share.js';
 
@@ -210,6 +210,7 @@ async function mountOne(main, id, parameters, app) {
   main.replaceChildren(title, head, h('div.grid', {}, charts.map((chart) => chart.element)));
 
   let isRunning = false;
+  let batch = 0;
   async function showHead() {
     const job = asJob(await get(`v1/trainings/${id}`));
     parts.update(job);
@@ -217,6 +218,7 @@ async function mountOne(main, id, parameters, app) {
     say(about, `${job.trainingKind}, into ${job.name ?? 'no name'}`);
     app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);
     isRunning = job.state === 'running';
+    batch = job.settings.batch;
   }
 
   /** Trainings that differ in their seeds alone are replicates: a band of them is one curve. */
@@ -253,6 +255,7 @@ async function mountOne(main, id, parameters, app) {
       return group.members.length < 2 ? [line]
         : [{ name: 'least to most', kind: 'band', x, y: x, low, high, color: HUES[i], opacity: 0.2 }, line];
     });
+    loss.options.empty = emptyText(batch, steps[0].rows.at(-1)?.diverged, 'No step has ended yet.');
     loss.set(each(steps, 'mean_loss'));
     norm.set(each(steps, 'gradient_norm'));
     clipped.set(each(steps, 'clipped_share'));
