@@ -185,7 +185,8 @@ def test_a_phylogeny_offers_new_generations(service, browser, busy):
     count = "parseInt(document.querySelector('.title .muted').innerText.replaceAll(',', ''))"
     browser.until(count + " > 0 && /of them/.test(document.querySelector('.title').innerText)")
     before = browser.run(f"return {count}")
-    browser.until("/new generation/.test(document.querySelector('.title button').innerText)")
+    browser.until("document.querySelector('.title button').checkVisibility()")
+    assert "new generation" in browser.texts(".title button")[0]
     browser.run("document.querySelector('.title button').click()")
     browser.until(f"{count} > {before}")
 
