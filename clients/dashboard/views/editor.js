@@ -136,6 +136,7 @@ export async function mount(main, path, parameters, app) {
       if (signal.aborted) return;
       robot.label = 'this body';
       known.set(genotype, robot.id);
+      for (const one of kept) if (one.genotype === genotype) one.id = robot.id;
       player.setRobots([robot]);
       // It walks first: ten rollouts would delay the frame that shows it.
       await new Promise(requestAnimationFrame);
@@ -170,7 +171,7 @@ export async function mount(main, path, parameters, app) {
   function keep() {
     // A campaign takes no form twice, wherever it lies and however it is turned.
     const id = known.get(genotype) ?? genotype;
-    if (kept.some((one) => one.id === id)) {
+    if (kept.some((one) => one.id === id || one.genotype === genotype)) {
       announce('This body is kept already.');
       return;
     }
