@@ -57,11 +57,6 @@ struct mark {
 
 static int mark(struct mo_store *store, void *arguments)
 {
-  static const char usage_sql[] =
-      "INSERT INTO past_usage(kind,label,experiment,submitted_by,jobs,worker_s,device_s)"
-      " SELECT kind,coalesce(label,''),coalesce(experiment,''),coalesce(submitted_by,''),1,"
-      "worker_s,device_s FROM jobs WHERE id=?1 ON CONFLICT DO UPDATE SET jobs=jobs+1,"
-      "worker_s=worker_s+excluded.worker_s,device_s=device_s+excluded.device_s";
   static const char sql[] = "UPDATE jobs SET state=6," MO_NEXT_VERSION " WHERE id=?1";
   static const char import_sql[] = "DELETE FROM imports WHERE job=?1";
   static const char checkpoints_sql[] =
@@ -89,8 +84,6 @@ static int mark(struct mo_store *store, void *arguments)
     call->deleted = (struct mo_deleted){.recorded_bytes = (uint64_t)recorded_bytes,
                                         .n_checkpoints = (uint64_t)sqlite3_column_int64(row, 0),
                                         .checkpoint_bytes = (uint64_t)sqlite3_column_int64(row, 1)};
-  if (error == MO_OK)
-    error = mo_sql_do(writer, usage_sql, mo_int(call->id));
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(call->id));
   if (error == MO_OK) /* its bundle may enter again at once */

@@ -54,14 +54,11 @@ static int take_usage(sqlite3_stmt *row, void *any)
 int64_t mo_store_usage(struct mo_store *store, enum mo_usage_by by, struct mo_usage_row *rows,
                        size_t limit)
 {
-#define USAGE(of_job, of_past)                                                                     \
-  "SELECT name,sum(n),sum(w),sum(d) FROM (SELECT " of_job " name,1 n,worker_s w,device_s d"        \
-  " FROM jobs WHERE state<>6 UNION ALL SELECT " of_past ",jobs,worker_s,device_s"                  \
-  " FROM past_usage) GROUP BY name ORDER BY sum(w)+sum(d) DESC,name LIMIT ?1"
-#define TEXT(column) USAGE("coalesce(" column ",'')", column)
-  static const char *const sql[MO_USAGES] = {USAGE("kind", "kind"), TEXT("label"),
-                                             TEXT("experiment"), TEXT("submitted_by")};
-#undef TEXT
+#define USAGE(column)                                                                              \
+  "SELECT " column ",sum(jobs),sum(worker_us)/1e6,sum(device_us)/1e6 FROM usage GROUP BY 1"        \
+  " ORDER BY sum(worker_us)+sum(device_us) DESC,1 LIMIT ?1"
+  static const char *const sql[MO_USAGES] = {USAGE("kind"), USAGE("label"), USAGE("experiment"),
+                                             USAGE("submitted_by")};
 #undef USAGE
   return mo_read_page(store, sql[by], MO_VALUES(mo_int((int64_t)limit)), take_usage, rows,
                       sizeof(*rows));

@@ -135,6 +135,48 @@ static void counts_what_jobs_use(void)
   }
 }
 
+/* The sums are those of the jobs, whatever happens to them. */
+static void usage_follows_changes(void)
+{
+  static const char sums[] =
+      "SELECT (SELECT count(*) FROM (SELECT kind,coalesce(label,''),coalesce(experiment,''),"
+      "coalesce(submitted_by,''),count(*),sum(CAST(round(worker_s*1e6) AS INTEGER)),"
+      "sum(CAST(round(device_s*1e6) AS INTEGER)) FROM jobs GROUP BY 1,2,3,4"
+      " EXCEPT SELECT * FROM usage))"
+      " + (SELECT count(*) FROM (SELECT kind,label,experiment,submitted_by,jobs,worker_us,device_us"
+      " FROM usage EXCEPT SELECT kind,coalesce(label,''),coalesce(experiment,''),"
+      "coalesce(submitted_by,''),count(*),sum(CAST(round(worker_s*1e6) AS INTEGER)),"
+      "sum(CAST(round(device_s*1e6) AS INTEGER)) FROM jobs GROUP BY 1,2,3,4))";
+  struct mo_evaluation_request submission = draw_evaluation(1, 1);
+  struct mo_usage_row rows[4];
+  int64_t ids[4];
+  mo_store_meter(store, meter, NULL);
+  for (int i = 0; i < 4; i++) {
+    submission.job.label = i % 2 == 0 ? "even" : NULL;
+    ids[i] = metered = submit_evaluation(&submission);
+    metered_s = 0.1 + i / 3.0;
+    CHECK_OK(change(ids[i], MO_CHANGE_PAUSE));
+    metered_s *= 1.7;
+    CHECK_OK(change(ids[i], MO_CHANGE_RESUME));
+  }
+  mo_store_meter(store, NULL, NULL);
+  for (int i = 0; i < 4; i++) {
+    const struct mo_job_edit edit = {.has_label = true,
+                                     .has_experiment = true,
+                                     .label = i == 0 ? "odd" : NULL,
+                                     .experiment = "one"};
+    CHECK_OK(mo_store_edit_job(store, ids[i], &edit));
+  }
+  REQUIRE(mo_store_usage(store, MO_USAGE_LABEL, rows, 4) == 2);
+  CHECK(rows[0].name[0] == '\0' && rows[0].jobs == 3);
+  CHECK(strcmp(rows[1].name, "odd") == 0 && rows[1].jobs == 1);
+  REQUIRE(mo_store_usage(store, MO_USAGE_EXPERIMENT, rows, 4) == 1);
+  CHECK(strcmp(rows[0].name, "one") == 0 && rows[0].jobs == 4);
+  close_store();
+  CHECK_INT(outside_integer(sums), 0);
+  REQUIRE_OK(reopen());
+}
+
 static void deletes_an_evaluation(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(4, 2);
@@ -396,6 +438,7 @@ static void forgets_some_at_a_time(void)
 static const struct check_case cases[] = {
     {"finds what is labeled", finds_what_is_labeled},
     {"counts what jobs use", counts_what_jobs_use},
+    {"what jobs use follows changes", usage_follows_changes},
     {"deletes an evaluation", deletes_an_evaluation},
     {"keeps what others need", keeps_what_others_need},
     {"goes on after an end", goes_on_after_an_end},

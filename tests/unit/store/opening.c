@@ -3,7 +3,7 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 12 /* schema */
+#define NEWEST 13 /* schema */
 
 static void opens_and_locks(void)
 {
@@ -39,7 +39,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=12; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=13; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* no database, whatever its name says */
@@ -58,7 +58,7 @@ static void refuses_version_0_1(void)
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=12"));
+  CHECK_OK(reopen_after("PRAGMA user_version=13"));
 }
 
 /* A database of version 9: what later ones added is not there. */
@@ -75,7 +75,8 @@ static const char version_9[] =
     "ALTER TABLE campaign_designs DROP COLUMN measures;"
     "DROP INDEX jobs_by_experiment; DROP INDEX jobs_archived; DROP INDEX jobs_by_end;"
     "DROP INDEX idempotency_keys_of_job; DROP INDEX trainings_of_population;"
-    "DROP INDEX campaigns_of_initial; DROP INDEX runs_of_controller; DROP TABLE past_usage;"
+    "DROP INDEX campaigns_of_initial; DROP INDEX runs_of_controller;"
+    "DROP TRIGGER usage_of_new; DROP TRIGGER usage_of_changed; DROP TABLE usage;"
     "ALTER TABLE jobs DROP COLUMN experiment; ALTER TABLE jobs DROP COLUMN note;"
     "ALTER TABLE jobs DROP COLUMN archived_us; ALTER TABLE jobs DROP COLUMN worker_s;"
     "ALTER TABLE jobs DROP COLUMN device_s;"
