@@ -64,12 +64,13 @@ export function genotypeOf(cells) {
 
 /**
  * The genotype of a robot, ID@K: image K of the canonical form that the id (36 hexadecimal digits)
- * spells; of an id alone that form. The bits of K: 4, the first, swaps x and y; 1 mirrors in x, 2 in y.
+ * spells; of an id alone that form. The bits of K: 4, the first, swaps x and y; 1 mirrors in x, 2
+ * in y.
  */
 export function genotypeOfId(robot) {
   const [id, k] = robot.split('@');
-  const cells = cellsOf([...id].map((digit) => parseInt(digit, 16).toString(2).padStart(4, '0')).join(''))
-    .map(([x, y, z]) => (Number(k ?? 0) & 4 ? [y, x, z] : [x, y, z]));
+  const form = [...id].map((digit) => parseInt(digit, 16).toString(2).padStart(4, '0')).join('');
+  const cells = cellsOf(form).map(([x, y, z]) => (Number(k ?? 0) & 4 ? [y, x, z] : [x, y, z]));
   const last = [0, 1].map((axis) => Math.max(...cells.map((cell) => cell[axis])));
   return genotypeOf(cells.map(([x, y, z]) =>
     [Number(k ?? 0) & 1 ? last[0] - x : x, Number(k ?? 0) & 2 ? last[1] - y : y, z]));

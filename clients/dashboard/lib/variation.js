@@ -92,8 +92,8 @@ export function cross(a, b) {
 }
 
 /**
- * Reads a body from a text: a robot (ID@K) or an id, 144 digits of voxels, a list of cells, or an EvoGym
- * array (rows of materials, 0 is empty), which is given a depth of two voxels.
+ * Reads a body from a text: a robot (ID@K) or an id, 144 digits of voxels, a list of cells, or an
+ * EvoGym array (rows of materials, 0 is empty), which is given a depth of two voxels.
  * @returns {{id?: string, genotype?: string}} one of them; throws with what is wrong
  */
 export function readBody(text) {

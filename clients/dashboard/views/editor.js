@@ -243,8 +243,9 @@ async function startBody(parameters, last) {
   }
   const id = parameters.get('design');
   if (id) {
-    if (id.includes('@')) return (await getJson(`v1/designs/${encodeURIComponent(id)}/body`)).genotype;
-    const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
+    const path = `v1/designs/${encodeURIComponent(id)}`;
+    if (id.includes('@')) return (await getJson(`${path}/body`)).genotype;
+    const design = await getJson(path);
     return design.orientations[0]?.genotype ?? design.genotype;
   }
   return last ?? genotypeOf(FIRST);
