@@ -23,10 +23,9 @@ enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 
 /* What a submission of any kind may ask for. */
 struct mo_parts {
-  struct mo_submission job;                        /* priority −1: not given */
-  int device;                                      /* 0: any */
-  bool has_controller, no_controller, has_designs; /* no_controller: null was given */
-  bool has_environments;
+  struct mo_submission job; /* priority −1: not given */
+  int device;               /* 0: any */
+  bool has_controller, no_controller /* null was given */, has_designs, has_environments;
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
@@ -114,9 +113,8 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
 
 struct mo_parsed_campaign {
   struct mo_campaign_request request;
-  struct mo_parts parts; /* genotypes: of the initial population */
-  int mode, preset;      /* mode −1: not a valid word */
-  int if_exists;         /* 1: return the study */
+  struct mo_parts parts;       /* genotypes: of the initial population */
+  int mode, preset, if_exists; /* mode −1: not a valid word; if_exists 1: return the study */
   bool has_mode, has_learning, has_sensor;
 };
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,

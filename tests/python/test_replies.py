@@ -10,7 +10,8 @@ import pytest
 
 JOB = {"id": "7", "state": "succeeded", "label": None, "n_designs": 1, "results": [{}],
        "study": {"next_batch": 1, "pending": False, "sampler": {}}, "group": 5, "progress": [],
-       "newest": 3, "settings": None, "warnings": [], "founders": [5], "controller": 1, "result": None}
+       "newest": 3, "settings": None, "warnings": [], "founders": [5], "controller": 1,
+       "result": None}
 NOT_OF_THE_FORM = [
     b"", b"null", b"5", b"[1,2]", b'"text"', b"{}", b"[" * 100000, b'{"items": 5}',
     b'{"items": [5], "next_cursor": null}', b'{"items": [{}], "next_cursor": []}', b"\xff\xfe",
