@@ -133,9 +133,8 @@ bool mo_http_is_ready(const struct mo_http *http);
 
 void *mo_http_context(const struct mo_request *request); /* of the service that it is for */
 
-/* Replaces the tokens. Requests in flight are not affected, but event streams of a token that is
- * gone end at the next tick. MO_ERR_INVALID (none given though needed, or malformed) and
- * MO_ERR_NO_MEMORY: the old tokens stay. */
+/* Replaces the tokens. Of requests in flight, only event streams of a token that is gone end. If
+ * MO_ERR_INVALID (missing though needed, or malformed) or MO_ERR_NO_MEMORY, the old tokens stay. */
 int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message);
 

@@ -37,9 +37,8 @@ struct mo_store {
   const char *vfs;
   const struct mo_file_operations *files;
   bool must_exist;
-  int folder_fd, lock_fd;    /* both locked */
-  int64_t epoch, id, origin; /* origin: the row of this host in `origins` */
-  int64_t history;
+  int folder_fd, lock_fd;             /* both locked */
+  int64_t epoch, id, history, origin; /* origin: the row of this host in `origins` */
   uint64_t events_kept;
   int64_t idempotency_keep_us;
   void (*fatal)(void *context, const char *what);

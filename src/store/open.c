@@ -192,7 +192,8 @@ static int read_header(struct mo_store *store, struct header *header)
 
 /* Begins another history, unless this database was closed by the last opening of this folder: the
  * database and the file `lock`, which every opening changes, agree on the time of its last change.
- * With it the numbers of events jump, so that those of events that are lost name none. */
+ * In another history numbers may be given a second time: what names one for clients names the
+ * history, too. The numbers of events jump, so that those of events that are lost name none. */
 static int follow_history(struct mo_store *store, struct mo_connection *writer)
 {
   static const char same_sql[] =

@@ -86,9 +86,8 @@ int mo_store_clean(struct mo_store *store,
 int mo_store_accept_clock(struct mo_store *store);
 /* Random, chosen when the database was made: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
-/* Random, of this history of the store: another one begins when the database was not closed by the
- * last opening of this folder, as after the restoration of a backup, a copy or a crash. Then
- * numbers may be given a second time: what names one for clients names the history, too. */
+/* Random, of this history: after a restored backup, a copy or a crash another one begins (open.c).
+ */
 uint64_t mo_store_history(const struct mo_store *store);
 /* How often the store was opened: no other opening has this number. */
 uint64_t mo_store_epoch(const struct mo_store *store);
