@@ -4,8 +4,8 @@
 #                               root, or with sudo)
 #   fetch_promtool              puts Prometheus's checker, build/promtool, in its place once; tests
 #                               that find none are skipped
-#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments; the module for
-#                               GPUs has code for all of them, but where tools/test is without a GPU
+#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments; the module
+#                               for GPUs has code for all, but for tools/test without a GPU
 #   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
 
 set -euo pipefail

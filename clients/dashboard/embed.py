@@ -38,7 +38,8 @@ def modules_of(files: dict[str, bytes], name: str) -> set[str]:
             found.add(module)
             folder = posixpath.dirname(module)
             new += [posixpath.normpath(posixpath.join(folder, path)) for path in
-                    re.findall(r"^(?:import .*|} )from '(\..*)';$", files[module].decode(), re.MULTILINE)]
+                    re.findall(r"^(?:import .*|} )from '(\..*)';$", files[module].decode(),
+                               re.MULTILINE)]
     return found
 
 

@@ -85,8 +85,7 @@ void expect_success(const char *noun, const json_t *job);
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 struct fact {
-  const char *name, *words; /* words: a template; if it is filled with nothing, the fact is left
-                               out */
+  const char *name, *words; /* words: a template; the fact is left out if it comes to nothing */
 };
 /* Prints the facts up to one without a name. */
 void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *facts);
@@ -123,8 +122,7 @@ void print_differences(const struct ctl *ctl, const json_t *different);
 /* Sends a request whose reply has no body, and says what it did. */
 void act(struct ctl *ctl, struct request request, const char *words);
 /* Writes a head and bytes to a file, or to standard output ("-"). */
-void save_output(const char *path, const void *head, size_t head_bytes, const void *bytes,
-                 size_t n);
+void save_output(const char *path, const void *head, size_t head_n, const void *bytes, size_t n);
 /* Saves the reply to a GET in the same way, and reports its size. */
 void save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 

@@ -97,9 +97,8 @@ struct mo_store_stats {
   uint64_t queued;                                 /* operations waiting for the writer */
   double commit_s;                                 /* sum of the time spent in COMMIT */
   int64_t database_bytes, wal_bytes;
-  uint64_t recorded_bytes;                               /* of all recordings */
-  uint64_t recordings_removed, recordings_removed_bytes; /* evaluations, since the opening */
-  uint64_t jobs_expired;                                 /* deleted by age, since the opening */
+  uint64_t recorded_bytes;                                             /* of all recordings */
+  uint64_t recordings_removed, recordings_removed_bytes, jobs_expired; /* since the opening */
   int64_t clock_ahead_us; /* > 0: too far to be credible, so nothing is deleted by age */
   int64_t heartbeat_us;   /* monotonic clock: the writer's last round (at least one per second) */
   bool no_space;          /* the last write failed for lack of space */
@@ -107,8 +106,7 @@ struct mo_store_stats {
 };
 void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats); /* lock-free */
 
-/* Runs SQLite's integrity_check and foreign_key_check. MO_ERR_CORRUPT: `message` holds the first
- * finding. */
+/* Runs SQLite's own checks. MO_ERR_CORRUPT: `message` holds the first finding. */
 int mo_store_check(struct mo_store *store, struct mo_message *message);
 
 /* ---- jobs ---- */
@@ -130,8 +128,7 @@ struct mo_job_query {
   int64_t group; /* only campaigns of this group of replicates; 0: any job */
 };
 #define MO_WAITING_MAX 80 /* all trainings and campaigns that can run at once */
-/* Reads a page of jobs, newest first, at most `limit` ≤ MO_PAGE_MAX. Returns the number or an
- * error. Next page: before = last id. */
+/* Reads a page, newest first; returns its size (limit ≤ MO_PAGE_MAX). Next: before = last id. */
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query,
                       void *jobs /* struct mo_job */, size_t limit);
 /* Counts the jobs in each state. */

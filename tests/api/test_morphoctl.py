@@ -248,7 +248,7 @@ def test_watch_a_job(ctl):
     job = ctl(f"eval {SHORT} --no-wait --random 20 --seed 6")[1].strip()
     status, out, err = ctl(f"watch {job}")
     assert status == 0, err
-    kinds = [line.split()[2] for line in out.splitlines()]
+    kinds = [line.split()[3] for line in out.splitlines()]
     assert kinds[0] == "job.created" and kinds[-1] == "job.finished", out
     events = [json.loads(line) for line in ctl(f"watch {job} --json")[1].splitlines()]
     assert [int(e["id"]) for e in events] == sorted(int(e["id"]) for e in events)
