@@ -19,7 +19,7 @@ static const uint64_t gradient_hashes[MO_ISA_COUNT] = {
 static const uint64_t rare_hashes[MO_ISA_COUNT] = {
     UINT64_C(0x2cad5ded0fb30d47), /* x86-64 */
     UINT64_C(0x4809bdfc431286f4), /* avx2 */
-    UINT64_C(0x5afac5d24f6566f3), /* avx512 */
+    UINT64_C(0x034c79c12f1c6c00), /* avx512 */
 };
 
 enum { ROBOTS = MO_GRADIENT_ROBOTS, STEPS = 120, BLOCKS = 4 };
