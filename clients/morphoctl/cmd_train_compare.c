@@ -130,7 +130,7 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2],
                paired->equal, isnan(paired->sign_p) ? 1 : paired->sign_p);
   if (paired->n < sides[0].n)
     print_fact(ctl, "left out",
-               "%zu design%s that diverged with A or B: the means and the difference are without",
+               "%zu design%s that diverged with A or B: left out of the means and the difference",
                sides[0].n - paired->n, sides[0].n - paired->n == 1 ? "" : "s");
   print_verdict(sides, paired);
 }

@@ -164,8 +164,8 @@ void say_orientations(const struct ctl *ctl, const json_t *designs)
       continue;
     if (n++ < SAID_MAX)
       print_from(stderr, design,
-                 "{robot} is taken[{orientation=best}: of its orientations it has the best stored "
-                 "score|, the canonical orientation: none has a stored score]");
+                 "using {robot}[{orientation=best}: its best stored score of all orientations|, the "
+                 "canonical orientation: no stored score]");
   }
   if (n > SAID_MAX)
     fprintf(stderr, "… and so on for %zu more designs that are given by an id alone\n",

@@ -231,9 +231,9 @@ def test_morphoctl(service, ctl):
     status, table, err = ctl(f"eval {quick} {' '.join(ids)}")
     assert [(row["design"], row["score"]) for row in rows_of(table)] == [
         (row["design"], row["score"]) for row in best]
-    assert err.count("is taken: of its orientations it has the best stored score") == 3, err
+    assert err.count(": its best stored score of all orientations") == 3, err
     status, _, err = ctl(f"eval --physics n_steps=33 {ids[0]}")
-    assert f"{ids[0]}@0 is taken, the canonical orientation: none has a stored score" in err, err
+    assert f"using {ids[0]}@0, the canonical orientation: no stored score" in err, err
     # In detail: the orientation, its drawing, and what else takes it.
     status, text, err = ctl(f"design show {robots[0]}")
     assert status == 0 and f"\n{robots[0]}\n" in text and best[0]["score"] in text, text
@@ -252,6 +252,6 @@ def test_films(service, ctl, command, tmp_path):
     command = command.format(tmp_path / "made")
     (tmp_path / "made").mkdir()
     status, _, err = ctl(f"{command} --physics n_steps=30 --size 64x64 {row['id']}")
-    assert status == 0 and f"{row['robot']} is taken: of its" in err, err
+    assert status == 0 and f"using {row['robot']}: its best" in err, err
     status, _, err = ctl(f"{command} --physics n_steps=30 --size 64x64 {row['robot']}")
-    assert status == 0 and "is taken" not in err and not row["robot"].endswith("@0"), err
+    assert status == 0 and "using" not in err and not row["robot"].endswith("@0"), err

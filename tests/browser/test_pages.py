@@ -141,9 +141,10 @@ def test_what_the_editor_reads(browser):
             }
           })));
     """, [
-        "[[0, 3, 3], [1, 1, 0], [4, 0, 0]]", "array([[0., 3., 3.],\n       [1., 1., 0.]])",
+        "array([[0, 3, 3], [1, 1, 0], [4, 0, 0]])", "array([[0., 3., 3.],\n       [1., 1., 0.]])",
         "[[0 3 3]\n [1 1 0]]", "[[2,2,0],[3,2,0],[2,3,0]]", "1" + "0" * 142 + "1", "88" + "0" * 34,
-        "88" + "0" * 34 + "@4", "[[1, 1], [1, 1], [1, 1], [1, 1], [1, 1]]", "nothing", "[[7, 0, 0]]"
+        "88" + "0" * 34 + "@4", "[[1, 1], [1, 1], [1, 1], [1, 1], [1, 1]]", "nothing", "[[7, 0, 0]]",
+        "[[0, 3, 3], [1, 1, 0], [4, 0, 0]]", "array([[0.3, 1.0, 0.0]])"
     ])
     two = [[x, y, z] for x, z in ((0, 0), (1, 0), (1, 1), (2, 1)) for y in (2, 3)]
     three = [[x, y, z] for x, z in ((0, 0), (0, 1), (1, 1), (1, 2), (2, 2)) for y in (2, 3)]
@@ -153,6 +154,7 @@ def test_what_the_editor_reads(browser):
     assert read[6] == [[0, 0, 0], [1, 0, 0]]
     assert "outside of the workspace of 6 × 6 × 4" in read[7] and "neither" in read[8]
     assert "outside" in read[9]
+    assert "for rows of EvoGym write array" in read[10] and "0.3 is neither" in read[11]
 
 
 def test_what_the_editor_does(service, browser):
@@ -485,6 +487,11 @@ def test_campaigns_are_compared_with_an_interval(service, browser):
     told = (high - low) / 2 / sum(parts)**0.5  # the quantile that was used
     table = {2: 4.3027, 3: 3.1824, 4: 2.7764}
     assert table[int(freedom) + (freedom < 4)] - 2e-2 <= told <= table[int(freedom)] + 2e-2
+    shorter = run(service, "campaigns", base | {"replicates": 1, "physics": {"n_steps": 20}})["id"]
+    browser.open(f"campaigns/{firsts[0]}?compare={shorter}")
+    browser.until("/do not compare/.test(document.body.innerText)")
+    assert "physics.n_steps (30, 20)" in browser.texts("[aria-label=Comparison]")[0]
+    assert browser.texts("[aria-label=Comparison] tbody tr:last-child td")[3:] == ["–", "–"]
     assert browser.faults() == []
 
 

@@ -46,18 +46,19 @@ const ROLLOUTS_AT_ONCE = 16;
  * Rolls designs out in one environment and gives them as the stage takes them, in their order.
  * @param {Object[]} designs {voxels} or {id}, as in any request
  * @param {Object} environment
- * @param {{controller?: string, physics?: Object, signal?: AbortSignal}} [options]
+ * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal}}
+ *   [options]
  */
 export async function roll(designs, environment, options = {}) {
-  const { controller = 'default', physics, signal } = options;
+  const { controller = 'default', physics, precision, signal } = options;
   const robots = [];
   for (let i = 0; i < designs.length; i += ROLLOUTS_AT_ONCE) {
     const response = await patient(() => request('v1/rollouts', {
       method: 'POST', signal,
       headers: { Accept: 'application/vnd.morphod.scene' },
       body: {
-        designs: designs.slice(i, i + ROLLOUTS_AT_ONCE), environments: [requested(environment)], controller, physics,
-        record: CHANNELS, record_stride: 10,
+        designs: designs.slice(i, i + ROLLOUTS_AT_ONCE), environments: [requested(environment)],
+        controller, physics, precision, record: CHANNELS, record_stride: 10,
       },
     }));
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
@@ -72,6 +73,7 @@ const DEFAULT_CONTROLLER = 'default';
 export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
   return {
     set, environments: await environmentSet(set), controller, physics: undefined,
+    precision: undefined,
     words: `World: ${set}, default physics, controller ${controller.split(',').join(' and ')}`,
   };
 }
@@ -88,11 +90,12 @@ export async function worldOfJob(kind, job) {
     : environmentsAt(`v1/${kind}s/${encodeURIComponent(job.id)}/environments`));
   const file = job.result?.controller ?? job.controller;
   return {
-    set, environments, physics,
+    set, environments, physics, precision: job.precision,
     controller: file?.sha256 ? `sha256:${file.sha256}` : DEFAULT_CONTROLLER,
     words: `World of ${kind} ${job.id}: ` +
       `${set ?? `${countOf(environments.length, 'environment')} of its own`}, ` +
       `${physics.n_steps} steps of ${physics.dt_s} s, ` +
+      `${job.precision === 'float64' ? 'float64, ' : ''}` +
       `controller ${file?.name ?? file?.sha256?.slice(0, 12) ?? DEFAULT_CONTROLLER}`,
   };
 }

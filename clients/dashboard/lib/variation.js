@@ -94,7 +94,8 @@ export function cross(a, b) {
 /**
  * Reads a body from a text: a robot (ID@K) or an id, 144 digits of voxels, a list of cells, or an
  * EvoGym array (rows of materials, 0 is empty), which is given a depth of two voxels.
- * @returns {{id?: string, genotype?: string}} one of them; throws with what is wrong
+ * @returns {{id?: string, genotype?: string, lost?: string}} an id or a genotype, and what the
+ *   conversion lost; throws with what is wrong
  */
 export function readBody(text) {
   const trimmed = text.trim();
@@ -109,13 +110,22 @@ export function readBody(text) {
   if (!Array.isArray(rows) || !rows.length || !rows.every((row) => Array.isArray(row) && row.every(Number.isFinite))) {
     throw new Error('This is neither an id, nor 144 digits, nor a list of cells, nor an EvoGym array.');
   }
-  // Rows of three are cells or a narrow array: cells are told once each, and touch each other.
-  const isCells = rows.every((row) => row.length === 3) && new Set(rows.map(key)).size === rows.length &&
-    !/array/.test(trimmed) && components(rows).length === 1;
+  const isList = trimmed.startsWith('[') && trimmed.includes(',');
+  const isCells = isList && rows.every((row) => row.length === 3);
+  if (isCells && (new Set(rows.map(key)).size !== rows.length || components(rows).length !== 1)) {
+    throw new Error('As cells [x, y, z] this is not in one piece, or repeats one; for rows of ' +
+      'EvoGym write array([[…], …]).');
+  }
+  const wrong = rows.flat().find((value) => !Number.isInteger(value) || value < 0);
+  if (wrong !== undefined) {
+    throw new Error(`${wrong} is neither a place nor a material: whole numbers from 0 are.`);
+  }
+  const materials = isCells ? [] : [...new Set(rows.flat())].filter((one) => one !== 0).sort();
   const cells = isCells ? rows : rows.flatMap((row, up) => row.flatMap((material, x) =>
     (material === 0 ? [] : [2, 3].map((y) => [x, y, rows.length - 1 - up]))));
   if (cells.some((cell) => cell.some((v, axis) => !Number.isInteger(v) || v < 0 || v >= WORKSPACE[axis]))) {
     throw new Error(`A voxel lies outside of the workspace of ${WORKSPACE.join(' × ')}.`);
   }
-  return { genotype: genotypeOf(cells) };
+  const lost = materials.length > 1 ? `Materials ${materials.join(', ')} became one.` : '';
+  return { genotype: genotypeOf(cells), lost };
 }

@@ -11,6 +11,17 @@ import { Curve } from '../lib/api.js';
 export const HUES = ['--blue', '--green', '--pink', '--grey'];
 export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
+/**
+ * In what two sides differ so that their scores do not compare, as morphoctl campaign compare
+ * refuses it; '' if they do.
+ */
+function differenceOf(one, other) {
+  const [a, b] = [one, other].map(({ campaign }) => campaign.settings.physics);
+  const setting = Object.keys({ ...a, ...b }).find((name) => a[name] !== b[name]);
+  if (setting) return `physics.${setting} (${a[setting]}, ${b[setting]})`;
+  return one.worlds.join() === other.worlds.join() ? '' : 'their environments';
+}
+
 /** Replicates of a campaign are one side: their mean, and the spread that gives the interval. */
 export class Comparison {
   /** @param {string[]} ids @param {function(string): Promise<any>} get */
@@ -32,12 +43,14 @@ export class Comparison {
     const sides = await Promise.all(this.ids.map(async (id) => {
       const campaign = await this.get(`v1/campaigns/${id}`);
       const { items } = await this.get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
+      const worlds = await this.get(`v1/campaigns/${id}/environments`);
       // Replicates that ended early are only named, unless all did.
       const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed').map((one) => one.id);
       const counted = items.map((one) => one.id).filter((one) => !early.includes(one));
       return {
         id, campaign: { ...campaign, kind: 'campaign' }, group: campaign.group.id,
         members: counted.length ? counted : early, early: counted.length ? early : [], curves: [],
+        worlds: worlds.items.map(({ sha256 }) => sha256),
       };
     }));
     for (const side of sides) {
@@ -74,8 +87,13 @@ export class Comparison {
   #showTable(generation, values) {
     const early = this.sides.flatMap((side) => side.early);
     this.note.textContent = `At generation ${generation}, the newest that all have; lower is better.${
-      early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}`;
-    fill(this.body, this.sides.map(({ id, campaign }, i) => {
+      early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}${
+      this.sides.map((side) => differenceOf(this.sides[0], side) &&
+        ` Campaigns ${this.ids[0]} and ${side.id} differ in ${differenceOf(this.sides[0], side)}: ` +
+        'their scores do not compare.').join('')}`;
+    fill(this.body, this.sides.map((side, i) => {
+      const { id, campaign } = side;
+      const compares = i > 0 && !differenceOf(this.sides[0], side);
       const { difference, low, high } = compareMeans(values[0], values[i]);
       const mean = values[i].reduce((sum, one) => sum + one, 0) / values[i].length;
       const n = Math.min(values[0].length, values[i].length);
@@ -85,7 +103,8 @@ export class Comparison {
       return h('tr', {}, h('td', {}, h('a', { href: `#/campaigns/${id}` }, titleOf(campaign)),
         h('div.muted', {}, `campaign ${id}${single}`)),
       h('td.right', {}, values[i].length), h('td.right', {}, score(mean)),
-        h('td.right', {}, i ? signed(difference) : '–'), h('td.right', {}, i ? interval : '–'));
+      h('td.right', {}, compares ? signed(difference) : '–'),
+      h('td.right', {}, compares ? interval : '–'));
     }));
   }
 

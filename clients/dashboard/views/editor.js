@@ -186,8 +186,9 @@ export async function mount(main, path, parameters, app) {
     formDialog('Import a body', 'Import', () => {
       const body = readBody(text.value);
       change(body.genotype ?? genotypeOfId(body.id));
-    }, h('p.wide', {}, 'An id, 144 digits of voxels, a list of cells as [[x,y,z], …], or an ' +
-      'array of EvoGym (it becomes two voxels deep).'), h('div.stack.wide', {}, text));
+      if (body.lost) announce(body.lost);
+    }, h('p.wide', {}, 'A robot (ID@K), an id, 144 digits of voxels, a list of cells as ' +
+      '[[x,y,z], …], or an array of EvoGym (it becomes two voxels deep).'), h('div.stack.wide', {}, text));
   }
 
   const move = (name, step) => button(name, () => {

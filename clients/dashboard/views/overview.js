@@ -114,7 +114,7 @@ export async function mount(main, path, parameters, app) {
   function showTiles(health, threads, devices) {
     const waiting = threads.queued_batch + threads.queued_interactive;
     const all = [
-      ['Service', health.status, `version ${health.version}`],
+      ['Service', health.status, health.notice ?? `version ${health.version}`],
       ['Threads', `${threads.n_busy} of ${threads.n_threads}`,
         threads.n_busy ? 'computing' : 'idle'],
       ['Rollouts', count(threads.rollouts_done), 'since the service started'],
@@ -234,6 +234,7 @@ function detailOf({ type, data }) {
   if (type === 'campaign.generation') return `generation ${data.generation}: best ${number(data.best)}`;
   if (type === 'training.validation') return `step ${data.step}: ${number(data.mean_score)}`;
   if (type === 'controller.stored') return data.name ?? '';
+  if (type === 'job.warning') return data.detail;
   if (type.startsWith('fleet.')) return data.why ?? data.class ?? data.host ?? '';
   return data.state ?? '';
 }

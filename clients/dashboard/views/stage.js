@@ -121,7 +121,7 @@ async function rollouts(parameters) {
   const [world, best] = await Promise.all([worldIn(parameters),
     ids.length ? null : getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }))]);
   if (best) ids = best.items.map((design) => design.robot);
-  const { environments, physics } = world;
+  const { environments, physics, precision } = world;
   /** The same robots under each of them. */
   const controllers = parameters.get('controller')?.split(',') ?? [world.controller];
 
@@ -129,7 +129,7 @@ async function rollouts(parameters) {
     const robots = [];
     for (const controller of controllers) {
       const more = await roll(ids.map(designOf), environments[environment],
-        { controller, physics, signal });
+        { controller, physics, precision, signal });
       // An id alone is a robot now, which stays the same in other environments.
       ids = ids.map((id, i) => (id.length === 36 ? more[i].robot : id));
       more.forEach((robot, i) => {

@@ -262,6 +262,8 @@ class AsyncClient:
                      self._connection.pages("/v1/campaigns", group=first["id"])]
             with reading():
                 members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
+                for member in members:  # a list does not have them; they are those of all
+                    member.data["founders"] = first["founders"]
         if isinstance(initial, AsyncCampaign) and members[0].left_out:
             warnings.warn(f"{len(members[0].left_out)} designs of campaign {initial.id} do not fit "
                           "the workspace and are left out; random bodies take their places",
@@ -277,8 +279,8 @@ class AsyncClient:
 
         The name is the label of its campaign. `population` is the most designs that may live (512).
         `settings` are those of the contract (docs/studies.md), such as `selection`, `mutation`,
-        `seed`. Raises `ConflictError`, which names each setting that is given here and that the
-        study has otherwise.
+        `seed`. Raises `ConflictError`, which names each setting given here that differs from the
+        study's.
         """
         value = {"mode": "study", "label": name, "if_exists": "return", **settings,
                  **_given(population=population, environments=environments, controller=controller,

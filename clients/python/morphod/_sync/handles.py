@@ -467,7 +467,9 @@ class Campaign(Job):
         """The initial designs that are not in generation 0, each with its `place` and `fault`:
         those of another campaign that do not fit the workspace, and listed ones that were skipped.
         """
-        return [note for note in self.data.get("founders", ()) if note["fault"] is not None]
+        if "founders" not in self.data:
+            raise MorphodError("a list of campaigns does not have their founders: refresh() first")
+        return [note for note in self.data["founders"] if note["fault"] is not None]
 
     def live(self) -> Campaign:
         """Shows how far it is until it has ended."""
