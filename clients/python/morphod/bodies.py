@@ -228,6 +228,19 @@ def designs_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "r
     return designs
 
 
+def warn_of_ids(notes: Iterable[Mapping[str, Any]]) -> None:
+    """Warns of the designs of a request that came as an id alone, where no result says which
+    orientation was taken. `notes` are those of the reply."""
+    why = {"best": "its best stored score of all orientations",
+           "canonical": "the canonical orientation, none has a stored score"}
+    taken = [note for note in notes if note["orientation"] is not None]
+    if taken:
+        first = taken[0]
+        more = f" (and {len(taken) - 1} more)" if len(taken) > 1 else ""
+        warnings.warn(f"body {first['place']} was given by an id alone: using {first['robot']}, "
+                      f"{why[first['orientation']]}{more}", stacklevel=3)
+
+
 def _whole_array(bodies: Any) -> NDArray[np.bool_] | None:
     """An array (n, 6, 6, 4) of zeros and ones, which is the fastest to read; None: it is another
     array, or none."""

@@ -304,6 +304,7 @@ class AsyncEvaluation(AsyncJob):
         table: pd.DataFrame = pandas().DataFrame({
             "id": [row["id"] for row in results],
             "robot": [row["robot"] for row in results],
+            "orientation": [row["orientation"] for row in results],
             "genotype": [row["genotype"] for row in results],
             "score": self.scores,
             "lower_bound": self.lower_bound,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import anyio
 
-from ..bodies import Body, BodyLike, OnFault, Repair, designs_of
+from ..bodies import Body, BodyLike, OnFault, Repair, designs_of, warn_of_ids
 from ..errors import MorphodError, reading
 from ..objectives import Plan
 from ..results import Asked, Batch, children_of
@@ -92,6 +92,8 @@ class AsyncStudy(AsyncCampaign):
                 f"batch {self.next_batch} of study {self.id} goes on if it was told: restore() or "
                 "the same tell() gives its scores") from None
         self.next_batch = batch.number + 1
+        with reading():
+            warn_of_ids(batch.notes)
         return batch
 
     async def _settled(self, told: dict[str, Any]) -> Batch:

@@ -11,7 +11,8 @@ from collections.abc import Iterator, Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..bodies import BodyLike, OnFault, Repair, designs_of, requests_of, voxels_of
+from ..bodies import (BodyLike, OnFault, Repair, designs_of, requests_of, voxels_of,
+                      warn_of_ids)
 from ..errors import MorphodError, reading
 from ..frames import frame
 from ..objectives import Plan
@@ -264,6 +265,8 @@ class Client:
                 members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
                 for member in members:  # a list does not have them; they are those of all
                     member.data["founders"] = first["founders"]
+        with reading():
+            warn_of_ids(first["founders"])
         if isinstance(initial, Campaign) and members[0].left_out:
             warnings.warn(f"{len(members[0].left_out)} designs of campaign {initial.id} do not fit "
                           "the workspace and are left out; random bodies take their places",
@@ -403,6 +406,8 @@ class Client:
     def _train(self, kind: str, settings: dict[str, Any], **given: Any) -> Training:
         value = {"kind": kind, **_given(**given), **settings}
         data = self._connection.json(Request.submit("/v1/trainings", value))
+        with reading():
+            warn_of_ids(data.get("notes") or ())
         return Training(self._connection, data)
 
     def training(self, id: str | int) -> Training:

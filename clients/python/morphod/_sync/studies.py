@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
 
-from ..bodies import Body, BodyLike, OnFault, Repair, designs_of
+from ..bodies import Body, BodyLike, OnFault, Repair, designs_of, warn_of_ids
 from ..errors import MorphodError, reading
 from ..objectives import Plan
 from ..results import Asked, Batch, children_of
@@ -91,6 +91,8 @@ class Study(Campaign):
                 f"batch {self.next_batch} of study {self.id} goes on if it was told: restore() or "
                 "the same tell() gives its scores") from None
         self.next_batch = batch.number + 1
+        with reading():
+            warn_of_ids(batch.notes)
         return batch
 
     def _settled(self, told: dict[str, Any]) -> Batch:
