@@ -405,7 +405,8 @@ void run_picture(struct ctl *ctl)
   prepare(ctl, &film);
   const double end_s = duration_s(&film);
   if (asked_s > end_s)
-    fail(STATUS_USAGE, "--time: the rollout ends after %g s; give a time up to that, not %g", end_s, asked_s);
+    fail(STATUS_USAGE, "--time: the rollout ends after %g s; give a time up to that, not %g", end_s,
+         asked_s);
   draw(&film, asked_s >= 0 ? asked_s : fmin(2, end_s));
   save_png(&film, output);
 }

@@ -163,9 +163,10 @@ void say_orientations(const struct ctl *ctl, const json_t *designs)
     if (!json_is_string(json_object_get(design, "orientation")) || ctl->quiet)
       continue;
     if (n++ < SAID_MAX)
-      print_from(stderr, design,
-                 "using {robot}[{orientation=best}: its best stored score of all orientations|, the "
-                 "canonical orientation: no stored score]");
+      print_from(
+          stderr, design,
+          "using {robot}[{orientation=best}: its best stored score of all orientations|, the "
+          "canonical orientation: no stored score]");
   }
   if (n > SAID_MAX)
     fprintf(stderr, "… and so on for %zu more designs that are given by an id alone\n",

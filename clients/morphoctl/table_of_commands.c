@@ -144,8 +144,8 @@ static const struct option_spec bundle_import_options[] = {
 static const struct option_spec export_options[] = {
     {"output", 'o', "FILE", "Where to put it (default: -, standard output)."},
     {"format", 'f', "csv|ndjson|newick|columns",
-     "The form (default: by the end of FILE: .csv, .ndjson, .jsonl or .nwk; csv for standard output "
-     "or a name without an end; other ends need --format). newick is for phylogenies."},
+     "The form (default: by the end of FILE: .csv, .ndjson, .jsonl or .nwk; csv for standard "
+     "output or a name without an end; other ends need --format). newick is for phylogenies."},
     {NULL}};
 #define WALKERS                                                                                    \
   {CONTROLLER}, {ENVIRONMENTS},                                                                    \

@@ -32,8 +32,8 @@ def test_scores_are_those_of_the_service(m, service):
     assert [result.score for result in evaluation] == evaluation.scores.tolist()
     table = evaluation.frame()
     assert list(table.columns) == ["id", "robot", "orientation", "genotype", "score",
-                                   "lower_bound", "diverged", "voxels", "masses", "springs", "footprint",
-                                   "repaired", "path_length_m", "fault",
+                                   "lower_bound", "diverged", "voxels", "masses", "springs",
+                                   "footprint", "repaired", "path_length_m", "fault",
                                    *(f"loss_{n}" for n in range(10))]
     assert table["loss_3"].tolist() == evaluation.losses[:, 3].tolist()
     again = m.evaluation(evaluation.id)
