@@ -192,7 +192,7 @@ def test_only_truncation_has_a_bound(service, selection):
 
 # ---- the best of many ----
 
-LIGHTS = [{"light_xy_m": [4.5 - 0.4 * k, 2.0 + 0.1 * k], "terrain_sigma_m": 0.03, "seed": k}
+LIGHTS = [{"light_xy_m": [4.5 - 0.4 * k, 1.5 + 0.1 * k], "terrain_sigma_m": 0.03, "seed": k}
           for k in range(9)]
 MANY = {"environments": LIGHTS, "physics": {"n_steps": 800}}
 
