@@ -69,7 +69,7 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
     assert ctl(f"train prune {job}")[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
     status, out, err = ctl("train compare default ctl-walker --designs 6 --environments 2 "
                            "--physics n_steps=50")
-    assert status == 0 and "Student t, 6 pairs" in out, (out, err)
+    assert status == 0 and "for other designs and environments (Student t" in out, (out, err)
 
 
 def test_presets_of_trainings(ctl):
@@ -215,7 +215,7 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
     assert ctl(f"campaign watch {campaign}")[0] == 0
     lines = ctl(f"campaign watch {campaign}")[1].splitlines()
     assert len(lines) == 6 and all(
-        re.match(rf" {{21}}generation {i} of 5  mean ", line)
+        re.match(rf" {{25}}generation {i} of 5  mean ", line)
         for i, line in enumerate(lines)), "long ago: without a time"
     assert ctl(f"campaign export {campaign} --curve -")[1].splitlines()[:5] == rows["curve"]
     status, out, err = ctl(f"train start finetune --population {campaign} --best 3 {TINY}")
