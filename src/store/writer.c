@@ -237,13 +237,13 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   }
 }
 
-/* Deletes old events and idempotency keys, a bounded number of rows at once. After a failure the
- * next round tries again. */
+/* Deletes old events and idempotency keys, a bounded number of rows at once. Events are counted:
+ * their numbers jump after a crash. After a failure the next round tries again. */
 static void prune(struct mo_store *store)
 {
   static const char events_sql[] =
-      "DELETE FROM events WHERE sequence IN (SELECT sequence FROM events WHERE sequence <= (SELECT "
-      "max(sequence) FROM events) - ?1 ORDER BY sequence LIMIT " PRUNE_ROWS ")";
+      "DELETE FROM events WHERE sequence IN (SELECT sequence FROM events ORDER BY sequence"
+      " LIMIT max(0,min(" PRUNE_ROWS ",(SELECT count(*) FROM events)-?1)))";
   static const char keys_sql[] =
       "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys WHERE "
       "created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";

@@ -174,6 +174,27 @@ static void names_damaged_pages(void)
 }
 
 /* Rows that the schema does not allow count as damage, too. */
+/* After each, the numbers of events jump; those that are kept stay, however often that happens. */
+static void keeps_events_after_unclean_stops(void)
+{
+  static const char oldest_sql[] = "SELECT min(sequence) FROM events",
+                    newest_sql[] = "SELECT max(sequence) FROM events";
+  const struct mo_store_config config = {.path = fixture.path, .events_kept = 2000};
+  close_store();
+  const int64_t oldest = outside_integer(oldest_sql);
+  for (int i = 0; i < 10; i++) {
+    const int64_t newest = outside_integer(newest_sql);
+    REQUIRE_OK(outside("UPDATE meta SET value=0 WHERE key='clean'"));
+    REQUIRE_OK(mo_store_open(&config, &store, &fixture.message));
+    for (int k = 0; k < (i < 9 ? 1 : 1001); k++) /* after so many, older ones are pruned */
+      CHECK_OK(mo_store_event(store, "test.started", "{}"));
+    close_store();
+    CHECK(outside_integer(newest_sql) > newest + 250);
+  }
+  CHECK_INT(outside_integer(oldest_sql), oldest);
+  CHECK_INT(outside_integer("SELECT count(*) FROM events WHERE type='test.started'"), 1010);
+}
+
 static void checks_rows_after_an_unclean_stop(void)
 {
   CHECK_INT(reopen_after("PRAGMA ignore_check_constraints=ON; UPDATE environments SET data=x'02'"
@@ -240,6 +261,7 @@ static const struct check_case cases[] = {
     {"opens, counts its openings, and keeps others out", opens_and_locks},
     {"refuses newer schemas and files that are not its own", refuses_what_is_not_ours},
     {"checks rows after one", checks_rows_after_an_unclean_stop},
+    {"keeps events after many unclean stops", keeps_events_after_unclean_stops},
     {"makes the paper's test set once", makes_the_paper_test_once},
     {"names damaged pages after an unclean stop", names_damaged_pages},
     {"refuses a folder of version 0.1", refuses_version_0_1},
