@@ -70,9 +70,8 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
                          struct mo_design_row *rows, size_t limit);
 
 /* Reads the designs of a job, in order (malloc): those listed in the request. Of a campaign: the
- * initial ones: record.n_listed listed ones, then those of initial_campaign's newest population,
- * best first, while the population has room; designs that are listed already or do not fit the
- * campaign's workspace were left out. MO_ERR_NOT_FOUND. */
+ * initial ones: record.n_listed listed ones, or those of initial_campaign's newest population that
+ * fit the campaign's workspace, best first, while the population has room. MO_ERR_NOT_FOUND. */
 int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                          uint32_t *n);
 /* Reads the notes on the designs of a job's request, ascending (malloc; NULL: none). */

@@ -1,6 +1,5 @@
 /* campaigns.c: what the store keeps of campaigns: what was asked for, how they wait, end and go on.
  */
-#include "../image.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
 #include "store/worlds.h"
@@ -158,14 +157,30 @@ static void starts_replicates(void)
   CHECK_OK(check_whole());
 }
 
+static uint32_t notes_of(int64_t id, struct mo_design_note **notes)
+{
+  uint32_t n = 0;
+  CHECK_OK(mo_store_design_notes(store, id, notes, &n));
+  check_keep(*notes, free);
+  return n;
+}
+
+static bool fits(const struct mo_campaign_settings *settings, const struct mo_bits *genotype)
+{
+  struct mo_bits moved;
+  return mo_genotype_move(MO_DEFAULT_WORKSPACE, genotype->words, settings->workspace,
+                          moved.words) == MO_OK;
+}
+
 /* The population that another campaign has now, as it stands: what that one does later changes
  * nothing. */
 static void inherits_a_population(void)
 {
   struct made made = {0};
   struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 30);
-  struct mo_bits listed, form, before[MADE_POPULATION], *found = NULL, *best = NULL;
-  uint32_t n = 0, n_sound = 0;
+  struct mo_bits before[MADE_POPULATION], *found = NULL, *best = NULL;
+  struct mo_design_note *notes = NULL;
+  uint32_t n = 0, n_sound = 0, n_fitting = 0, n_noted = 0, n_notes;
   int64_t first = submit_campaign(&submission);
   submission.record.initial_campaign = first;
   CHECK_INT(submit_campaign(&submission), MO_ERR_CONFLICT); /* nothing there yet */
@@ -190,28 +205,34 @@ static void inherits_a_population(void)
   REQUIRE_OK(made_generation(&made));
   found = designs_of(second, &n);
   CHECK(n == MADE_POPULATION && SAME(found, before, n));
-  /* One of its designs is listed, turned or not: it comes once, first. The last ones have no place.
-   */
+  /* The best, while there is room. Into another workspace come those that fit it; of each other one
+   * it is said. */
   memcpy(before, made.genotypes, sizeof(before));
-  make_image(MO_DEFAULT_WORKSPACE, before[1].words, 1, listed.words);
-  mo_genotype_place(MO_DEFAULT_WORKSPACE, listed.words);
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, listed.words, form.words);
-  submission.forms = &form;
-  submission.genotypes = &listed;
-  submission.record.n_listed = 1;
   submission.record.settings.population = 4;
+  found = designs_of(submit_campaign(&submission), &n);
+  CHECK(n == 4 && SAME(found, before, 4));
+  CHECK_INT(notes_of(submit_campaign(&submission), &notes), 0);
+  submission.record.settings.population = MADE_POPULATION;
+  submission.record.settings.workspace = (struct mo_workspace){6, 3, 3};
   second = submit_campaign(&submission);
   REQUIRE(second > 0);
   found = designs_of(second, &n);
-  CHECK(n == 4 && SAME(&found[0], &listed, 1) && SAME(&found[1], &before[0], 1) &&
-        SAME(&found[2], &before[2], 1) && SAME(&found[3], &before[3], 1));
-  /* Into a workspace of two voxels nothing fits that has more. */
+  n_notes = notes_of(second, &notes);
+  for (uint32_t i = 0; i < MADE_POPULATION; i++)
+    if (fits(&submission.record.settings, &before[i])) {
+      CHECK(n_fitting < n && SAME(&found[n_fitting], &before[i], 1));
+      n_fitting++;
+    } else {
+      CHECK(n_noted < n_notes && notes[n_noted].place == i && mo_is_skipped(&notes[n_noted]));
+      n_noted++;
+    }
+  CHECK(n_fitting == n && n_noted == n_notes && n > 0 && n_notes > 0);
+  /* If none fits, nothing is stored. */
   submission.record.settings.workspace = (struct mo_workspace){2, 1, 1};
-  submission.record.n_listed = 0;
-  second = submit_campaign(&submission);
-  REQUIRE(second > 0);
-  (void)designs_of(second, &n);
-  CHECK_INT(n, 0);
+  CHECK_INT(submit_campaign(&submission), MO_ERR_EMPTY);
+  submission.record.settings.workspace = MO_DEFAULT_WORKSPACE;
+  CHECK_INT(submit_campaign(&submission), second + 1);
+  CHECK_OK(check_whole());
 }
 
 static struct {
