@@ -12,6 +12,7 @@
 #include "fixture.h"
 #include "life.h"
 #include "store/check.h"
+#include "store/internal.h"
 
 uint64_t life_hash(uint64_t seed, uint64_t place)
 {
@@ -206,6 +207,31 @@ void life_contents(const char *folder, struct contents *contents)
     (void)nftw(path, add_file, 16, FTW_PHYS);
     add(contents, folders[i], files.sum);
   }
+}
+
+static const char number_sql[] =
+    "SELECT coalesce(max(seq),0) FROM sqlite_sequence WHERE name='events'";
+
+static int set_number(struct mo_store *of, void *number)
+{
+  return mo_sql_do(&of->writer, "UPDATE sqlite_sequence SET seq=?1 WHERE name='events'",
+                   mo_int(*(int64_t *)number));
+}
+
+void life_follow(struct life *life)
+{
+  const int64_t history = (int64_t)mo_store_history(life->store);
+  const bool is_other = history != life->history;
+  int64_t promised = 0, is = 0;
+  CHECK_OK(mo_read_integers(life->promised, number_sql, MO_VALUES(), 1, &promised));
+  if (mo_read_integers(life->store, number_sql, MO_VALUES(), 1, &is) != MO_OK || is < promised ||
+      (promised > 0 && is_other != (is > promised)))
+    life_found(life, "events go on at %lld after %lld", (long long)is, (long long)promised);
+  if (life->was_stopped && !is_other)
+    life_found(life, "a history goes on after a stop");
+  life->history = history;
+  life->was_stopped = false;
+  CHECK_OK(mo_write(life->promised, set_number, &is));
 }
 
 static void tell(void *text, const char *finding)

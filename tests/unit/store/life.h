@@ -91,6 +91,8 @@ struct life {
   uint64_t puts[PUTS_MAX]; /* seeds */
   int n_puts;
   long long epoch;
+  int64_t history;
+  bool was_stopped; /* since this history was opened */
   struct act doing; /* with in_doubt */
   bool in_doubt;
   int64_t fingerprint;
@@ -156,6 +158,9 @@ struct contents {
   } tables[64];
 };
 void life_contents(const char *folder, struct contents *contents);
+/* After an opening whose rows are as promised: the numbers of events go on where they were, or, in
+ * another history, behind a jump, and the promise with them. */
+void life_follow(struct life *life);
 /* Is what the disk holds what is promised, and are all its files and checksums right? Else `text`
  * says what is not. */
 enum { MATCH_TEXT = 200 };

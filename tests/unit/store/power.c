@@ -55,6 +55,14 @@ static void resolve(struct life *life, struct outcome *outcome)
     outcome->came_through += parts == 0;
     life_apply(life, &life->doing, 1);
   }
+  life_follow(life);
+}
+
+static void close_life(struct life *life)
+{
+  life->was_stopped = life->was_stopped || disk_has_stopped(life->disk);
+  mo_store_close(life->store);
+  life->store = NULL;
 }
 
 /* One act; false: everything stopped, or something is wrong. */
@@ -116,8 +124,7 @@ static bool live_once(struct life *life, struct outcome *outcome)
   } else {
     outcome->in_openings++;
   }
-  mo_store_close(life->store);
-  life->store = NULL;
+  close_life(life);
   if (kill)
     disk_go_on(life->disk);
   else if (disk_cut(life->disk, DISK_ANY) != 0)
@@ -251,8 +258,7 @@ static void stop_and_reopen(struct life *life, bool kill, enum disk_luck luck,
   struct mo_message message;
   int error = MO_OK;
   disk_stop(life->disk);
-  mo_store_close(life->store);
-  life->store = NULL;
+  close_life(life);
   if (kill)
     disk_go_on(life->disk);
   else if (disk_cut(life->disk, luck) != 0)
