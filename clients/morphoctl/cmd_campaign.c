@@ -31,7 +31,7 @@ static void fill_initial(struct ctl *ctl, json_t *request)
     json_object_set_new(request, "initial", json_pack("{s:s}", "campaign", job_id(from)));
   if (ctl->n_operands > 1)
     json_object_set_new(request, "initial",
-                        json_pack("{s:O}", "designs", given_designs(ctl, 1, 0, 0).list));
+                        json_pack("{s:O}", "designs", given_designs(ctl, 1, NULL).list));
 }
 
 void run_campaign_start(struct ctl *ctl)

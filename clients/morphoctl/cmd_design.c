@@ -74,7 +74,7 @@ void run_design_list(struct ctl *ctl)
 
 void run_design_draw(struct ctl *ctl)
 {
-  const struct designs designs = given_designs(ctl, 0, 0, 0);
+  const struct designs designs = given_designs(ctl, 0, NULL);
   const json_t *design;
   size_t i;
   json_array_foreach(designs.list, i, design)
@@ -144,7 +144,7 @@ static void fill_pairs(json_t *request, size_t n)
 void run_design_made(struct ctl *ctl)
 {
   const char *verb = ctl->command->name + strlen("design ");
-  const struct designs designs = given_designs(ctl, 0, 0, 0);
+  const struct designs designs = given_designs(ctl, 0, NULL);
   json_t *request = keep(json_pack("{s:O}", "designs", designs.list));
   if (strcmp(verb, "cross") == 0)
     fill_pairs(request, json_array_size(designs.list));

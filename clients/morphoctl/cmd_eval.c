@@ -185,9 +185,7 @@ void run_eval(struct ctl *ctl)
   static const char *const orders[] = {"input", "score", NULL};
   const char *sort = option_word(ctl, "sort", orders, races ? "score" : "input"),
              *output = option_text(ctl, "output", NULL);
-  const struct designs designs =
-      given_designs(ctl, 0, option_number(ctl, "random", 1, DESIGNS_MAX, 0),
-                    option_number(ctl, "seed", 0, INT64_MAX, 1));
+  const struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", DESIGNS_MAX));
   const bool is_top = races && !option_is_set(ctl, "sort") && !option_is_set(ctl, "top");
   const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, DESIGNS_MAX, 0);
   json_t *request = keep(json_object());

@@ -58,9 +58,7 @@ static void choose_environment(struct ctl *ctl, json_t *request)
 
 static void load_scene(struct ctl *ctl, struct film *film)
 {
-  const struct designs designs =
-      given_designs(ctl, 0, option_number(ctl, "random", 0, ROBOTS_MAX, 0),
-                    option_number(ctl, "seed", 0, INT64_MAX, 1));
+  const struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", ROBOTS_MAX));
   const size_t n = json_array_size(designs.list);
   if (n < 1 || n > ROBOTS_MAX)
     fail(STATUS_USAGE, "a film has 1 to %d robots, not %zu", ROBOTS_MAX, n);

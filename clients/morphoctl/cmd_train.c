@@ -19,11 +19,10 @@ static json_t *name_population(struct ctl *ctl, const char *id)
 /* Adds what finetuning learns on: designs of operands, random designs, or a population. */
 static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
 {
-  const int64_t n_random = option_number(ctl, "random", 1, DESIGNS_MAX, 0),
-                seed = option_number(ctl, "random-seed", 0, INT64_MAX, 1),
-                best = option_number(ctl, "best", 1, DESIGNS_MAX, 0);
+  const json_t *random = random_of(ctl, "random-seed", DESIGNS_MAX);
+  const int64_t best = option_number(ctl, "best", 1, DESIGNS_MAX, 0);
   const char *population = option_text(ctl, "population", NULL);
-  const bool listed = ctl->n_operands > 1 || n_random > 0;
+  const bool listed = ctl->n_operands > 1 || random != NULL;
   if (!finetune && (listed || population != NULL))
     fail(STATUS_USAGE, "a pretraining draws bodies of its own: designs, --random and --population "
                        "are for train start finetune");
@@ -39,7 +38,7 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
       json_object_set_new(object, "best", json_integer(best));
   }
   if (listed)
-    json_object_set(request, "designs", given_designs(ctl, 1, n_random, seed).list);
+    json_object_set(request, "designs", given_designs(ctl, 1, random).list);
 }
 
 void run_train_start(struct ctl *ctl)

@@ -30,9 +30,12 @@ struct request json_request(const char *method, const char *path, const json_t *
 json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
 /* Says on standard error which robots were taken for designs that came as an id alone. */
 void say_orientations(const struct ctl *ctl, const json_t *designs);
-/* Returns the designs of the operands from `first` on, and n_random random ones, which the server
- * draws; those of standard input if there is neither. */
-struct designs given_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed);
+/* Returns the request for the random bodies of --random, --first and the option `seed`, kept. NULL:
+ * there is no --random. */
+json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most);
+/* Returns the designs of the operands from `first` on, and those that the server draws as `random`
+ * (nullable) says; those of standard input if there is neither. */
+struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random);
 /* Posts a job with the key of --idempotency-key or a new key, so that repeating is safe. Returns
  * the server's reply. */
 json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s);

@@ -16,13 +16,14 @@
 
 #include "ctl.h"
 
-#define DESIGNS_MAX     10000
-#define WORKSPACE_X     6
-#define WORKSPACE_Y     6
-#define WORKSPACE_Z     4
-#define VOXELS          144
-#define ID_DIGITS       36
-#define INPUT_BYTES_MAX (64 << 20)
+#define DESIGNS_MAX       10000
+#define RANDOM_BODIES_MAX 1000000 /* of one seed */
+#define WORKSPACE_X       6
+#define WORKSPACE_Y       6
+#define WORKSPACE_Z       4
+#define VOXELS            144
+#define ID_DIGITS         36
+#define INPUT_BYTES_MAX   (64 << 20)
 
 struct designs {
   json_t *list;  /* array of objects in the form of the API; kept (ctl.h) */

@@ -173,19 +173,31 @@ void say_orientations(const struct ctl *ctl, const json_t *designs)
             n - SAID_MAX);
 }
 
-struct designs given_designs(struct ctl *ctl, size_t first, int64_t n_random, int64_t seed)
+json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most)
+{
+  const int64_t count = option_number(ctl, "random", 1, most, 0),
+                first = option_number(ctl, "first", 0, RANDOM_BODIES_MAX - 1, 0);
+  if (count == 0 && option_is_set(ctl, "first"))
+    fail(STATUS_USAGE, "--first needs --random N, how many bodies from there on");
+  if (count == 0)
+    return NULL;
+  json_t *random = keep(json_pack("{s:I, s:I}", "count", (json_int_t)count, "seed",
+                                  (json_int_t)option_number(ctl, seed, 0, INT64_MAX, 1)));
+  if (first > 0)
+    json_object_set_new(random, "first", json_integer(first));
+  return random;
+}
+
+struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random)
 {
   struct designs designs = no_designs();
   for (size_t i = first; i < ctl->n_operands; i++)
     designs_add_operand(&designs, ctl->operands[i]);
-  if (ctl->n_operands == 0 && n_random == 0)
+  if (ctl->n_operands == 0 && random == NULL)
     designs_add_operand(&designs, "-");
-  if (n_random > 0) {
-    const json_t *request =
-        keep(json_pack("{s:I, s:I}", "count", (json_int_t)n_random, "seed", (json_int_t)seed));
+  if (random != NULL)
     designs_add_genotypes(&designs,
-                          json_object_get(post_again(ctl, "/v1/bodies/random", request), "items"));
-  }
+                          json_object_get(post_again(ctl, "/v1/bodies/random", random), "items"));
   return designs;
 }
 

@@ -85,8 +85,9 @@ static const struct option_spec eval_options[] = {
     {PHYSICS},
     {PRECISION},
     RULES(""),
-    {"random", 0, "N", "Score N random bodies (besides those given)."},
+    {"random", 0, "N", "Score N random bodies (besides those given), up to 10,000."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
+    {"first", 0, "N", "Begin with this body of the seed's 1,000,000 (default: 0)."},
     {"record", 0, "LIST",
      "What to record, separated by commas: com (the center of mass), masses, actuation (of each "
      "spring), contacts (with the ground)."},
@@ -163,7 +164,11 @@ static const struct option_spec picture_options[] = {
     {NULL}};
 #define SEED "seed", 0, "SEED", "Seed (default: 1).", "seed", FIELD_WHOLE
 static const struct option_spec random_options[] = {
-    {"count", 'n', "N", "How many (default: 1).", "count", FIELD_WHOLE}, {SEED}, {NULL}};
+    {"count", 'n', "N", "How many, up to 10,000 (default: 1).", "count", FIELD_WHOLE},
+    {SEED},
+    {"first", 0, "N", "Begin with this body of the seed's 1,000,000 (default: 0).", "first",
+     FIELD_WHOLE},
+    {NULL}};
 static const struct option_spec mutate_options[] = {
     {"children", 0, "N", "Of each design (default: 1).", "children", FIELD_WHOLE},
     {"rate", 0, "X", "Probability that a voxel flips, 0.001 to 0.5 (default: 1/144).", "rate",

@@ -62,6 +62,7 @@ static void stop(void *context)
 
 static void destroy(struct mo_api *api)
 {
+  mo_body_stream_free(api->random_stream.stream);
   mo_lattice_free(api->lattice);
   free(api);
 }
@@ -87,6 +88,7 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
                          .dashboard = services->dashboard,
                          .listener = -1,
                          .load.mutex = PTHREAD_MUTEX_INITIALIZER,
+                         .random_stream.mutex = PTHREAD_MUTEX_INITIALIZER,
                          .jobs_changed = true};
   snprintf(api->version, sizeof(api->version), "%s",
            services->version != NULL ? services->version : "");

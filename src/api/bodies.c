@@ -19,7 +19,7 @@ struct pair {
 
 struct parsed {
   struct mo_parts parts;
-  uint32_t count, children, n_pairs;
+  uint32_t first, count, children, n_pairs;
   uint64_t seed;
   double rate;
   struct pair *pairs;
@@ -64,6 +64,8 @@ static void read_pairs(struct mo_json *json, void *value)
 #define AT(member) offsetof(struct parsed, member)
 static const struct mo_field_own pairs = {.read = read_pairs};
 static const struct mo_field random_rows[] = {
+    {"first", MO_FIELD_COUNT, 0, AT(first), .min = 0, .max = MO_RANDOM_BODIES_MAX - 1,
+     .unit = "bodies"},
     {"count", MO_FIELD_COUNT, 0, AT(count), .min = 1, .max = MO_DESIGNS_MAX, .unit = "bodies"},
     {"seed", MO_FIELD_SEED, 0, AT(seed), .min = 0, .unit = ""},
 };
@@ -140,6 +142,7 @@ struct bodies {
   struct parsed parsed;
   struct place *places; /* (n_given) */
   const struct mo_lattice *lattice;
+  struct mo_random_stream *random_stream;
   struct mo_text text; /* its items */
   int error;
 };
@@ -198,7 +201,8 @@ static void reply_bodies(struct mo_request *request, const struct mo_fields *fie
 {
   struct bodies bodies = {
       .parsed = {.count = 1, .children = 1, .rate = 1.0 / MO_DEFAULT_VOXELS, .seed = 1},
-      .lattice = mo_api_of(request)->lattice};
+      .lattice = mo_api_of(request)->lattice,
+      .random_stream = &mo_api_of(request)->random_stream};
   struct mo_parts *parts = &bodies.parsed.parts;
   mo_read_words(request->body, request->body_size, &mo_design_rules_fields, parts, NULL);
   if (mo_read_request(request, fields, &bodies.parsed, parts, check, "body")) {
@@ -218,21 +222,71 @@ static void reply_bodies(struct mo_request *request, const struct mo_fields *fie
 
 /* ---- random ---- */
 
+static int check_random(struct mo_json *json, void *any)
+{
+  const struct parsed *parsed = any;
+  if (parsed->first + parsed->count > MO_RANDOM_BODIES_MAX)
+    mo_json_fault_at(json, 0, "/first",
+                     "bodies %u to %u are asked for; a seed has the bodies 0 to %d: take another "
+                     "seed",
+                     parsed->first, parsed->first + parsed->count - 1, MO_RANDOM_BODIES_MAX - 1);
+  return MO_OK;
+}
+
+/* Takes the kept stream if it stands at the request's first body or before; else opens one. Which
+ * bodies are new depends on all before, so those are drawn, too: some 10 µs each. */
+static int take_stream(struct mo_random_stream *kept, const struct parsed *parsed,
+                       struct mo_body_stream **stream)
+{
+  struct mo_bits passed;
+  uint32_t next = 0;
+  int error = MO_OK;
+  *stream = NULL;
+  pthread_mutex_lock(&kept->mutex);
+  if (kept->stream != NULL && kept->seed == parsed->seed && kept->next <= parsed->first) {
+    *stream = kept->stream;
+    next = kept->next;
+    kept->stream = NULL;
+  }
+  pthread_mutex_unlock(&kept->mutex);
+  if (*stream == NULL)
+    error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, parsed->seed, stream);
+  for (; next < parsed->first && error == MO_OK; next++)
+    error = mo_body_stream_next(*stream, passed.words, NULL);
+  return error;
+}
+
+/* Keeps a stream that stands behind the request's last body, instead of the one before. */
+static void keep_stream(struct mo_random_stream *kept, const struct parsed *parsed,
+                        struct mo_body_stream *stream)
+{
+  pthread_mutex_lock(&kept->mutex);
+  struct mo_body_stream *before = kept->stream;
+  kept->stream = stream;
+  kept->seed = parsed->seed;
+  kept->next = parsed->first + parsed->count;
+  pthread_mutex_unlock(&kept->mutex);
+  mo_body_stream_free(before);
+}
+
 static void make_random(struct bodies *bodies)
 {
-  struct mo_body_stream *stream = NULL;
-  bodies->error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, bodies->parsed.seed, &stream);
+  struct mo_body_stream *stream;
+  bodies->error = take_stream(bodies->random_stream, &bodies->parsed, &stream);
   for (uint32_t i = 0; i < bodies->parsed.count && bodies->error == MO_OK; i++) {
     struct mo_bits genotype;
     bodies->error = mo_body_stream_next(stream, genotype.words, NULL);
     add(bodies, &genotype, NULL, 0, NULL);
   }
-  mo_body_stream_free(stream);
+  if (bodies->error == MO_OK)
+    keep_stream(bodies->random_stream, &bodies->parsed, stream);
+  else
+    mo_body_stream_free(stream);
 }
 
 void mo_api_post_random_bodies(struct mo_request *request)
 {
-  reply_bodies(request, &mo_random_request_fields, NULL, make_random);
+  reply_bodies(request, &mo_random_request_fields, check_random, make_random);
 }
 
 /* ---- mutation ---- */

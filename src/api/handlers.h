@@ -24,6 +24,15 @@ struct mo_load {
   uint64_t rollouts;
 };
 
+/* The stream of random bodies that the newest request read from, so that the request for those
+ * behind them does not draw all bodies before again. */
+struct mo_random_stream {
+  pthread_mutex_t mutex;
+  struct mo_body_stream *stream; /* NULL: none, or a request reads it */
+  uint64_t seed;
+  uint32_t next; /* the number of its next body */
+};
+
 struct mo_api {
   struct mo_store *store;
   struct mo_jobs *jobs;
@@ -42,6 +51,7 @@ struct mo_api {
   _Atomic uint64_t jobs_by_state[MO_JOB_STATES];
   atomic_bool jobs_changed;
   struct mo_load load;
+  struct mo_random_stream random_stream;
 };
 
 /* Returns the interface that a request is for. */

@@ -28,6 +28,22 @@ def test_random_bodies(service):
     service.refuses(f"/v1/designs/{largest['id']}", "", status=404)  # nothing is stored
 
 
+def test_random_bodies_from_an_offset(service):
+    def draw(**request):
+        return service.post("/v1/bodies/random", dict(request, seed=9))["items"]
+
+    items = draw(count=2000)
+    assert draw(first=0, count=2000) == items
+    # Onwards, backwards, with a gap: whatever stream is kept from the request before.
+    for first, count in ((0, 100), (100, 50), (150, 1), (1990, 10), (60, 90), (151, 3), (700, 300)):
+        assert draw(first=first, count=count) == items[first:first + count]
+    service.post("/v1/bodies/random", {"count": 3, "seed": 8})
+    assert draw(first=3, count=4) == items[3:7]
+    for faulty in ({"first": 999_999, "count": 2}, {"first": -1}):
+        reply = service.request("POST", "/v1/bodies/random", faulty)
+        assert reply.status == 422 and reply.json()["errors"][0]["pointer"] == "/first"
+
+
 def test_mutants(service):
     parents = service.post("/v1/bodies/random", {"count": 20, "seed": 1})["items"]
     request = {"designs": [{"id": item["id"]} for item in parents], "seed": 3, "children": 4}

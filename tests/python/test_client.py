@@ -139,6 +139,13 @@ def test_what_is_lost_is_a_warning(m):
 def test_bodies_of_the_service(m):
     random = m.random_bodies(40, seed=3)
     assert random.shape == (40, 6, 6, 4) and (m.random_bodies(7, seed=3) == random[:7]).all()
+    assert (m.random_bodies(5, seed=3, first=30) == random[30:35]).all()
+    many = m.random_bodies(10_003, seed=3, first=7)  # several requests
+    assert many.shape == (10_003, 6, 6, 4) and (many[:33] == random[7:]).all()
+    assert (many[-3:] == m.random_bodies(3, seed=3, first=10_007)).all()
+    for count, first in ((2, 999_999), (0, 0), (1, -1)):
+        with pytest.raises(ValueError, match="a seed has the bodies 0 to 999999"):
+            m.random_bodies(count, first=first)
     ids = m.canonical(random)
     assert len(set(ids)) == 40 and m.canonical(random[:, ::-1]) == ids == m.canonical(ids)
     mutants = m.mutate(random, children=2, rate=0.01)

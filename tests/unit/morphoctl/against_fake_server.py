@@ -414,6 +414,18 @@ def test_train_start_finetune():
     assert seen[0][1] == "/v1/bodies/random" and len(json.loads(seen[1][3])["designs"]) == 5
 
 
+def test_random_bodies_from_an_offset():
+    bodies = {"items": [{"id": ID, "genotype": VOXELS}] * 2}
+    seen = ask([bodies, reply(202, JOB)], "eval --no-wait --random 2 --seed 7 --first 40")[2]
+    assert json.loads(seen[0][3]) == {"count": 2, "seed": 7, "first": 40}
+    seen = ask([bodies], "design random --count 2 --first 9")[2]
+    assert json.loads(seen[0][3]) == {"count": 2, "first": 9}
+    for words in ("eval --first 3 " + VOXELS, "eval --random 3 --first -1",
+                  "eval --random 3 --first 1000000"):
+        out, err, seen = ask([], words, status=2)
+        assert out == "" and "--first" in err and seen == [], (words, err)
+
+
 def test_train_start_that_makes_no_sense():
     for words in ("x", "finetune", f"pretrain {VOXELS}", "pretrain --random 3",
                   "pretrain --population 1", f"finetune {VOXELS} --population 1",

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _DESIGNS_MAX = 10000
+_RANDOM_BODIES_MAX = 1000000
 _LOOK_UP_S = 5.0
 """How long an interrupt looks for the job that goes on."""
 
@@ -169,10 +170,20 @@ class Client:
                                     record_stride=4, physics=physics, repair=repair)
         return player(self._connection, scene, title)
 
-    def random_bodies(self, count: int, seed: int | None = None) -> NDArray[np.bool_]:
-        """Up to 10,000 distinct random bodies (count, 6, 6, 4), as trainings draw them; nothing is
-        stored. The same seed gives the same bodies; without one it is 1."""
-        return self._voxels(self._make("random", {"count": count, "seed": seed}))
+    def random_bodies(self, count: int, seed: int | None = None, *,
+                            first: int = 0) -> NDArray[np.bool_]:
+        """Distinct random bodies (count, 6, 6, 4), as trainings draw them, none a rotation or
+        reflection of another; nothing is stored. A seed (1 by default) has 1,000,000 bodies, always
+        the same; these are `first`, `first + 1`, … of them. Two seeds have bodies in common: for
+        more bodies, go on with `first`."""
+        if count < 1 or first < 0 or first + count > _RANDOM_BODIES_MAX:
+            raise ValueError(f"a seed has the bodies 0 to {_RANDOM_BODIES_MAX - 1}, not {first} to "
+                             f"{first + count - 1}; count is at least 1")
+        made: list[dict[str, Any]] = []
+        for place in range(first, first + count, _DESIGNS_MAX):
+            made += self._make("random", {
+                "first": place, "count": min(first + count - place, _DESIGNS_MAX), "seed": seed})
+        return self._voxels(made)
 
     def mutate(self, bodies: Iterable[BodyLike] | NDArray[Any], seed: int | None = None, *,
                      children: int = 1, rate: float | None = None) -> NDArray[np.bool_]:
