@@ -281,7 +281,7 @@ double mo_race_score(const double *losses, uint32_t n);
 struct mo_best {
   uint32_t n_designs, n_environments, k;
   uint64_t n_cut;        /* losses that will never be asked for */
-  double share;          /* of the losses that will be asked for, estimated after the first round */
+  double share;          /* estimate: of the losses that will be asked for; 0: not known yet */
   uint64_t *asked;       /* (n_designs) the environments asked for so far, as bits */
   double *losses;        /* (n_designs, n_environments) NaN: not known */
   struct mo_rank *ranks; /* (n_designs) scratch */

@@ -36,7 +36,6 @@ int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, stru
   *best = (struct mo_best){.n_designs = n_designs,
                            .n_environments = n_environments,
                            .k = k,
-                           .share = 1,
                            .asked = calloc(n_designs, sizeof(*best->asked)),
                            .losses = calloc(n_losses, sizeof(*best->losses)),
                            .ranks = calloc(n_designs, sizeof(*best->ranks)),
@@ -111,22 +110,41 @@ static uint32_t needed(const struct mo_best *best, uint32_t design, double bound
   return race->n_environments;
 }
 
-/* Estimates the share of the losses that the race needs, from n designs that are whole and ranked,
- * as if the bound were the score that has as many of them before it as the k-th best has of all. */
-static void estimate(struct mo_best *best, uint32_t n)
+/* Returns the i-th of the few designs that get all their losses first. */
+static uint32_t sample(const struct mo_best *best, uint32_t i, uint32_t few)
 {
-  const uint64_t rank = (uint64_t)(best->k - 1) * n / best->n_designs;
+  return (uint32_t)((uint64_t)i * best->n_designs / few);
+}
+
+/* Guesses the k-th best score of all from those of the few, ranked: the one that has as many of
+ * them before it, or, beyond their best, the continuation of their first eighth. */
+static double guess_bound(const struct mo_best *best, uint32_t few)
+{
+  const double place = (double)best->k * (few + 1) / (best->n_designs + 1) - 1;
+  const uint32_t eighth = few / 8 > 0 ? few / 8 : 1;
+  const double first = best->ranks[0].score;
+  if (place >= 0)
+    return best->ranks[(uint32_t)place].score;
+  return isfinite(best->ranks[eighth].score)
+             ? first + place * (best->ranks[eighth].score - first) / eighth
+             : first;
+}
+
+/* Estimates the share of the losses that the race needs, from those first designs: with a guess of
+ * the bound, or with the bound itself once the designs that look best have all their losses. */
+static void estimate(struct mo_best *best, uint32_t few, uint32_t round)
+{
+  const double bound = round == 1 ? guess_bound(best, few) : best->race.bound;
   uint64_t sum = 0;
-  for (uint32_t i = 0; i < n; i++)
-    sum += needed(best, (uint32_t)best->ranks[i].number, best->ranks[rank].score);
-  best->share = (double)sum / ((double)n * best->n_environments);
+  for (uint32_t i = 0; i < few; i++)
+    sum += needed(best, sample(best, i, few), bound);
+  best->share = (double)sum / ((double)few * best->n_environments);
 }
 
 /* ---- rounds ---- */
 
-/* Sets the bound: the k-th best of the whole scores. Ranks the designs that have one, and returns
- * their number. */
-static uint32_t find_bound(struct mo_best *best)
+/* Ranks the designs that have whole scores. Sets the bound: the k-th best of these. */
+static void find_bound(struct mo_best *best)
 {
   uint32_t n = 0;
   for (uint32_t i = 0; i < best->n_designs; i++)
@@ -136,7 +154,6 @@ static uint32_t find_bound(struct mo_best *best)
   mo_rank_sort(best->ranks, n);
   if (n >= best->k)
     best->race.bound = best->ranks[best->k - 1].score;
-  return n;
 }
 
 /* Ranks the designs that are neither whole nor out, those that look best first. Returns their
@@ -189,14 +206,15 @@ uint64_t mo_best_ask(struct mo_best *best)
   uint64_t n_asked = 0;
   if (round == 0) {
     for (uint32_t i = 0; i < few; i++)
-      n_asked += ask(best, (uint32_t)((uint64_t)i * best->n_designs / few), all_environments(best));
+      n_asked += ask(best, sample(best, i, few), all_environments(best));
+    best->share = few < best->n_designs ? 0 : 1;
     return n_asked;
   }
-  const uint32_t n_whole = find_bound(best);
-  if (round == 1) {
+  find_bound(best);
+  if (round == 1)
     plan(best);
-    estimate(best, n_whole);
-  }
+  if (few < best->n_designs && (round == 1 || round > 2))
+    estimate(best, few, round);
   const uint32_t n_open = rank_open(best), promising = best->k + best->k / 2 + few;
   const bool completes = round % 2 == 0 || n_open <= few; /* those that look best */
   const uint64_t environments = completes ? all_environments(best) : next_wave(best);

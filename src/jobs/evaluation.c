@@ -15,9 +15,7 @@
 #define DESIGNS_A_ROUND 64 /* of each job */
 #define ROUND_US        1000000
 #define CLAIMS_MAX      1024
-#define SHOW_US         250000   /* between two live figures of a job */
-#define RATE_AFTER_US   500000   /* no rate is known before */
-#define RATE_MARK_US    10000000 /* a rate is that of the last 10 to 20 seconds */
+#define SHOW_US         250000 /* between two live figures of a job */
 /* Jobs that run concurrently. */
 #define ACTIVE_BATCH_MAX       8
 #define ACTIVE_INTERACTIVE_MAX 64
@@ -160,7 +158,7 @@ static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency pr
   active->all = all;
   active->id = id;
   active->priority = priority;
-  active->last_event_us = active->marks[0].at_us = active->marks[1].at_us = mo_clock_us();
+  active->last_event_us = mo_clock_us();
   error = load_active(all, active, text);
   active->next = all->actives;
   all->actives = active;
@@ -397,20 +395,6 @@ static bool wind_down(struct mo_evaluations *all, bool *parked)
           (atomic_load(&all->jobs->abandon) || all->broken || atomic_load(&all->jobs->no_space)));
 }
 
-/* Returns the rollouts computed per second, lately; 0: unknown. */
-static double rate_of(struct mo_active *active, int64_t now_us)
-{
-  if (now_us - active->marks[1].at_us >= RATE_MARK_US) {
-    active->marks[0] = active->marks[1];
-    active->marks[1].at_us = now_us;
-    active->marks[1].computed = active->computed;
-  }
-  const int64_t passed_us = now_us - active->marks[0].at_us;
-  return passed_us < RATE_AFTER_US
-             ? 0
-             : (double)(active->computed - active->marks[0].computed) / ((double)passed_us * 1e-6);
-}
-
 /* Shows how far a job is. */
 static void show(struct mo_evaluations *all, struct mo_active *active)
 {
@@ -424,8 +408,9 @@ static void show(struct mo_evaluations *all, struct mo_active *active)
                             .done = active->done > active->done_before ? active->done
                                                                        : active->done_before,
                             .total = active->total,
-                            .rate = rate_of(active, now_us)};
-    live.seconds_left = live.rate > 0 ? mo_active_left(active, live.done) / live.rate : -1;
+                            .rate = mo_pace_rate(&active->pace, now_us)};
+    const double left = mo_active_left(active, live.done);
+    live.seconds_left = live.rate > 0 && left >= 0 ? left / live.rate : -1;
   }
   mo_share_show(all->jobs, active->id, &live);
 }

@@ -12,6 +12,7 @@
 #include <morpho/evolution.h>
 
 #include "jobs/controllers.h"
+#include "jobs/pace.h"
 #include "jobs/scoring.h"
 #include "store/runner.h"
 
@@ -42,11 +43,8 @@ struct mo_active {
   bool finishing;      /* a save contains its end */
   bool changed;        /* counts differ from those last saved */
   int64_t last_event_us;
-  uint64_t computed; /* rollouts, since this claim */
-  struct {
-    int64_t at_us;
-    uint64_t computed;
-  } marks[2];          /* between which, and since which, the rate is taken */
+  uint64_t computed;   /* rollouts, since this claim */
+  struct mo_pace pace; /* of `computed` */
   int64_t shown_us;    /* time of the last live figures; 0: none */
   int64_t until_us;    /* after an error: the job is not claimed again before */
   uint32_t references; /* from saves */
@@ -121,7 +119,8 @@ bool mo_saver_is_behind(const struct mo_evaluations *all);
 int mo_active_race(struct mo_active *active);
 /* Begins the race's next round when the one before is done. Returns whether there is one. */
 bool mo_active_race_on(struct mo_active *active);
-/* Estimates the rollouts that a job has left, of which it has done so many. */
+/* Estimates the rollouts that a job has left, of which it has done so many; < 0: unknown, as its
+ * race has just begun. */
 double mo_active_left(const struct mo_active *active, uint64_t done);
 
 /* ---- evaluation_blocks.c ---- */

@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "jobs/evaluation.h"
 
 /* A block of an evaluation. */
@@ -282,6 +283,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
     return error;
   all->pending.n_losses += block->n_environments;
   active->computed += block->n_environments;
+  mo_pace_add(&active->pace, mo_clock_us(), active->computed);
   atomic_fetch_add(&all->jobs->rollouts_computed, block->n_environments);
   return MO_OK;
 }
