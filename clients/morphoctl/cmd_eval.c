@@ -155,7 +155,10 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   }
   for (size_t r = 0; r < shown; r++) {
     const size_t i = order[r].place;
-    json_array_append_new(rows, result_row(json_array_get(results, i), i, name_of(designs, i)));
+    const json_t *result = json_array_get(results, i), *number = json_object_get(result, "number");
+    json_array_append_new(rows, result_row(result,
+                                           number != NULL ? (size_t)json_integer_value(number) : i,
+                                           name_of(designs, i)));
   }
   snprintf(columns, sizeof(columns),
            ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
@@ -178,6 +181,17 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
     print_results(ctl, evaluation, designs, by_score, top);
 }
 
+/* Adds the results that are whole scores to an evaluation of so many designs that it comes without
+ * results. */
+static void add_whole_results(struct ctl *ctl, json_t *evaluation)
+{
+  if (strcmp(text_of(evaluation, "state"), "succeeded") == 0)
+    json_object_set(
+        evaluation, "results",
+        collect(ctl, path_to("/v1/evaluations/%s/results?whole=true", text_of(evaluation, "id")),
+                0));
+}
+
 void run_eval(struct ctl *ctl)
 {
   const bool wait = !option_is_set(ctl, "no-wait"), speaks = !ctl->json && !ctl->quiet;
@@ -185,9 +199,13 @@ void run_eval(struct ctl *ctl)
   static const char *const orders[] = {"input", "score", NULL};
   const char *sort = option_word(ctl, "sort", orders, races ? "score" : "input"),
              *output = option_text(ctl, "output", NULL);
-  const struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", DESIGNS_MAX));
+  const json_t *random = random_of(ctl, "seed", RANDOM_BODIES_MAX);
+  const bool is_large = random != NULL && number_of(random, "count") > DESIGNS_MAX;
+  if (is_large && ctl->n_operands > 0)
+    fail(STATUS_USAGE, "besides given designs, --random takes at most %d", DESIGNS_MAX);
+  const struct designs designs = is_large ? no_designs() : given_designs(ctl, 0, random);
   const bool is_top = races && !option_is_set(ctl, "sort") && !option_is_set(ctl, "top");
-  const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, DESIGNS_MAX, 0);
+  const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, RANDOM_BODIES_MAX, 0);
   json_t *request = keep(json_object());
   if (output != NULL && !wait)
     fail(STATUS_USAGE, "--output needs the result: it goes with --wait");
@@ -196,8 +214,13 @@ void run_eval(struct ctl *ctl)
   film_check(ctl);
   request_fill(ctl, request);
   fill_record(ctl, request);
-  json_object_set(request, "designs", designs.list);
-  const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, wait);
+  if (is_large)
+    json_object_set(request, "random", (json_t *)random);
+  else
+    json_object_set(request, "designs", designs.list);
+  json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, wait);
+  if (is_large && wait && races)
+    add_whole_results(ctl, evaluation);
   if (!wait) {
     if (ctl->json)
       print_json(evaluation);
@@ -210,7 +233,11 @@ void run_eval(struct ctl *ctl)
                  "morphoctl watch {id}");
     return;
   }
-  print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
+  print_evaluation(ctl, evaluation, is_large ? NULL : &designs,
+                   strcmp(sort, "score") == 0 || top > 0, (size_t)top);
+  if (speaks && is_large)
+    print_from(stderr, evaluation,
+               "all results: morphoctl export evaluations/{id}/results -o FILE.csv");
   if (speaks)
     print_from(stderr, evaluation,
                "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from "

@@ -30,14 +30,12 @@ struct request json_request(const char *method, const char *path, const json_t *
 json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
 /* Says on standard error which robots were taken for designs that came as an id alone. */
 void say_orientations(const struct ctl *ctl, const json_t *designs);
-/* Returns the request for the random bodies of --random, --first and the option `seed`, kept. NULL:
- * there is no --random. */
+/* Returns the request of --random, --first and the option `seed`, kept; NULL: no --random. */
 json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most);
 /* Returns the designs of the operands from `first` on, and those that the server draws as `random`
  * (nullable) says; those of standard input if there is neither. */
 struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random);
-/* Posts a job with the key of --idempotency-key or a new key, so that repeating is safe. Returns
- * the server's reply. */
+/* Posts a job with the key of --idempotency-key or a new one, so that it is safe to repeat. */
 json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s);
 
 /* Posts an evaluation. wait: waits for its end and shows progress; the evaluation is then final,
@@ -46,8 +44,7 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
 
 /* ---- cmd_eval.c ---- */
 
-/* Saves the recorded trajectories of an evaluation as NumPy files, with evaluation.json, in a
- * folder, which is created. */
+/* Saves trajectories of an evaluation as NumPy files, with evaluation.json, in a new folder. */
 void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
 struct ranked {
   size_t place;  /* position in the request */

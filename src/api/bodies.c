@@ -234,7 +234,7 @@ static int check_random(struct mo_json *json, void *any)
 }
 
 /* Takes the kept stream if it stands at the request's first body or before; else opens one. Which
- * bodies are new depends on all before, so those are drawn, too: some 10 µs each. */
+ * bodies are new depends on all before, so those are drawn, too: some 6 µs each. */
 static int take_stream(struct mo_random_stream *kept, const struct parsed *parsed,
                        struct mo_body_stream **stream)
 {

@@ -31,6 +31,31 @@ static void read_channels(struct mo_json *json, void *value)
 
 const struct mo_field_own mo_channels_field = {.read = read_channels};
 
+#define AT(member) offsetof(struct mo_random_bodies, member)
+static const struct mo_field random_rows[] = {
+    {"count", MO_FIELD_COUNT, 0, AT(count), .min = 1, .max = MO_RANDOM_BODIES_MAX,
+     .unit = "bodies"},
+    {"seed", MO_FIELD_SEED, 0, AT(seed), .min = 0, .unit = ""},
+    {"first", MO_FIELD_COUNT, 0, AT(first), .min = 0, .max = MO_RANDOM_BODIES_MAX - 1,
+     .unit = "bodies"},
+};
+#undef AT
+static const struct mo_fields random_fields = MO_FIELDS(random_rows);
+
+static void read_random(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  struct mo_random_bodies *random = &parts->random;
+  const unsigned depth = json->depth, before = json->faults->n;
+  parts->has_random = true;
+  mo_fields_read(json, &random_fields, random);
+  if (random->count == 0 && json->faults->n == before)
+    mo_json_fault_at(json, depth, "", "count is missing: how many bodies, 1 to %d",
+                     MO_RANDOM_BODIES_MAX);
+}
+
+static const struct mo_field_own random_field = {.read = read_random};
+
 #define AT(member) offsetof(struct mo_parsed_evaluation, member)
 static const char *const precision_words[] = {"float32", "float64", NULL};
 static const struct mo_field rollout_rows[] = {
@@ -51,8 +76,9 @@ static const struct mo_fields scored = {rollout_rows,
 static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &scored},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_on_fault_fields},
+    {"random", MO_FIELD_OWN, 0, AT(parts), .own = &random_field},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
-    {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_DESIGNS_MAX,
+    {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_RANDOM_BODIES_MAX,
      .unit = "designs", .help = "how many of the best get whole scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
@@ -60,25 +86,57 @@ static const struct mo_field rows[] = {
 const struct mo_fields mo_evaluation_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words stand in the order of their values");
 
+/* Random bodies are drawn after the submission, so no recording can be measured. */
+static void check_random(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+{
+  const struct mo_random_bodies *random = &parsed->parts.random;
+  const uint64_t n_environments =
+      parsed->parts.environments != NULL ? parsed->parts.n_environments : MO_PAPER_TEST_COUNT;
+  if (random->count == 0)
+    return;
+  if (random->first + random->count > MO_RANDOM_BODIES_MAX)
+    mo_json_fault_at(json, 0, "/random/first",
+                     "bodies %u to %u are asked for; a seed has the bodies 0 to %d: take another "
+                     "seed",
+                     random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
+  if (random->count * n_environments > MO_RANDOM_ROLLOUTS_MAX)
+    mo_json_fault_at(json, 0, "/random/count",
+                     "these are %llu rollouts; at most %d are expected: fewer bodies or fewer "
+                     "environments",
+                     (unsigned long long)random->count * n_environments, MO_RANDOM_ROLLOUTS_MAX);
+  if (parsed->request.verify || parsed->request.record != 0)
+    mo_json_fault_at(json, 0, "/random",
+                     "this is given with %s, which needs listed designs: POST /v1/bodies/random "
+                     "gives them",
+                     parsed->request.verify ? "verify" : "record");
+}
+
 static int check(struct mo_json *json, void *any)
 {
   struct mo_parsed_evaluation *parsed = any;
   struct mo_evaluation_request *request = &parsed->request;
   const uint32_t steps = request->physics.n_steps;
-  if (!parsed->parts.has_designs)
-    mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs",
+  const struct mo_random_bodies *random = &parsed->parts.random;
+  const uint32_t n_designs = random->count + parsed->parts.n_designs + parsed->parts.n_skipped;
+  if (!parsed->parts.has_designs && !parsed->parts.has_random)
+    mo_json_fault_at(json, 0, "",
+                     "designs is missing: an array of 1 to %d designs, or random, with the count "
+                     "of random bodies",
                      MO_DESIGNS_MAX);
+  if (parsed->parts.has_designs && parsed->parts.has_random)
+    mo_json_fault_at(json, 0, "/random",
+                     "this is given with designs; only one of them is expected");
+  check_random(json, parsed);
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller", "null is given; a controller's name is expected");
   if (request->record_stride > steps)
     mo_json_fault_at(json, 0, "/record_stride",
                      "%u is given; at most n_steps, which is %u, is expected",
                      request->record_stride, steps);
-  if (parsed->parts.has_designs &&
-      request->best > parsed->parts.n_designs + parsed->parts.n_skipped)
+  if (n_designs > 0 && request->best > n_designs)
     mo_json_fault_at(json, 0, "/best",
                      "%u is given; at most the number of designs, which is %u, is expected",
-                     request->best, parsed->parts.n_designs + parsed->parts.n_skipped);
+                     request->best, n_designs);
   if (request->best > 0 && (request->verify || request->record != 0))
     mo_json_fault_at(json, 0, "/best", "this is given with %s; only one of them is expected",
                      request->verify ? "verify" : "record");
@@ -93,7 +151,8 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
   struct mo_evaluation_request *request = &parsed->request;
   *parsed = (struct mo_parsed_evaluation){
       .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
-      .parts = {.job = {.priority = -1, .weight = 1}, .controller = "default"}};
+      .parts = {
+          .job = {.priority = -1, .weight = 1}, .random = {.seed = 1}, .controller = "default"}};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
   int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);
   if (error != MO_OK)
@@ -102,7 +161,8 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
   request->job = parts->job;
   request->controller = parts->controller;
   request->genotypes = parts->genotypes;
-  request->n_designs = parts->n_designs;
+  request->random = parts->random;
+  request->n_designs = parts->random.count > 0 ? parts->random.count : parts->n_designs;
   request->notes = parts->notes;
   request->n_notes = parts->n_notes;
   request->n_skipped = parts->n_skipped;

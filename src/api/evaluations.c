@@ -1,5 +1,6 @@
 /* evaluations.c: evaluations: submission, state, results. */
 #include <math.h>
+#include <stdlib.h>
 
 #include "api/job_json.h"
 #include "api/jobs.h"
@@ -94,6 +95,11 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_member_time(text, "recordings_removed_at", job->recordings_removed_us);
   mo_text_member_bool(text, "verify", job->verify);
   mo_member_count_if(text, "best", job->best > 0, job->best);
+  if (job->is_random)
+    mo_text_format(text, ",\"random\":{\"seed\":%llu,\"first\":%u,\"drawn\":%u}",
+                   (unsigned long long)job->random_seed, job->random_first, job->n_drawn);
+  else
+    mo_text_member(text, "random", NULL);
   mo_text_member_count(text, "n_designs", job->n_designs);
   mo_text_member_count(text, "n_skipped", job->n_skipped);
   mo_text_member_count(text, "rollouts_total", job->rollouts_total);
@@ -115,7 +121,7 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   const struct mo_job *job = status;
   struct mo_evaluation_results *results = NULL;
   int error = MO_OK;
-  if (job->state == MO_JOB_SUCCEEDED && !is_listed)
+  if (job->state == MO_JOB_SUCCEEDED && !is_listed && job->n_designs <= MO_DESIGNS_MAX)
     error = mo_store_results(api->store, job->id, &results);
   if (error == MO_OK) {
     write_job(text, job, live);
@@ -141,6 +147,73 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
                                                    .write = write_whole,
                                                    .write_job = write_item,
                                                    .versioned = true};
+
+/* ---- pages of results ---- */
+
+/* Writes the result of a design, with its number. */
+static int write_numbered(struct mo_api *api, struct mo_text *text, int64_t id, uint32_t number)
+{
+  struct mo_evaluation_results *results = NULL;
+  struct mo_text one = {0};
+  int error = mo_store_result(api->store, id, number, &results);
+  const struct mo_design_note *note = NULL;
+  for (uint32_t i = 0; error == MO_OK && i < results->n_notes; i++)
+    if (results->notes[i].place == number)
+      note = &results->notes[i];
+  if (error == MO_OK)
+    error = write_result(&one, api->lattice, results, 0, note);
+  if (error == MO_OK) {
+    mo_text_next(text);
+    mo_text_format(text, "{\"number\":%u,", number);
+    mo_text_add(text, one.data + 1);
+  }
+  mo_text_free(&one);
+  mo_evaluation_results_free(results);
+  return error;
+}
+
+static const char *const whole_words[] = {"false", "true", NULL};
+
+void mo_api_get_results(struct mo_request *request)
+{
+  struct mo_api *api = mo_api_of(request);
+  struct mo_text text = {0};
+  struct mo_job job;
+  int64_t id, first = 0;
+  size_t limit;
+  int whole = 0;
+  if (!mo_query_id(request, "cursor", MO_CURSOR_WORDS, &first) ||
+      !mo_query_word(request, "whole", whole_words, &whole) || !mo_query_limit(request, &limit) ||
+      !mo_path_id(request, 0, &id))
+    return;
+  int error = mo_store_job(api->store, id, &job);
+  if (error == MO_OK && job.kind != MO_JOB_EVALUATION)
+    error = MO_ERR_NOT_FOUND;
+  if (error == MO_OK && job.state != MO_JOB_SUCCEEDED) {
+    mo_reply_problem(request, 409, NULL, "The evaluation is %s; it has results when it succeeded.",
+                     mo_job_state_name(job.state));
+    return;
+  }
+  if (error == MO_OK && first > job.n_designs)
+    first = job.n_designs; /* behind the last one */
+  uint32_t *numbers = malloc(limit * sizeof(*numbers));
+  int64_t n = 0;
+  if (numbers == NULL)
+    error = MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    n = mo_store_result_numbers(api->store, id, (uint32_t)first, whole == 0, numbers, limit);
+  if (n < 0)
+    error = (int)n;
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n && error == MO_OK; i++)
+    error = write_numbered(api, &text, id, numbers[i]);
+  if (n == (int64_t)limit && numbers[n - 1] + 1 < job.n_designs)
+    mo_text_format(&text, "],\"next_cursor\":\"%u\"}", numbers[n - 1] + 1);
+  else
+    mo_text_add(&text, "],\"next_cursor\":null}");
+  mo_reply_text(request, error, &text, "evaluation");
+  free(numbers);
+}
 
 /* ---- submission ---- */
 

@@ -24,18 +24,18 @@ enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 /* What a submission of any kind may ask for. */
 struct mo_parts {
   struct mo_submission job; /* priority −1: not given */
-  int device;               /* 0: any */
+  int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
+  bool has_random;
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
   struct mo_bits *genotypes;              /* (n_designs) those to take, as given, not placed */
-  uint32_t n_designs;
+  uint32_t n_designs, n_environments;
   struct mo_design_note *notes; /* (n_notes) ascending: what was skipped, repaired, or an id */
   uint32_t n_notes, n_skipped;
   struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */
-  uint32_t n_environments;
-  int error; /* MO_ERR_NO_MEMORY */
+  struct mo_random_bodies random;      /* count 0: none */
 };
 /* controller, label, experiment, priority, weight, device. */
 extern const struct mo_fields mo_parts_fields;

@@ -458,6 +458,10 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
   " recorded_bytes:n verify:n best:n rollouts_cut:n"
+#define RESULTS                                                                                    \
+  "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
+  "masses:n"                                                                                       \
+  " springs:n path_length_m:n repaired fault orientation"
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

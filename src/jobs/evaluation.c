@@ -65,6 +65,16 @@ static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency p
   return n;
 }
 
+/* Returns whether a claimed job has more designs than can be listed: all of them are in memory, so
+ * there is one at a time. */
+static bool has_large(const struct mo_evaluations *all)
+{
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (active->work != NULL && active->work->n_designs > MO_DESIGNS_MAX)
+      return true;
+  return false;
+}
+
 static uint64_t count_blocks(const struct mo_evaluations *all)
 {
   uint64_t n = 0;
@@ -184,7 +194,9 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
     return;
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
     limit += active->detached;
-  n = mo_store_queued(all->jobs->store, priority, 0, ids, limit < CLAIMS_MAX ? limit : CLAIMS_MAX);
+  const bool had_large = has_large(all);
+  n = mo_store_queued(all->jobs->store, priority, 0, !had_large, ids,
+                      limit < CLAIMS_MAX ? limit : CLAIMS_MAX);
   if (n < 0)
     all->look_again = true; /* within a second */
   for (int64_t i = 0; i < n && n_active < places; i++) {
@@ -193,6 +205,10 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
     if (!claim_one(all, ids[i], priority))
       return;
     n_active++;
+    if (!had_large && has_large(all)) { /* the others may be large, too */
+      all->look_again = true;
+      return;
+    }
   }
 }
 
@@ -480,7 +496,7 @@ static int open_all(struct mo_jobs *jobs)
   all->inbox = (struct mo_inbox){.mutex = &all->runners->mutex, .news = &all->runners->news};
   all->look_again = true;
   jobs->evaluations = all;
-  return MO_OK;
+  return mo_drawer_start(all);
 }
 
 static void free_rollouts(struct mo_pending *pending)
@@ -498,6 +514,7 @@ static void close_all(struct mo_jobs *jobs)
   struct mo_evaluations *all = jobs->evaluations;
   if (all == NULL)
     return;
+  mo_drawer_join(all);
   free_rollouts(&all->saving);
   free_rollouts(&all->pending);
   while (all->actives != NULL) {

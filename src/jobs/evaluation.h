@@ -91,7 +91,15 @@ struct mo_evaluations {
   bool look_again;       /* there may be queued jobs */
   bool review_again;     /* a job could not be read */
   bool visit_again;      /* rollouts were forgotten: deferred cells can be looked up */
+  pthread_t drawer;
+  bool draws; /* there is a drawer */
 };
+
+/* ---- evaluation_draw.c ---- */
+/* Starts the thread that draws the designs of evaluations of random bodies. It ends with a stop of
+ * the runners. */
+int mo_drawer_start(struct mo_evaluations *all);
+void mo_drawer_join(struct mo_evaluations *all);
 
 /* ---- evaluation_save.c ---- */
 /* Adds a row of `size` bytes to one of the arrays of all->pending. Returns the row there, valid

@@ -43,7 +43,8 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   struct mo_submission *job = &request->job;
   const uint64_t n = (uint64_t)request->n_designs * request->n_environments;
   const bool is_small = n <= INTERACTIVE_ROLLOUTS && job->back_end != MO_ON_DEVICE;
-  bool is_interactive = job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small;
+  bool is_interactive = request->genotypes != NULL &&
+                        (job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small);
   uint64_t springs = 0, bytes = 0;
   int error =
       is_interactive || request->record != 0 ? measure(jobs, request, &springs, &bytes) : MO_OK;
@@ -78,6 +79,16 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
                           request->n_designs, request->notes, request->n_notes, message);
 }
 
+/* Checks that the bytes of each design and rollout fit into memory (evaluation.h, best.c). */
+static int check_random(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                        struct mo_message *message)
+{
+  const uint64_t rollouts = (uint64_t)request->n_designs * request->n_environments;
+  const struct mo_need need = {.own = 80 * (uint64_t)request->n_designs +
+                                      (request->best > 0 ? 9 : 1) * rollouts};
+  return mo_memory_check(jobs, &need, message);
+}
+
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *asked,
                               int64_t *id, bool *replayed, struct mo_message *message)
 {
@@ -91,13 +102,15 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     return error;
   if (request.environment_set != NULL)
     error = mo_environments_count(jobs, request.environment_set, &request.n_environments, message);
-  if (error == MO_OK)
+  if (error == MO_OK && asked->genotypes != NULL)
     error = mo_placed_create(asked->genotypes, asked->n_designs, &placed);
   request.forms = placed.forms;
   request.genotypes = placed.genotypes;
+  if (error == MO_OK && request.random.count > 0)
+    error = check_random(jobs, &request, message);
   if (error == MO_OK)
     error = choose(jobs, &request, message);
-  if (error == MO_OK)
+  if (error == MO_OK && request.genotypes != NULL)
     error = mo_evaluation_orient(jobs, &request, &placed, message);
   submitting.rollouts = (uint64_t)request.n_designs * request.n_environments;
   if (error == MO_OK)

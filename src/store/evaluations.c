@@ -39,7 +39,7 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
                                .is_complete = sqlite3_column_int(row, 7) != 0};
   results->n_designs = mo_column_u32(row, 3);
   results->n_environments = mo_column_u32(row, 4);
-  if (results->n_designs < 1 || results->n_designs > MO_DESIGNS_MAX ||
+  if (results->n_designs < 1 || results->n_designs > MO_RANDOM_BODIES_MAX ||
       results->n_environments < 1 || results->n_environments > MO_ENVIRONMENTS_MAX)
     return MO_ERR_CORRUPT;
   if (range->first + range->n > results->n_designs)
@@ -239,6 +239,26 @@ static int read_results(struct mo_store *store, struct range range,
   *ret =
       mo_read_whole(store, sizeof(**ret), load_results, &range, mo_evaluation_results_free, &error);
   return error;
+}
+
+static int read_number(sqlite3_stmt *row, void *number)
+{
+  *(uint32_t *)number = mo_column_u32(row, 0);
+  return MO_OK;
+}
+
+int64_t mo_store_result_numbers(struct mo_store *store, int64_t id, uint32_t first, bool any,
+                                uint32_t *numbers, size_t limit)
+{
+  /* Designs that were skipped have a note and no row. */
+  static const char *const sql[] = {
+      "SELECT position FROM job_designs WHERE job=?1 AND position>=?2 AND counted IS NULL"
+      " ORDER BY position LIMIT ?3",
+      "SELECT position FROM job_designs WHERE job=?1 AND position>=?2"
+      " UNION SELECT position FROM design_notes WHERE job=?1 AND position>=?2"
+      " ORDER BY position LIMIT ?3"};
+  return mo_read_page(store, sql[any], MO_VALUES(mo_int(id), mo_int(first), mo_int((int64_t)limit)),
+                      read_number, numbers, sizeof(*numbers));
 }
 
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **ret)

@@ -8,13 +8,20 @@ struct mo_store;
 
 /* ---- submission (by jobs) ---- */
 
+/* Bodies `first` to `first + count − 1` of those of a seed (mo_body_stream). count 0: none. */
+struct mo_random_bodies {
+  uint32_t first, count; /* first + count ≤ MO_RANDOM_BODIES_MAX */
+  uint64_t seed;
+};
+
 /* An evaluation as requested (genotypes are valid) and as stored: genotypes are placed, and have
  * their forms. */
 struct mo_evaluation_request {
   struct mo_submission job;
-  const struct mo_bits *genotypes; /* (n_designs) */
+  const struct mo_bits *genotypes; /* (n_designs); NULL: random bodies */
   const struct mo_bits *forms;     /* (n_designs) canonical; as stored */
   uint32_t n_designs;              /* with n_skipped 1 … MO_DESIGNS_MAX */
+  struct mo_random_bodies random;  /* without genotypes: their count is n_designs */
   struct mo_design_note *notes;    /* (n_notes) ascending; submission completes those of ids */
   uint32_t n_notes, n_skipped;     /* n_skipped: notes of skipped designs */
   const char *environment_set;     /* "paper-test", or NULL: `environments` */
@@ -69,6 +76,10 @@ int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_re
 /* Reads only those of design n: results of one design. */
 int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
                     struct mo_evaluation_results **results);
+/* Reads the numbers of the designs from `first` on that have whole scores (of an evaluation that
+ * has ended), or, with `any`, of all. Returns how many, at most `limit`; MO_ERR_NOT_FOUND. */
+int64_t mo_store_result_numbers(struct mo_store *store, int64_t id, uint32_t first, bool any,
+                                uint32_t *numbers, size_t limit);
 
 /* Reads the trajectory of design n in environment k (both from 0). MO_ERR_NOT_FOUND: no such
  * evaluation, design or environment, or nothing is recorded (yet). */

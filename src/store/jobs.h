@@ -35,6 +35,9 @@
   X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs)")                                                \
   X(N_SKIPPED, "e.n_skipped")                                                                      \
   X(BEST, "e.best")                                                                                \
+  X(RANDOM_SEED, "e.random_seed")                                                                  \
+  X(RANDOM_FIRST, "e.random_first")                                                                \
+  X(N_DRAWN, "e.n_drawn")                                                                          \
   X(PHYSICS, "p.encoding")                                                                         \
   X(VERIFY, "e.verify")                                                                            \
   X(RECORD, "e.record")                                                                            \

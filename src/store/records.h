@@ -20,15 +20,16 @@
 #include "store/design_notes.h"
 #include "store/hash.h"
 
-#define MO_DESIGNS_MAX           10000   /* that one request lists */
-#define MO_RANDOM_BODIES_MAX     1000000 /* of one seed */
-#define MO_ENVIRONMENTS_MAX      64      /* of one evaluation */
-#define MO_LABEL_BYTES_MAX       800     /* 200 characters of UTF-8 */
-#define MO_EXPERIMENT_BYTES_MAX  400     /* 100 characters */
-#define MO_NOTE_BYTES_MAX        4000    /* 1000 characters */
-#define MO_USER_BYTES_MAX        64      /* the name of a token */
-#define MO_NAME_BYTES_MAX        64      /* of the name of a controller or a set of environments */
-#define MO_ORIGIN_BYTES          130     /* "name@host" of a worker, with NUL */
+#define MO_DESIGNS_MAX           10000    /* that one request lists */
+#define MO_RANDOM_BODIES_MAX     1000000  /* of one seed; designs of an evaluation of these */
+#define MO_RANDOM_ROLLOUTS_MAX   10000000 /* of an evaluation of random bodies */
+#define MO_ENVIRONMENTS_MAX      64       /* of one evaluation */
+#define MO_LABEL_BYTES_MAX       800      /* 200 characters of UTF-8 */
+#define MO_EXPERIMENT_BYTES_MAX  400      /* 100 characters */
+#define MO_NOTE_BYTES_MAX        4000     /* 1000 characters */
+#define MO_USER_BYTES_MAX        64       /* the name of a token */
+#define MO_NAME_BYTES_MAX        64       /* of the name of a controller or a set of environments */
+#define MO_ORIGIN_BYTES          130      /* "name@host" of a worker, with NUL */
 #define MO_IDEMPOTENCY_BYTES_MAX 255
 #define MO_PAGE_MAX              1000 /* rows of one page of any list */
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
@@ -113,6 +114,10 @@ struct mo_job {
   struct mo_sha256 result_sha256;
   char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
+  /* The designs of an evaluation may be random bodies of a seed; n_drawn of them are stored. */
+  bool is_random;
+  uint64_t random_seed;
+  uint32_t random_first, n_drawn;
   uint32_t best; /* how many of its best designs have whole scores; 0: all */
   struct mo_physics physics;
   enum mo_precision precision;

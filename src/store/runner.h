@@ -16,6 +16,14 @@ int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, in
 int mo_store_environment_set_size(struct mo_store *store, const char *name,
                                   uint32_t *n); /* MO_ERR_NOT_FOUND */
 
+/* Finds the queued evaluation of random bodies that has the fewest of them to store. *id 0: there
+ * is none. */
+int mo_store_undrawn(struct mo_store *store, int64_t *id);
+/* Stores its bodies first … first + n − 1, from 0. MO_ERR_CONFLICT: it is not queued any more, or
+ * another number of them is stored. */
+int mo_store_draw(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
+                  const struct mo_bits *genotypes, uint32_t n);
+
 /* ---- state changes that clients request; each with its event ---- */
 
 /* Retry queues a failed training or campaign again and resets its attempts; it is a no-op for one
@@ -58,8 +66,9 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 
 /* ---- reads of the scheduler: on their own connection, from one thread at a time ---- */
 
-/* Reads the ids of queued evaluations of a priority, ascending, > after; returns their number. */
-int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after,
+/* Reads the ids of queued evaluations of a priority, ascending, > after; returns their number.
+ * Random bodies must be stored. large: also those of more than MO_DESIGNS_MAX designs. */
+int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, bool large,
                         int64_t *ids, size_t limit);
 
 /* The classes of this process: rows of fingerprints. device 0: there are no devices. */

@@ -107,8 +107,9 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
   static const char sql[] = "INSERT INTO evaluations(job,controller,controller_name,physics,"
                             "environment_set,n_designs,n_environments,verify,record,record_stride,"
-                            "done,cached,diverged,n_skipped,best)"
-                            " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12)";
+                            "done,cached,diverged,n_skipped,best,random_seed,random_first)"
+                            " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
+                            "CASE WHEN ?14>0 THEN ?13 END,?15)";
   const struct mo_evaluation_request *request = any;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
@@ -121,11 +122,12 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
         writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
         mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
         mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
-        mo_int(request->n_skipped), mo_int(request->best));
+        mo_int(request->n_skipped), mo_int(request->best), mo_int((int64_t)request->random.seed),
+        mo_int(request->random.count), mo_int(request->random.first));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
-  if (error == MO_OK)
+  if (error == MO_OK && request->random.count == 0)
     error = mo_designs_insert(writer, *id, request->forms, request->genotypes, request->n_designs,
                               request->notes, request->n_notes, mo_clock_wall_us());
   if (error == MO_OK)
@@ -137,6 +139,55 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             (long long)*id,
                             (unsigned long long)request->n_designs * (uint64_t)n_environments);
   return error == MO_OK && set == 0 ? mo_run_announce_warnings(store, *id, true) : error;
+}
+
+/* ---- random bodies, which are stored after their evaluation ---- */
+
+int mo_store_undrawn(struct mo_store *store, int64_t *id)
+{
+  static const char sql[] =
+      "SELECT e.job FROM evaluations e INDEXED BY evaluations_undrawn JOIN jobs j ON j.id=e.job"
+      " WHERE e.random_seed IS NOT NULL AND e.n_drawn<e.n_designs AND j.state=?1"
+      " ORDER BY e.n_designs-e.n_drawn,e.job LIMIT 1";
+  const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_QUEUED)), 1, id);
+  if (error == MO_ERR_NOT_FOUND)
+    *id = 0;
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
+struct draw_arguments {
+  int64_t id;
+  uint32_t first, n;
+  const struct mo_bits *forms, *genotypes;
+};
+
+static int draw(struct mo_store *store, void *arguments)
+{
+  static const char count_sql[] =
+      "UPDATE evaluations SET n_drawn=n_drawn+?3 WHERE job=?1 AND n_drawn=?2 AND n_drawn+?3<="
+      "n_designs AND EXISTS(SELECT 1 FROM jobs WHERE id=?1 AND state=0)";
+  static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
+  const struct draw_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  const int64_t now_us = mo_clock_wall_us();
+  int error =
+      mo_sql_change(writer, count_sql, mo_int(call->id), mo_int(call->first), mo_int(call->n));
+  if (error == MO_OK)
+    error = mo_sql_do(writer, version_sql, mo_int(call->id));
+  for (uint32_t i = 0; i < call->n && error == MO_OK; i++) {
+    int64_t row = 0;
+    error = mo_genotype_row(writer, &call->forms[i], &call->genotypes[i], now_us, &row);
+    if (error == MO_OK)
+      error = mo_design_insert(writer, call->id, call->first + i, row);
+  }
+  return error;
+}
+
+int mo_store_draw(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
+                  const struct mo_bits *genotypes, uint32_t n)
+{
+  struct draw_arguments call = {id, first, n, forms, genotypes};
+  return mo_write(store, draw, &call);
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

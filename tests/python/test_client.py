@@ -157,6 +157,22 @@ def test_bodies_of_the_service(m):
     assert scored.ids == m.canonical(largest_pieces(torn))  # the same piece here and there
 
 
+def test_random_designs(m):
+    """An evaluation of random bodies is that of the list of them."""
+    short = {"n_steps": 5}
+    listed = m.evaluate(m.random_bodies(30, seed=3, first=7), WORLD, physics=short)
+    random = m.evaluate_random(30, seed=3, first=7, environments=WORLD, physics=short, best=2)
+    assert random.ids == listed.ids and random.data["random"]["drawn"] == 30
+    table = listed.table()
+    assert list(table.number) == [*range(30)] and (table.score == listed.scores).all()
+    best = random.table(whole=True)
+    assert list(best.score[:2]) == sorted(listed.scores)[:2] and not best.lower_bound.any()
+    many = m.evaluate_random(10_001, environments=WORLD[:1], physics={"n_steps": 1})
+    assert len(many) == 10_001 and len(many.table()) == 10_001
+    with pytest.raises(morphod.MorphodError, match="table.. reads"):
+        many.scores
+
+
 def test_recordings(m, service):
     bodies = [DESIGN, {"cells": [[0, 0, 0]]}]
     worlds = WORLD + [{**WORLD[0], "seed": 8}]

@@ -426,6 +426,18 @@ def test_random_bodies_from_an_offset():
         assert out == "" and "--first" in err and seen == [], (words, err)
 
 
+def test_more_random_bodies_than_a_list():
+    """They are named, not listed; with --best the whole scores come in pages."""
+    large = {**JOB, "kind": "evaluation", "n_designs": 20000}
+    seen = ask([reply(202, large)], "eval --no-wait --random 20000 --first 40 --seed 7")[2]
+    sent = json.loads(seen[0][3])
+    assert len(seen) == 1 and sent["random"] == {"count": 20000, "seed": 7, "first": 40}
+    assert "designs" not in sent
+    for words in ("eval --random 1000001", "eval --random 20000 " + VOXELS):
+        out, err, seen = ask([], words, status=2)
+        assert out == "" and "--random" in err and seen == [], (words, err)
+
+
 def test_train_start_that_makes_no_sense():
     for words in ("x", "finetune", f"pretrain {VOXELS}", "pretrain --random 3",
                   "pretrain --population 1", f"finetune {VOXELS} --population 1",

@@ -135,7 +135,7 @@ static void starts_replicates(void)
   CHECK(ids[0] == id && ids[1] == id + 1 && ids[3] == id + 3 && ids[4] == other);
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_CAMPAIGN, ids, 2), 2);
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_TRAINING, ids, 8), 0);
-  CHECK_INT(mo_store_queued(store, MO_INTERACTIVE, 0, ids, 8), 0);
+  CHECK_INT(mo_store_queued(store, MO_INTERACTIVE, 0, true, ids, 8), 0);
   /* Lists, newest first. */
   CHECK(lists(&query, 8, 5, id + 3, other));
   query.before = id + 2;

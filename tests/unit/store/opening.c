@@ -3,7 +3,7 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 13 /* schema */
+#define NEWEST 14 /* schema */
 
 static void opens_and_locks(void)
 {
@@ -39,7 +39,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=13; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=14; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* no database, whatever its name says */
@@ -58,7 +58,7 @@ static void refuses_version_0_1(void)
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=13"));
+  CHECK_OK(reopen_after("PRAGMA user_version=14"));
 }
 
 /* A database of version 9: what later ones added is not there. */
@@ -71,6 +71,8 @@ static const char version_9[] =
     "DROP TABLE design_notes; ALTER TABLE evaluations DROP COLUMN n_skipped;"
     "ALTER TABLE evaluations DROP COLUMN best; ALTER TABLE evaluations DROP COLUMN cut;"
     "ALTER TABLE job_designs DROP COLUMN counted;"
+    "DROP INDEX evaluations_undrawn; ALTER TABLE evaluations DROP COLUMN random_seed;"
+    "ALTER TABLE evaluations DROP COLUMN random_first; ALTER TABLE evaluations DROP COLUMN n_drawn;"
     "DROP TABLE study_words; DROP TABLE studies;"
     "ALTER TABLE campaign_designs DROP COLUMN measures;"
     "DROP INDEX jobs_by_experiment; DROP INDEX jobs_archived; DROP INDEX jobs_by_end;"

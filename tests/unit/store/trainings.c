@@ -48,7 +48,7 @@ static void keeps_the_queues_apart(void)
   first = submit_training(&training);
   id = submit_evaluation(&evaluation);
   second = submit_training(&training);
-  CHECK_INT(mo_store_queued(store, MO_BATCH, 0, ids, 5), 1);
+  CHECK_INT(mo_store_queued(store, MO_BATCH, 0, true, ids, 5), 1);
   CHECK_INT(ids[0], id);
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_TRAINING, ids, 5), 2);
   CHECK(ids[0] == first && ids[1] == second);

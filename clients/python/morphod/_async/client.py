@@ -84,7 +84,8 @@ class AsyncClient:
                        verify: bool = False, best: int | None = None,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
-        """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest).
+        """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). For more,
+        up to 1,000,000 random ones, see `evaluate_random`.
 
         `wait=False` returns at once; the evaluation is durable then. `record` takes "com" and
         "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
@@ -130,6 +131,37 @@ class AsyncClient:
                                      "morphoctl job list shows it")
         finally:
             await connection.close()
+
+    async def evaluate_random(self, count: int, seed: int = 1, *, first: int = 0,
+                              environments: Environments = "paper-test",
+                              controller: str = "default",
+                              physics: Mapping[str, Any] | None = None,
+                              precision: Literal["float32", "float64"] = "float32",
+                              weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
+                              label: str | None = None, experiment: str | None = None,
+                              best: int | None = None, wait: bool = True) -> AsyncEvaluation:
+        """Scores the bodies of `random_bodies(count, seed, first=first)`, up to 1,000,000 of them
+        in one evaluation, with one `best` over all: nothing is sent. The service draws and stores
+        them first; until then it is queued.
+
+        The results of more than 10,000 are read in pages, by `table()`; `table(whole=True)` reads
+        only those that are no lower bounds.
+        """
+        value: dict[str, Any] = {
+            "random": {"count": count, "seed": seed, "first": first},
+            "environments": environments, "controller": controller, "precision": precision,
+            "weight": weight, "device": device,
+            **_given(physics=physics, label=label, experiment=experiment, best=best),
+        }
+        request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
+        try:
+            data = await self._connection.json(request)
+        except KeyboardInterrupt:
+            raise await self._interrupted(request) from None
+        evaluation = AsyncEvaluation(self._connection, data)
+        if wait:
+            await evaluation.wait()
+        return evaluation
 
     async def evaluation(self, id: str | int) -> AsyncEvaluation:
         """The evaluation of an id."""

@@ -233,6 +233,9 @@ class Evaluation(Job):
         if not self.ended:
             raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
         self._require_success()
+        if "results" not in self.data:
+            raise MorphodError(f"evaluation {self.id} has {len(self):,} designs, too many at once: "
+                               "table() reads their results, table(whole=True) the best ones")
         results: list[dict[str, Any]] = self.data["results"]
         return results
 
@@ -288,6 +291,19 @@ class Evaluation(Job):
 
     def __iter__(self) -> Iterator[Result]:
         return (self[place] for place in range(len(self)))
+
+    def table(self, *, whole: bool = False) -> pd.DataFrame:
+        """The results of any number of designs, read in pages: number (of the design, from 0), then
+        as `frame`. `whole`: with `best`, only those that are no lower bounds, the best first."""
+        if not self.ended:
+            raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
+        self._require_success()
+        rows = [row for row in self._connection.pages(
+            f"{self._list}/{self.id}/results", whole="true" if whole else None)]
+        part = type(self)(self._connection, {**self.data, "results": rows, "n_designs": len(rows)})
+        table = part.frame()
+        table.insert(0, "number", [row["number"] for row in rows])
+        return table.sort_values("score", kind="stable", ignore_index=True) if whole else table
 
     def frame(self) -> pd.DataFrame:
         """A table, a line per design: id, robot (what has the score), genotype, score, lower_bound

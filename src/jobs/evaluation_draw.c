@@ -1,0 +1,126 @@
+/* evaluation_draw.c: draws the designs of evaluations of random bodies and stores them, before the
+ * evaluations are claimed.
+ *
+ * A million bodies take about a minute of processor time to draw and store, so a submission stores
+ * only which they are. One thread draws them, in groups: a transaction for each, between which the
+ * store's writer serves others. A crash or a pause loses at most a group; the bodies before are
+ * drawn again, since which body is new depends on them, but not stored again. An evaluation is
+ * finished before the next one, which is the one with the fewest left. */
+#include "base/clock.h"
+#include "base/thread.h"
+#include "jobs/evaluation.h"
+#include "jobs/submission.h"
+
+#define GROUP 1000 /* bodies of a transaction: some 50 ms of processor time */
+
+static bool is_stopping(struct mo_runners *runners)
+{
+  MO_GUARD(&runners->mutex);
+  return runners->stopping;
+}
+
+/* Draws the next n bodies. genotypes NULL: passes them. MO_ERR_CANCELLED: a stop. */
+static int draw(struct mo_evaluations *all, struct mo_body_stream *stream, uint32_t n,
+                struct mo_bits *genotypes)
+{
+  struct mo_bits passed;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error =
+        mo_body_stream_next(stream, genotypes != NULL ? genotypes[i].words : passed.words, NULL);
+    if (error == MO_OK && i % GROUP == 0 && is_stopping(all->runners))
+      error = MO_ERR_CANCELLED;
+  }
+  return error;
+}
+
+/* Stores the next group, of which `first` is the first body. */
+static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream, int64_t id,
+                       uint32_t first, uint32_t n)
+{
+  struct mo_bits genotypes[GROUP];
+  struct mo_placed placed = {NULL, NULL};
+  int error = draw(all, stream, n, genotypes);
+  if (error == MO_OK)
+    error = mo_placed_create(genotypes, n, &placed);
+  if (error == MO_OK)
+    error = mo_store_draw(all->jobs->store, id, first, placed.forms, placed.genotypes, n);
+  mo_placed_free(&placed);
+  return error;
+}
+
+/* Stores what is left of an evaluation. MO_ERR_CONFLICT: it was paused or cancelled. */
+static int draw_job(struct mo_evaluations *all, int64_t id)
+{
+  struct mo_body_stream *stream = NULL;
+  struct mo_job job;
+  int error = mo_store_job(all->jobs->store, id, &job);
+  if (error != MO_OK)
+    return error;
+  error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, job.random_seed, &stream);
+  if (error == MO_OK)
+    error = draw(all, stream, job.random_first + job.n_drawn, NULL);
+  for (uint32_t first = job.n_drawn, n; first < job.n_designs && error == MO_OK; first += n) {
+    n = job.n_designs - first < GROUP ? job.n_designs - first : GROUP;
+    error = store_group(all, stream, id, first, n);
+  }
+  mo_body_stream_free(stream);
+  return error;
+}
+
+/* Returns whether an error keeps the thread from going on at once. */
+static bool draw_next(struct mo_evaluations *all, bool *any)
+{
+  int64_t id = 0;
+  int error = mo_store_undrawn(all->jobs->store, &id);
+  *any = error == MO_OK && id != 0;
+  if (*any)
+    error = draw_job(all, id);
+  if (error == MO_OK && id != 0)
+    mo_runners_wake(all->runners);
+  if (error == MO_OK || error == MO_ERR_CONFLICT || error == MO_ERR_NOT_FOUND)
+    return false;
+  const struct mo_jobs_config *config = &all->jobs->config;
+  if (error != MO_ERR_CANCELLED && !mo_is_shortage(error) && config->warn != NULL)
+    config->warn(config->warn_context, id, error, "its random bodies could not be stored");
+  return true;
+}
+
+static void *draw_all(void *context)
+{
+  struct mo_evaluations *all = context;
+  struct mo_runners *runners = all->runners;
+  uint64_t seen = UINT64_MAX, requests = 0; /* looks at once */
+  bool again = false;
+  for (;;) {
+    pthread_mutex_lock(&runners->mutex);
+    const int64_t until_us = mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
+    while (!runners->stopping && runners->look == seen && runners->requests == requests)
+      if (!again)
+        pthread_cond_wait(&runners->news, &runners->mutex);
+      else if (!mo_wait_until(&runners->news, &runners->mutex, until_us))
+        break;
+    seen = runners->look;
+    requests = runners->requests;
+    const bool stopping = runners->stopping;
+    pthread_mutex_unlock(&runners->mutex);
+    if (stopping)
+      return NULL;
+    bool any = true;
+    for (again = false; any && !again;)
+      again = draw_next(all, &any);
+  }
+}
+
+int mo_drawer_start(struct mo_evaluations *all)
+{
+  all->draws = pthread_create(&all->drawer, NULL, draw_all, all) == 0;
+  return all->draws ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+void mo_drawer_join(struct mo_evaluations *all)
+{
+  if (all->draws)
+    pthread_join(all->drawer, NULL);
+  all->draws = false;
+}
