@@ -118,7 +118,7 @@ def test_usage(service):
     used = sum(job["core_seconds"] for job in jobs)
     assert used > 0 and all(job["device_seconds"] == 0 for job in jobs)
     rows = {row["name"]: row for row in service.get("/v1/usage?by=label")["items"]}
-    assert rows[label]["jobs"] == 2 and rows[label]["core_seconds"] == pytest.approx(used)
+    assert rows[label]["jobs"] == 2 and rows[label]["core_seconds"] == pytest.approx(used, abs=2e-6)
     assert delete(service, jobs[0]["id"]).status == 200
     again = {row["name"]: row for row in service.get("/v1/usage")["items"]}
     assert again[label] == pytest.approx(rows[label])

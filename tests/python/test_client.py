@@ -484,7 +484,7 @@ def test_jobs_in_order(m):
     assert len(m.jobs(experiment=label)) == 0
     assert list(m.jobs(label=label[:-2] + "*", archived="all")["id"]) == [job.id]
     used = m.usage("experiment").set_index("name").loc[label]
-    assert used["jobs"] == 1 and used["core_seconds"] == pytest.approx(job.core_seconds)
+    assert used["jobs"] == 1 and used["core_seconds"] == pytest.approx(job.core_seconds, abs=1e-6)
     assert [one["what"] for one in job.delete()["stays"]] == ["designs", "scores"]
     with pytest.raises(morphod.ApiError):
         job.refresh()
