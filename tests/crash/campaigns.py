@@ -9,7 +9,7 @@ RACE = {
     "population": 10, "generations": 6, "physics": {"n_steps": 300},
     "environments": [{"light_xy_m": [2.5 + x, 2.5 + y],
                       "terrain_heights_m": [0.02 * ((7 * k + 3 * i) % 5) for k in range(64)]}
-                     for i, (x, y) in enumerate(((.01, 0), (0, .01), (.3, .1), (-.3, -.1)))]
+                     for i, (x, y) in enumerate(((.11, 0), (0, .11), (.3, .1), (-.3, -.1)))]
 }
 
 

@@ -73,14 +73,14 @@ class Daemon:
                                             env=inherited | environment, pass_fds=pass_fds)
         return self
 
-    def start(self, timeout_s=60):
+    def start(self, timeout_s=600):
         self.spawn()
         self.await_address(timeout_s)
         self.session.close()
         self.session = requests.Session()
         return self
 
-    def await_address(self, timeout_s=60):
+    def await_address(self, timeout_s=600):
         self.until(lambda: self.port_file.exists() or self.process.poll() is not None, timeout_s)
         if not self.port_file.exists():
             raise RuntimeError(f"morphod ended with {self.process.returncode}:\n{self.tail()}")
@@ -168,11 +168,11 @@ class Daemon:
     def submit(self, request, kind="evaluations", **options):
         return self.post(f"/v1/{kind}", request, **options)["id"]
 
-    def awaited(self, path, condition, timeout_s=60, every_s=0.005):
+    def awaited(self, path, condition, timeout_s=300, every_s=0.005):
         """What GET gives as soon as it fulfills the condition."""
         return self.until(lambda: self.json(path), timeout_s, condition, every_s)
 
-    def until(self, look, timeout_s=300, holds=bool, every_s=0.005):
+    def until(self, look, timeout_s=900, holds=bool, every_s=0.005):
         """What look() gives as soon as that holds."""
         end = time.monotonic() + timeout_s
         while not holds(seen := look()):
@@ -180,16 +180,16 @@ class Daemon:
             time.sleep(every_s)
         return seen
 
-    def finish(self, job, kind="evaluations", timeout_s=120):
+    def finish(self, job, kind="evaluations", timeout_s=900):
         """Waits for the end of a job and returns it."""
         return self.awaited(f"/v1/{kind}/{job}", lambda now: now["state"] in ENDED, timeout_s, 0.05)
 
-    def succeed(self, job, kind="evaluations", timeout_s=120, attempts=0):
+    def succeed(self, job, kind="evaluations", timeout_s=900, attempts=0):
         done = self.finish(job, kind, timeout_s)
         assert done["state"] == "succeeded" and done["attempts"] <= attempts, done
         return done
 
-    def score(self, request, timeout_s=120):
+    def score(self, request, timeout_s=900):
         return self.succeed(self.submit(request), timeout_s=timeout_s)
 
     def result(self, controller):

@@ -67,17 +67,17 @@ def test_of_a_dead_worker(scene):
     one, victim, witness, _ = scene
     killed = time.monotonic()
     victim.process.kill()
-    one.until(lambda: witness.moment is not None, 20, every_s=0.001)
+    one.until(lambda: witness.moment is not None, every_s=0.001)
     took = witness.moment - killed
     print(f"leases of a dead worker: {1000 * took:.1f} ms")
-    assert took < 0.05
+    assert took < 1  # some 10 ms on a quiet machine; a silent worker's takes the session's limit
     one.until(lambda: events(one, "fleet.lost"))
 
 
 def test_of_a_silent_worker(scene):
     one, _, witness, stopped = scene
     one.until(lambda: one.json("/v1/fleet")["lost"] == 1)
-    one.until(lambda: witness.moment is not None, 20, every_s=0.001)
+    one.until(lambda: witness.moment is not None, every_s=0.001)
     (session, ) = [s for s in one.json("/v1/fleet")["sessions"] if s["name"] == "victim"]
     assert session["state"] == "lost" and session["why"] == "it was silent"
     last, ended = (datetime.datetime.fromisoformat(session[name].replace("Z", "+00:00"))
