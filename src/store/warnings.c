@@ -30,16 +30,18 @@ warn(struct mo_job *job, const char *code, const char *format, ...)
 
 /* ---- robots that diverged ---- */
 
+/* While the evaluation runs, the rollouts that are left may not diverge. */
 static void warn_of_rollouts(struct mo_job *job)
 {
   const uint64_t run = job->rollouts_done - job->rollouts_cut, diverged = job->rollouts_diverged;
-  if (diverged > 0 && diverged >= run)
+  const bool is_final = mo_job_state_is_final(job->state);
+  if (diverged > 0 && diverged >= run && is_final)
     warn(job, "all_diverged", "every rollout diverged (%llu): no robot has a score; %s",
          (unsigned long long)diverged, remedy);
   else if (diverged > 0)
     warn(job, "diverged",
-         "%llu of %llu rollouts diverged: a robot has no score if one of its rollouts did; %s",
-         (unsigned long long)diverged, (unsigned long long)run, remedy);
+         "%llu of %llu rollouts%s diverged: a robot has no score if one of its rollouts did; %s",
+         (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far", remedy);
 }
 
 /* Of a step of a training, or of the population of a generation. */

@@ -97,6 +97,29 @@ static void changes_states(void)
   CHECK_TEXT(job.error_text, "signal 11");
 }
 
+/* That all rollouts diverged is known only of a job that has ended. */
+static void warns_of_divergence(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(4, 1);
+  const int64_t id = submit_evaluation(&submission);
+  struct mo_job_update updates[] = {
+      {.job = id, .step = MO_STEP_START},
+      {.job = id, .step = MO_STEP_PROGRESS, .done = 16, .diverged = 16, .total = 100},
+      {.job = id, .step = MO_STEP_SUCCEED, .done = 100, .diverged = 100, .total = 100}};
+  struct mo_save save = {.updates = updates, .n_updates = 2};
+  CHECK_OK(save_and_wait(&save));
+  struct mo_job job = job_of(id);
+  REQUIRE(job.n_warnings == 1);
+  CHECK_TEXT(job.warnings[0].code, "diverged");
+  CHECK_HAS(job.warnings[0].detail, "16 of 16 rollouts so far diverged");
+  save = (struct mo_save){.updates = &updates[2], .n_updates = 1};
+  CHECK_OK(save_and_wait(&save));
+  job = job_of(id);
+  REQUIRE(job.n_warnings == 1);
+  CHECK_TEXT(job.warnings[0].code, "all_diverged");
+  CHECK_HAS(job.warnings[0].detail, "every rollout diverged (100)");
+}
+
 struct received {
   int64_t sequences[64];
   size_t n;
@@ -230,6 +253,7 @@ static void removes_the_oldest_recordings(void)
 static const struct check_case cases[] = {
     {"answers a repeated key with the same job", answers_a_repeated_key},
     {"changes states only as the machine allows", changes_states},
+    {"warns of divergence", warns_of_divergence},
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
     {"removes the oldest recordings", removes_the_oldest_recordings},
