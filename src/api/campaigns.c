@@ -9,6 +9,7 @@
 #include "api/study_compare.h"
 #include "api/submission.h"
 #include "store/fields.h"
+#include "store/runner.h"
 #include "store/worlds.h"
 
 /* ---- as JSON ---- */
@@ -212,8 +213,9 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
 
 /* ---- submission ---- */
 
-/* Checks that the study that was found has the settings that are asked for. reference: the
- * controller; NULL: none is asked for. */
+/* Checks that the study of the label has the settings that are asked for, and stores the key with
+ * it: a key of a request that was refused would answer the next one. reference: the controller;
+ * NULL: none is asked for. */
 static int check_found(struct mo_request *request, struct mo_post *post, const char *reference)
 {
   struct mo_store *store = mo_api_of(request)->store;
@@ -230,6 +232,8 @@ static int check_found(struct mo_request *request, struct mo_post *post, const c
     error = mo_study_compare(request->body, request->body_size, &status, environments,
                              &controller.sha256, &post->faults);
   free(environments);
+  if (error == MO_OK && post->faults.n == 0)
+    error = mo_store_keep_key(store, &post->key, request->kept);
   if (error != MO_OK || post->faults.n == 0)
     return error;
   mo_reply_problem(request, 409, &post->faults,
@@ -255,7 +259,7 @@ static int submit(struct mo_request *request, struct mo_post *post)
     error = mo_jobs_submit_campaign(api->jobs, &parsed.request, &request->kept, &replayed,
                                     &post->message);
   }
-  if (error == MO_OK && parsed.request.reuses && replayed)
+  if (error == MO_ERR_DUPLICATE)
     error =
         check_found(request, post, parsed.parts.has_controller ? parsed.request.controller : NULL);
   if (mo_names_unknown(post, error)) {

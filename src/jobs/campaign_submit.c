@@ -137,8 +137,9 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
                                            record->replicates, 0};
   int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
   /* Found before a full queue or a missing device can refuse it; the store looks again. */
-  if (error == MO_OK && !*replayed && asked->reuses)
-    *replayed = mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK;
+  if (error == MO_OK && !*replayed && asked->reuses &&
+      mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK)
+    return MO_ERR_DUPLICATE;
   if (error != MO_OK || *replayed)
     return error;
   error = mo_back_end_choose(jobs, &request.job, true, true, message);

@@ -10,7 +10,7 @@
 #include "store/campaigns.h"
 
 /* Submits a campaign as mo_jobs_submit_training submits a training. controller NULL: "default", or
- * random weights in a simultaneous campaign. */
+ * random weights in a simultaneous campaign. MO_ERR_DUPLICATE: as mo_store_submit_campaign. */
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);
 /* Extends a campaign as mo_store_extend_campaign does. key (nullable): a known key is answered even

@@ -167,27 +167,25 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
 
 struct campaign_submission {
   const struct mo_campaign_request *request;
-  bool *is_found; /* the study of the request's label */
+  int64_t *found; /* the study of the request's label */
 };
 
 static int find_or_insert(struct mo_store *store, const void *any, int64_t *id)
 {
   const struct campaign_submission *call = any;
   const struct mo_campaign_request *request = call->request;
-  const int error =
-      request->reuses ? mo_study_find(&store->writer, request->job.label, id) : MO_ERR_NOT_FOUND;
-  *call->is_found = error == MO_OK;
-  return error == MO_ERR_NOT_FOUND ? insert(store, request, id) : error;
+  const int error = request->reuses ? mo_study_find(&store->writer, request->job.label, call->found)
+                                    : MO_ERR_NOT_FOUND;
+  return error == MO_ERR_NOT_FOUND ? insert(store, request, id)
+         : error == MO_OK          ? MO_ERR_DUPLICATE
+                                   : error;
 }
 
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed)
 {
-  bool is_found = false;
-  const struct campaign_submission call = {request, &is_found};
-  const int error = mo_submit(store, &request->job.key, find_or_insert, &call, id, replayed);
-  *replayed = *replayed || is_found;
-  return error;
+  const struct campaign_submission call = {request, id};
+  return mo_submit(store, &request->job.key, find_or_insert, &call, id, replayed);
 }
 
 /* ---- extension ---- */

@@ -33,8 +33,9 @@ struct mo_campaign_request {
   /* The population of initial_campaign is copied in the same transaction, like listed designs. */
 };
 /* Stores all replicates (seed, seed + 1, …) in one transaction. *id: the first; the others have the
- * ids after it, without a gap. *replayed: nothing was stored, because the key is known, or
- * request->reuses found a study; the caller compares the settings. Designs of the initial
+ * ids after it, without a gap. *replayed: nothing was stored, because the key is known.
+ * MO_ERR_DUPLICATE: request->reuses found study *id, and nothing was stored, nor the key; the
+ * caller compares the settings, then calls mo_store_keep_key. Designs of the initial
  * campaign that do not fit the workspace are left out, each with a note. Errors as
  * mo_store_submit; also MO_ERR_NOT_FOUND: no such initial campaign; MO_ERR_CONFLICT: that has no
  * population yet; MO_ERR_EMPTY: none of its designs fits. */

@@ -13,6 +13,8 @@
 /* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: the key is unknown; MO_ERR_CONFLICT: it is
  * known with another body. */
 int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, int64_t *id);
+/* Stores a key, if there is one, with the job that answers its request. Errors as above. */
+int mo_store_keep_key(struct mo_store *store, const struct mo_request_key *key, int64_t id);
 int mo_store_environment_set_size(struct mo_store *store, const char *name,
                                   uint32_t *n); /* MO_ERR_NOT_FOUND */
 

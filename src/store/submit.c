@@ -86,6 +86,20 @@ int mo_submit(struct mo_store *store, const struct mo_request_key *key,
   return error;
 }
 
+static int give(struct mo_store *store, const void *request, int64_t *id)
+{
+  (void)store;
+  *id = *(const int64_t *)request;
+  return MO_OK;
+}
+
+int mo_store_keep_key(struct mo_store *store, const struct mo_request_key *key, int64_t id)
+{
+  int64_t known;
+  bool replayed;
+  return key->text != NULL ? mo_submit(store, key, give, &id, &known, &replayed) : MO_OK;
+}
+
 /* ---- evaluations ---- */
 
 /* Finds the rows of what a submission names. */

@@ -51,9 +51,10 @@ def history(service, id):
     return rows, [service.request("GET", f"/v1/campaigns/{id}/{path}").body for path in paths]
 
 
-def reopen(service, label, **more):
+def reopen(service, label, headers=None, **more):
     return service.request("POST", "/v1/campaigns",
-                           {"mode": "study", "label": label, "if_exists": "return", **more})
+                           {"mode": "study", "label": label, "if_exists": "return", **more},
+                           headers=headers)
 
 
 def test_a_study_is_found_by_its_name(service):
@@ -86,12 +87,24 @@ def test_a_study_is_found_by_its_name(service):
         for pointer, asked, has in (("/population", 30, 20), ("/physics/n_steps", 500, 12))]
     reply = reopen(service, "found", controller="not-there")
     assert reply.status == 422 and reply.pointers() == ["/controller"]
+    # A key stays with the study that it gave, and a refused request keeps none.
+    refuses, keeps = {"Idempotency-Key": "refused"}, {"Idempotency-Key": "found"}
+    for _ in range(2):
+        assert reopen(service, "found", refuses, population=30).status == 409
+    kept = reopen(service, "found", keeps)
+    assert kept.status == 202 and kept.json()["id"] == first.json()["id"]
+    keyed = reopen(service, "keyed", {"Idempotency-Key": "new"}, experiment="a")
+    service.request("PATCH", f"/v1/jobs/{keyed.json()['id']}", {"experiment": "b"})
+    again = reopen(service, "keyed", {"Idempotency-Key": "new"}, experiment="a")
+    assert again.status == 202 and again.json()["id"] == keyed.json()["id"], again.body
     # Names are compared exactly; a study that has ended is not found.
     assert reopen(service, "foun*").json()["id"] != first.json()["id"]
     assert new(service, label="found") != first.json()["id"]
     for _ in range(2):
         service.post(f"/v1/campaigns/{reopen(service, 'found').json()['id']}/finish", {})
     assert reopen(service, "found").json()["study"]["next_batch"] == 0
+    kept = reopen(service, "found", keeps)
+    assert kept.status == 202 and kept.json()["id"] == first.json()["id"], kept.body
     for bad in ({"mode": "zero-shot", "label": "x"}, {"mode": "study"}):
         reply = service.request("POST", "/v1/campaigns", bad | {"if_exists": "return"})
         assert reply.status == 422 and reply.pointers() == ["/if_exists"]
