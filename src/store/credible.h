@@ -5,11 +5,11 @@
 
 #include "store/internal.h"
 
-/* Looks at the clock: before the others, once in a round of deletions. Keeps the newest credible
- * time in the database. */
+/* Looks at the clock, once in a round of deletions. The shortest time to keep decides for all
+ * rules. Keeps the newest credible time in the database. If the clock is not credible, the store's
+ * figures show how far it is ahead. */
 int mo_clock_look(struct mo_store *store);
-/* Returns whether what is kept for so long may be deleted. If not, the store's figures show how far
- * the clock is ahead. */
-bool mo_clock_is_credible(struct mo_store *store, int64_t keep_us);
+/* Returns what the last look has found: whether anything may be deleted by age. */
+bool mo_clock_is_credible(struct mo_store *store);
 
 #endif

@@ -181,13 +181,10 @@ static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
 static int expire(struct mo_store *store, void *arguments)
 {
   struct round *round = arguments;
-  bool has_rule = store->keep_recordings_us > 0;
+  int error = mo_clock_look(store);
   round->n = 0;
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
-    has_rule = has_rule || store->keep_jobs_us[kind] > 0;
-  int error = has_rule ? mo_clock_look(store) : MO_OK;
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
-    if (store->keep_jobs_us[kind] > 0 && mo_clock_is_credible(store, store->keep_jobs_us[kind]))
+    if (store->keep_jobs_us[kind] > 0 && mo_clock_is_credible(store))
       error = expire_kind(store, kind, &round->n);
   return error;
 }

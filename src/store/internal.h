@@ -67,7 +67,7 @@ struct mo_store {
   int wal_frames, checkpoint_frames;
   uint64_t max_recordings_bytes, max_excluded_bytes;      /* 0: no limit; none is kept */
   int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: for good */
-  int64_t last_upkeep_us, credible_us, credible_at_us, credible_kept_us; /* credible.c */
+  int64_t last_upkeep_us, credible_us, credible_at_us;    /* as stored, and mo_clock_us() then */
   unsigned aged_left; /* jobs and recordings that may still go by age, until the next upkeep */
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole;

@@ -151,8 +151,8 @@ static int remove_oldest(struct mo_store *store, void *arguments)
     return error;
   atomic_store(&store->recorded_bytes, (uint64_t)sum);
   const bool are_many = mo_recordings_are_many(store);
-  if (!are_many && (store->keep_recordings_us == 0 || store->aged_left == 0 ||
-                    !mo_clock_is_credible(store, store->keep_recordings_us)))
+  if (!are_many &&
+      (store->keep_recordings_us == 0 || store->aged_left == 0 || !mo_clock_is_credible(store)))
     return MO_OK;
   error = are_many ? mo_sql_find(&store->writer, &removal->job, oldest_sql)
                    : mo_sql_find(&store->writer, &removal->job, aged_sql,

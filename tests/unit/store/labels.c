@@ -2,9 +2,11 @@
  * stays, and who keeps a job from it. */
 #include <pthread.h>
 
+#include "base/clock.h"
 #include "by_hand.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
+#include "store/credible.h"
 #include "store/deletion.h"
 #include "training_fixture.h"
 
@@ -413,6 +415,56 @@ static void doubts_the_clock(void)
   CHECK(is_gone(id));
 }
 
+/* On the writer's thread. The computer sleeps for 8 hours in each of 20 nights; then somebody sets
+ * the clock ahead by 400 days, and the service runs for two hours more. */
+static int sleep_and_jump(struct mo_store *of, void *context)
+{
+  const int64_t hour_us = INT64_C(3600) * 1000000;
+  int *n_doubts = context, error = MO_OK;
+  for (int night = 0; night < 20 && error == MO_OK; night++) {
+    of->credible_us -= 8 * hour_us;
+    error = mo_clock_look(of);
+    *n_doubts += !mo_clock_is_credible(of);
+  }
+  of->credible_us -= 400 * 24 * hour_us;
+  of->credible_at_us -= 2 * hour_us;
+  return error == MO_OK ? mo_clock_look(of) : error;
+}
+
+static void believes_a_clock_that_slept(void)
+{
+  const struct mo_store_config keeps = {.keep_jobs_s = {[MO_JOB_TRAINING] = DAY_S}};
+  struct mo_store_stats stats;
+  int n_doubts = 0;
+  REQUIRE_OK(reopen_with(keeps));
+  CHECK_OK(mo_write(store, sleep_and_jump, &n_doubts));
+  CHECK_INT(n_doubts, 0);
+  mo_store_get_stats(store, &stats);
+  CHECK_NEAR((double)stats.clock_ahead_us / 86400e6, 400 - 2.0 / 24, 0.01);
+  /* The hours that it ran count at the next start. */
+  const int64_t kept_us = outside_integer("SELECT value FROM meta WHERE key='credible time'");
+  CHECK_NEAR((double)(mo_clock_wall_us() - kept_us) / 86400e6, 400 - 2.0 / 24, 0.01);
+}
+
+/* The shortest time to keep decides for all: a clock that is 8 days ahead deletes nothing. */
+static void decides_once_for_all_rules(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(1, 1);
+  struct mo_store_stats stats = {0};
+  const int64_t id = submit_evaluation(&submission);
+  CHECK_OK(change(id, MO_CHANGE_CANCEL));
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_jobs_s = {90 * DAY_S}}));
+  close_store();
+  CHECK_OK(outside(SHIFT(8)));
+  CHECK_OK(outside("UPDATE jobs SET finished_us=1"));
+  REQUIRE_OK(reopen_with((struct mo_store_config){.keep_jobs_s = {90 * DAY_S, DAY_S}}));
+  for (int k = 0; k < 500 && stats.clock_ahead_us == 0; k++, usleep(10000))
+    mo_store_get_stats(store, &stats);
+  usleep(100000);
+  CHECK_NEAR((double)stats.clock_ahead_us / 86400e6, 8, 0.1);
+  CHECK_INT(state_of(id), MO_JOB_CANCELLED);
+}
+
 /* A look deletes a bounded number, and counts it; the next look comes in a minute. */
 static void forgets_some_at_a_time(void)
 {
@@ -445,6 +497,8 @@ static const struct check_case cases[] = {
     {"forgets by age", forgets_by_age},
     {"forgets runs by age", forgets_runs_by_age},
     {"doubts the clock", doubts_the_clock},
+    {"believes a clock that slept", believes_a_clock_that_slept},
+    {"decides once for all rules", decides_once_for_all_rules},
     {"forgets some at a time", forgets_some_at_a_time},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
