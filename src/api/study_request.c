@@ -7,6 +7,7 @@
 
 #include "api/requests.h"
 #include "base/base64.h"
+#include "store/designs.h"
 
 /* ---- words ---- */
 
@@ -85,17 +86,18 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
 {
   const struct mo_workspace w = parsed->workspace;
   struct mo_parts *parts = &parsed->parts;
-  struct mo_bits *body = &parts->genotypes[parts->n_designs - 1], moved;
+  struct mo_bits *body = &parts->genotypes[parts->n_designs - 1];
   struct mo_design_note note = {.place = place};
   if (mo_genotype_count(MO_DEFAULT_WORKSPACE, body->words) == 0)
     return true; /* it has a fault of its own */
   mo_genotype_place(MO_DEFAULT_WORKSPACE, body->words);
-  if (mo_genotype_move(MO_DEFAULT_WORKSPACE, body->words, w, moved.words) == MO_OK)
+  if (mo_fits_as_it_is(w, body))
     return true;
   snprintf(note.fault.where, sizeof(note.fault.where), "/children/%u/body", place);
   snprintf(note.fault.detail, sizeof(note.fault.detail),
-           "the body does not fit the workspace of the study, which has %u × %u × %u voxels", w.nx,
-           w.ny, w.nz);
+           "the body does not fit the workspace of the study, which has %u × %u × %u voxels, and "
+           "is not turned",
+           w.nx, w.ny, w.nz);
   if (parts->on_fault != MO_FAULT_SKIP) {
     mo_json_fault(json, "%s", note.fault.detail);
     return true;

@@ -6,6 +6,7 @@
 #include "base/clock.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
+#include "store/designs.h"
 #include "store/jobs.h"
 
 struct setting {
@@ -35,16 +36,8 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_reques
 
 /* ---- the population of another campaign ---- */
 
-static int fits(const struct mo_bits *bits, struct mo_workspace workspace)
-{
-  struct mo_bits moved;
-  int error = mo_workspace_words(workspace) > MO_DEFAULT_WORDS
-                  ? MO_OK /* the workspace is larger than the default one, so all designs fit */
-                  : mo_genotype_move(MO_DEFAULT_WORKSPACE, bits->words, workspace, moved.words);
-  return error == MO_OK ? 1 : error == MO_ERR_RANGE ? 0 : error;
-}
-
-/* Finds the genotype of a member. Returns 1: it fits the campaign's workspace; 0: it does not. */
+/* Finds the genotype of a member. Returns 1: it fits the campaign's workspace; 0: it does not, or
+ * only when it is turned. */
 static int find_member(struct mo_connection *writer, const struct mo_campaign_record *record,
                        uint32_t number, int64_t *genotype)
 {
@@ -58,7 +51,7 @@ static int find_member(struct mo_connection *writer, const struct mo_campaign_re
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   *genotype = sqlite3_column_int64(row, 0);
-  return fits(&bits, record->settings.workspace);
+  return mo_fits_as_it_is(record->settings.workspace, &bits);
 }
 
 /* Notes that a member of the initial campaign is left out. place: its rank, from 0. */

@@ -80,6 +80,9 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
 
 /* ---- the orientation of a design that came as an id ---- */
 
+/* Whether a placed genotype fits a workspace, which is not larger than the default one, in its
+ * orientation: mo_genotype_move also turns bodies, which then have other scores. */
+bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_bits *genotype);
 /* What a score depends on besides the body. */
 struct mo_orienting {
   const char *controller;                    /* name or "sha256:…"; NULL: random weights */

@@ -59,8 +59,7 @@ static int find_rows(struct mo_connection *reader, const struct mo_orienting *un
   return error == MO_OK ? find_environments(reader, under, found) : error;
 }
 
-/* Whether a body stays in its orientation in the workspace: some fit only when they are turned. */
-static bool fits(struct mo_workspace workspace, const struct mo_bits *genotype)
+bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_bits *genotype)
 {
   struct mo_bits moved = {{0}}, back = {{0}};
   return mo_genotype_move(MO_DEFAULT_WORKSPACE, genotype->words, workspace, moved.words) == MO_OK &&
@@ -111,7 +110,7 @@ static int orient(struct mo_connection *reader, const struct scored_under *under
     double score = 0;
     bool known = false;
     error = score_of(reader, under, rows[i], &score, &known);
-    if (error != MO_OK || !known || !fits(under->workspace, &found[i]))
+    if (error != MO_OK || !known || !mo_fits_as_it_is(under->workspace, &found[i]))
       continue;
     mo_genotype_robot(MO_DEFAULT_WORKSPACE, found[i].words, robot);
     if (note->orientation != MO_ORIENTATION_BEST || score < best ||

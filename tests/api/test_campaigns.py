@@ -220,14 +220,20 @@ def test_founders_that_do_not_fit_are_counted(service):
     asked = SMALL | rules | {"population": 4, "initial": {"campaign": parent["id"]}}
     assert service.post("/v1/campaigns", asked)["founders"] == []
     reply = service.post("/v1/campaigns", asked | {"workspace": [3, 3, 2], "replicates": 2})
-    assert reply["founders"] == [{"place": best_first.index(1), "repaired": 0, "fault": {
-        "pointer": "/initial/campaign",
-        "detail": f"design 1 of campaign {parent['id']} does not fit the workspace of 3 × 3 × 2"
-                  " voxels"}}]
+    assert reply["founders"] == [{
+        "place": best_first.index(1), "robot": None, "orientation": None, "repaired": 0, "fault": {
+            "pointer": "/initial/campaign",
+            "detail": f"design 1 of campaign {parent['id']} does not fit the workspace of 3 × 3 × 2"
+                      " voxels"}}]
     second = finished(service, int(reply["id"]) + 1)
     assert second["founders"] == reply["founders"]
     first = service.pages(second["links"]["population"] + "?generation=0")
     assert sorted(row["operator"] for row in first) == ["inherited"] + 3 * ["random"]
+    # Nor is one turned: it would be another robot than its parent campaign had.
+    bar = {"cells": [[x, 0, 0] for x in range(4)]}
+    parent = run_campaign(service, SMALL | rules | {"initial": {"designs": [bar, DESIGN]}})
+    narrow = asked | {"initial": {"campaign": parent["id"]}, "workspace": [3, 4, 2]}
+    assert "design 0 of" in str(service.post("/v1/campaigns", narrow)["founders"])
     refused = service.request("POST", "/v1/campaigns", asked | {"workspace": [1, 1, 4]})
     assert refused.status == 422 and refused.pointers() == ["/initial/campaign"], refused.body
     assert "no design of that campaign fits" in refused.json()["detail"]

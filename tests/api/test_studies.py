@@ -281,6 +281,19 @@ def test_skipped_and_repaired(service):
     assert state(service, id)["founders"] == [] and state(service, id)["progress"]["designs"] == 2
 
 
+def test_bodies_are_not_turned_to_fit(service):
+    """Turned, a body is another robot with another score."""
+    id = new(service, population=8, workspace=[2, 4, 2])
+    along = [{"cells": [[x, 0, 0] for x in range(4)]}, {"cells": [[0, y, 0] for y in range(4)]}]
+    refused = service.request("POST", f"/v1/campaigns/{id}/tell",
+                              {"batch": 0, "children": [{"body": body} for body in along]})
+    assert refused.status == 422 and refused.pointers() == ["/children/0/body"], refused.body
+    told = tell(service, id, 0, [{"body": body} for body in along], on_fault="skip")
+    assert [row["child"] for row in told["children"]] == [1]
+    given = service.evaluate({"designs": along, "physics": {"n_steps": 5}}).json()["results"]
+    assert [row["genotype"] for row in rows_of(service, id)] == [given[1]["genotype"]]
+
+
 @pytest.fixture(scope="module")
 def tiny_study(service):
     return new(service, population=4, workspace=[2, 2, 2])
