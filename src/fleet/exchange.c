@@ -91,6 +91,9 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
   if (session != NULL && session->state != MO_SESSION_QUARANTINED)
     session = name_origin(fleet, session, &results, &error);
   if (error != MO_OK) {
+    session = mo_session_find(fleet, id);
+    if (session != NULL) /* the worker may end now, which is not the bodies' fault */
+      mo_session_release(fleet, session, false, now_ns, &after);
     mo_fail(message, error, "the origin of the results was not stored");
   } else if (session == NULL) {
     error = mo_fail(message, MO_ERR_NOT_FOUND, "no such session is open: join again");

@@ -77,7 +77,7 @@ void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const 
 }
 
 /* The oldest lease first: mo_after_run puts it back last, in front of the others. */
-static void release_all(struct mo_fleet *fleet, struct mo_session *session, bool is_lost,
+void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool is_lost,
                         uint64_t now_ns, struct mo_after *after)
 {
   for (uint32_t b = 0; b < 2; b++) {
@@ -99,7 +99,7 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
     mo_text_member_count(&text, "leases", session->n_held[0] + session->n_held[1]);
     mo_after_event(after, state == MO_SESSION_LOST ? "fleet.lost" : "fleet.left", &text);
     deactivate(fleet, session, state, why, after);
-    release_all(fleet, session, state == MO_SESSION_LOST, now_ns, after);
+    mo_session_release(fleet, session, state == MO_SESSION_LOST, now_ns, after);
   }
   session->ended_ns = now_ns;
   LIST_REMOVE(session, by_id);
@@ -138,7 +138,7 @@ void mo_quarantine(struct mo_fleet *fleet, const char *user, const char *name, c
         strcmp(session->offer.name, name) != 0)
       continue;
     deactivate(fleet, session, MO_SESSION_QUARANTINED, why, after);
-    release_all(fleet, session, false, now_ns, after);
+    mo_session_release(fleet, session, false, now_ns, after);
     mo_after_wake(after, session->id);
   }
 }

@@ -7,6 +7,9 @@
 struct mo_session *mo_session_find(struct mo_fleet *fleet, uint64_t id); /* NULL: none open */
 void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after);
 
+/* Ends all holds of a session, as mo_lease_release does. */
+void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool is_lost,
+                        uint64_t now_ns, struct mo_after *after);
 /* Gives no further leases to a session. */
 void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const char *why,
                       struct mo_after *after);

@@ -42,7 +42,7 @@ struct fake {
   uint64_t woken[256];       /* the newest */
   char event[64], data[512]; /* the newest */
   size_t n_outcasts;         /* as last saved */
-  int save_error;
+  int save_error, origin_error;
   struct mo_fleet *fleet;
   uint64_t now_ns;
 };
@@ -261,7 +261,10 @@ static inline int fake_save(void *context, const struct mo_outcast *items, size_
 
 static inline int fake_origin(void *context, const char *text, int64_t *number)
 {
-  ((struct fake *)context)->n_origins++;
+  struct fake *fake = context;
+  if (fake->origin_error != MO_OK)
+    return fake->origin_error;
+  fake->n_origins++;
   uint64_t h = FNV_START;
   fake_hash(&h, text, strlen(text));
   *number = (int64_t)(h >> 1 | 1);

@@ -634,6 +634,33 @@ static void absent_class(void)
   CHECK(status().n_serving[0] == 3 && status().n_serving[1] == 2);
 }
 
+/* A store that cannot name the origin of results costs nobody: not the worker, nor its bodies. */
+static void without_an_origin(void)
+{
+  begin(1);
+  for (int i = 0; i < 8; i++) {
+    char name[16];
+    snprintf(name, sizeof(name), "w%d", i);
+    const uint64_t id = join(name);
+    struct mo_wire_leases leases = exchange(id), none;
+    struct mo_wire_results results = {0};
+    REQUIRE(leases.n == 1);
+    send(&results, &leases.items[0], MO_RESULT_DONE);
+    mo_wire_free_leases(&leases);
+    fake->origin_error = MO_ERR_NO_SPACE;
+    CHECK_INT(fake_exchange(fake, id, &results, &none), MO_ERR_NO_SPACE);
+    fake->origin_error = MO_OK;
+    CHECK_INT(fake->n_taken, 0);
+    CHECK_OK(mo_fleet_leave(fake->fleet, id, true, fake->now_ns));
+  }
+  CHECK_INT(fake->n_failed, 0);
+  const uint64_t id = join("last");
+  struct mo_wire_leases leases = exchange(id);
+  leases = finish(id, &leases, MO_RESULT_DONE);
+  CHECK(leases.n == 0 && blocks[0]->state == FAKE_DONE && blocks[0]->status == MO_OK);
+  mo_wire_free_leases(&leases);
+}
+
 static const struct check_case cases[] = {
     {"refused", refused},
     {"quarantined and drained", quarantined},
@@ -653,6 +680,7 @@ static const struct check_case cases[] = {
     {"a suspect and busy sessions", suspected},
     {"what no worker computes", unsupported},
     {"a worker that fails", failing},
+    {"a store without room for an origin", without_an_origin},
     {"weights", weights},
     {"a class that only workers have", absent_class},
 };
