@@ -144,7 +144,6 @@ static enum mo_job_kind population_kind(struct mo_store *store,
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live, bool is_listed)
 {
-  (void)is_listed;
   struct mo_design_note *notes = NULL;
   uint32_t n = 0;
   const struct mo_training_status *training = status;
