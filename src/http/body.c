@@ -27,6 +27,12 @@ bool mo_body_memory_take(struct mo_http *http, uint64_t held, uint64_t more, boo
   return false;
 }
 
+uint64_t mo_body_memory_of_client(const struct mo_request *request)
+{
+  const bool is_worker = request->route != NULL && request->route->right == MO_RIGHT_WORKER;
+  return request->http->config.max_body_memory / (is_worker ? 1 : 2);
+}
+
 /* Call the functions below with the bodies' lock, or on the thread that has the request once its
  * body is no longer being received. */
 
@@ -71,7 +77,7 @@ static int reserve(struct mo_request *request, size_t n)
   uint64_t more = capacity - request->body_capacity;
   struct mo_client *client =
       mo_client_hold(&http->clients, request->connection->client_key, request->body_reserved, more,
-                     http->config.max_body_memory / 2);
+                     mo_body_memory_of_client(request));
   if (client == NULL)
     return MO_ERR_LIMIT;
   bool taken = mo_body_memory_take(http, request->body_reserved, more, capacity <= SMALL_BYTES);

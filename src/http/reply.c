@@ -313,7 +313,7 @@ bool mo_reply_reserve(struct mo_request *request, uint64_t bytes)
   struct mo_http *http = request->http;
   mo_request_drop_body(request);
   struct mo_client *client = mo_client_hold(&http->clients, request->connection->client_key, 0,
-                                            bytes, http->config.max_body_memory / 2);
+                                            bytes, mo_body_memory_of_client(request));
   if (client != NULL && mo_body_memory_take(http, 0, bytes, false)) {
     request->body_client = client;
     request->body_reserved = bytes;
@@ -324,9 +324,8 @@ bool mo_reply_reserve(struct mo_request *request, uint64_t bytes)
   if (client == NULL && !(request->route->flags & MO_ROUTE_DIRECT))
     mo_reply_problem(
         request, 429, NULL,
-        "The replies that this client has not read yet, and its requests' bodies, take "
-        "half of the memory for all clients, which is as much as is allowed; read them "
-        "first.");
+        "The replies that this client has not read yet, and its requests' bodies, would take more "
+        "than half of the memory for all clients, which is the limit; read them first.");
   else
     mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
   request->reply.retry_after_s = 5;

@@ -129,6 +129,9 @@ bool mo_request_is_over(const struct mo_request *request);
 
 #define MO_BODY_GAVE_WAY                                                                           \
   "The body did not go on coming, and others needed its memory; try again later."
+/* How much of the memory the bodies and replies of one client may take: half of it. Workers may
+ * have one address together, and take all of their server's. */
+uint64_t mo_body_memory_of_client(const struct mo_request *request);
 /* Reserves `more` bytes for a request that already holds `held` bytes. False: too little is left. A
  * request always gets its bytes if no other request holds any. */
 bool mo_body_memory_take(struct mo_http *http, uint64_t held, uint64_t more, bool small);
