@@ -72,7 +72,10 @@ static void refill(struct mo_request *request)
 {
   struct mo_download *download = request->download;
   struct MHD_Connection *mhd = request->mhd;
-  download->failed = make_piece(download) != MO_OK;
+  const int error = make_piece(download);
+  download->failed = error != MO_OK;
+  if (download->failed)
+    mo_request_note(request, "the reply broke off: %s", mo_error_text(error));
   MHD_resume_connection(mhd); /* from here on the I/O thread has the request */
 }
 
