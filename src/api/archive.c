@@ -176,7 +176,7 @@ static int check_frame(const struct mo_archive_reader *reader, struct mo_message
   static const unsigned char magic[] = {0x28, 0xb5, 0x2f, 0xfd};
   const unsigned char *bytes = reader->in.src;
   if (reader->in.size <= sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
-    return mo_fail(message, MO_ERR_FORMAT, "the file is damaged or no zstd");
+    return mo_fail(message, MO_ERR_FORMAT, "the file is damaged, or is not in zstd format");
   return bytes[sizeof(magic)] >> 2 & 1
              ? MO_OK
              : mo_fail(message, MO_ERR_FORMAT, "the file lacks the checksum of zstd at its end");
@@ -198,7 +198,7 @@ static int pull(struct mo_archive_reader *reader, void *bytes, size_t n, struct 
     const size_t left =
         reader->ended ? 0 : ZSTD_decompressStream(reader->stream, &out, &reader->in);
     if (ZSTD_isError(left))
-      return mo_fail(message, MO_ERR_FORMAT, "the file is damaged or no zstd: %s",
+      return mo_fail(message, MO_ERR_FORMAT, "the file is damaged, or is not in zstd format: %s",
                      ZSTD_getErrorName(left));
     if (out.pos == before && reader->in.pos == at)
       return mo_fail(message, MO_ERR_FORMAT, "the file ends early");

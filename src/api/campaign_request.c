@@ -282,7 +282,7 @@ static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaig
     return;
   if (parsed->request.record.settings.mode != MO_STUDY)
     mo_json_fault_at(json, 0, "/if_exists",
-                     "\"return\" is of studies only; \"create\" is expected");
+                     "\"return\" is for studies only; \"create\" is expected");
   else if (parsed->parts.label[0] == '\0')
     mo_json_fault_at(json, 0, "/if_exists",
                      "the study to return is found by its label; a label is expected beside it");

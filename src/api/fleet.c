@@ -34,7 +34,7 @@ struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session)
 }
 
 /* Finds the session in the path of a worker's request. It is the worker's only if it was opened
- * with the same token: who knows the id of another one finds nothing. NULL: the reply is made. */
+ * with the same token: another token gets 404, even with the right id. NULL: the reply is made. */
 static struct mo_fleet *own_session(struct mo_request *request, uint64_t *session)
 {
   struct mo_fleet *fleet = mo_path_session(request, session);

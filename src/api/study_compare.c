@@ -156,7 +156,7 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
   comparison.error =
       mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
   given = in_numbers(&parsed.request.record);
-  given.settings.generations = known.settings.generations; /* as many as are told */
+  given.settings.generations = known.settings.generations; /* as many as the client sends */
   if (comparison.error == MO_OK) {
     mo_fields_compare(&mo_campaign_record_fields, "", &given, &known, differs, &comparison);
     if (parsed.preset >= 0)

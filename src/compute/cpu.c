@@ -7,8 +7,8 @@
  * A worker inside a block reads atomic counts every few steps. If a more urgent scoring block
  * waits, the worker runs it at once, on its own stack and in another scratch, and then resumes its
  * block, whose bits do not change. Interactive blocks interrupt batch and gradient blocks;
- * immediate ones interrupt interactive ones, too, so that who computes one rollout does not wait
- * for who computes many. Such a block thus waits for a few steps of a rollout, never for a whole
+ * immediate ones interrupt interactive ones, too, so that a client with one rollout does not wait
+ * for a client with many. A more urgent block waits for a few steps of a rollout, never for a whole
  * block, and one thread per worker is enough. Gradient blocks never run inside another block: a
  * worker has only one gradient scratch, hundreds of megabytes, created at first use.
  *

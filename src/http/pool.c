@@ -62,7 +62,7 @@ static bool park(struct mo_request *request)
 /* Runs the handler of a request. False: the request is parked, and may have ended meanwhile. */
 static bool handle(struct mo_request *request)
 {
-  /* Seconds of work are not begun for nobody, nor while the service stops. */
+  /* Long work does not start for a client that has left, or while the service stops. */
   if (kind_of(request) == MO_HEAVY && !request->wait_over &&
       (atomic_load(&request->http->stopping) || mo_connection_has_left(request->connection)))
     mo_reply_error(request, MO_ERR_CANCELLED, "request");

@@ -80,8 +80,8 @@ struct mo_request {
   struct mo_query query;
   /* Body. */
   uint64_t body_limit, body_seen, body_reserved;
-  struct mo_client *body_client; /* the client whose share `body_reserved`, of body or reply, counts
-                                    in; NULL: none's */
+  struct mo_client *body_client; /* `body_reserved`, of body or reply, counts in its share; NULL: in
+                                    no client's */
   char *body;
   size_t body_size, body_capacity;
   bool body_coming, body_gave_way; /* body.c */

@@ -353,7 +353,7 @@ static int succeed(struct mo_campaign_run *run)
 /* ---- generations and the end ---- */
 
 /* Ends a campaign in which no robot of generation 0 could learn or be scored. */
-static int check_fruit(struct mo_campaign_run *run)
+static int check_learned(struct mo_campaign_run *run)
 {
   const struct mo_training *training = run->learner.training;
   bool any = run->generation > 0 || training == NULL || mo_training_step(training) == 0 ||
@@ -378,7 +378,7 @@ static int run_generation(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_campaign_score(run);
   if (error == MO_OK)
-    error = check_fruit(run);
+    error = check_learned(run);
   if (error == MO_OK)
     error = select_survivors(run);
   return error == MO_OK ? succeed(run) : error;

@@ -292,7 +292,8 @@ static void show(struct mo_campaign_run *run, uint64_t done, uint64_t total, int
              (long long)drawer);
 }
 
-/* Adds an event of the progress once a second. A failure to write it means nothing. */
+/* Adds an event of the progress once a second. A failed write is ignored: the next one follows in a
+ * second. */
 static void report(struct mo_campaign_run *run, uint64_t done, uint64_t total)
 {
   char text[256];

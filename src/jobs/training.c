@@ -19,7 +19,8 @@
 #define ROWS_MAX      256
 #define RATES         16 /* steps over which the speed is averaged */
 #define ROWS_EVERY_US INT64_C(1000000)
-#define FRUITLESS_MAX 10 /* steps from the start without any gradient: so are those that follow */
+/* After so many from the start, those that follow have none either. */
+#define STEPS_WITHOUT_GRADIENT_MAX 10
 /* A robot of a pretraining takes so much memory: random body, environment, outcome. */
 #define DRAWN_BYTES ((uint64_t)5 << 10)
 
@@ -292,12 +293,13 @@ static int step(struct run *run)
 }
 
 /* Ends a training in which no step has changed the controller. */
-static int check_fruit(struct run *run)
+static int check_learned(struct run *run)
 {
   const struct mo_training *training = run->learner.training;
   const uint32_t here = step_of(run), n_steps = run->status.record.settings.n_steps;
   char text[256];
-  if (here == 0 || mo_training_skipped(training) < here || (here < FRUITLESS_MAX && here < n_steps))
+  if (here == 0 || mo_training_skipped(training) < here ||
+      (here < STEPS_WITHOUT_GRADIENT_MAX && here < n_steps))
     return MO_OK;
   const int error = flush(run);
   if (error != MO_OK)
@@ -386,7 +388,7 @@ static int learn(struct run *run)
   while (error == MO_OK) {
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
-    error = check_fruit(run);
+    error = check_learned(run);
     if (error == MO_OK)
       error = validate(run);
     if (error != MO_OK || step_of(run) == run->status.record.settings.n_steps)

@@ -7,8 +7,8 @@
 
 #include <morpho/rollout.h>
 
-/* Computes start positions (n_masses, 3): the workspace centered at (2.5, 2.5) m, lifted by the
- * least that brings no mass below the terrain, and by the drop height. */
+/* Computes start positions (n_masses, 3): the workspace centered at (2.5, 2.5) m, lifted just
+ * enough that no mass is below the terrain, and by the drop height. */
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
 

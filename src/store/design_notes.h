@@ -1,5 +1,5 @@
-/* design_notes.h: what happened to designs of a request that were not taken as they are, or did not
- * say all. */
+/* design_notes.h: what happened to designs of a request that were not taken as they are, or that
+ * left their orientation open. */
 #ifndef MORPHO_STORE_DESIGN_NOTES_H
 #define MORPHO_STORE_DESIGN_NOTES_H
 

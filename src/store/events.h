@@ -36,7 +36,7 @@ int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void 
 /* After it returns, the listener is not called again. */
 void mo_store_unsubscribe(struct mo_store *store, int handle);
 
-/* Finds the newest kept event whose sequence is at most `after`: `after` itself, unless it was
+/* Finds the newest kept event with a sequence of at most `after`: `after` itself, unless it was
  * pruned or belongs to another history of the store. 0: there is none. */
 int mo_store_event_before(struct mo_store *store, int64_t after, int64_t *sequence);
 /* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
