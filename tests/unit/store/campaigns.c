@@ -165,13 +165,6 @@ static uint32_t notes_of(int64_t id, struct mo_design_note **notes)
   return n;
 }
 
-static bool fits(const struct mo_campaign_settings *settings, const struct mo_bits *genotype)
-{
-  struct mo_bits moved;
-  return mo_genotype_move(MO_DEFAULT_WORKSPACE, genotype->words, settings->workspace,
-                          moved.words) == MO_OK;
-}
-
 /* The population that another campaign has now, as it stands: what that one does later changes
  * nothing. */
 static void inherits_a_population(void)
@@ -219,7 +212,7 @@ static void inherits_a_population(void)
   found = designs_of(second, &n);
   n_notes = notes_of(second, &notes);
   for (uint32_t i = 0; i < MADE_POPULATION; i++)
-    if (fits(&submission.record.settings, &before[i])) {
+    if (mo_fits_as_it_is(submission.record.settings.workspace, &before[i])) {
       CHECK(n_fitting < n && SAME(&found[n_fitting], &before[i], 1));
       n_fitting++;
     } else {
