@@ -45,10 +45,12 @@ static void parse(struct mo_text *text)
 static void write_training(bool as_job)
 {
   struct mo_text text = {0};
-  if (as_job)
+  if (as_job) {
     mo_training_json_job(&text, &training, &live);
-  else
+  } else {
     mo_training_json_write(&text, &training, MO_JOB_EVALUATION, &live);
+    mo_text_add(&text, "}"); /* the notes of its designs follow */
+  }
   parse(&text);
 }
 

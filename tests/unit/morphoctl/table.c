@@ -15,7 +15,7 @@ static void templates(void)
       {"{n:,} {zero:,} {minus:,} {small:,} {none:,}", "1,234,567 0 -1,000 999 0"},
       {"{x:.4f} {x:.4g} {x:g} {none:.4f} {x:.1%}", "0.1235 0.1235 0.123456 – 12.3 %"},
       {"{word:.3} {list:#} item{list:s}, {none:.3}", "job 1 item, "},
-      {"{at:time} {word:time} {none:time}", "2026-11-21 13:15:02 job.started –"},
+      {"{at:time} {word:time} {none:time}", "2026-11-21 13:15:02 UTC job.started –"},
       {"{s:duration} {days:duration} {minus:duration}", "0:12:34 3 d 04:05 –"},
       {"{n:GiB} {n:MB}", "0.0 1.2"},
       {"{small/n:%} {n/n:%} {small/zero:%}", "0 % 100 % 0 %"},
