@@ -4,8 +4,6 @@
 
 #include "base/thread.h"
 
-#include <time.h>
-
 static struct mo_environment environments[MO_PAPER_TEST_COUNT];
 
 static void setup(void)
@@ -32,14 +30,6 @@ static void fill_block(struct mo_block *block, const uint64_t *genotype,
                        struct mo_compute_controller *brain, uint32_t steps)
 {
   *block = block_of(genotype, NULL, brain, environments, MO_PAPER_TEST_COUNT, steps);
-}
-
-/* Of all threads of this process. */
-static double processor_s(void)
-{
-  struct timespec used;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &used);
-  return (double)used.tv_sec + 1e-9 * (double)used.tv_nsec;
 }
 
 static void same_bits_for_any_workers_and_order(void)

@@ -45,6 +45,14 @@ static inline bool await(atomic_int *number, int n)
   return atomic_load(number) == n;
 }
 
+/* Reads the processor time of all threads of this process. */
+static inline double processor_s(void)
+{
+  struct timespec used;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &used);
+  return (double)used.tv_sec + 1e-9 * (double)used.tv_nsec;
+}
+
 /* A `done` that counts up. */
 static inline void count_one(struct mo_block *block, void *number)
 {
