@@ -316,7 +316,10 @@ def _of_id(text: str) -> NDArray[np.bool_]:
     digits, _, k = text.partition("@")
     packed = np.frombuffer(bytes.fromhex(digits[-36:]), dtype=np.uint8)
     form = np.unpackbits(packed).astype(np.bool_).reshape(WORKSPACE)
-    image = form[form.any(axis=(1, 2))][:, form.any(axis=(0, 2))]
+    if not form.any():
+        return form
+    x, y = (np.flatnonzero(form.any(axis=axes)) for axes in ((1, 2), (0, 2)))
+    image = form[x[0]:x[-1] + 1, y[0]:y[-1] + 1]
     turns = int(k or "0")
     if turns & 4:
         image = image.swapaxes(0, 1)
