@@ -216,7 +216,7 @@ def test_a_link_holds_the_view(service, browser):
 
 def test_a_race_and_its_link(service, browser):
     """Robots on one terrain, each with its name and color; the link shows the same again."""
-    ids = [row["id"] for row in service.evaluate(
+    ids = [row["robot"] for row in service.evaluate(
         {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["results"]]
     browser.open(f"stage?designs={','.join(ids)}&environment=2")
     browser.until_walking()
@@ -248,7 +248,7 @@ def test_a_race_and_its_link(service, browser):
     browser.until("/time=1.50/.test(location.hash) && /follow=1/.test(location.hash)")
     link, told, named = browser.driver.current_url, browser.run(state), browser.run(tags)
     assert told["views"] == 1 and not told["side"] and not told["playing"]
-    assert [name for name, *_ in named] == [f"{id.rstrip('0')[:8]}…" for id in ids]
+    assert [name for name, *_ in named] == [f"{id[:36].rstrip('0')[:8]}…{id[36:]}" for id in ids]
     assert len({color for _, color, *_ in named}) == 2
     browser.open(link.split("#/")[1])
     browser.until_walking()
