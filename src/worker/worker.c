@@ -22,7 +22,7 @@
 #define CALM_MAX_MS   250
 #define BUSY_MS       1000  /* until weights are asked for again that the daemon could not give */
 #define DRAIN_MS      20000 /* a drain without haste still ends */
-#define LEAVE_MS      1000  /* of the last request */
+#define LEAVE_MS      5000  /* of the last request: a busy machine is slow */
 #define ORDERS_WAIT_S 2
 #define EXCHANGE_MS   15000 /* of a call that does not wait */
 #define JOIN_MS       10000

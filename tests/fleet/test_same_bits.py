@@ -3,7 +3,7 @@ populations and controller, bit for bit, while workers come and go; and as witho
 import pytest
 from campaigns import MODES, RACE, check_same_lives, history, request, rollouts, undisturbed
 from daemon import CONTROLLER, bodies
-from machines import fleet_address, generation
+from machines import events, fleet_address, generation
 
 NUMBERS = (1, 7, 2, 1)  # of workers, one after the other
 
@@ -41,7 +41,8 @@ def test_same_bits(daemon, worker, seed, mode):
         # daemon computes those of a moment without a worker.
         steps = one.counted("morphod_campaign_learning_steps_total")
         assert needed <= status["rollouts_done"] <= needed + value["population"] * steps
-        assert status["lost"] == 0 and status["audits_failed"] == 0
+        assert status["audits_failed"] == 0
+        assert status["lost"] == 0, events(one, "fleet.lost")
         assert sum(session["rollouts_done"] > 0 for session in status["sessions"]) > 2
         one.end()
 
