@@ -179,10 +179,10 @@ void mo_api_get_results(struct mo_request *request)
   struct mo_api *api = mo_api_of(request);
   struct mo_text text = {0};
   struct mo_job job;
-  int64_t id, first = 0;
+  int64_t id, first;
   size_t limit;
   int whole = 0;
-  if (!mo_query_id(request, "cursor", MO_CURSOR_WORDS, &first) ||
+  if (!mo_query_cursor(request, &first) ||
       !mo_query_word(request, "whole", whole_words, &whole) || !mo_query_limit(request, &limit) ||
       !mo_path_id(request, 0, &id))
     return;
@@ -194,6 +194,8 @@ void mo_api_get_results(struct mo_request *request)
                      mo_job_state_name(job.state));
     return;
   }
+  if (first < 0)
+    first = 0;
   if (error == MO_OK && first > job.n_designs)
     first = job.n_designs; /* behind the last one */
   uint32_t *numbers = malloc(limit * sizeof(*numbers));

@@ -15,7 +15,6 @@
 
 /* Cursors have at most as many digits as the contract allows; one beyond the last design is the
  * end. */
-#define NUMBER_CURSOR_MAX     INT64_C(9999999999)
 #define POPULATION_CURSOR_MAX 999999
 
 static const char newick_type[] = "text/x-nh; charset=utf-8";
@@ -118,17 +117,6 @@ static void write_rows(struct mo_text *text, const struct mo_campaign_design *ro
     mo_text_add(text, "}");
   }
   mo_text_add(text, "]");
-}
-
-/* Reads a cursor: the number of the last design of the previous page; −1 without one. */
-static bool read_cursor(struct mo_request *request, int64_t *after)
-{
-  const char *cursor = mo_query(request, "cursor");
-  *after = -1;
-  if (cursor == NULL || mo_decimal(cursor, strlen(cursor), 0, NUMBER_CURSOR_MAX, after))
-    return true;
-  mo_reply_bad_parameter(request, "cursor", MO_CURSOR_WORDS);
-  return false;
 }
 
 /* ---- populations ---- */
@@ -269,7 +257,7 @@ static void finish(struct mo_request *request, int code, struct mo_text *text)
 static bool read_relatives(struct mo_request *request, struct lineage *lineage, int64_t *after,
                            size_t *limit, uint8_t **marks)
 {
-  if (!mo_query_limit(request, limit) || !read_cursor(request, after) ||
+  if (!mo_query_limit(request, limit) || !mo_query_cursor(request, after) ||
       !read_lineage(request, lineage))
     return false;
   *marks = calloc(lineage->n, 1);
@@ -492,7 +480,7 @@ static bool read_wanted(struct mo_request *request, int form, struct wanted *wan
     }
   *wanted = (struct wanted){.since = -1};
   return mo_query_word(request, "keep", keeps, &wanted->lineages) &&
-         mo_query_number(request, "after", 0, NUMBER_CURSOR_MAX, &wanted->since) &&
+         mo_query_number(request, "after", 0, MO_CURSOR_MAX, &wanted->since) &&
          mo_query_word(request, "parents", all, &wanted->parents) &&
          mo_query_number(request, "root", 0, 1, &wanted->root);
 }
@@ -510,7 +498,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
   int form;
   char tag[112];
   if (!mo_query_form(request, forms, types, &form) || !mo_query_limit(request, &limit) ||
-      !read_cursor(request, &after) || !mo_path_id(request, 0, &id) ||
+      !mo_query_cursor(request, &after) || !mo_path_id(request, 0, &id) ||
       !read_wanted(request, form, &wanted))
     return;
   if (form == NDJSON) {

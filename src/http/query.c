@@ -112,6 +112,16 @@ bool mo_query_id(struct mo_request *request, const char *name, const char *words
   return false;
 }
 
+bool mo_query_cursor(struct mo_request *request, int64_t *number)
+{
+  const char *cursor = mo_query(request, "cursor");
+  *number = -1;
+  if (cursor == NULL || mo_decimal(cursor, strlen(cursor), 0, MO_CURSOR_MAX, number))
+    return true;
+  mo_reply_bad_parameter(request, "cursor", MO_CURSOR_WORDS);
+  return false;
+}
+
 bool mo_query_limit(struct mo_request *request, size_t *limit)
 {
   int64_t number = 100;

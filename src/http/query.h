@@ -22,6 +22,9 @@ bool mo_query_number(struct mo_request *request, const char *name, int64_t min, 
 /* Reads the id of a row likewise. words: what is said of another value. */
 bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id);
 #define MO_CURSOR_WORDS "the next_cursor of an earlier page is expected"
+#define MO_CURSOR_MAX   INT64_C(9999999999)
+/* Reads a `cursor` that is the number of a row, 0 to MO_CURSOR_MAX; −1 if it is absent. */
+bool mo_query_cursor(struct mo_request *request, int64_t *number);
 /* Reads one of a list of words (base/words.h); *i, its index, stays if the parameter is absent. */
 bool mo_query_word(struct mo_request *request, const char *name, const char *const *words, int *i);
 /* Chooses a representation: by the parameter `format` (one of `names`) or else by Accept (`types`,

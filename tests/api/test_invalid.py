@@ -277,7 +277,7 @@ def test_together(service, kind, value, pointers):
 # How many of these requests a schema takes, by the first place: what is wrong with them depends on
 # several fields, or on what the service has.
 BEYOND_SCHEMA = {
-    "evaluations": {"/designs/0/voxels": 2, "/designs/0/id": 2, "/designs/1/cells/1": 1,
+    "evaluations": {"": 1, "/designs/0/voxels": 2, "/designs/0/id": 2, "/designs/1/cells/1": 1,
                     "/designs/1/cells/2": 2, "/controller": 2, "/record": 1, "/record_stride": 1},
     "trainings": {"": 2, "/preset": 1, "/controller": 4, "/sensor": 2, "/designs": 1, "/steps": 2,
                   "/population": 1, "/population/evaluation": 1, "/population/campaign": 1,
