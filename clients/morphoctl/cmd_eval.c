@@ -200,10 +200,13 @@ void run_eval(struct ctl *ctl)
   const char *sort = option_word(ctl, "sort", orders, races ? "score" : "input"),
              *output = option_text(ctl, "output", NULL);
   const json_t *random = random_of(ctl, "seed", RANDOM_BODIES_MAX);
-  const bool is_large = random != NULL && number_of(random, "count") > DESIGNS_MAX;
-  if (is_large && ctl->n_operands > 0)
+  const bool is_drawn = random != NULL && number_of(random, "count") > DESIGNS_MAX;
+  if (is_drawn && ctl->n_operands > 0)
     fail(STATUS_USAGE, "besides given designs, --random takes at most %d", DESIGNS_MAX);
-  const struct designs designs = is_large ? no_designs() : given_designs(ctl, 0, random);
+  struct designs designs = is_drawn ? no_designs() : given_designs(ctl, 0, random);
+  const bool is_large = is_drawn || json_array_size(designs.list) > DESIGNS_MAX;
+  if (is_large)
+    designs_pack(&designs);
   const bool is_top = races && !option_is_set(ctl, "sort") && !option_is_set(ctl, "top");
   const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, RANDOM_BODIES_MAX, 0);
   json_t *request = keep(json_object());
@@ -214,7 +217,7 @@ void run_eval(struct ctl *ctl)
   film_check(ctl);
   request_fill(ctl, request);
   fill_record(ctl, request);
-  if (is_large)
+  if (is_drawn)
     json_object_set(request, "random", (json_t *)random);
   else
     json_object_set(request, "designs", designs.list);

@@ -84,10 +84,29 @@ struct designs no_designs(void)
 /* Takes the reference to the design. name: nullable. */
 static void add(struct designs *designs, json_t *design, const char *name)
 {
-  if (json_array_size(designs->list) >= DESIGNS_MAX)
-    fail(STATUS_USAGE, "more than %d designs in one request; split them", DESIGNS_MAX);
+  if (json_array_size(designs->list) >= LARGE_MAX)
+    fail(STATUS_USAGE, "more than %d designs in one request; split them", LARGE_MAX);
   json_array_append_new(designs->list, need(design));
   json_array_append_new(designs->names, name != NULL ? json_string(name) : json_null());
+}
+
+void designs_pack(struct designs *designs)
+{
+  size_t n;
+  json_t *design;
+  json_array_foreach(designs->list, n, design)
+  {
+    char voxels[VOXELS + 1], digits[ID_DIGITS + 1] = "";
+    if (json_object_get(design, "id") != NULL || !design_voxels(design, voxels))
+      continue;
+    for (size_t i = 0; i < ID_DIGITS; i++) {
+      const char *four = &voxels[4 * i];
+      digits[i] = "0123456789abcdef"[(four[0] & 1) << 3 | (four[1] & 1) << 2 | (four[2] & 1) << 1 |
+                                     (four[3] & 1)];
+    }
+    json_object_clear(design);
+    json_object_set_new(design, "voxels", json_string(digits));
+  }
 }
 
 static bool is_point(const json_t *json)

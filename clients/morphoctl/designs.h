@@ -16,7 +16,8 @@
 
 #include "ctl.h"
 
-#define DESIGNS_MAX       10000
+#define DESIGNS_MAX       10000   /* of a request, but for evaluations */
+#define LARGE_MAX         1000000 /* of an evaluation */
 #define RANDOM_BODIES_MAX 1000000 /* of one seed */
 #define WORKSPACE_X       6
 #define WORKSPACE_Y       6
@@ -38,6 +39,9 @@ void designs_add_text(struct designs *designs, const char *source, const char *t
 void designs_add_operand(struct designs *designs, const char *operand);
 /* Adds the bodies of an array of objects with "genotype"; null is left out. */
 void designs_add_genotypes(struct designs *designs, const json_t *objects);
+
+/* Writes all voxels as hexadecimal digits, which take a third of the space. */
+void designs_pack(struct designs *designs);
 
 /* Writes the voxels of a design as 144 digits. False: the design is an id or invalid. */
 bool design_voxels(const json_t *design, char voxels[VOXELS + 1]);

@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/text.h"
+
 /* Skips the item that is next, and all after it. */
 static void skip_rest(struct mo_json *json)
 {
@@ -109,6 +111,20 @@ static bool read_cells(struct mo_json *json, struct shape *shape)
   return code == MO_OK;
 }
 
+/* Writes four voxels for each hexadecimal digit of a genotype that is written so, the highest bit
+ * first. */
+static bool spread(struct mo_json_slice text, char digits[MO_DEFAULT_VOXELS])
+{
+  bool is_packed = text.size == MO_DEFAULT_ID_DIGITS;
+  for (size_t i = 0; i < text.size && is_packed; i++) {
+    const int value = mo_hex_digit(text.bytes[i]);
+    is_packed = value >= 0;
+    for (int k = 0; k < 4; k++)
+      digits[4 * i + (size_t)k] = value >> (3 - k) & 1 ? '1' : '0';
+  }
+  return is_packed;
+}
+
 static bool read_voxels(struct mo_json *json, struct shape *shape)
 {
   unsigned depth = json->depth;
@@ -120,14 +136,18 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
     text.bytes++;
     text.size--;
   }
+  char digits[MO_DEFAULT_VOXELS];
+  if (spread(text, digits))
+    text = (struct mo_json_slice){digits, sizeof(digits)};
   int code = repaired(mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size,
                                             shape->bits->words, &fault),
                       shape);
   switch (code) {
   case MO_OK: break;
   case MO_ERR_RANGE:
-    mo_json_fault_at(json, depth, "", "%zu characters are given; exactly %d are expected",
-                     text.size, MO_DEFAULT_VOXELS);
+    mo_json_fault_at(json, depth, "",
+                     "%zu characters are given; exactly %d are expected, or %d hexadecimal digits",
+                     text.size, MO_DEFAULT_VOXELS, MO_DEFAULT_ID_DIGITS);
     break;
   case MO_ERR_FORMAT:
     mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell);
@@ -255,18 +275,39 @@ bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t plac
   return true;
 }
 
+/* Refuses the first design that would need a note: there are too many designs for notes. */
+static void refuse_note(struct mo_json *json, unsigned depth, const struct mo_design_note *note)
+{
+  char below[24];
+  snprintf(below, sizeof(below), "/%u", note->place);
+  mo_json_fault_at(json, depth, below, "more than %d designs are given, and this one %s; give %s",
+                   MO_DESIGNS_MAX,
+                   mo_is_skipped(note) ? "is not valid"
+                   : note->dropped > 0 ? "is in several pieces"
+                                       : "is an id without an orientation",
+                   note->orientation != MO_ORIENTATION_GIVEN && !mo_is_skipped(note)
+                       ? "its orientation, @0 to @7"
+                       : "only valid ones, or fewer at a time");
+}
+
 static void read_designs(struct mo_json *json, void *value)
 {
   struct mo_parts *parts = value;
   unsigned depth = json->depth;
+  const uint32_t most = parts->most_designs > 0 ? parts->most_designs : MO_DESIGNS_MAX;
   uint32_t n = 0;
   parts->has_designs = true;
   if (!mo_json_array(json))
     return;
   for (; mo_json_item(json); n++) {
-    if (n == MO_DESIGNS_MAX) {
-      mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected",
-                       MO_DESIGNS_MAX, MO_DESIGNS_MAX);
+    if (n == most) {
+      mo_json_fault_at(json, depth, "", "more than %u designs are given; at most %u are expected",
+                       most, most);
+      skip_rest(json);
+      break;
+    }
+    if (n >= MO_DESIGNS_MAX && parts->n_notes > 0) {
+      refuse_note(json, depth, &parts->notes[0]);
       skip_rest(json);
       break;
     }
@@ -277,7 +318,7 @@ static void read_designs(struct mo_json *json, void *value)
     }
   }
   if (n == 0)
-    mo_json_fault_at(json, depth, "", "no designs are given; 1 to %d are expected", MO_DESIGNS_MAX);
+    mo_json_fault_at(json, depth, "", "no designs are given; 1 to %u are expected", most);
 }
 const struct mo_field_own mo_designs_field = {.read = read_designs};
 

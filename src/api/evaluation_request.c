@@ -78,37 +78,38 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_on_fault_fields},
     {"random", MO_FIELD_OWN, 0, AT(parts), .own = &random_field},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
-    {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_RANDOM_BODIES_MAX,
-     .unit = "designs", .help = "how many of the best get whole scores"},
+    {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_LARGE_MAX, .unit = "designs",
+     .help = "how many of the best get whole scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
 #undef AT
 const struct mo_fields mo_evaluation_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words stand in the order of their values");
 
-/* Random bodies are drawn after the submission, so no recording can be measured. */
-static void check_random(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+/* Random bodies are drawn, and long lists stored, after the submission, so no recording can be
+ * measured. */
+static void check_large(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
 {
   const struct mo_random_bodies *random = &parsed->parts.random;
+  const char *const place = random->count > 0 ? "/random" : "/designs";
+  const uint32_t n = random->count > 0 ? random->count : parsed->parts.n_designs;
   const uint64_t n_environments =
       parsed->parts.environments != NULL ? parsed->parts.n_environments : MO_PAPER_TEST_COUNT;
-  if (random->count == 0)
+  if (random->count == 0 && n <= MO_DESIGNS_MAX)
     return;
-  if (random->first + random->count > MO_RANDOM_BODIES_MAX)
+  if (random->count > 0 && random->first + random->count > MO_RANDOM_BODIES_MAX)
     mo_json_fault_at(json, 0, "/random/first",
                      "bodies %u to %u are asked for; a seed has the bodies 0 to %d: take another "
                      "seed",
                      random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
-  if (random->count * n_environments > MO_RANDOM_ROLLOUTS_MAX)
-    mo_json_fault_at(json, 0, "/random/count",
+  if (n * n_environments > MO_LARGE_ROLLOUTS_MAX)
+    mo_json_fault_at(json, 0, random->count > 0 ? "/random/count" : place,
                      "these are %llu rollouts; at most %d are expected: fewer bodies or fewer "
                      "environments",
-                     (unsigned long long)random->count * n_environments, MO_RANDOM_ROLLOUTS_MAX);
+                     (unsigned long long)n * n_environments, MO_LARGE_ROLLOUTS_MAX);
   if (parsed->request.verify || parsed->request.record != 0)
-    mo_json_fault_at(json, 0, "/random",
-                     "this is given with %s, which needs listed designs: POST /v1/bodies/random "
-                     "gives them",
-                     parsed->request.verify ? "verify" : "record");
+    mo_json_fault_at(json, 0, place, "this is given with %s, which needs at most %d listed designs",
+                     parsed->request.verify ? "verify" : "record", MO_DESIGNS_MAX);
 }
 
 static int check(struct mo_json *json, void *any)
@@ -122,11 +123,11 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "",
                      "designs is missing: an array of 1 to %d designs, or random, with the count "
                      "of random bodies",
-                     MO_DESIGNS_MAX);
+                     MO_LARGE_MAX);
   if (parsed->parts.has_designs && parsed->parts.has_random)
     mo_json_fault_at(json, 0, "/random",
                      "this is given with designs; only one of them is expected");
-  check_random(json, parsed);
+  check_large(json, parsed);
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller", "null is given; a controller's name is expected");
   if (request->record_stride > steps)
@@ -146,13 +147,16 @@ static int check(struct mo_json *json, void *any)
 }
 
 static int parse(const char *text, size_t size, const struct mo_fields *fields,
-                 struct mo_parsed_evaluation *parsed, struct mo_faults *faults)
+                 uint32_t most_designs, struct mo_parsed_evaluation *parsed,
+                 struct mo_faults *faults)
 {
   struct mo_evaluation_request *request = &parsed->request;
   *parsed = (struct mo_parsed_evaluation){
       .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
-      .parts = {
-          .job = {.priority = -1, .weight = 1}, .random = {.seed = 1}, .controller = "default"}};
+      .parts = {.job = {.priority = -1, .weight = 1},
+                .random = {.seed = 1},
+                .controller = "default",
+                .most_designs = most_designs}};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
   int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);
   if (error != MO_OK)
@@ -175,11 +179,11 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults)
 {
-  return parse(text, size, &mo_evaluation_request_fields, parsed, faults);
+  return parse(text, size, &mo_evaluation_request_fields, MO_LARGE_MAX, parsed, faults);
 }
 
 int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                       struct mo_faults *faults)
 {
-  return parse(text, size, &mo_rollouts_request_fields, parsed, faults);
+  return parse(text, size, &mo_rollouts_request_fields, MO_DESIGNS_MAX, parsed, faults);
 }

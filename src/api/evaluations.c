@@ -97,11 +97,13 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_member_count_if(text, "best", job->best > 0, job->best);
   if (job->is_random)
     mo_text_format(text, ",\"random\":{\"seed\":%llu,\"first\":%u,\"drawn\":%u}",
-                   (unsigned long long)job->random_seed, job->random_first, job->n_drawn);
+                   (unsigned long long)job->random_seed, job->random_first,
+                   job->n_designs - job->n_waiting);
   else
     mo_text_member(text, "random", NULL);
   mo_text_member_count(text, "n_designs", job->n_designs);
   mo_text_member_count(text, "n_skipped", job->n_skipped);
+  mo_text_member_count(text, "n_waiting", job->n_waiting);
   mo_text_member_count(text, "rollouts_total", job->rollouts_total);
   mo_text_member_count(text, "rollouts_done", job->rollouts_done);
   mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
@@ -182,9 +184,8 @@ void mo_api_get_results(struct mo_request *request)
   int64_t id, first;
   size_t limit;
   int whole = 0;
-  if (!mo_query_cursor(request, &first) ||
-      !mo_query_word(request, "whole", whole_words, &whole) || !mo_query_limit(request, &limit) ||
-      !mo_path_id(request, 0, &id))
+  if (!mo_query_cursor(request, &first) || !mo_query_word(request, "whole", whole_words, &whole) ||
+      !mo_query_limit(request, &limit) || !mo_path_id(request, 0, &id))
     return;
   int error = mo_store_job(api->store, id, &job);
   if (error == MO_OK && job.kind != MO_JOB_EVALUATION)

@@ -31,7 +31,7 @@ struct mo_parts {
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
   struct mo_bits *genotypes;              /* (n_designs) those to take, as given, not placed */
-  uint32_t n_designs, n_environments;
+  uint32_t n_designs, n_environments, most_designs; /* most: to list; 0: MO_DESIGNS_MAX */
   struct mo_design_note *notes; /* (n_notes) ascending: what was skipped, repaired, or an id */
   uint32_t n_notes, n_skipped;
   struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */

@@ -1,17 +1,15 @@
-/* evaluation_draw.c: draws the designs of evaluations of random bodies and stores them, before the
+/* evaluation_draw.c: stores the designs of large evaluations, and draws random ones, before the
  * evaluations are claimed.
  *
- * A million bodies take about a minute of processor time to draw and store, so a submission stores
- * only which they are. One thread draws them, in groups: a transaction for each, between which the
- * store's writer serves others. A crash or a pause loses at most a group; the bodies before are
- * drawn again, since which body is new depends on them, but not stored again. An evaluation is
- * finished before the next one, which is the one with the fewest left. */
+ * A million designs take about a minute of processor time to store, so a submission stores only
+ * which they are: a seed, or a list of bits. One thread stores them, in groups: a transaction for
+ * each, between which the store's writer serves others. A crash or a pause loses at most a group;
+ * random bodies before are drawn again, since which body is new depends on them, but not stored
+ * again. An evaluation is finished before the next one, which is the one with the fewest left. */
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/evaluation.h"
 #include "jobs/submission.h"
-
-#define GROUP 1000 /* bodies of a transaction: some 50 ms of processor time */
 
 static bool is_stopping(struct mo_runners *runners)
 {
@@ -28,40 +26,46 @@ static int draw(struct mo_evaluations *all, struct mo_body_stream *stream, uint3
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     error =
         mo_body_stream_next(stream, genotypes != NULL ? genotypes[i].words : passed.words, NULL);
-    if (error == MO_OK && i % GROUP == 0 && is_stopping(all->runners))
+    if (error == MO_OK && i % MO_DESIGN_GROUP == 0 && is_stopping(all->runners))
       error = MO_ERR_CANCELLED;
   }
   return error;
 }
 
-/* Stores the next group, of which `first` is the first body. */
+/* Stores the next group, of which `first` is the first body. stream NULL: they are listed. */
 static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream, int64_t id,
                        uint32_t first, uint32_t n)
 {
-  struct mo_bits genotypes[GROUP];
+  struct mo_bits genotypes[MO_DESIGN_GROUP];
   struct mo_placed placed = {NULL, NULL};
-  int error = draw(all, stream, n, genotypes);
+  int error = stream != NULL ? draw(all, stream, n, genotypes)
+                             : mo_store_waiting_designs(all->jobs->store, id, first, genotypes, n);
+  if (error == MO_OK && is_stopping(all->runners))
+    error = MO_ERR_CANCELLED;
   if (error == MO_OK)
     error = mo_placed_create(genotypes, n, &placed);
   if (error == MO_OK)
-    error = mo_store_draw(all->jobs->store, id, first, placed.forms, placed.genotypes, n);
+    error = mo_store_group(all->jobs->store, id, first, placed.forms, placed.genotypes, n);
   mo_placed_free(&placed);
   return error;
 }
 
 /* Stores what is left of an evaluation. MO_ERR_CONFLICT: it was paused or cancelled. */
-static int draw_job(struct mo_evaluations *all, int64_t id)
+static int store_rest(struct mo_evaluations *all, int64_t id)
 {
   struct mo_body_stream *stream = NULL;
   struct mo_job job;
   int error = mo_store_job(all->jobs->store, id, &job);
   if (error != MO_OK)
     return error;
-  error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, job.random_seed, &stream);
-  if (error == MO_OK)
-    error = draw(all, stream, job.random_first + job.n_drawn, NULL);
-  for (uint32_t first = job.n_drawn, n; first < job.n_designs && error == MO_OK; first += n) {
-    n = job.n_designs - first < GROUP ? job.n_designs - first : GROUP;
+  const uint32_t n_stored = job.n_designs - job.n_waiting;
+  if (job.is_random)
+    error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, job.random_seed, &stream);
+  if (job.is_random && error == MO_OK)
+    error = draw(all, stream, job.random_first + n_stored, NULL);
+  for (uint32_t first = n_stored, n; first < job.n_designs && error == MO_OK; first += n) {
+    const uint32_t left = job.n_designs - first;
+    n = left < MO_DESIGN_GROUP ? left : MO_DESIGN_GROUP;
     error = store_group(all, stream, id, first, n);
   }
   mo_body_stream_free(stream);
@@ -72,17 +76,17 @@ static int draw_job(struct mo_evaluations *all, int64_t id)
 static bool draw_next(struct mo_evaluations *all, bool *any)
 {
   int64_t id = 0;
-  int error = mo_store_undrawn(all->jobs->store, &id);
+  int error = mo_store_waiting(all->jobs->store, &id);
   *any = error == MO_OK && id != 0;
   if (*any)
-    error = draw_job(all, id);
+    error = store_rest(all, id);
   if (error == MO_OK && id != 0)
     mo_runners_wake(all->runners);
   if (error == MO_OK || error == MO_ERR_CONFLICT || error == MO_ERR_NOT_FOUND)
     return false;
   const struct mo_jobs_config *config = &all->jobs->config;
   if (error != MO_ERR_CANCELLED && !mo_is_shortage(error) && config->warn != NULL)
-    config->warn(config->warn_context, id, error, "its random bodies could not be stored");
+    config->warn(config->warn_context, id, error, "its designs could not be stored");
   return true;
 }
 

@@ -43,8 +43,8 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   struct mo_submission *job = &request->job;
   const uint64_t n = (uint64_t)request->n_designs * request->n_environments;
   const bool is_small = n <= INTERACTIVE_ROLLOUTS && job->back_end != MO_ON_DEVICE;
-  bool is_interactive = request->genotypes != NULL &&
-                        (job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small);
+  bool is_interactive =
+      request->forms != NULL && (job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small);
   uint64_t springs = 0, bytes = 0;
   int error =
       is_interactive || request->record != 0 ? measure(jobs, request, &springs, &bytes) : MO_OK;
@@ -80,8 +80,8 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
 }
 
 /* Checks that the bytes of each design and rollout fit into memory (evaluation.h, best.c). */
-static int check_random(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                        struct mo_message *message)
+static int check_large(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                       struct mo_message *message)
 {
   const uint64_t rollouts = (uint64_t)request->n_designs * request->n_environments;
   const struct mo_need need = {.own = 80 * (uint64_t)request->n_designs +
@@ -102,15 +102,17 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     return error;
   if (request.environment_set != NULL)
     error = mo_environments_count(jobs, request.environment_set, &request.n_environments, message);
-  if (error == MO_OK && asked->genotypes != NULL)
+  const bool waits = asked->genotypes == NULL || asked->n_designs > MO_DESIGNS_MAX;
+  if (error == MO_OK && !waits) {
     error = mo_placed_create(asked->genotypes, asked->n_designs, &placed);
+    request.genotypes = placed.genotypes;
+  }
   request.forms = placed.forms;
-  request.genotypes = placed.genotypes;
-  if (error == MO_OK && request.random.count > 0)
-    error = check_random(jobs, &request, message);
+  if (error == MO_OK && waits)
+    error = check_large(jobs, &request, message);
   if (error == MO_OK)
     error = choose(jobs, &request, message);
-  if (error == MO_OK && request.genotypes != NULL)
+  if (error == MO_OK && !waits)
     error = mo_evaluation_orient(jobs, &request, &placed, message);
   submitting.rollouts = (uint64_t)request.n_designs * request.n_environments;
   if (error == MO_OK)

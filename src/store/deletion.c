@@ -103,6 +103,7 @@ static int mark(struct mo_store *store, void *arguments)
   " WHERE job=?1)"
 static const char *const parts[] = {PART("recomputed", "position", "16"),
                                     PART("job_designs", "position", "1000"),
+                                    PART("waiting_designs", "first", "100000"),
                                     PART("job_environments", "position", "1000"),
                                     PART("design_notes", "position", "1000"),
                                     PART("training_steps", "step", "1000"),

@@ -15,16 +15,17 @@ struct mo_random_bodies {
 };
 
 /* An evaluation as requested (genotypes are valid) and as stored: genotypes are placed, and have
- * their forms. */
+ * their forms. More than MO_DESIGNS_MAX designs have no notes. */
 struct mo_evaluation_request {
   struct mo_submission job;
   const struct mo_bits *genotypes; /* (n_designs); NULL: random bodies */
-  const struct mo_bits *forms;     /* (n_designs) canonical; as stored */
-  uint32_t n_designs;              /* with n_skipped 1 … MO_DESIGNS_MAX */
-  struct mo_random_bodies random;  /* without genotypes: their count is n_designs */
-  struct mo_design_note *notes;    /* (n_notes) ascending; submission completes those of ids */
-  uint32_t n_notes, n_skipped;     /* n_skipped: notes of skipped designs */
-  const char *environment_set;     /* "paper-test", or NULL: `environments` */
+  const struct mo_bits *forms; /* (n_designs) canonical; as stored. NULL: more than MO_DESIGNS_MAX
+                                  are listed, which are placed and stored after the submission */
+  uint32_t n_designs;          /* with n_skipped 1 … MO_LARGE_MAX */
+  struct mo_random_bodies random; /* without genotypes: their count is n_designs */
+  struct mo_design_note *notes;   /* (n_notes) ascending; submission completes those of ids */
+  uint32_t n_notes, n_skipped;    /* n_skipped: notes of skipped designs */
+  const char *environment_set;    /* "paper-test", or NULL: `environments` */
   const struct mo_environment *environments; /* (n_environments) checked */
   uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */
   const char *controller;                    /* name or "sha256:<64 hex>" */

@@ -53,7 +53,7 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->is_random = sqlite3_column_type(row, MO_COLUMN_RANDOM_SEED) != SQLITE_NULL;
   job->random_seed = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_RANDOM_SEED);
   job->random_first = mo_column_u32(row, MO_COLUMN_RANDOM_FIRST);
-  job->n_drawn = mo_column_u32(row, MO_COLUMN_N_DRAWN);
+  job->n_waiting = mo_column_u32(row, MO_COLUMN_N_WAITING);
   job->verify = sqlite3_column_int(row, MO_COLUMN_VERIFY) != 0;
   job->record = mo_column_u32(row, MO_COLUMN_RECORD) & ((1U << MO_CHANNELS) - 1);
   job->record_stride = mo_column_u32(row, MO_COLUMN_RECORD_STRIDE);

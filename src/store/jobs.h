@@ -37,7 +37,7 @@
   X(BEST, "e.best")                                                                                \
   X(RANDOM_SEED, "e.random_seed")                                                                  \
   X(RANDOM_FIRST, "e.random_first")                                                                \
-  X(N_DRAWN, "e.n_drawn")                                                                          \
+  X(N_WAITING, "e.n_waiting")                                                                      \
   X(PHYSICS, "p.encoding")                                                                         \
   X(VERIFY, "e.verify")                                                                            \
   X(RECORD, "e.record")                                                                            \

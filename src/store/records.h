@@ -20,9 +20,10 @@
 #include "store/design_notes.h"
 #include "store/hash.h"
 
-#define MO_DESIGNS_MAX           10000    /* that one request lists */
-#define MO_RANDOM_BODIES_MAX     1000000  /* of one seed; designs of an evaluation of these */
-#define MO_RANDOM_ROLLOUTS_MAX   10000000 /* of an evaluation of random bodies */
+#define MO_DESIGNS_MAX           10000    /* that a request lists, but for large evaluations */
+#define MO_LARGE_MAX             1000000  /* designs of an evaluation */
+#define MO_RANDOM_BODIES_MAX     1000000  /* of one seed */
+#define MO_LARGE_ROLLOUTS_MAX    10000000 /* of one with more than MO_DESIGNS_MAX, or random ones */
 #define MO_ENVIRONMENTS_MAX      64       /* of one evaluation */
 #define MO_LABEL_BYTES_MAX       800      /* 200 characters of UTF-8 */
 #define MO_EXPERIMENT_BYTES_MAX  400      /* 100 characters */
@@ -114,11 +115,10 @@ struct mo_job {
   struct mo_sha256 result_sha256;
   char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
-  /* The designs of an evaluation may be random bodies of a seed; n_drawn of them are stored. */
-  bool is_random;
+  bool is_random; /* the designs of an evaluation are random bodies of a seed */
   uint64_t random_seed;
-  uint32_t random_first, n_drawn;
-  uint32_t best; /* how many of its best designs have whole scores; 0: all */
+  uint32_t random_first, n_waiting; /* n_waiting: its last designs, which are not stored yet */
+  uint32_t best;                    /* how many of its best designs have whole scores; 0: all */
   struct mo_physics physics;
   enum mo_precision precision;
   uint32_t record, record_stride; /* channels; steps between two frames */

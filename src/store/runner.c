@@ -237,17 +237,17 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, bool large,
                         int64_t *ids, size_t limit)
 {
-  static const char sql[] = "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND "
-                            "priority=?1 AND id>?2 AND kind=0 AND NOT EXISTS(SELECT 1 FROM "
-                            "evaluations e WHERE e.job=jobs.id AND (e.n_designs>?4 OR "
-                            "(e.random_seed IS NOT NULL AND e.n_drawn<e.n_designs)))"
-                            " ORDER BY id LIMIT ?3";
+  static const char sql[] =
+      "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND "
+      "priority=?1 AND id>?2 AND kind=0 AND NOT EXISTS(SELECT 1 FROM "
+      "evaluations e WHERE e.job=jobs.id AND (e.n_designs>?4 OR e.n_waiting>0))"
+      " ORDER BY id LIMIT ?3";
   MO_SCOPED struct mo_connection *reader = mo_runner_acquire(store);
   int64_t n = 0;
   int error = MO_OK;
   sqlite3_stmt *row =
       mo_sql_rows(reader, &error, sql, mo_int(priority), mo_int(after), mo_int((int64_t)limit),
-                  mo_int(large ? MO_RANDOM_BODIES_MAX : MO_DESIGNS_MAX));
+                  mo_int(large ? MO_LARGE_MAX : MO_DESIGNS_MAX));
   while (mo_sql_next(reader, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
   return error != MO_OK ? error : n;

@@ -18,13 +18,18 @@ int mo_store_keep_key(struct mo_store *store, const struct mo_request_key *key, 
 int mo_store_environment_set_size(struct mo_store *store, const char *name,
                                   uint32_t *n); /* MO_ERR_NOT_FOUND */
 
-/* Finds the queued evaluation of random bodies that has the fewest of them to store. *id 0: there
- * is none. */
-int mo_store_undrawn(struct mo_store *store, int64_t *id);
-/* Stores its bodies first … first + n − 1, from 0. MO_ERR_CONFLICT: it is not queued any more, or
- * another number of them is stored. */
-int mo_store_draw(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
-                  const struct mo_bits *genotypes, uint32_t n);
+/* The designs of large evaluations are stored after the submission, in groups of so many. */
+#define MO_DESIGN_GROUP 1000
+/* Finds the queued evaluation of which the fewest designs wait for it. *id 0: there is none. */
+int mo_store_waiting(struct mo_store *store, int64_t *id);
+/* Reads the listed designs first … first + n − 1 of a group that waits, as they were submitted.
+ * MO_ERR_NOT_FOUND; MO_ERR_CORRUPT. */
+int mo_store_waiting_designs(struct mo_store *store, int64_t id, uint32_t first,
+                             struct mo_bits *genotypes, uint32_t n);
+/* Stores the designs first … first + n − 1, from 0, of which none waits any more. MO_ERR_CONFLICT:
+ * it is not queued any more, or another number of them is stored. */
+int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
+                   const struct mo_bits *genotypes, uint32_t n);
 
 /* ---- state changes that clients request; each with its event ---- */
 
@@ -69,7 +74,7 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 /* ---- reads of the scheduler: on their own connection, from one thread at a time ---- */
 
 /* Reads the ids of queued evaluations of a priority, ascending, > after; returns their number.
- * Random bodies must be stored. large: also those of more than MO_DESIGNS_MAX designs. */
+ * All designs must be stored. large: also those of more than MO_DESIGNS_MAX designs. */
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, bool large,
                         int64_t *ids, size_t limit);
 

@@ -6,6 +6,7 @@
 #include "base/clock.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
+#include "store/scores.h"
 
 /* ---- idempotency keys ---- */
 
@@ -100,6 +101,97 @@ int mo_store_keep_key(struct mo_store *store, const struct mo_request_key *key, 
   return key->text != NULL ? mo_submit(store, key, give, &id, &known, &replayed) : MO_OK;
 }
 
+/* ---- designs that are stored after their evaluation ---- */
+
+int mo_store_waiting(struct mo_store *store, int64_t *id)
+{
+  static const char sql[] =
+      "SELECT e.job FROM evaluations e INDEXED BY evaluations_waiting JOIN jobs j ON j.id=e.job"
+      " WHERE e.n_waiting>0 AND j.state=?1 ORDER BY e.n_waiting,e.job LIMIT 1";
+  const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_QUEUED)), 1, id);
+  if (error == MO_ERR_NOT_FOUND)
+    *id = 0;
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
+struct group {
+  int64_t id;
+  uint32_t first, n;
+  const struct mo_bits *forms, *genotypes;
+  struct mo_bits *ret; /* (n) */
+};
+
+static int read_group(sqlite3_stmt *row, void *any)
+{
+  const struct group *group = any;
+  const int64_t key[2] = {group->id, group->first};
+  const size_t size = group->n * sizeof(*group->ret);
+  const void *bytes = sqlite3_column_blob(row, 0);
+  if (bytes == NULL || (size_t)sqlite3_column_bytes(row, 0) != size ||
+      mo_row_checksum(key, 2, bytes, size) != (uint64_t)sqlite3_column_int64(row, 1))
+    return MO_ERR_CORRUPT;
+  memcpy(group->ret, bytes, size);
+  return MO_OK;
+}
+
+int mo_store_waiting_designs(struct mo_store *store, int64_t id, uint32_t first,
+                             struct mo_bits *genotypes, uint32_t n)
+{
+  static const char sql[] = "SELECT bits,checksum FROM waiting_designs WHERE job=?1 AND first=?2";
+  struct group group = {.id = id, .first = first, .n = n, .ret = genotypes};
+  return mo_read_one(store, sql, MO_VALUES(mo_int(id), mo_int(first)), read_group, &group);
+}
+
+static int insert_waiting(struct mo_connection *writer, int64_t id,
+                          const struct mo_evaluation_request *request)
+{
+  static const char sql[] =
+      "INSERT INTO waiting_designs(job,first,bits,checksum) VALUES(?1,?2,?3,?4)";
+  int error = MO_OK;
+  for (uint32_t first = 0; first < request->n_designs && error == MO_OK; first += MO_DESIGN_GROUP) {
+    const uint32_t left = request->n_designs - first;
+    const size_t size =
+        (left < MO_DESIGN_GROUP ? left : MO_DESIGN_GROUP) * sizeof(*request->genotypes);
+    const int64_t key[2] = {id, first};
+    const struct mo_bits *bits = &request->genotypes[first];
+    error = mo_sql_do(writer, sql, mo_int(id), mo_int(first), mo_blob(bits, size),
+                      mo_int((int64_t)mo_row_checksum(key, 2, bits, size)));
+  }
+  return error;
+}
+
+static int store_group(struct mo_store *store, void *arguments)
+{
+  static const char count_sql[] =
+      "UPDATE evaluations SET n_waiting=n_waiting-?3 WHERE job=?1 AND n_designs-n_waiting=?2 AND"
+      " n_waiting>=?3 AND EXISTS(SELECT 1 FROM jobs WHERE id=?1 AND state=0)";
+  static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
+  static const char waiting_sql[] = "DELETE FROM waiting_designs WHERE job=?1 AND first=?2";
+  const struct group *group = arguments;
+  struct mo_connection *writer = &store->writer;
+  const int64_t now_us = mo_clock_wall_us();
+  int error =
+      mo_sql_change(writer, count_sql, mo_int(group->id), mo_int(group->first), mo_int(group->n));
+  if (error == MO_OK)
+    error = mo_sql_do(writer, version_sql, mo_int(group->id));
+  if (error == MO_OK)
+    error = mo_sql_do(writer, waiting_sql, mo_int(group->id), mo_int(group->first));
+  for (uint32_t i = 0; i < group->n && error == MO_OK; i++) {
+    int64_t row = 0;
+    error = mo_genotype_row(writer, &group->forms[i], &group->genotypes[i], now_us, &row);
+    if (error == MO_OK)
+      error = mo_design_insert(writer, group->id, group->first + i, row);
+  }
+  return error;
+}
+
+int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
+                   const struct mo_bits *genotypes, uint32_t n)
+{
+  struct group group = {.id = id, .first = first, .n = n, .forms = forms, .genotypes = genotypes};
+  return mo_write(store, store_group, &group);
+}
+
 /* ---- evaluations ---- */
 
 /* Finds the rows of what a submission names. */
@@ -119,12 +211,14 @@ static int resolve(struct mo_connection *writer, const struct mo_evaluation_requ
 
 static int insert(struct mo_store *store, const void *any, int64_t *id)
 {
-  static const char sql[] = "INSERT INTO evaluations(job,controller,controller_name,physics,"
-                            "environment_set,n_designs,n_environments,verify,record,record_stride,"
-                            "done,cached,diverged,n_skipped,best,random_seed,random_first)"
-                            " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
-                            "CASE WHEN ?14>0 THEN ?13 END,?15)";
+  static const char sql[] =
+      "INSERT INTO evaluations(job,controller,controller_name,physics,"
+      "environment_set,n_designs,n_environments,verify,record,record_stride,"
+      "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting)"
+      " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
+      "CASE WHEN ?14>0 THEN ?13 END,?15,?16)";
   const struct mo_evaluation_request *request = any;
+  const bool waits = request->forms == NULL;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
   int64_t controller, physics, set, n_environments;
@@ -132,16 +226,19 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error = mo_sql_do(
-        writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
-        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
-        mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
-        mo_int(request->n_skipped), mo_int(request->best), mo_int((int64_t)request->random.seed),
-        mo_int(request->random.count), mo_int(request->random.first));
+    error =
+        mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
+                  mo_int(set), mo_int((int64_t)request->n_designs + request->n_skipped),
+                  mo_int(n_environments), mo_int(request->verify), mo_int(request->record),
+                  mo_int(request->record_stride), mo_int(request->n_skipped), mo_int(request->best),
+                  mo_int((int64_t)request->random.seed), mo_int(request->random.count),
+                  mo_int(request->random.first), mo_int(waits ? request->n_designs : 0));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
-  if (error == MO_OK && request->random.count == 0)
+  if (error == MO_OK && waits && request->random.count == 0)
+    error = insert_waiting(writer, *id, request);
+  if (error == MO_OK && !waits)
     error = mo_designs_insert(writer, *id, request->forms, request->genotypes, request->n_designs,
                               request->notes, request->n_notes, mo_clock_wall_us());
   if (error == MO_OK)
@@ -153,55 +250,6 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             (long long)*id,
                             (unsigned long long)request->n_designs * (uint64_t)n_environments);
   return error == MO_OK && set == 0 ? mo_run_announce_warnings(store, *id, true) : error;
-}
-
-/* ---- random bodies, which are stored after their evaluation ---- */
-
-int mo_store_undrawn(struct mo_store *store, int64_t *id)
-{
-  static const char sql[] =
-      "SELECT e.job FROM evaluations e INDEXED BY evaluations_undrawn JOIN jobs j ON j.id=e.job"
-      " WHERE e.random_seed IS NOT NULL AND e.n_drawn<e.n_designs AND j.state=?1"
-      " ORDER BY e.n_designs-e.n_drawn,e.job LIMIT 1";
-  const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_QUEUED)), 1, id);
-  if (error == MO_ERR_NOT_FOUND)
-    *id = 0;
-  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
-}
-
-struct draw_arguments {
-  int64_t id;
-  uint32_t first, n;
-  const struct mo_bits *forms, *genotypes;
-};
-
-static int draw(struct mo_store *store, void *arguments)
-{
-  static const char count_sql[] =
-      "UPDATE evaluations SET n_drawn=n_drawn+?3 WHERE job=?1 AND n_drawn=?2 AND n_drawn+?3<="
-      "n_designs AND EXISTS(SELECT 1 FROM jobs WHERE id=?1 AND state=0)";
-  static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
-  const struct draw_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
-  const int64_t now_us = mo_clock_wall_us();
-  int error =
-      mo_sql_change(writer, count_sql, mo_int(call->id), mo_int(call->first), mo_int(call->n));
-  if (error == MO_OK)
-    error = mo_sql_do(writer, version_sql, mo_int(call->id));
-  for (uint32_t i = 0; i < call->n && error == MO_OK; i++) {
-    int64_t row = 0;
-    error = mo_genotype_row(writer, &call->forms[i], &call->genotypes[i], now_us, &row);
-    if (error == MO_OK)
-      error = mo_design_insert(writer, call->id, call->first + i, row);
-  }
-  return error;
-}
-
-int mo_store_draw(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
-                  const struct mo_bits *genotypes, uint32_t n)
-{
-  struct draw_arguments call = {id, first, n, forms, genotypes};
-  return mo_write(store, draw, &call);
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

@@ -171,6 +171,8 @@ def test_random_designs(m):
     assert len(many) == 10_001 and len(many.table()) == 10_001
     with pytest.raises(morphod.MorphodError, match="table.. reads"):
         many.scores
+    sent = m.evaluate(m.random_bodies(10_001), WORLD[:1], physics={"n_steps": 1})
+    assert len(sent) == 10_001 and (sent.table().score == many.table().score).all()
 
 
 def test_recordings(m, service):

@@ -154,6 +154,12 @@ def genotypes_of(voxels: NDArray[np.bool_]) -> list[str]:
     return [text[at:at + _VOXELS] for at in range(0, len(text), _VOXELS)]
 
 
+def packed(designs: list[dict[str, str]]) -> list[dict[str, str]]:
+    """The same designs, with four voxels in each hexadecimal digit, as a long list is sent."""
+    return [{"voxels": f"{int(design['voxels'].lstrip('g'), 2):036x}"}
+            if "voxels" in design else design for design in designs]
+
+
 def largest_pieces(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest piece of each of n bodies (n, 6, 6, 4): voxels that are joined through faces. Of
     pieces of one size the one with the voxel of the lowest index stays, as the service does it."""

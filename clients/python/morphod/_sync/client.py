@@ -11,7 +11,7 @@ from collections.abc import Iterator, Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..bodies import (BodyLike, OnFault, Repair, designs_of, requests_of, voxels_of,
+from ..bodies import (BodyLike, OnFault, Repair, designs_of, packed, requests_of, voxels_of,
                       warn_of_ids)
 from ..errors import MorphodError, reading
 from ..frames import frame
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _DESIGNS_MAX = 10000
+_LARGE_MAX = 1000000
 _RANDOM_BODIES_MAX = 1000000
 _LOOK_UP_S = 5.0
 """How long an interrupt looks for the job that goes on."""
@@ -84,8 +85,10 @@ class Client:
                        verify: bool = False, best: int | None = None,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> Evaluation:
-        """Scores up to 10,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). For more,
-        up to 1,000,000 random ones, see `evaluate_random`.
+        """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). Of more
+        than 10,000 the service skips and repairs none, ids need an orientation, nothing is
+        recorded, and the results come in pages, by `table()`. See `evaluate_random`, too, which
+        sends no bodies.
 
         `wait=False` returns at once; the evaluation is durable then. `record` takes "com" and
         "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
@@ -96,8 +99,11 @@ class Client:
         in the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
-        if not 0 < len(designs) <= _DESIGNS_MAX:
-            raise ValueError(f"an evaluation takes 1 to {_DESIGNS_MAX} bodies, not {len(designs)}")
+        if not 0 < len(designs) <= _LARGE_MAX:
+            raise ValueError(f"an evaluation takes 1 to {_LARGE_MAX} bodies, not {len(designs)}")
+        is_large = len(designs) > _DESIGNS_MAX
+        if is_large:
+            designs = packed(designs)
         value: dict[str, Any] = {
             "designs": designs, "environments": environments, "controller": controller,
             "precision": precision, "weight": weight, "device": device, "verify": verify,
@@ -115,7 +121,8 @@ class Client:
         evaluation = Evaluation(self._connection, data, lost, faults)
         if wait:
             evaluation.wait()
-            evaluation._check(designs)
+            if not is_large:
+                evaluation._check(designs)
         return evaluation
 
     def _interrupted(self, request: Request) -> KeyboardInterrupt:

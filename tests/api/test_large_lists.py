@@ -1,0 +1,119 @@
+"""Evaluations of more designs than are stored with the submission."""
+
+import pytest
+
+from ctl import ctl  # noqa: F401
+from service import awaited, run
+
+WORLD = {"environments": [{"light_xy_m": [2.6, 2.5], "terrain_sigma_m": 0.02, "seed": 1}],
+         "physics": {"n_steps": 10}}
+N = 10_400
+
+
+@pytest.fixture(scope="module")
+def bodies(service):
+    return [body for first in (0, 10_000)
+            for body in service.post("/v1/bodies/random", {"count": min(10_000, N - first),
+                                                           "seed": 41, "first": first})["items"]]
+
+
+def hexadecimal(genotype):
+    return f"{int(genotype, 2):036x}"
+
+
+def results(service, id, query=""):
+    return service.pages(f"/v1/evaluations/{id}/results{query}")
+
+
+def test_same_as_random(service, bodies):
+    """Designs in every form, in their order, with one `best`; the same scores as random ones."""
+    designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies]
+    designs[5] = {"voxels": "g" + bodies[5]["genotype"]}
+    designs[7] = designs[N - 1] = {"id": bodies[7]["id"] + "@3"}
+    job = run(service, "evaluations", WORLD | {"designs": designs})
+    assert job["state"] == "succeeded" and job["n_designs"] == N and job["random"] is None
+    assert job["n_waiting"] == 0 and job["rollouts_done"] == N and "results" not in job
+    items = results(service, job["id"])
+    assert [item["number"] for item in items] == list(range(N))
+    assert items[7]["robot"] == items[N - 1]["robot"]
+    random = run(service, "evaluations", WORLD | {"random": {"count": N, "seed": 41}})
+    drawn = results(service, random["id"])
+    differ = [a["number"] for a, b in zip(items, drawn) if a != b]
+    assert set(differ) <= {7, N - 1} and N - 1 in differ
+    best = run(service, "evaluations", WORLD | {"designs": designs, "best": 3})
+    whole = results(service, best["id"], "?whole=true")
+    assert sorted(item["score"] for item in whole)[:3] == sorted(
+        item["score"] for item in items)[:3]
+
+
+def test_few_hexadecimal_voxels(service, bodies):
+    few = [{"voxels": hexadecimal(body["genotype"])} for body in bodies[:3]]
+    listed = run(service, "evaluations", WORLD | {"designs": few})
+    assert [row["genotype"] for row in listed["results"]] == [
+        body["genotype"] for body in bodies[:3]]
+    wrong = service.request("POST", "/v1/evaluations",
+                            WORLD | {"designs": [{"voxels": hexadecimal("1" * 144)[1:] + "x"}]})
+    assert wrong.status == 422 and wrong.pointers() == ["/designs/0/voxels"]
+
+
+def test_restart_while_they_are_stored(start, tmp_path, bodies):
+    """What waits is stored after a pause and a restart, and goes with the job."""
+    designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies] * 4
+    service = start(state=tmp_path / "state")
+    job = service.post("/v1/evaluations", WORLD | {"designs": designs})
+    assert 0 < job["n_waiting"] <= len(designs)
+    path = f"/v1/evaluations/{job['id']}"
+    assert service.act(job["id"], "pause").status == 200
+    before = service.get(path)["n_waiting"]
+    assert 0 < before and service.stop() == 0
+    service = start(state=tmp_path / "state")
+    assert service.get(path)["n_waiting"] == before
+    assert service.act(job["id"], "resume").status == 200
+    awaited(service, path, lambda seen: seen["n_waiting"] < before)
+    assert service.stop() == 0
+    service = start(state=tmp_path / "state")
+    done = awaited(service, path, lambda seen: seen["state"] in ("succeeded", "failed"))
+    assert done["state"] == "succeeded" and done["n_waiting"] == 0
+    items = service.get(f"{path}/results?limit=500&cursor={3 * N}")["items"]
+    assert [item["genotype"] for item in items] == [body["genotype"] for body in bodies[:500]]
+    assert service.request("DELETE", f"/v1/jobs/{job['id']}").status in (200, 204)
+    assert service.request("GET", path).status == 404
+
+
+@pytest.mark.parametrize("place, design, more, pointer", [
+    (17, lambda body: {"id": body["id"]}, {}, "/designs/17"),
+    (3, lambda body: {"voxels": "1" + "0" * 142 + "1"}, {"repair": "largest"}, "/designs/3"),
+    (10_300, lambda body: {"voxels": "0" * 144}, {"on_fault": "skip"}, "/designs/10300"),
+    (9, lambda body: {"voxels": "0" * 144}, {}, "/designs/9/voxels"),
+    (0, None, {"record": ["com"]}, "/designs"),
+    (0, None, {"verify": True}, "/designs"),
+    (0, None, {"environments": WORLD["environments"] * 64, "physics": {"n_steps": 1}}, None),
+])
+def test_what_is_refused(service, bodies, place, design, more, pointer):
+    designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies]
+    if design is not None:
+        designs[place] = design(bodies[place])
+    reply = service.request("POST", "/v1/evaluations", WORLD | {"designs": designs} | more)
+    if pointer is None:
+        assert reply.status == 202
+        assert service.act(reply.json()["id"], "cancel").status == 200
+    else:
+        assert reply.status == 422 and reply.pointers() == [pointer], reply.body
+
+
+def test_others_take_ten_thousand(service, bodies):
+    designs = [{"voxels": body["genotype"]} for body in bodies[:10_001]]
+    reply = service.request("POST", "/v1/trainings", {"kind": "finetune", "designs": designs})
+    assert reply.status == 422 and "/designs" in reply.pointers()
+
+
+def test_morphoctl(ctl, bodies, tmp_path):  # noqa: F811
+    """A file of more than 10,000 bodies."""
+    file = tmp_path / "bodies.txt"
+    file.write_text("\n".join(body["genotype"] for body in bodies) + "\n")
+    world = tmp_path / "world.json"
+    world.write_text('[{"light_xy_m": [2.6, 2.5], "terrain_sigma_m": 0.02, "seed": 1}]')
+    status, shown, said = ctl("eval --physics n_steps=10 --best 3 --environments", str(world),
+                              str(file))
+    assert status == 0 and "@" in shown, said
+    assert "10,400 rollouts" in said and "export evaluations/" in said
