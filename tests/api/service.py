@@ -1,5 +1,6 @@
 """A running morphod, and a client that holds every reply against the contract."""
 
+import contextlib
 import csv
 import functools
 import gzip
@@ -27,6 +28,9 @@ SHORT = {"n_steps": 20}  # physics of evaluations that need no long life
 # Waits end with their condition. The limit says when a test gives up: on a slow machine with other
 # work, too, so it is far above what a wait takes.
 PATIENCE_S = 300
+# What comes at once comes within so many seconds on such a machine, too. What it must not wait for
+# is made to take longer.
+SOON_S = 20
 
 
 class Reply:
@@ -206,7 +210,7 @@ class Service:
         """The reply to an evaluation, waited for."""
         return self.request("POST", "/v1/evaluations", value, headers={"Prefer": f"wait={wait}"})
 
-    def raw(self, data, timeout=10, finish=False):
+    def raw(self, data, timeout=PATIENCE_S, finish=False):
         """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes,
         ended)."""
         with socket.create_connection((self.host, self.port), timeout=timeout) as sock:
@@ -228,6 +232,15 @@ class Service:
             except socket.timeout:
                 pass
             return received, ended
+
+
+@contextlib.contextmanager
+def soon():
+    """What is done inside does not wait for anything but itself."""
+    begun = time.monotonic()
+    yield
+    took = time.monotonic() - begun
+    assert took < SOON_S, f"{took:.1f} s"
 
 
 def until(holds, seconds=PATIENCE_S, every=0.02):

@@ -17,7 +17,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from service import BINARY, BOOTSTRAP, SOURCE
+from service import BINARY, BOOTSTRAP, PATIENCE_S, SOURCE, until
 
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 CUT_OFF = 3
@@ -220,11 +220,7 @@ def long_card(tmp_path):
         yield process, address
     finally:
         process.terminate()
-        process.wait(60)
-
-
-def is_gone_soon(address):
-    return any(not is_there(address) or time.sleep(0.1) for _ in range(200))
+        process.wait(PATIENCE_S)
 
 
 def is_there(address):
@@ -242,7 +238,8 @@ def test_stopped_by_a_signal(long_card, number):
     process.send_signal(number)
     said = process.communicate(timeout=300)
     if number == signal.SIGKILL:
-        assert process.returncode == -number and is_gone_soon(address)
+        assert process.returncode == -number
+        until(lambda: not is_there(address))
     else:
         assert process.returncode == CUT_OFF and not is_there(address), said
 

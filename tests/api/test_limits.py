@@ -14,7 +14,7 @@ import time
 import pytest
 
 import service as service_module
-from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT, until
+from service import BOOTSTRAP, CONTRACT, DESIGN, PATIENCE_S, SHORT, until
 
 EVALUATION = {"designs": [DESIGN], "physics": SHORT}
 USERS = (4001, 4002)  # of no account; only root can open connections as they
@@ -192,7 +192,7 @@ def streams(service, n):
 
 def ended(sock):
     """The service has closed it, without a word."""
-    sock.settimeout(30)
+    sock.settimeout(PATIENCE_S)
     try:
         return sock.recv(100) == b""
     except ConnectionError:

@@ -16,6 +16,7 @@ import time
 
 import pytest
 from ctl import CELLS, MORPHOCTL, SHORT, ctl  # noqa: F401
+from service import PATIENCE_S
 
 
 TINY = ("--steps 6 --batch 4 --physics n_steps=30 --validate-every 3 --validation-designs 3 "
@@ -129,7 +130,7 @@ def watch_on_a_terminal(service, command, job, until_seen, farewell):
                              stderr=slave,
                              env={**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"})
     os.close(slave)
-    seen, until = b"", time.monotonic() + 60
+    seen, until = b"", time.monotonic() + PATIENCE_S
     while not all(text in re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace"))
                   for text in until_seen):
         assert time.monotonic() < until and watch.poll() is None, seen
@@ -144,7 +145,7 @@ def watch_on_a_terminal(service, command, job, until_seen, farewell):
             except OSError:
                 break
     os.close(master)
-    assert watch.wait(10) == 130
+    assert watch.wait(PATIENCE_S) == 130
     view = re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace").split(farewell)[0])
     assert all(len(line) <= 80 for line in re.split(r"[\r\n]+", view)), view
     return view

@@ -11,7 +11,7 @@ import socket
 
 import pytest
 
-from service import DESIGN, awaited, until
+from service import DESIGN, PATIENCE_S, awaited, until
 from test_campaigns import HERE, LEARNS, NONE, SMALL, end, finished, run_campaign
 
 LARGE = {
@@ -382,7 +382,7 @@ def test_a_service_that_stops_in_the_middle(start):
     with socket.socket() as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         sock.connect((running.host, running.port))
-        sock.settimeout(20)
+        sock.settimeout(PATIENCE_S)
         ask(sock, done, "csv")
         received = sock.recv(1000)
         running.process.terminate()

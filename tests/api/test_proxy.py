@@ -11,7 +11,7 @@ import subprocess
 
 import pytest
 
-from service import SOURCE, Service, split_replies, tiny_controller, until
+from service import PATIENCE_S, SOURCE, Service, split_replies, tiny_controller, until
 
 HOST = b"Host: lab.example\r\n"
 POST = b"POST /v1/evaluations HTTP/1.1\r\n" + HOST + b"Content-Type: application/json\r\n"
@@ -66,7 +66,7 @@ class Nginx:
 
     def raw(self, data):
         with socket.socket(socket.AF_UNIX) as sock:
-            sock.settimeout(30)
+            sock.settimeout(PATIENCE_S)
             sock.connect(str(self.path))
             sock.sendall(data)
             received = b""

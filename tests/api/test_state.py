@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 
 import pytest
-from service import BINARY, BOOTSTRAP, DESIGN, SHORT, run, tiny_controller, until
+from service import BINARY, BOOTSTRAP, DESIGN, PATIENCE_S, SHORT, run, tiny_controller, until
 
 ENVIRONMENT = {key: value for key, value in os.environ.items() if not key.startswith("MORPHOD")}
 START = ("--listen=127.0.0.1:0", "--devices=none", f"--default-controller={BOOTSTRAP}")
@@ -258,7 +258,8 @@ def test_a_database_that_was_lost(start, tmp_path, lost):
         (state / "morphod.db-wal").unlink()
     before = tree(state)
     refused_start = start(state=state, wait=False)
-    assert refused_start.process.wait(30) == 78 and "lost its database" in refused_start.log_text()
+    assert refused_start.process.wait(PATIENCE_S) == 78
+    assert "lost its database" in refused_start.log_text()
     after = tree(state)
     for part in ("morphod.db-shm", "lock"):
         before.pop(part, None), after.pop(part, None)
@@ -274,7 +275,7 @@ def test_a_folder_of_another_version(start, tmp_path, version, words):
         database.execute(f"PRAGMA user_version={version}")
     before = tree(state)
     other = start(state=state, wait=False)
-    assert other.process.wait(30) == 78
+    assert other.process.wait(PATIENCE_S) == 78
     assert all(word in other.log_text() for word in words)
     assert tree(state) == before
 

@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from relay import relay
-from service import CONTRACT, DESIGN, run
+from service import CONTRACT, DESIGN, PATIENCE_S, run
 
 TOKENS = {right: f"a-token-that-may-{right}-and-no-more" for right in ("read", "submit", "admin")}
 NAMES = {"read": "<b>rita</b>", "submit": "sam", "admin": "ada"}
@@ -172,7 +172,7 @@ def test_errors_of_the_file(start, tmp_path, text, words):
     """Each names the line, says what to do, and shows no token."""
     path = write(tmp_path / "tokens", text)
     service = start(f"--token-file={path}", wait=False)
-    assert service.process.wait(30) == 78
+    assert service.process.wait(PATIENCE_S) == 78
     log = service.log_text()
     assert all(word in log for word in ("token_file", *words)), log
     for line in filter(None, text.splitlines()):
@@ -234,7 +234,8 @@ def test_a_revoked_token_loses_its_stream(service, tokens):
     """Streams of tokens that stay go on."""
     streams = {}
     for right in ("read", "admin"):
-        streams[right] = socket.create_connection((service.host, service.port), timeout=30)
+        streams[right] = socket.create_connection((service.host, service.port),
+                                                  timeout=PATIENCE_S)
         streams[right].sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n"
                                b"Authorization: Bearer %s\r\n\r\n" % TOKENS[right].encode())
         assert streams[right].recv(65536).startswith(b"HTTP/1.1 200")
@@ -278,7 +279,7 @@ def test_no_reply_is_framed_or_read_by_other_sites(service):
         assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
         assert headers["X-Content-Type-Options"] == "nosniff"
     for bad in (b"GET / HTTP/9.9\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\r\nHost: y\r\n\r\n"):
-        with socket.create_connection((service.host, service.port), timeout=10) as raw:
+        with socket.create_connection((service.host, service.port), timeout=PATIENCE_S) as raw:
             raw.sendall(bad)
             head = raw.makefile("rb").read().split(b"\r\n\r\n")[0]
             assert b"Content-Security-Policy: frame-ancestors 'none'" in head

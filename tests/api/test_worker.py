@@ -6,6 +6,7 @@ import json
 import os
 import pathlib
 import re
+import socket
 import subprocess
 import time
 
@@ -13,7 +14,7 @@ import pytest
 
 from contract import SOURCE
 from fleet_daemon import DONE, GIVEN_BACK, PASSIVE, FakeDaemon, Lease, Proxy, Worker, message
-from service import BINARY, until
+from service import BINARY, SOON_S, soon, until
 
 DESIGNS = [json.loads((SOURCE / "data/designs" / f"{name}.json").read_text())
            for name in ("voxel", "table", "wheel", "crawler")]
@@ -66,9 +67,14 @@ def lease(known, number, epoch=1, designs=(0, 1, 2, 3), n_steps=None, **more):
     return Lease(epoch, number, **what)
 
 
-def long_lease(known, number, **more):
+def long_lease(known, number, n_steps=4000, **more):
     """Takes some seconds of one processor."""
-    return lease(known, number, designs=(3, ) * 8, n_steps=4000, **more)
+    return lease(known, number, designs=(3, ) * 8, n_steps=n_steps, **more)
+
+
+def endless_lease(known, number):
+    """Takes far longer than a test waits."""
+    return long_lease(known, number, n_steps=1_000_000)
 
 
 def losses(known, designs=(0, 1, 2, 3)):
@@ -95,7 +101,7 @@ def test_rows_have_the_bits_of_the_daemon(daemon, launch, known):
     assert (offer["name"], offer["n_threads"], offer["protocol"]) == ("here", 1, 1)
     assert len(offer["classes"]["cpu"]["canary"]) == 64 and "device" not in offer["classes"]
     fetched = [path for _, path in daemon.requests if "/controllers/" in path]
-    assert len(fetched) == 1 and worker.stop()[0] == 0, worker.log_text()
+    assert len(fetched) == 1 and worker.stop() == 0, worker.log_text()
     assert daemon.sessions == {}
 
 
@@ -130,8 +136,8 @@ def test_sigterm_ends_a_worker_within_a_block(daemon, launch, known):
     worker = launch(Worker, daemon.url)
     daemon.give(lease(known, 0), long_lease(known, 1), long_lease(known, 2))
     running(daemon, (1, 1), (1, 2))
-    status, seconds = worker.stop()
-    assert status == 0 and seconds < 2, worker.log_text()
+    with soon():
+        assert worker.stop() == 0, worker.log_text()
     assert {i: state for i, state, *_ in daemon.results} == {
         (1, 0): DONE, (1, 1): GIVEN_BACK, (1, 2): GIVEN_BACK}
     assert daemon.sessions == {}
@@ -139,13 +145,13 @@ def test_sigterm_ends_a_worker_within_a_block(daemon, launch, known):
 
 def test_dropped_leases_make_room_at_once(daemon, launch, known):
     launch(Worker, daemon.url)
-    daemon.give(long_lease(known, 0), long_lease(known, 1))
+    daemon.give(endless_lease(known, 0), endless_lease(known, 1))
     running(daemon, (1, 0), (1, 1))
     daemon.give(lease(known, 2))
-    began = time.monotonic()
-    daemon.drop((1, 0), (1, 1))
-    daemon.until(lambda: daemon.done((1, 2)))
-    assert time.monotonic() - began < 1 and len(daemon.results) == 1
+    with soon():
+        daemon.drop((1, 0), (1, 1))
+        daemon.until(lambda: daemon.done((1, 2)))
+    assert len(daemon.results) == 1
 
 
 def test_a_session_that_is_gone_is_replaced(daemon, launch, known):
@@ -163,18 +169,20 @@ def test_a_daemon_that_starts_again_costs_little(daemon, launch, known):
     daemon.give(lease(known, 0), long_lease(known, 1))
     daemon.until(lambda: daemon.done((1, 0)))
     daemon.close()
-    time.sleep(1)
+    # While nobody answers, it asks so often that it finds the next daemon in a moment: with pauses
+    # of some seconds, the longest ones, it would take a minute for this.
+    with socket.create_server(("127.0.0.1", daemon.port)) as deaf, soon():
+        deaf.settimeout(SOON_S)
+        for _ in range(20):
+            deaf.accept()[0].close()
     again = launch(FakeDaemon, epoch=2, port=daemon.port, sessions=100)
-    began = time.monotonic()
     again.controllers = daemon.controllers
     again.give(lease(known, 0, epoch=2))
-    again.until(lambda: again.offers)
-    assert time.monotonic() - began < 0.5
     again.until(lambda: again.results)
     # The weights are still there, and nothing of the old epoch is sent.
     assert [result[0] for result in again.results] == [(2, 0)]
     assert not any("/controllers/" in path for _, path in again.requests)
-    assert again.done((2, 0)) == losses(known) and worker.stop()[0] == 0
+    assert again.done((2, 0)) == losses(known) and worker.stop() == 0
 
 
 def test_what_is_hostile_is_refused_and_the_worker_goes_on(daemon, launch, known):
@@ -294,7 +302,7 @@ def test_an_upgrade_is_another_end(daemon, launch, known):
             next(iter(daemon.sessions.values())).update(state="draining", wanted="9.8")
             daemon.changed.notify_all()
         until(lambda: "for an upgrade" in worker.log_text())
-        assert (worker.stop()[0] if stops else worker.ends()) == status
+        assert (worker.stop() if stops else worker.ends()) == status
         assert ("version 9.8" in worker.log_text()) == (not stops)
         daemon.forget()
 
@@ -350,7 +358,7 @@ def test_only_the_expected_daemon_gets_the_token(launch, known, certificate, tmp
         worker = launch(Worker, daemon.url, *flags, *trust)
         daemon.give(lease(known, n))
         daemon.until(lambda n=n: daemon.done((1, n)))
-        assert seen[n] == "Bearer " + token.read_text().strip() and worker.stop()[0] == 0
+        assert seen[n] == "Bearer " + token.read_text().strip() and worker.stop() == 0
     proxy = launch(Proxy)
     launch(Worker, daemon.url, *flags, f"--pin={pin}", f"--proxy={proxy.url}")
     daemon.give(lease(known, 2))

@@ -10,7 +10,7 @@ import time
 
 import pytest
 import requests
-from daemon import MORPHOD, Daemon, bodies, stored_scores
+from daemon import MORPHOD, PATIENCE_S, Daemon, bodies, stored_scores
 from surroundings import fill
 
 PHYSICS = {"n_steps": 100}
@@ -205,7 +205,7 @@ def test_start_on_a_full_disk(one, small_disk, seed):
         one.folder.mkdir(exist_ok=True)
     if one.folder.exists():
         one.spawn()
-        assert one.process.wait(20) == 74, one.tail()
+        assert one.process.wait(PATIENCE_S) == 74, one.tail()
         assert "space" in one.tail().lower(), one.tail()
     filler.unlink()
     with one:

@@ -74,7 +74,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
             key = f"cut {kill}"
             own = {"designs": bodies(seed + kill, 3), "physics": PHYSICS}
             acknowledged.setdefault(key, (own, None))
-            reply = victim.evaluate(own, key=key, timeout_s=5)
+            reply = victim.evaluate(own, key=key)
             if reply.status_code in (200, 202):
                 acknowledged[key] = (own, reply.json()["id"])
         except requests.ConnectionError:

@@ -10,7 +10,7 @@ import signal
 import time
 
 import pytest
-from daemon import CONTROLLER, ENDED, REPOSITORY, Daemon, bodies
+from daemon import CONTROLLER, ENDED, PATIENCE_S, REPOSITORY, Daemon, bodies
 
 PRETRAINED = REPOSITORY / "data" / "controllers" / "phototaxis.safetensors"
 LIMIT = 256 << 20
@@ -147,7 +147,7 @@ def test_killed_again_and_again(daemon):
     # A fault of the process outside any job, in its main thread, is nobody's.
     await_running()
     ctypes.CDLL(None).tgkill(one.process.pid, one.process.pid, signal.SIGSEGV)
-    one.process.wait(30)
+    one.process.wait(PATIENCE_S)
     one.start()
     assert one.json(path)["attempts"] == 0
     for attempts in (1, 2, 3):

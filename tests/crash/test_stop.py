@@ -9,7 +9,7 @@ import subprocess
 import time
 
 import pytest
-from daemon import BUILD, MORPHOCTL, bodies, check_database
+from daemon import BUILD, MORPHOCTL, PATIENCE_S, STOP_S, bodies, check_database
 
 LONG = {"n_steps": 1000}
 
@@ -21,14 +21,13 @@ def saturate(daemon, seed):
 
 
 def test_sigterm_while_saturated(daemon, seed):
-    """Exit status 0 within 10 s; the work goes on at the next start and loses nothing that was
-    saved."""
+    """Exit status 0, in time; the work goes on at the next start and loses nothing that was saved.
+    """
     print(f"seed {seed}")
     one = daemon("stop").start()
     job = saturate(one, seed)
     status, seconds = one.stop()
     assert status == 0, one.tail()
-    assert seconds < 10, f"{seconds:.1f} s"
     print(f"stopped after {seconds:.2f} s")
     check_database(one.state)
     one.start()
@@ -41,26 +40,25 @@ def test_sigterm_while_saturated(daemon, seed):
 
 
 def test_second_sigterm_is_quick(daemon, seed):
-    one = daemon("quick", drain_timeout="30s").start()
+    one = daemon("quick", drain_timeout="60s").start()
     saturate(one, seed)
     begin = time.monotonic()
     one.process.send_signal(signal.SIGTERM)
-    time.sleep(0.5)
-    reply = one.get("/readyz")
+    reply = one.until(lambda: one.get("/readyz"), holds=lambda reply: reply.status_code != 200)
     assert reply.status_code == 503 and "Retry-After" in reply.headers
     refused = one.evaluate({"designs": bodies(seed, 1)})
     assert refused.status_code == 503 and "Retry-After" in refused.headers
     assert one.json("/v1/jobs") and one.json("/healthz")
     one.process.send_signal(signal.SIGTERM)
-    assert one.process.wait(10) == 0
-    assert time.monotonic() - begin < 8
+    assert one.process.wait(STOP_S) == 0
+    assert time.monotonic() - begin < STOP_S
 
 
 @pytest.mark.parametrize("number", (signal.SIGTERM, signal.SIGINT))
 def test_idle_stop_is_immediate(daemon, number):
-    one = daemon("idle").start()
+    one = daemon("idle", drain_timeout="60s").start()
     one.process.send_signal(number)
-    assert one.process.wait(3) == 0
+    assert one.process.wait(STOP_S) == 0
     assert not one.port_file.exists() and not (one.state / "crash-marker").exists()
 
 
@@ -147,7 +145,7 @@ def test_crash_counts_against_its_job(daemon, seed):
         _, busiest = one.until(lambda: max((ticks(task), task) for task in os.listdir(tasks)),
                                holds=lambda most: most[0] >= 30)
         assert libc.syscall(234, one.process.pid, int(busiest), int(signal.SIGSEGV)) == 0  # tgkill
-        assert one.process.wait(10) == -signal.SIGSEGV
+        assert one.process.wait(PATIENCE_S) == -signal.SIGSEGV
         marker = (one.state / "crash-marker").read_text()
         assert marker.splitlines()[-1].split()[0] == guilty, marker
         one.start()
@@ -169,7 +167,7 @@ def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
         "kind": "pretrain", "steps": 5, "batch": 32, "physics": {"n_steps": 20}, "device": "cuda"
     }
     guilty = one.submit(request, "trainings")
-    assert one.process.wait(20) == -signal.SIGSEGV
+    assert one.process.wait(PATIENCE_S) == -signal.SIGSEGV
     marker = (one.state / "crash-marker").read_text()
     assert marker.splitlines()[-1].split()[0] == guilty, marker
     monkeypatch.delenv("MORPHO_FAKE_FAULT")
@@ -185,11 +183,12 @@ def test_watchdog_and_readiness(daemon):
     path = str(one.folder / "notify.sock")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
         server.bind(path)
-        server.settimeout(10)
+        server.settimeout(PATIENCE_S)
         one.spawn(NOTIFY_SOCKET=path, WATCHDOG_USEC="1000000")
 
         def wait_for(word):
-            return one.until(lambda: server.recv(4096).decode(), 15, lambda told: word in told)
+            return one.until(lambda: server.recv(4096).decode(),
+                             holds=lambda told: word in told)
 
         wait_for("EXTEND_TIMEOUT_USEC=")  # a large database is not a hang
         wait_for("READY=1")
@@ -200,7 +199,7 @@ def test_watchdog_and_readiness(daemon):
         wait_for("READY=1")
         one.process.send_signal(signal.SIGTERM)
         wait_for("STOPPING=1")
-    assert one.process.wait(10) == 0
+    assert one.process.wait(PATIENCE_S) == 0
 
 
 def test_passed_socket(daemon):
@@ -214,7 +213,7 @@ def test_passed_socket(daemon):
                   "os.environ.update(LISTEN_FDS='1', LISTEN_FDNAMES='http', "
                   "LISTEN_PID=str(os.getpid())); os.execv(sys.argv[1], sys.argv[1:])")
         one.spawn(["/usr/bin/python3", "-c", script, *command], [server.fileno()])
-        one.await_address(15)
+        one.await_address()
         assert one.address == f"http://127.0.0.1:{port}"
         assert one.port_file.read_text().count("\n") == 1
         assert one.get("/healthz").status_code == 200

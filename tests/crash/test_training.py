@@ -154,8 +154,7 @@ def test_finetuning_survives(daemon, seed):
             assert one.json(path)["state"] == "paused"
             one.act(job, "resume")
             one.awaited(path, lambda now: now["progress"]["step"] >= paused + 3)
-            status, seconds = one.stop()
-            assert status == 0 and seconds < 10, (status, seconds)
+            assert one.stop()[0] == 0
             assert "work=parked" in one.tail(), one.tail()
             one.start()
             assert one.json(path)["checkpoint_step"] > paused
@@ -227,8 +226,8 @@ def test_stop_on_a_full_disk(training_disk, seed, device):
         filler = fill_but(training_disk, ROWS)
         job = one.submit(pretraining(seed, 20, checkpoint=FULL_DISK, device=device), "trainings")
         one.awaited(f"/v1/trainings/{job}", lambda now: now["state"] == "paused")
-        status, seconds = one.stop()
-        assert status == 0 and seconds < 10, (status, seconds, one.tail())
+        assert one.stop()[0] == 0
+        assert "stopped work=" in one.tail(), one.tail()  # it was not ended at its deadline
         filler.unlink()
         one.start()
         one.succeed(job, "trainings")

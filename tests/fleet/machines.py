@@ -4,7 +4,7 @@ import pathlib
 import signal
 import subprocess
 
-from daemon import ENDED, MORPHOD
+from daemon import ENDED, MORPHOD, PATIENCE_S
 
 
 class Worker:
@@ -25,9 +25,9 @@ class Worker:
     def stop(self):
         """SIGTERM; the exit status."""
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(30)
+        return self.process.wait(PATIENCE_S)
 
-    def ended(self, timeout_s=60):
+    def ended(self, timeout_s=PATIENCE_S):
         """The exit status of one that ends by itself, and its log."""
         status = self.process.wait(timeout_s)
         return status, self.log.read_text(errors="replace")

@@ -26,23 +26,34 @@ class Witness(threading.Thread):
         self.fleet = Workers(service)
         self.session = self.fleet.join(name="witness")
         self.first = self.moment = None
+        self.asked = 0  # how often for the next one
 
     def take(self):
         """Its first lease; the thread waits for the next."""
-        self.first = self.fleet.take(self.session, wait=20)
+        self.first = self.fleet.take(self.session, wait=30)
         assert len(self.first) == 1
         self.start()
 
     def run(self):
         threading.Thread(target=self.live, daemon=True).start()
         while self.moment is None:
-            if self.fleet.take(self.session, wait=20):
+            self.asked += 1
+            if self.fleet.take(self.session, wait=30):
                 self.moment = time.monotonic()
 
     def live(self):
         with contextlib.suppress(OSError, http.client.HTTPException):  # the daemon ends
             while self.moment is None:
                 self.fleet.orders(self.session, wait=1)
+
+
+def lease_of(one, witness):
+    """Waits until the witness has a lease of the victim; how the victim's session ended."""
+    one.until(lambda: witness.moment is not None, every_s=0.001)
+    assert witness.asked == 1  # the request that waited got it
+    (session, ) = [s for s in one.json("/v1/fleet")["sessions"] if s["name"] == "victim"]
+    assert session["state"] == "lost"
+    return session
 
 
 @pytest.fixture
@@ -67,22 +78,18 @@ def test_of_a_dead_worker(scene):
     one, victim, witness, _ = scene
     killed = time.monotonic()
     victim.process.kill()
-    one.until(lambda: witness.moment is not None, every_s=0.001)
-    took = witness.moment - killed
-    print(f"leases of a dead worker: {1000 * took:.1f} ms")
-    assert took < 1  # some 10 ms on a quiet machine; a silent worker's takes the session's limit
+    assert lease_of(one, witness)["why"] == "its connection ended"  # and not its silence
+    print(f"leases of a dead worker: {1000 * (witness.moment - killed):.1f} ms")
     one.until(lambda: events(one, "fleet.lost"))
 
 
 def test_of_a_silent_worker(scene):
     one, _, witness, stopped = scene
     one.until(lambda: one.json("/v1/fleet")["lost"] == 1)
-    one.until(lambda: witness.moment is not None, every_s=0.001)
-    (session, ) = [s for s in one.json("/v1/fleet")["sessions"] if s["name"] == "victim"]
-    assert session["state"] == "lost" and session["why"] == "it was silent"
+    session = lease_of(one, witness)
+    assert session["why"] == "it was silent"
     last, ended = (datetime.datetime.fromisoformat(session[name].replace("Z", "+00:00"))
                    for name in ("heard_at", "ended_at"))
     silent_s = (ended - last).total_seconds()
     print(f"silent for {silent_s:.2f} s, its lease after {witness.moment - stopped:.2f} s")
-    assert SILENCE_S <= silent_s < SILENCE_S + 0.5
-    assert witness.moment - stopped < SILENCE_S + 0.5
+    assert silent_s >= SILENCE_S

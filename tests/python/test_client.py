@@ -362,7 +362,7 @@ def test_a_campaign_goes_on(m, capsys):
     own = group[0]
     assert own.data["settings"]["initial"] == {"n_designs": 1}
     own.extend(2)
-    own.wait(timeout_s=60)
+    own.wait(timeout_s=300)
     assert own.data["progress"]["generation"] == 3
     more = m.campaign("zero-shot", preset="demo", population=8, generations=0, physics=SHORT,
                       initial=own, environments=WORLD)[0]

@@ -80,27 +80,26 @@ def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
 
     def goes_on(generations=2):
         begin = generation()
-        until(lambda: generation() >= begin + generations, 60)
+        until(lambda: generation() >= begin + generations)
 
     first = submit("--workers=2")
-    until(lambda: sessions(service) == ["n1", "n2"], 20)
+    until(lambda: sessions(service) == ["n1", "n2"])
     goes_on()
     # A node vanishes: its leases go to the other one after 6 s of silence. Slurm notices later.
     slurm.crash("n1")
-    began = time.monotonic()
-    until(lambda: sessions(service) == ["n2"], 20)
-    assert time.monotonic() - began < 7.5
+    until(lambda: sessions(service) == ["n2"])
+    assert [one["why"] for one in service.get("/v1/fleet")["sessions"]
+            if one["state"] == "lost"] == ["it was silent"]
     goes_on()
-    # scancel: the worker leaves in order, which costs no silence.
+    # scancel: the worker leaves in order, which costs no silence: it is not lost.
     slurm.slurm("scancel", first)
-    began = time.monotonic()
-    until(lambda: sessions(service) == [], 20)
-    assert time.monotonic() - began < 3
+    until(lambda: sessions(service) == [])
+    assert service.get("/v1/fleet")["lost"] == 1
     # A job that reaches its limit of two minutes has left before it, as done.
     slurm.revive("n1")
     slurm.until(lambda: slurm.states() == ["idle", "idle"])
     short = submit("--workers=1", "--time=2")
-    until(lambda: sessions(service) != [], 20)
+    until(lambda: sessions(service) != [])
     goes_on()
     assert service.act(campaign, "pause").status in (200, 202)
     until(lambda: sessions(service) == [], 130)
@@ -120,13 +119,13 @@ def test_an_upgrade_starts_the_job_again(slurm, start, tmp_path):
     service, command = a_daemon(start, tmp_path)
     install(slurm, pathlib.Path(BINARY).parents[2] / "tests" / "morphod-older")
     job = submit_job(slurm, command, "--workers=1", "--idle=1h")
-    until(lambda: sessions(service) != [], 30)
+    until(lambda: sessions(service) != [])
     (old, ) = service.get("/v1/fleet")["sessions"]
     install(slurm, BINARY)
     path = f"/v1/fleet/sessions/{old['id']}/drain?upgrade=true"
     assert old["older"] and service.request("POST", path).status == 204
     began = time.monotonic()
-    until(lambda: sessions(service) == [], 10)
+    until(lambda: sessions(service) == [])
     slurm.until(lambda: f"ArrayJobId={job}" in slurm.jobs("PENDING"))
     until(lambda: sessions(service) != [], 300)
     print(f"back after {time.monotonic() - began:.0f} s")

@@ -124,7 +124,7 @@ SERVICE_CASE(counts_what_was_stored_through_stops, 1)
   for (uint32_t stop = 0; stop < STOPS; stop++) {
     REQUIRE(await_place(id, UNTIL - 2 * (STOPS - stop), MO_PHASE_SCORE));
     REQUIRE(AWAIT(live_of(id).done > POPULATION / 2));
-    CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+    CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
     saved += status_of(id).scored;
     REQUIRE_OK(service_reopen());
   }

@@ -85,7 +85,7 @@ SERVICE_CASE(puts_interactive_first_and_shares, 0)
   CHECK(of_a >= 15 && of_b >= 15);
 }
 
-/* Ends a running job of blocks of 5 s, and returns whether they were broken off at once. */
+/* Ends a running job of long blocks, and returns whether they were broken off at once. */
 static bool breaks_off(const struct mo_bits *genotypes,
                        int (*request)(struct mo_jobs *jobs, int64_t id), int64_t *id)
 {
@@ -93,14 +93,14 @@ static bool breaks_off(const struct mo_bits *genotypes,
   CHECK(await_state(*id, MO_JOB_RUNNING));
   double begin = now_s();
   CHECK_OK(request(service.jobs, *id));
-  return AWAIT(stats_of().blocks_in_flight == 0) && now_s() - begin < 1;
+  return AWAIT(stats_of().blocks_in_flight == 0) && is_soon_after(begin);
 }
 
 SERVICE_CASE(cancels_pauses_resumes, 0)
 {
   int64_t id, other;
   const struct mo_bits *genotypes = bodies(4, 60);
-  fake_plan.delay_us = 5000000;
+  fake_plan.delay_us = LONG_US;
   CHECK(breaks_off(genotypes, mo_jobs_cancel, &id));
   CHECK_INT(state_of(id), MO_JOB_CANCELLED);
   CHECK_INT(stats_of().open_jobs, 0);
@@ -110,12 +110,12 @@ SERVICE_CASE(cancels_pauses_resumes, 0)
   CHECK(breaks_off(genotypes, mo_jobs_pause, &id));
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   /* Paused in the middle: what is done stays done. */
-  fake_plan.delay_us = 20000;
+  fake_plan.delay_us = 200000;
   id = evaluate(genotypes, 50);
   CHECK(AWAIT(computed() > 0));
   CHECK_OK(mo_jobs_pause(service.jobs, id));
   CHECK_OK(mo_jobs_pause(service.jobs, id));
-  usleep(300000); /* what was in flight ends */
+  CHECK(AWAIT(stats_of().blocks_in_flight == 0));
   uint64_t before = computed();
   CHECK(before > 0 && before < 500);
   usleep(50000);
@@ -255,14 +255,14 @@ SERVICE_CASE(waits_for_a_slow_store, 0)
 SERVICE_CASE(parks_and_goes_on, 0)
 {
   const struct mo_bits *genotypes = bodies(6, 100);
-  fake_plan.delay_us = 4000;
+  fake_plan.delay_us = 10000;
   int64_t id = evaluate(genotypes, 100);
   CHECK(AWAIT(computed() > 0));
-  fake_plan.delay_us = 60000000;
+  fake_plan.delay_us = LONG_US;
   usleep(20000);
   double begin = now_s();
-  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
-  CHECK(now_s() - begin < 2);
+  CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
+  CHECK(is_soon_after(begin));
   CHECK_INT(evaluate(genotypes, 1), MO_ERR_CANCELLED);
   uint64_t first = computed();
   CHECK(first > 0 && first < 1000);
@@ -423,7 +423,7 @@ SERVICE_CASE(finds_the_best, 0)
       CHECK(AWAIT(stats_of().blocks_in_flight == 0));
       CHECK_OK(mo_jobs_resume(service.jobs, id));
     } else {
-      CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+      CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
       spent += computed();
       REQUIRE_OK(service_reopen());
     }

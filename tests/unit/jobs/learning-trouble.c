@@ -50,12 +50,12 @@ static void check_waiting(int mode, int64_t id, void (*shorten)(int mode, bool i
   double begin = now_s();
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   CHECK(await_phase(id, MO_PHASE_IDLE));
-  CHECK(now_s() - begin < 5);
+  CHECK(is_soon_after(begin));
   id = submit_one(mode); /* stopped while it waits: what is not saved is done again */
   REQUIRE(await_phase(id, MO_PHASE_WAIT));
   begin = now_s();
-  CHECK_INT(mo_jobs_stop(service.jobs, 5000), stopped);
-  CHECK(now_s() - begin < 2);
+  CHECK_INT(mo_jobs_stop(service.jobs, STOP_MS), stopped);
+  CHECK(is_soon_after(begin));
   CHECK_INT(stats_of().active_trainings, 0);
   service_close();
   shorten(mode, false);
@@ -187,7 +187,7 @@ SERVICE_CASE(passes_over_damaged_checkpoints, 1)
   /* The newest, then all of them. */
   for (int round = 1; round <= 2; round++) {
     REQUIRE(await_step(id, 12));
-    CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+    CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
     REQUIRE(mo_store_checkpoints(store, id, rows, 5) == 2);
     service_close();
     for (int i = 0; i < round; i++)
@@ -303,7 +303,7 @@ SERVICE_CASE(reports_damaged_checkpoints, 1)
     fake_plan.delay_us = 20000;
     id = submit_one(MO_SIMULTANEOUS);
     REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
-    CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+    CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
     generation = (uint32_t)status_of(id).generation + 1;
     service_close();
     REQUIRE(damage_generation(id, generation));

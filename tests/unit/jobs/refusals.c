@@ -56,7 +56,7 @@ SERVICE_CASE(of_trainings, 0)
   REFUSED(submit_training, MO_ERR_NOT_FOUND, "population 77", bad.record.population = 77);
   REFUSED(submit_training, MO_ERR_NOT_FOUND, "population",
           bad.record.population = id); /* a training */
-  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+  CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
   good = pretraining("");
   REFUSED(submit_training, MO_ERR_CANCELLED, "stopping", (void)0);
 }
@@ -84,7 +84,7 @@ SERVICE_CASE(of_campaigns, 1)
   for (int i = 0; i < 3; i++)
     CHECK_OK(mo_jobs_cancel(service.jobs, id + i));
   CHECK_INT(idle_stats().open_jobs, 0);
-  CHECK_OK(mo_jobs_stop(service.jobs, 5000));
+  CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
   REFUSED(submit_campaign, MO_ERR_CANCELLED, "stopping", bad.job.key.text = NULL);
   CHECK_INT(extend(id, 1), MO_ERR_CANCELLED);
 }

@@ -12,6 +12,11 @@
 #include "jobs/trainings.h"
 
 #define END_S 600 /* jobs take at most so long, also on a busy machine under a sanitizer */
+/* What comes at once comes within SOON_S, also on a slow machine with much else to do. What it must
+ * not wait for takes much longer: blocks of LONG_US, and a stop that uses all of its STOP_MS. */
+#define SOON_S  30
+#define LONG_US 120000000
+#define STOP_MS 60000
 
 static struct {
   struct mo_compute *compute;
@@ -33,6 +38,11 @@ static struct {
       usleep(500);                                                                                 \
     await_holds;                                                                                   \
   })
+
+static inline bool is_soon_after(double begin_s)
+{
+  return now_s() - begin_s < SOON_S;
+}
 
 /* ---- warnings ---- */
 

@@ -533,7 +533,7 @@ def test_train_watch_is_left_with_an_interrupt():
         environment = {**os.environ, "MORPHOD_SERVER": server.address, "LC_ALL": "C.UTF-8"}
         process = subprocess.Popen([MORPHOCTL, "train", "watch", "7"], stdout=subprocess.PIPE,
                                    stderr=subprocess.PIPE, text=True, env=environment)
-        assert arrived.wait(20)
+        assert arrived.wait(300)
         assert process.stdout.readline().startswith("training 7")
         assert "step 3" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
