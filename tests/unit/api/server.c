@@ -453,7 +453,7 @@ static void heartbeats(void)
   REQUIRE(start((struct mo_http_config){.heartbeat_ms = 1000}));
   int fd = say("GET", "/v1/events", "", "");
   size_t n = 0;
-  ssize_t part;
+  ssize_t part = 0;
   while (n + 1 < sizeof(text) && (part = recv(fd, text + n, sizeof(text) - n - 1, 0)) > 0) {
     n += (size_t)part;
     text[n] = '\0';

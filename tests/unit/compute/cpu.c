@@ -26,6 +26,14 @@ static void genotype_number(uint32_t number, uint64_t bits[MO_DEFAULT_WORDS])
   mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
 }
 
+/* Steps of a life that others overtake, and of one that nobody does. A sanitizer takes eight times
+ * as long for each. */
+#ifdef __SANITIZE_ADDRESS__
+enum { LONG = 1500, SHORT = 40 };
+#else
+enum { LONG = 6000, SHORT = 120 };
+#endif
+
 static void fill_block(struct mo_block *block, const uint64_t *genotype,
                        struct mo_compute_controller *brain, uint32_t steps)
 {
@@ -47,7 +55,7 @@ static void same_bits_for_any_workers_and_order(void)
     for (uint32_t i = 0; i < N; i++) {
       const uint32_t design =
           run < 3 ? i : (i * 5 + (uint32_t)run) % N; /* N and 5 have no common factor */
-      fill_block(blocks + i, genotypes[design], brain, 120);
+      fill_block(blocks + i, genotypes[design], brain, SHORT);
       blocks[i].tag = design;
       blocks[i].urgency = i % 5 == 3 ? MO_INTERACTIVE : MO_BATCH;
     }
@@ -65,7 +73,7 @@ static void same_bits_for_any_workers_and_order(void)
     CHECK_INT(stats.n_workers, workers[run % 3]);
     CHECK_INT(stats.blocks_done, N);
     CHECK_INT(stats.rollouts_done, N * MO_PAPER_TEST_COUNT);
-    CHECK_INT(stats.rollout_steps, N * MO_PAPER_TEST_COUNT * 120);
+    CHECK_INT(stats.rollout_steps, N * MO_PAPER_TEST_COUNT * SHORT);
     CHECK_INT(stats.queued_batch + stats.queued_interactive, 0);
     CHECK(stats.busy_s > 0);
     CHECK(stats.worker_bytes_max > 0 && stats.worker_bytes_max <= (16u << 20));
@@ -85,7 +93,7 @@ static void charges_processor_time(void)
   struct mo_compute_share *share = make_compute_share(compute, 1);
   for (uint32_t i = 0; i < N; i++) {
     genotype_number(i, genotypes[i]);
-    fill_block(blocks + i, genotypes[i], brain, 120);
+    fill_block(blocks + i, genotypes[i], brain, SHORT);
     blocks[i].share = share;
     blocks[i].urgency = i % 8 == 0 ? MO_INTERACTIVE : MO_BATCH;
   }
@@ -107,9 +115,9 @@ static void urgent_blocks_overtake(void)
   struct mo_compute *compute = make_compute(1);
   struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   struct mo_block calm, slow, urgent[3];
-  fill_block(&calm, genotype, brain, 6000);
+  fill_block(&calm, genotype, brain, LONG);
   CHECK_INT(mo_compute_run(compute, &calm, 1), MO_OK);
-  fill_block(&slow, genotype, brain, 6000);
+  fill_block(&slow, genotype, brain, LONG);
   atomic_int slow_done = 0, urgent_done = 0;
   slow.done = count_one;
   slow.context = &slow_done;
@@ -144,10 +152,10 @@ static void immediate_blocks_overtake_interactive_ones(void)
                                              MO_IMMEDIATE};
   struct mo_block calm, blocks[N];
   atomic_int done[N] = {0};
-  fill_block(&calm, genotype, brain, 6000);
+  fill_block(&calm, genotype, brain, LONG);
   CHECK_INT(mo_compute_run(compute, &calm, 1), MO_OK);
   for (int i = 0; i < N; i++) {
-    fill_block(blocks + i, genotype, brain, i == PROMPT ? 50 : 6000);
+    fill_block(blocks + i, genotype, brain, i == PROMPT ? 50 : LONG);
     blocks[i].urgency = urgency[i];
     blocks[i].done = count_one;
     blocks[i].context = done + i;

@@ -5,7 +5,12 @@
 
 #include "fixture.h"
 
-enum { DESIGNS = 40, ENVIRONMENTS = 10, STEPS = 30, ROBOTS = 2100, ROBOT_STEPS = 4 };
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) /* slow there */
+enum { ROBOT_STEPS = 2 };
+#else
+enum { ROBOT_STEPS = 4 };
+#endif
+enum { DESIGNS = 40, ENVIRONMENTS = 10, STEPS = 30, ROBOTS = 2100 };
 
 static struct mo_environment environments[ENVIRONMENTS];
 static uint64_t genotypes[DESIGNS][MO_DEFAULT_WORDS];
