@@ -83,7 +83,7 @@ LEARNING = {  # what trainings and campaigns say of it
     "/restart_weight": [-1, 1e7, "3", None],
 }
 EVALUATION = {
-    "/designs": [[], {"cells": []}, [DESIGN] * 10001],
+    "/designs": [[], {"cells": []}],
     "/designs/1": [[DESIGN, 7]],
     "/designs/0": [[{}], [DESIGN | BLOCK]],
     "/designs/0/voxels": [[{"voxels": voxels}] for voxels in

@@ -101,6 +101,12 @@ def test_what_is_refused(service, bodies, place, design, more, pointer):
         assert reply.status == 422 and reply.pointers() == [pointer], reply.body
 
 
+def test_a_million_and_one(service):
+    sent = b'{"designs":[' + b'{"cells":[[0,0,0]]},' * 1_000_000 + b'{"cells":[[0,0,0]]}]}'
+    reply = service.request("POST", "/v1/evaluations", body=sent)
+    assert reply.status == 422 and reply.pointers() == ["/designs"], reply.body[:500]
+
+
 def test_others_take_ten_thousand(service, bodies):
     designs = [{"voxels": body["genotype"]} for body in bodies[:10_001]]
     reply = service.request("POST", "/v1/trainings", {"kind": "finetune", "designs": designs})
