@@ -80,7 +80,7 @@ static int show_event(void *context, const char *type, const char *data)
     put_json(event, JSON_COMPACT);
   } else if (strcmp(type, "job.progress") == 0 && watch->job != NULL && ctl->progress) {
     progress_show(ctl, "running", number_of(details, "rollouts_done"),
-                  number_of(details, "rollouts_total"));
+                  number_of(details, "rollouts_total"), "rollouts");
   } else {
     progress_end();
     print_event(type, event);

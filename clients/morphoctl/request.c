@@ -248,8 +248,12 @@ static void wait_for(struct ctl *ctl, const char *id)
     const char *state = text_of(job, "state");
     const bool rests = strcmp(state, "paused") == 0;
     final = is_final(state);
-    if (!final)
-      progress_show(ctl, state, number_of(job, "rollouts_done"), number_of(job, "rollouts_total"));
+    const int64_t waiting = number_of(job, "n_waiting"), designs = number_of(job, "n_designs");
+    if (!final && waiting > 0)
+      progress_show(ctl, state, designs - waiting, designs, "designs stored");
+    else if (!final)
+      progress_show(ctl, state, number_of(job, "rollouts_done"), number_of(job, "rollouts_total"),
+                    "rollouts");
     json_decref(job);
     if (!final && interrupted())
       leave(STATUS_INTERRUPTED);

@@ -330,16 +330,19 @@ double monotonic_s(void)
 
 static bool is_shown;
 
-void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total)
+void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total,
+                   const char *what)
 {
   static double begin_s;
   static int64_t first_done;
+  static const char *shown; /* what is counted since then */
   if (!ctl->progress || ctl->quiet)
     return;
   double now = monotonic_s();
-  if (!is_shown) {
+  if (!is_shown || shown == NULL || strcmp(shown, what) != 0) {
     begin_s = now;
     first_done = done;
+    shown = what;
   }
   is_shown = true;
   struct winsize window = {0};
@@ -356,8 +359,8 @@ void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64
                (int)left / 60 % 60, (int)left % 60);
   }
   char text[256];
-  int n = snprintf(text, sizeof(text), "%s  %s of %s rollouts  %3d %%%s", state,
-                   count_text(done, a), count_text(total, b), (int)(share * 100), tail);
+  int n = snprintf(text, sizeof(text), "%s  %s of %s %s  %3d %%%s", state, count_text(done, a),
+                   count_text(total, b), what, (int)(share * 100), tail);
   int bar = columns - n - 5;
   fputs("\r\033[K", stderr);
   print_plain(stderr, "%s", text);

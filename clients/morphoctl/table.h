@@ -48,8 +48,9 @@ void print_table(FILE *file, const struct ctl *ctl, const json_t *items, const c
 size_t text_width(const char *text);
 
 /* Shows progress in place on standard error: "  1,234 of 10,000 rollouts [#####     ]  12 %  456/s
- * 0:21 left". */
-void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total);
+ * 0:21 left". what: "rollouts". */
+void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total,
+                   const char *what);
 void progress_end(void);
 double monotonic_s(void);
 

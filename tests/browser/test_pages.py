@@ -422,6 +422,20 @@ COPIED = [
 ]
 
 
+def test_an_evaluation_too_large_for_a_list(service, browser):
+    """Its best designs come from pages of results."""
+    value = run(service, "evaluations", {
+        "random": {"count": 10_200, "seed": 3}, "best": 4, "physics": {"n_steps": 5},
+        "environments": [{"light_xy_m": [4, 3], "terrain_sigma_m": 0, "seed": 1}]})
+    assert "results" not in value
+    browser.open(f"designs?evaluation={value['id']}")
+    browser.until("document.querySelector('main').innerText.includes('All results: morphoctl')")
+    whole = service.pages(f"/v1/evaluations/{value['id']}/results?whole=true")
+    best = sorted(item["score"] for item in whole)[:4]
+    assert browser.texts(".pick .number")[:4] == [f"{score:.4f}" for score in best]
+    assert browser.faults() == []
+
+
 @pytest.mark.parametrize("view", COPIED)
 def test_every_view_can_be_copied(service, browser, tmp_path, view):
     """What the page gives to copy works as it is."""

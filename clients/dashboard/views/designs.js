@@ -16,6 +16,8 @@ import { JobParts, shortProgress, titleOf } from './jobs.js';
 import { announced, copyButton } from './share.js';
 
 const PAGE = 48;
+/** How many pages of 1,000 results are read of an evaluation that is too large to have a list. */
+const PAGES_MAX = 10;
 /** Orders of the leaderboard: what the list of designs is asked for. */
 const ORDERS = {
   best: { sort: 'score' }, worst: { sort: 'score', order: 'descending' },
@@ -141,6 +143,20 @@ async function mountBoard(main, parameters, app) {
   return {};
 }
 
+/** The results with their places; of a large evaluation, the first that are whole scores. */
+async function resultsOf(job, signal) {
+  if (job.results) return { rows: job.results.map((result, row) => ({ ...result, row })) };
+  const rows = [];
+  let cursor = '0';
+  for (let n = 0; n < PAGES_MAX && cursor !== null; n++) {
+    const asked = { whole: true, limit: 1000, cursor };
+    const page = await getJson(withQuery(`v1/evaluations/${job.id}/results`, asked), { signal });
+    rows.push(...page.items.map((result) => ({ ...result, row: result.number })));
+    cursor = page.next_cursor;
+  }
+  return { rows, isCut: cursor !== null };
+}
+
 async function mountEvaluation(main, id, app) {
   const stop = new AbortController();
   const wall = new Wall(app);
@@ -150,7 +166,7 @@ async function mountEvaluation(main, id, app) {
   const about = h('p.muted');
   const record = h('p.muted', { hidden: true });
   const notes = h('div.stack', { hidden: true });
-  let done = false;
+  let done = false, isLarge = false;
   let best = []; // rows, best first
 
   /** Shows what was recorded: of the chosen designs, or of the best. */
@@ -174,23 +190,30 @@ async function mountEvaluation(main, id, app) {
     say(record, job.recordings_removed_at
       ? `Its recordings were removed ${ago(job.recordings_removed_at)}; its scores stay.`
       : `Recorded: ${job.record.join(', ')}, ${bytes(job.recorded_bytes)}.`);
-    if (job.results && !done) {
+    isLarge = !job.results && job.state === 'succeeded';
+    if ((job.results || isLarge) && !done) {
       done = true;
-      const order = job.results.map((result, row) => ({ ...result, row }))
-        .filter((result) => !result.fault)
-        .sort((x, y) => Number(x.lower_bound) - Number(y.lower_bound) || (x.score ?? Infinity) - (y.score ?? Infinity))
+      const { rows, isCut } = await resultsOf(job, stop.signal);
+      const order = rows.filter((result) => !result.fault)
+        .sort((x, y) => Number(x.lower_bound) - Number(y.lower_bound) ||
+          (x.score ?? Infinity) - (y.score ?? Infinity))
         .slice(0, 500);
       best = order.map(({ row }) => row);
-      const last = job.best === null ? -Infinity : order[job.best - 1]?.score ?? Infinity;
+      const knowsBest = job.best !== null && !isCut;
+      const last = knowsBest ? order[job.best - 1]?.score ?? Infinity : -Infinity;
       wall.add(order.map((one) => ({ ...one, isBest: isAmong(one, last) })));
       if (job.best !== null) {
         note(`The best ${count(job.best)} were asked for; ${count(job.rollouts_cut)} rollouts of ` +
           'the others were not computed. A score after ≥ is a lower bound.');
       }
       if (job.n_skipped > 0) note(`${countOf(job.n_skipped, 'design')} skipped.`);
-      if (job.n_designs - job.n_skipped > order.length) {
+      if (isCut) {
+        note(`The best ${order.length} of the first ${count(rows.length)} whole scores are ` +
+          `shown, of ${count(job.n_designs)} designs.`);
+      } else if (job.n_designs - job.n_skipped > order.length) {
         note(`The best ${order.length} of ${count(job.n_designs)} designs are shown.`);
       }
+      if (isLarge) note(`All results: morphoctl export evaluations/${id}/results -o FILE.csv`);
     }
   }
 
@@ -202,7 +225,7 @@ async function mountEvaluation(main, id, app) {
   main.replaceChildren(h('div.title', {}, title, parts.chip, h('div.actions', {}, recordings,
     wall.watch, wall.breed, copyButton(() => ({
       path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`,
-      python: `print(m.evaluation(${id}).frame())`,
+      python: `print(m.evaluation(${id}).${isLarge ? 'table' : 'frame'}())`,
     })))), h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble, about,
     record, notes, parts.remark, parts.row),
   h('section.panel', { 'aria-label': 'Results' }, wall.element));

@@ -59,6 +59,13 @@ const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
  * there is no end to come near to.
  */
 export function progressOf(job) {
+  if (job.kind === 'evaluation' && job.n_waiting > 0) {
+    const stored = job.n_designs - job.n_waiting;
+    return {
+      share: stored / job.n_designs, secondsLeft: null,
+      text: `${count(stored)} of ${count(job.n_designs)} designs stored`,
+    };
+  }
   if (job.kind === 'evaluation') {
     return {
       share: job.rollouts_done / job.rollouts_total,
@@ -106,7 +113,8 @@ export function progressOf(job) {
 
 /** Progress in a few words, as the title of a tab has it. */
 export function shortProgress(job) {
-  return job.state === 'running' ? progressOf(job).text.split(/[;:]/)[0] : stateOf(job);
+  const moves = job.state === 'running' || (job.state === 'queued' && job.n_waiting > 0);
+  return moves ? progressOf(job).text.split(/[;:]/)[0] : stateOf(job);
 }
 
 /** A chip with the state, for a row that is made again when it differs. */

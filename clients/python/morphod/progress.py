@@ -67,6 +67,9 @@ def doing(job: Mapping[str, Any]) -> str:
     """What a job does while no step of it ends: "drawing the pretraining's bodies, 2 %, 2:20
     left"; empty where it has ended."""
     phase, progress = job.get("phase"), job.get("progress") or {}
+    if job["state"] == "queued" and job.get("n_waiting"):
+        stored = job["n_designs"] - job["n_waiting"]
+        return f"{stored} of {job['n_designs']} designs stored"
     if job["state"] in ("queued", "paused"):
         return ", ".join(map(printable, filter(None, (job["state"], job.get("reason")))))
     if job["state"] != "running" or not phase or phase == "idle":
