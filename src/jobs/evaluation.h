@@ -92,7 +92,9 @@ struct mo_evaluations {
   bool review_again;     /* a job could not be read */
   bool visit_again;      /* rollouts were forgotten: deferred cells can be looked up */
   pthread_t drawer;
-  bool draws; /* there is a drawer */
+  bool draws;         /* there is a drawer */
+  int64_t unstored;   /* of it, if its designs cannot be stored; under the runners' mutex */
+  int unstored_error; /* why */
 };
 
 /* ---- evaluation_draw.c ---- */
@@ -100,6 +102,8 @@ struct mo_evaluations {
  * the runners. */
 int mo_drawer_start(struct mo_evaluations *all);
 void mo_drawer_join(struct mo_evaluations *all);
+/* Says why designs of a queued evaluation cannot be stored. False: they can, as far as is known. */
+bool mo_drawer_reason(struct mo_evaluations *all, int64_t id, char reason[160]);
 
 /* ---- evaluation_save.c ---- */
 /* Adds a row of `size` bytes to one of the arrays of all->pending. Returns the row there, valid

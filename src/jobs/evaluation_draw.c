@@ -6,6 +6,8 @@
  * each, between which the store's writer serves others. A crash or a pause loses at most a group;
  * random bodies before are drawn again, since which body is new depends on them, but not stored
  * again. An evaluation is finished before the next one, which is the one with the fewest left. */
+#include <stdio.h>
+
 #include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/evaluation.h"
@@ -82,11 +84,27 @@ static bool draw_next(struct mo_evaluations *all, bool *any)
     error = store_rest(all, id);
   if (error == MO_OK && id != 0)
     mo_runners_wake(all->runners);
-  if (error == MO_OK || error == MO_ERR_CONFLICT || error == MO_ERR_NOT_FOUND)
+  const bool goes_on = error == MO_OK || error == MO_ERR_CONFLICT || error == MO_ERR_NOT_FOUND;
+  pthread_mutex_lock(&all->runners->mutex);
+  all->unstored = goes_on ? 0 : id;
+  all->unstored_error = error;
+  pthread_mutex_unlock(&all->runners->mutex);
+  if (goes_on)
     return false;
   const struct mo_jobs_config *config = &all->jobs->config;
   if (error != MO_ERR_CANCELLED && !mo_is_shortage(error) && config->warn != NULL)
     config->warn(config->warn_context, id, error, "its designs could not be stored");
+  return true;
+}
+
+bool mo_drawer_reason(struct mo_evaluations *all, int64_t id, char reason[160])
+{
+  MO_GUARD(&all->runners->mutex);
+  if (all->unstored != id)
+    return false;
+  snprintf(reason, 160, "its designs cannot be stored now: %s",
+           all->unstored_error == MO_ERR_NO_SPACE ? "the disk of the state folder is full"
+                                                  : mo_error_text(all->unstored_error));
   return true;
 }
 

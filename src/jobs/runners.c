@@ -7,6 +7,7 @@
 
 #include "base/thread.h"
 #include "base/words.h"
+#include "jobs/evaluation.h"
 #include "jobs/state.h"
 
 #define CLAIMS_MAX   65 /* queued jobs per look-up: one more than the most threads of a kind */
@@ -205,7 +206,8 @@ void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
       live->done += __atomic_load_n(&runner->replayed, __ATOMIC_RELAXED);
     }
   }
-  if (!runs && mo_memory_reason(jobs, id, live->reason))
+  if (!runs && (mo_memory_reason(jobs, id, live->reason) ||
+                mo_drawer_reason(jobs->evaluations, id, live->reason)))
     live->phase = MO_PHASE_WAIT;
   /* Gradients on the CPU wait for nobody. */
   if (used.busy_s >= 0 && live->reason[0] == '\0' &&

@@ -91,6 +91,26 @@ def test_full_disk_while_it_computes(one, small_disk, seed):
     assert stored_scores(quiet.state) == full
 
 
+def test_full_disk_while_designs_are_stored(one, small_disk):
+    """A large evaluation says what it waits for, and goes on when there is room."""
+    one.start()
+    filler = fill(small_disk)
+    request = {"random": {"count": 12_000, "seed": 5}, "physics": {"n_steps": 1},
+               "environments": [{"light_xy_m": [4, 3], "terrain_sigma_m": 0, "seed": 1}]}
+    reply = one.send("/v1/evaluations", request)
+    if reply.status_code == 507:  # there is not even room for the submission
+        filler.unlink()
+        reply = one.send("/v1/evaluations", request)
+        filler = fill(small_disk)
+    job = reply.json()["id"]
+    full = one.awaited(f"/v1/jobs/{job}", lambda seen: seen["reason"] or not seen["n_waiting"], 300)
+    assert "the disk of the state folder is full" in full["reason"] and full["n_waiting"] > 0
+    filler.unlink()
+    done = one.awaited(f"/v1/jobs/{job}", lambda seen: seen["state"] == "succeeded", 300)
+    assert done["n_waiting"] == 0 and done["reason"] is None
+    one.end()
+
+
 def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     """Whatever waits for room, and however often it tries, people can pause, cancel and read; the
     room that is set aside comes back first."""
