@@ -364,7 +364,40 @@ static void stores_again_what_is_deleted(void)
   }
 }
 
+/* More than are stored with the submission: kept as bits, and stored group by group, in order. */
+static void stores_long_lists_in_groups(void)
+{
+  enum { N = MO_DESIGN_GROUP + 5 };
+  static struct mo_bits read[MO_DESIGN_GROUP];
+  struct mo_evaluation_request submission = draw_evaluation(8, N);
+  submission.forms = NULL;
+  const int64_t id = submit_evaluation(&submission);
+  int64_t waiting = 0, queued[4];
+  REQUIRE_OK(mo_store_waiting(store, &waiting));
+  CHECK_INT(waiting, id);
+  const enum mo_urgency urgency = (enum mo_urgency)submission.job.priority;
+  CHECK_INT(mo_store_queued(store, urgency, 0, true, queued, 4), 0);
+  CHECK_INT(outside_integer("SELECT count(*) FROM job_designs"), 0);
+  CHECK_OK(mo_store_waiting_designs(store, id, 0, read, MO_DESIGN_GROUP));
+  CHECK(memcmp(read, genotypes, sizeof(read)) == 0);
+  CHECK_INT(mo_store_waiting_designs(store, id, 1, read, MO_DESIGN_GROUP), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_waiting_designs(store, id, MO_DESIGN_GROUP, read, 4), MO_ERR_CORRUPT);
+  CHECK_INT(mo_store_group(store, id, MO_DESIGN_GROUP, forms, genotypes, 5), MO_ERR_CONFLICT);
+  CHECK_OK(mo_store_group(store, id, 0, forms, genotypes, MO_DESIGN_GROUP));
+  CHECK_INT(mo_store_waiting_designs(store, id, 0, read, MO_DESIGN_GROUP), MO_ERR_NOT_FOUND);
+  CHECK_OK(outside("UPDATE waiting_designs SET bits=zeroblob(length(bits))"));
+  CHECK_INT(mo_store_waiting_designs(store, id, MO_DESIGN_GROUP, read, 5), MO_ERR_CORRUPT);
+  CHECK_OK(mo_store_group(store, id, MO_DESIGN_GROUP, forms + MO_DESIGN_GROUP,
+                          genotypes + MO_DESIGN_GROUP, 5));
+  CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 0);
+  CHECK_INT(outside_integer("SELECT count(*) FROM job_designs"), N);
+  REQUIRE_OK(mo_store_waiting(store, &waiting));
+  CHECK_INT(waiting, 0);
+  CHECK_INT(mo_store_queued(store, urgency, 0, true, queued, 4), 1);
+}
+
 static const struct check_case cases[] = {
+    {"stores long lists in groups", stores_long_lists_in_groups},
     {"shares a design between its orientations", shares_designs_between_orientations},
     {"turns an id to the best scored orientation", orients_ids},
     {"keeps every bit of a loss", keeps_every_bit},
