@@ -95,7 +95,7 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_streams", SETTING_NUMBER, max_streams, 1, 65536, "256", NULL,
               "Event streams at one time; more are refused with 503."),
     VALUE_ROW("max_body", SETTING_BYTES, max_body_bytes, 1 * KIB, 1 * GIB, "64M", NULL,
-              "Largest JSON request body. A million designs take 50 MiB, as hexadecimal digits."),
+              "Largest JSON request body; a million designs take 50 MiB, as hexadecimal digits."),
     VALUE_ROW("max_controller", SETTING_BYTES, max_controller_bytes, 1 * MIB, 4 * GIB, "16M", NULL,
               "Largest controller file that a client may store."),
     VALUE_ROW("max_bundle", SETTING_BYTES, max_bundle_bytes, 1 * MIB, 4 * GIB, "256M", NULL,
