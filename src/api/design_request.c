@@ -306,15 +306,16 @@ static void read_designs(struct mo_json *json, void *value)
       skip_rest(json);
       break;
     }
-    if (n >= MO_DESIGNS_MAX && parts->n_notes > 0) {
-      refuse_note(json, depth, &parts->notes[0]);
-      skip_rest(json);
-      break;
-    }
     if (!mo_parts_design(json, parts, n)) {
       parts->error = MO_ERR_NO_MEMORY;
       json->stop = true;
       return;
+    }
+    if (n >= MO_DESIGNS_MAX && parts->n_notes > 0) {
+      refuse_note(json, depth, &parts->notes[0]);
+      while (mo_json_item(json))
+        mo_json_skip(json);
+      break;
     }
   }
   if (n == 0)

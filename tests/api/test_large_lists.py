@@ -82,6 +82,7 @@ def test_restart_while_they_are_stored(start, tmp_path, bodies):
 
 @pytest.mark.parametrize("place, design, more, pointer", [
     (17, lambda body: {"id": body["id"]}, {}, "/designs/17"),
+    (10_399, lambda body: {"id": body["id"]}, {}, "/designs/10399"),
     (3, lambda body: {"voxels": "1" + "0" * 142 + "1"}, {"repair": "largest"}, "/designs/3"),
     (10_300, lambda body: {"voxels": "0" * 144}, {"on_fault": "skip"}, "/designs/10300"),
     (9, lambda body: {"voxels": "0" * 144}, {}, "/designs/9/voxels"),
