@@ -140,6 +140,13 @@ static const char *name_of(const struct designs *designs, size_t i)
   return designs != NULL ? json_string_value(json_array_get(designs->names, i)) : NULL;
 }
 
+/* Returns which design of the request result i belongs to: results in pages have its number. */
+static size_t place_of(const json_t *results, size_t i)
+{
+  const json_t *number = json_object_get(json_array_get(results, i), "number");
+  return number != NULL ? (size_t)json_integer_value(number) : i;
+}
+
 void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
                    bool by_score, size_t top)
 {
@@ -150,15 +157,14 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   bool named = false, verified = false;
   char columns[512];
   for (size_t i = 0; i < n; i++) {
-    named |= name_of(designs, i) != NULL;
+    named |= name_of(designs, place_of(results, i)) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
   }
   for (size_t r = 0; r < shown; r++) {
     const size_t i = order[r].place;
-    const json_t *result = json_array_get(results, i), *number = json_object_get(result, "number");
-    json_array_append_new(rows, result_row(result,
-                                           number != NULL ? (size_t)json_integer_value(number) : i,
-                                           name_of(designs, i)));
+    const size_t place = place_of(results, i);
+    json_array_append_new(rows,
+                          result_row(json_array_get(results, i), place, name_of(designs, place)));
   }
   snprintf(columns, sizeof(columns),
            ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
@@ -236,8 +242,7 @@ void run_eval(struct ctl *ctl)
                  "morphoctl watch {id}");
     return;
   }
-  print_evaluation(ctl, evaluation, is_large ? NULL : &designs,
-                   strcmp(sort, "score") == 0 || top > 0, (size_t)top);
+  print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
   if (speaks && is_large)
     print_from(stderr, evaluation,
                "all results: morphoctl export evaluations/{id}/results -o FILE.csv");

@@ -20,7 +20,7 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name,
 
 /* The designs of large evaluations are stored after the submission, in groups of so many. */
 #define MO_DESIGN_GROUP 1000
-/* Finds the queued evaluation of which the fewest designs wait for it. *id 0: there is none. */
+/* Finds the queued evaluation with the fewest designs still to be stored. *id 0: none waits. */
 int mo_store_waiting(struct mo_store *store, int64_t *id);
 /* Reads the listed designs first … first + n − 1 of a group that waits, as they were submitted.
  * MO_ERR_NOT_FOUND; MO_ERR_CORRUPT. */

@@ -1,5 +1,7 @@
 """Evaluations of more designs than are stored with the submission."""
 
+import json
+
 import pytest
 
 from ctl import ctl  # noqa: F401
@@ -117,10 +119,13 @@ def test_others_take_ten_thousand(service, bodies):
 def test_morphoctl(ctl, bodies, tmp_path):  # noqa: F811
     """A file of more than 10,000 bodies."""
     file = tmp_path / "bodies.txt"
-    file.write_text("\n".join(body["genotype"] for body in bodies) + "\n")
+    named = [{"voxels": body["genotype"], "name": f"n{i}"} for i, body in enumerate(bodies)]
+    file.write_text("\n".join(map(json.dumps, named)))
     world = tmp_path / "world.json"
     world.write_text('[{"light_xy_m": [2.6, 2.5], "terrain_sigma_m": 0.02, "seed": 1}]')
     status, shown, said = ctl("eval --physics n_steps=10 --best 3 --environments", str(world),
                               str(file))
     assert status == 0 and "@" in shown, said
+    for line in shown.splitlines()[1:]:  # each row has the name of its design
+        assert line[0] == "…" or f"n{line.split()[0]}" in line.split(), line
     assert "10,400 rollouts" in said and "export evaluations/" in said

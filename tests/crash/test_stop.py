@@ -188,7 +188,7 @@ def test_watchdog_and_readiness(daemon):
 
         def wait_for(word):
             return one.until(lambda: server.recv(4096).decode(),
-                             holds=lambda told: word in told)
+                             holds=lambda seen: word in seen)
 
         wait_for("EXTEND_TIMEOUT_USEC=")  # a large database is not a hang
         wait_for("READY=1")

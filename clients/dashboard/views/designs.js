@@ -193,7 +193,10 @@ async function mountEvaluation(main, id, app) {
     isLarge = !job.results && job.state === 'succeeded';
     if ((job.results || isLarge) && !done) {
       done = true;
-      const { rows, isCut } = await resultsOf(job, stop.signal);
+      const { rows, isCut } = await resultsOf(job, stop.signal).catch((error) => {
+        done = false; // the next event asks again
+        throw error;
+      });
       const order = rows.filter((result) => !result.fault)
         .sort((x, y) => Number(x.lower_bound) - Number(y.lower_bound) ||
           (x.score ?? Infinity) - (y.score ?? Infinity))
