@@ -8,8 +8,8 @@ ALTER TABLE evaluations ADD COLUMN random_first INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE evaluations ADD COLUMN n_waiting INTEGER NOT NULL DEFAULT 0;
 CREATE INDEX evaluations_waiting ON evaluations(job) WHERE n_waiting>0;
 
--- Listed designs that wait, in groups: `bits` are placed genotypes, as in `genotypes`, one after
--- the other, from design `first` of the evaluation on.
+-- Listed designs that wait, in groups: `bits` are genotypes as they were given, not placed, one
+-- after the other, from design `first` of the evaluation on.
 CREATE TABLE waiting_designs(
   job INTEGER NOT NULL REFERENCES jobs(id),
   first INTEGER NOT NULL,

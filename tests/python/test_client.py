@@ -173,6 +173,9 @@ def test_random_designs(m):
         many.scores
     sent = m.evaluate(m.random_bodies(10_001), WORLD[:1], physics={"n_steps": 1})
     assert len(sent) == 10_001 and (sent.table().score == many.table().score).all()
+    soft = [[3, 3], [0, 1]]  # materials of EvoGym, which become one
+    with pytest.warns(UserWarning, match="body 0: .*and 10000 more bodies"):
+        m.evaluate([morphod.Body.evogym(soft)] * 10_001, WORLD[:1], physics={"n_steps": 1})
 
 
 def test_recordings(m, service):

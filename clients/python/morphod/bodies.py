@@ -223,15 +223,22 @@ def designs_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "r
     the one, or the service notes the other: that a body is empty."""
     given = bodies if isinstance(bodies, np.ndarray) else list(_listed(bodies))
     designs, lost, faults = requests_of(given, on_fault)
-    told = {place: "; ".join(sentences) for place, sentences in enumerate(lost)
-            if sentences and not isinstance(given[place], Body)}
-    skipped = {place: fault for place, fault in faults.items() if fault != _EMPTY}
-    for kind, said in (("", told), ("skipped, ", skipped)):
-        if said:
-            place, text = next(iter(said.items()))
-            more = f" (and {len(said) - 1} more bodies)" if len(said) > 1 else ""
-            warnings.warn(f"body {place}: {kind}{text}{more}", stacklevel=3)
+    _warn("", {place: "; ".join(sentences) for place, sentences in enumerate(lost)
+               if sentences and not isinstance(given[place], Body)})
+    _warn("skipped, ", {place: fault for place, fault in faults.items() if fault != _EMPTY})
     return designs
+
+
+def warn_of_lost(lost: Sequence[tuple[str, ...]]) -> None:
+    """Warns of what conversions lost, where no result has a place for it."""
+    _warn("", {place: "; ".join(sentences) for place, sentences in enumerate(lost) if sentences})
+
+
+def _warn(kind: str, said: Mapping[int, str]) -> None:
+    if said:
+        place, text = next(iter(said.items()))
+        more = f" (and {len(said) - 1} more bodies)" if len(said) > 1 else ""
+        warnings.warn(f"body {place}: {kind}{text}{more}", stacklevel=4)
 
 
 def warn_of_ids(notes: Iterable[Mapping[str, Any]]) -> None:

@@ -69,7 +69,8 @@ def doing(job: Mapping[str, Any]) -> str:
     phase, progress = job.get("phase"), job.get("progress") or {}
     if job["state"] == "queued" and job.get("n_waiting"):
         stored = job["n_designs"] - job["n_waiting"]
-        return f"{stored} of {job['n_designs']} designs stored"
+        why = f", {printable(job['reason'])}" if job.get("reason") else ""
+        return f"{stored} of {job['n_designs']} designs stored{why}"
     if job["state"] in ("queued", "paused"):
         return ", ".join(map(printable, filter(None, (job["state"], job.get("reason")))))
     if job["state"] != "running" or not phase or phase == "idle":

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..bodies import (BodyLike, OnFault, Repair, designs_of, packed, requests_of, voxels_of,
-                      warn_of_ids)
+                      warn_of_ids, warn_of_lost)
 from ..errors import MorphodError, reading
 from ..frames import frame
 from ..objectives import Plan
@@ -104,6 +104,7 @@ class Client:
         is_large = len(designs) > _DESIGNS_MAX
         if is_large:
             designs = packed(designs)
+            warn_of_lost(lost)  # the results come in pages, which do not have it
         value: dict[str, Any] = {
             "designs": designs, "environments": environments, "controller": controller,
             "precision": precision, "weight": weight, "device": device, "verify": verify,
