@@ -42,6 +42,8 @@ static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream
   struct mo_placed placed = {NULL, NULL};
   int error = stream != NULL ? draw(all, stream, n, genotypes)
                              : mo_store_waiting_designs(all->jobs->store, id, first, genotypes, n);
+  if (stream == NULL && error == MO_ERR_NOT_FOUND)
+    error = MO_ERR_CORRUPT; /* a job that is gone is found below, or next time */
   if (error == MO_OK && is_stopping(all->runners))
     error = MO_ERR_CANCELLED;
   if (error == MO_OK)
