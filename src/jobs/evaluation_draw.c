@@ -43,7 +43,7 @@ static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream
   int error = stream != NULL ? draw(all, stream, n, genotypes)
                              : mo_store_waiting_designs(all->jobs->store, id, first, genotypes, n);
   if (stream == NULL && error == MO_ERR_NOT_FOUND)
-    error = MO_ERR_CORRUPT; /* a job that is gone is found below, or next time */
+    error = MO_ERR_CORRUPT;
   if (error == MO_OK && is_stopping(all->runners))
     error = MO_ERR_CANCELLED;
   if (error == MO_OK)
@@ -76,6 +76,19 @@ static int store_rest(struct mo_evaluations *all, int64_t id)
   return error;
 }
 
+/* Fails an evaluation whose list is damaged, so that it does not hold up the others. */
+static int fail_damaged(struct mo_evaluations *all, int64_t id)
+{
+  enum mo_job_state after = MO_JOB_QUEUED;
+  const int error = mo_store_run_park(all->jobs->store, id, MO_ERR_CORRUPT,
+                                      "its list of designs is damaged", 1, &after);
+  if (error == MO_OK && after == MO_JOB_FAILED) {
+    atomic_fetch_add(&all->jobs->jobs_failed, 1);
+    mo_jobs_recount(all->jobs);
+  }
+  return error;
+}
+
 /* Returns whether an error keeps the thread from going on at once. */
 static bool draw_next(struct mo_evaluations *all, bool *any)
 {
@@ -84,6 +97,8 @@ static bool draw_next(struct mo_evaluations *all, bool *any)
   *any = error == MO_OK && id != 0;
   if (*any)
     error = store_rest(all, id);
+  if (error == MO_ERR_CORRUPT && id != 0)
+    error = fail_damaged(all, id);
   if (error == MO_OK && id != 0)
     mo_runners_wake(all->runners);
   const bool goes_on = error == MO_OK || error == MO_ERR_CONFLICT || error == MO_ERR_NOT_FOUND;

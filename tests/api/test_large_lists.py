@@ -1,6 +1,7 @@
 """Evaluations of more designs than are stored with the submission."""
 
 import json
+import sqlite3
 
 import pytest
 
@@ -80,6 +81,24 @@ def test_restart_while_they_are_stored(start, tmp_path, bodies):
     assert [item["genotype"] for item in items] == [body["genotype"] for body in bodies[:500]]
     assert service.request("DELETE", f"/v1/jobs/{job['id']}").status in (200, 204)
     assert service.request("GET", path).status == 404
+
+
+@pytest.mark.parametrize("damage", ["DELETE FROM waiting_designs",
+                                    "UPDATE waiting_designs SET checksum=checksum+1"])
+def test_a_damaged_list_holds_up_nobody(start, tmp_path, bodies, damage):
+    designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies]
+    service = start(state=tmp_path / "state")
+    job = service.post("/v1/evaluations", WORLD | {"designs": designs * 3})
+    assert service.act(job["id"], "pause").status == 200 and service.stop() == 0
+    with sqlite3.connect(tmp_path / "state" / "morphod.db") as database:
+        assert database.execute(damage).rowcount > 0
+    service = start(state=tmp_path / "state")
+    other = service.post("/v1/evaluations", WORLD | {"random": {"count": 60_000, "seed": 3}})
+    assert service.act(job["id"], "resume").status == 200
+    ended = awaited(service, f"/v1/jobs/{job['id']}", lambda seen: seen["state"] == "failed")
+    assert "damaged" in ended["error"]["detail"]
+    awaited(service, f"/v1/jobs/{other['id']}", lambda seen: seen["n_waiting"] < 50_000)
+    assert service.act(other["id"], "cancel").status == 200
 
 
 @pytest.mark.parametrize("place, design, more, pointer", [
