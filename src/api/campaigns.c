@@ -3,11 +3,11 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "api/columns.h"
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/study_compare.h"
 #include "api/submission.h"
+#include "exchange/columns.h"
 #include "store/fields.h"
 #include "store/runner.h"
 #include "store/worlds.h"

@@ -4,9 +4,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/columns.h"
 #include "api/jobs.h"
+#include "api/replicates.h"
 #include "api/tables.h"
+#include "exchange/columns.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
 #define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them: 10 µs each */

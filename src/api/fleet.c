@@ -11,6 +11,7 @@
 
 #include "api/submission.h"
 #include "base/clock.h"
+#include "exchange/values.h"
 #include "http/connection.h"
 #include "http/pool.h"
 

@@ -2,52 +2,6 @@
 #include "api/job_json.h"
 
 #include <math.h>
-#include <string.h>
-
-void mo_bits_write(struct mo_text *text, const struct mo_bits *bits)
-{
-  char digits[MO_DEFAULT_VOXELS + 1];
-  mo_genotype_to_text(MO_DEFAULT_WORKSPACE, bits->words, digits);
-  mo_text_bytes(text, digits, MO_DEFAULT_VOXELS);
-}
-
-void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form)
-{
-  char id[MO_DEFAULT_ID_DIGITS + 1];
-  mo_genotype_id(MO_DEFAULT_WORKSPACE, form->words, id);
-  mo_text_bytes(text, id, MO_DEFAULT_ID_DIGITS);
-}
-
-void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits)
-{
-  mo_text_name(text, name);
-  mo_text_bytes(text, "\"", 1);
-  mo_bits_write(text, bits);
-  mo_text_bytes(text, "\"", 1);
-}
-
-void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form)
-{
-  mo_text_name(text, name);
-  mo_text_bytes(text, "\"", 1);
-  mo_bits_write_id(text, form);
-  mo_text_bytes(text, "\"", 1);
-}
-
-void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype)
-{
-  char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
-  (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, genotype->words, robot); /* it is not empty */
-  mo_text_add(text, robot);
-}
-
-void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype)
-{
-  mo_text_name(text, "robot");
-  mo_text_bytes(text, "\"", 1);
-  mo_robot_write(text, genotype);
-  mo_text_bytes(text, "\"", 1);
-}
 
 void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation)
 {
@@ -108,11 +62,6 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
   return error;
 }
 
-void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash)
-{
-  mo_text_member(text, name, MO_SHA256_HEX(hash));
-}
-
 void mo_member_controller(struct mo_text *text, const char *member, bool known, const char *name,
                           const struct mo_sha256 *sha256)
 {
@@ -124,16 +73,6 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
   mo_text_member(text, "name", name[0] != '\0' ? name : NULL);
   mo_member_hash(text, "sha256", sha256);
   mo_text_add(text, "}");
-}
-
-void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
-{
-  mo_text_open(text, name, "[");
-  for (size_t i = 0; i < n; i++) {
-    mo_text_next(text);
-    mo_text_json_number(text, numbers[i]);
-  }
-  mo_text_add(text, "]");
 }
 
 void mo_member_environments(struct mo_text *text, const char *set, uint32_t n)
@@ -154,19 +93,6 @@ enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_l
 {
   bool waits = job->state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
   return waits ? MO_JOB_PAUSED : job->state;
-}
-
-void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count)
-{
-  if (known)
-    mo_text_member_count(text, name, count);
-  else
-    mo_text_member(text, name, NULL);
-}
-
-void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number)
-{
-  mo_text_member_number(text, name, known ? number : (double)NAN);
 }
 
 void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const struct mo_live *live)

@@ -3,23 +3,12 @@
 #define MORPHO_API_JOB_JSON_H
 
 #include "base/text.h"
+#include "exchange/values.h"
 #include "jobs/campaigns.h"
 #include "jobs/trainings.h"
 
-/* Write the digits of a genotype, or of an id, without quotes. */
-void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
-void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
-/* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
-void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
-void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
-/* Writes the notation of a genotype that is scored: the member "robot"; without its name and
- * quotes. */
-void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype);
-void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype);
 /* Writes how the orientation of a design was chosen; null: the request gave it. */
 void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation);
-void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
-void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
 /* Writes the members of a design of a request: id, robot, genotype, sizes, and what its note
  * (nullable) says. An empty genotype: all null. MO_ERR_NO_MEMORY. */
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
@@ -28,9 +17,6 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
 /* Writes notes with their places, as a member. */
 void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,
                      uint32_t n);
-/* Write members that are null where the value is not known. */
-void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
-void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
 /* Writes a controller as an object of name ("": null) and hash. */
 void mo_member_controller(struct mo_text *text, const char *member, bool known, const char *name,
                           const struct mo_sha256 *sha256);
@@ -58,15 +44,6 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
 /* Writes a campaign as an item of the list of jobs. status: struct mo_campaign_status. */
 void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
-/* Writes a design of a campaign: the members of an object without its braces, so that more can
- * follow. words: those of a study, whose measures it writes, too. NULL: a line of a bundle, which
- * has neither measures nor the robot. */
-void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
-                             const struct mo_study_words *words);
-void mo_member_parents(struct mo_text *text, const struct mo_descent *descent);
-/* Writes what the campaign did with the design, as further members: parents, operator, born, died,
- * score. */
-void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
 /* How a phylogeny is written for programs that know only trees. */
 struct mo_phylogeny_shape {
   bool first_parent;   /* of two parents only the first one is named */

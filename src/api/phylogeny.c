@@ -19,50 +19,7 @@
 
 static const char newick_type[] = "text/x-nh; charset=utf-8";
 
-/* ---- one design as JSON and CSV ---- */
-
-static void write_parents(struct mo_text *text, const struct mo_descent *descent)
-{
-  for (int i = 0, n = 0; i < 2; i++)
-    if (descent->parents[i] != MO_NO_PARENT)
-      mo_text_format(text, n++ > 0 ? ",%u" : "%u", descent->parents[i]);
-}
-
-void mo_member_parents(struct mo_text *text, const struct mo_descent *descent)
-{
-  mo_text_add(text, ",\"parents\":[");
-  write_parents(text, descent);
-  mo_text_add(text, "]");
-}
-
-void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row)
-{
-  mo_member_parents(text, &row->descent);
-  mo_text_member(text, "operator", mo_campaign_operator(row));
-  mo_text_member_count(text, "born", row->born);
-  mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
-  mo_text_member_number(text, "score", row->score);
-  mo_text_member_bool(text, "lower_bound", row->is_cut);
-}
-
-void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
-                             const struct mo_study_words *words)
-{
-  mo_text_member_count(text, "number", row->number);
-  mo_member_form(text, "id", &row->form);
-  if (words != NULL)
-    mo_member_robot(text, &row->genotype);
-  mo_member_bits(text, "genotype", &row->genotype);
-  mo_campaign_json_life(text, row);
-  mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
-                 row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
-  if (words == NULL || words->n_measures == 0)
-    return;
-  mo_text_open(text, "measures", "{");
-  for (uint32_t m = 0; m < words->n_measures; m++)
-    mo_text_member_number(text, words->measures[m], m < row->n_measures ? row->measures[m] : NAN);
-  mo_text_add(text, "}");
-}
+/* ---- one design as CSV ---- */
 
 static const char csv_heading[] =
     "id,ancestor_list,origin_time,destruction_time,operator,"
@@ -76,7 +33,7 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     descent.parents[1] = MO_NO_PARENT;
   const bool orphan = descent.parents[0] == MO_NO_PARENT && descent.parents[1] == MO_NO_PARENT;
   mo_text_format(text, "%u,\"[", row->number);
-  write_parents(text, &descent);
+  mo_parents_write(text, &descent);
   if (orphan && shape->root >= 0)
     mo_text_format(text, "%lld", (long long)shape->root);
   else if (orphan)

@@ -9,6 +9,7 @@
 
 #include "api/jobs.h"
 #include "api/scene.h"
+#include "exchange/values.h"
 #include "http/download.h"
 
 #define PIECE_BYTES ((size_t)512 << 10)
@@ -39,27 +40,6 @@ static bool is_skipped(struct recordings *all, uint32_t design)
     all->note++;
   return all->note < all->n_notes && all->notes[all->note].place == design &&
          mo_is_skipped(&all->notes[all->note]);
-}
-
-void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
-                         const struct mo_trajectory_sides *sides)
-{
-  static const char *const types[MO_CHANNELS] = {"<f8", "<f4", "|i1", "|u1"};
-  const uint32_t numbers = mo_channel_numbers(channel, sides->masses, sides->springs);
-  char header[MO_NPY_HEADER + 1], last[48];
-  if (channel == MO_RECORD_MASSES)
-    snprintf(last, sizeof(last), "%u, 3", sides->masses);
-  else
-    snprintf(last, sizeof(last), "%u", numbers);
-  memcpy(header, "\x93NUMPY\x01\x00", 8);
-  header[8] = (char)(MO_NPY_HEADER - 10);
-  header[9] = 0;
-  const int n = snprintf(header + 10, sizeof(header) - 10,
-                         "{'descr': '%s', 'fortran_order': False, 'shape': (%s%u, %s), }",
-                         types[__builtin_ctz(channel)], leading, sides->frames, last);
-  memset(header + 10 + n, ' ', MO_NPY_HEADER - 10 - (size_t)n);
-  header[MO_NPY_HEADER - 1] = '\n';
-  mo_text_bytes(text, header, MO_NPY_HEADER);
 }
 
 /* Appends what fills up a row of `missing` bytes. */

@@ -260,20 +260,6 @@ static void read_name(struct mo_json *json, void *value)
 }
 const struct mo_field_own mo_name_field = {.read = read_name};
 
-static void read_hash(struct mo_json *json, void *sha256)
-{
-  struct mo_json_slice slice;
-  if (mo_json_string(json, &slice) && mo_sha256_from_hex(slice.bytes, slice.size, sha256) != MO_OK)
-    mo_json_fault(json, "64 hexadecimal digits are expected");
-}
-
-static void write_hash(struct mo_text *text, const void *value)
-{
-  const struct mo_sha256 *sha256 = value;
-  mo_text_format(text, "\"%s\"", MO_SHA256_HEX(sha256));
-}
-const struct mo_field_own mo_hash_field = {.read = read_hash, .write = write_hash};
-
 /* Reads a text of `least` to `most` characters, four bytes each. False: a fault is added. */
 static bool read_text(struct mo_json *json, size_t least, size_t most, char *text)
 {

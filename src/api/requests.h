@@ -45,8 +45,8 @@ extern const struct mo_fields mo_weight_fields; /* of one double */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_controller_field;
 /* on_fault and repair, and each alone. They are needed before the designs: read them ahead. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
-/* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes; a struct mo_sha256. */
-extern const struct mo_field_own mo_name_field, mo_hash_field;
+/* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
+extern const struct mo_field_own mo_name_field;
 
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
  * placed, unless it was skipped. False: no memory. */

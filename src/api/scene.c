@@ -189,32 +189,29 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
   return good ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
-/* ---- worlds ---- */
+/* ---- whole scenes ---- */
 
-void mo_scene_write_environment(struct mo_text *text, struct mo_text *arrays,
-                                const struct mo_environment *environment)
+static void write_environment(struct mo_text *text, struct mo_text *arrays,
+                              const struct mo_environment *environment)
 {
   struct mo_sha256 hash;
+  float heights[MO_TERRAIN_HEIGHTS];
+  if (arrays == NULL) {
+    mo_environment_write(text, environment);
+    return;
+  }
+  for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
+    heights[i] = (float)environment->terrain_heights_m[i];
   mo_environment_hash(environment, &hash);
   mo_text_object(text);
   mo_member_hash(text, "sha256", &hash);
   mo_member_numbers(text, "light_xy_m", environment->light_xy_m, 2);
-  if (arrays == NULL) {
-    mo_member_numbers(text, "terrain_heights_m", environment->terrain_heights_m,
-                      MO_TERRAIN_HEIGHTS);
-  } else {
-    float heights[MO_TERRAIN_HEIGHTS];
-    for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
-      heights[i] = (float)environment->terrain_heights_m[i];
-    mo_scene_write_array(
-        text, arrays,
-        &(struct mo_scene_array){
-            "terrain_heights_m", "float32", heights, 4, {MO_TERRAIN_SIDE, MO_TERRAIN_SIDE}, 2});
-  }
+  mo_scene_write_array(
+      text, arrays,
+      &(struct mo_scene_array){
+          "terrain_heights_m", "float32", heights, 4, {MO_TERRAIN_SIDE, MO_TERRAIN_SIDE}, 2});
   mo_text_add(text, "}");
 }
-
-/* ---- whole scenes ---- */
 
 static void write_recording(struct mo_text *text, struct mo_text *arrays,
                             const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
@@ -267,7 +264,7 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
                           rollouts->rollouts[0].recording.stride * rollouts->physics.dt_s);
   mo_text_open(text, "environments", "[");
   for (uint32_t k = 0; k < n; k++)
-    mo_scene_write_environment(text, arrays, &rollouts->environments[k]);
+    write_environment(text, arrays, &rollouts->environments[k]);
   mo_text_add(text, "]");
   const int error = write_designs(text, arrays, lattice, rollouts);
   mo_text_open(text, "rollouts", "[");

@@ -39,9 +39,6 @@ void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
 int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
                         const struct mo_lattice *lattice, const struct mo_body *body,
                         const struct mo_bits *genotype);
-/* Writes an environment as an object; `arrays` as above. */
-void mo_scene_write_environment(struct mo_text *text, struct mo_text *arrays,
-                                const struct mo_environment *environment);
 /* Replies with what rollouts were computed with and what came of them: as a scene, or as JSON,
  * which has no recordings. */
 void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
@@ -51,12 +48,8 @@ void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rol
 void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,
                           const char *tag);
 
-/* ---- recordings as arrays of NumPy ---- */
+/* ---- recordings ---- */
 
-#define MO_NPY_HEADER 192 /* bytes of the header of an array of NumPy; a multiple of 64 */
-/* Appends the header of an array of a channel: (`leading`, frames, …). leading: "10, ", or "". */
-void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
-                         const struct mo_trajectory_sides *sides);
 /* Returns which array to give where none is named: masses, else the first that is recorded. */
 static inline unsigned mo_usual_channel(unsigned record)
 {

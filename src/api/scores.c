@@ -5,7 +5,7 @@
 #include <time.h>
 
 #include "api/fleet.h"
-#include "api/score_block.h"
+#include "exchange/score_block.h"
 #include "http/download.h"
 
 #define HELD_BYTES ((uint64_t)16 << 20) /* a block, and its members while they are made */

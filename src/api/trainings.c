@@ -2,10 +2,10 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "api/columns.h"
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/submission.h"
+#include "exchange/columns.h"
 #include "store/fields.h"
 
 /* ---- as JSON ---- */

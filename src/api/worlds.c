@@ -35,7 +35,7 @@ void mo_api_get_environment(struct mo_request *request)
     return;
   const int error = mo_store_environment(mo_api_of(request)->store, &hash, &environment);
   if (error == MO_OK)
-    mo_scene_write_environment(&text, NULL, &environment);
+    mo_environment_write(&text, &environment);
   reply_kept(request, error, &text, "environment");
 }
 
@@ -70,7 +70,7 @@ static void reply_environments(struct mo_request *request, int error,
   if (error == MO_OK) {
     mo_text_add(&text, "{\"items\":[");
     for (uint32_t i = 0; i < n; i++)
-      mo_scene_write_environment(&text, NULL, &environments[i]);
+      mo_environment_write(&text, &environments[i]);
     mo_text_add(&text, "]}");
     free(environments);
   }

@@ -8,8 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle.h"
-#include "jobs/rollouts.h"
+#include "exchange/bundle.h"
 
 struct seen {
   const struct mo_lattice *lattice;

@@ -6,7 +6,7 @@
 
 #include <string.h>
 
-#include "api/archive.h"
+#include "exchange/archive.h"
 #include "target.h"
 
 #define MEMBERS_MAX 64

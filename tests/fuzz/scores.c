@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "api/score_block.h"
+#include "exchange/score_block.h"
 
 static void check_block(const struct mo_score_block *block)
 {

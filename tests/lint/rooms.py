@@ -22,11 +22,12 @@ ROOMS = {
     "learning": [],
     "evolution": [],
     "store": ["sqlite3.h", "nettle/"],
+    "exchange": ["zstd.h"],
     "fleet": [],
     "worker": ["curl/"],
     "jobs": [],
     "http": ["microhttpd.h", "gnutls/"],
-    "api": ["zstd.h"],
+    "api": [],
     "daemon": ["systemd/"],
 }
 # A room that includes only these others, although more come before it: the protocol knows no job.

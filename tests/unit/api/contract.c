@@ -4,8 +4,8 @@
 
 #include <jansson.h>
 
-#include "api/columns.h"
 #include "api/openapi.h"
+#include "api/replicates.h"
 #include "api/requests.h"
 #include "rollout/physics.h"
 #include "store/fields.h"

@@ -7,8 +7,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/columns.h"
 #include "api/job_json.h"
+#include "api/replicates.h"
+#include "exchange/columns.h"
 
 static struct mo_training_status training;
 static struct mo_campaign_status campaign;

@@ -1,10 +1,10 @@
 /* bundle_reading.h: the state of a reading of a bundle, and the lines of one campaign. Only for
  * bundle_read.c and bundle_campaign.c. */
-#ifndef MORPHO_API_BUNDLE_READING_H
-#define MORPHO_API_BUNDLE_READING_H
+#ifndef MORPHO_EXCHANGE_BUNDLE_READING_H
+#define MORPHO_EXCHANGE_BUNDLE_READING_H
 
-#include "api/bundle.h"
-#include "api/bundle_scores.h"
+#include "exchange/bundle.h"
+#include "exchange/bundle_scores.h"
 
 /* The members of a campaign, in their order. */
 enum mo_bundle_part {

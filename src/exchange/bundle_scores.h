@@ -1,6 +1,6 @@
 /* bundle_scores.h: checks the lines with scores of one design against each other. */
-#ifndef MORPHO_API_BUNDLE_SCORES_H
-#define MORPHO_API_BUNDLE_SCORES_H
+#ifndef MORPHO_EXCHANGE_BUNDLE_SCORES_H
+#define MORPHO_EXCHANGE_BUNDLE_SCORES_H
 
 #include "store/imports.h"
 

@@ -1,10 +1,10 @@
 /* bundle_line.h: what the readers and writers of lines share. Only for bundle_lines.c,
  * bundle_heads.c and score_blocks.c. */
-#ifndef MORPHO_API_BUNDLE_LINE_H
-#define MORPHO_API_BUNDLE_LINE_H
+#ifndef MORPHO_EXCHANGE_BUNDLE_LINE_H
+#define MORPHO_EXCHANGE_BUNDLE_LINE_H
 
-#include "api/bundle.h"
-#include "api/requests.h"
+#include "base/json.h"
+#include "exchange/bundle.h"
 
 struct mo_bundle_lines {
   const struct mo_lattice *lattice;

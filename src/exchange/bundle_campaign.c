@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle_reading.h"
+#include "exchange/bundle_reading.h"
 #include "store/store.h"
 
 #define ALIVE UINT32_MAX

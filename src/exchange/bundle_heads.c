@@ -4,8 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle_line.h"
-#include "api/job_json.h"
+#include "exchange/bundle_line.h"
+#include "exchange/values.h"
 #include "store/fields.h"
 #include "store/store.h"
 

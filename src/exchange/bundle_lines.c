@@ -5,11 +5,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle_line.h"
-#include "api/columns.h"
-#include "api/job_json.h"
-#include "api/scene.h"
 #include "base/words.h"
+#include "exchange/bundle_line.h"
+#include "exchange/columns.h"
+#include "exchange/values.h"
 #include "store/store.h"
 
 #define PATH_BYTES 128
@@ -365,7 +364,7 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
   const int error = mo_line_end(lines, message);
   if (error == MO_OK && mo_environment_check(environment, &where) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT, "number %u is out of bounds", where);
-  mo_scene_write_environment(&lines->again, NULL, environment);
+  mo_environment_write(&lines->again, environment);
   return error == MO_OK ? mo_line_compare(lines, line, size, message) : error;
 }
 

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle_reading.h"
+#include "exchange/bundle_reading.h"
 
 /* A name that ends with a slash is a folder; its members are numbered. */
 static const char *const parts[] = {

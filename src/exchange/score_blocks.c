@@ -3,10 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle_line.h"
-#include "api/job_json.h"
-#include "api/scene.h"
-#include "api/score_block.h"
+#include "exchange/bundle_line.h"
+#include "exchange/score_block.h"
+#include "exchange/values.h"
 #include "rollout/physics.h"
 
 #define MAGIC 0x184D2A5DU /* of a frame that zstd skips */
@@ -70,7 +69,7 @@ static void write_line(const struct mo_score_block *block, enum part part, uint3
   if (part == CONDITIONS)
     mo_fields_write_object(line, &condition_fields, &block->conditions[i]);
   else if (part == ENVIRONMENTS)
-    mo_scene_write_environment(line, NULL, &block->environments[i]);
+    mo_environment_write(line, &block->environments[i]);
   else if (part == DESIGNS)
     mo_fields_write_object(line, &design_fields, &block->designs[i]);
   else

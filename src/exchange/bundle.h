@@ -1,9 +1,9 @@
 /* bundle.h: bundles: campaigns that travel between services, in the form of docs/bundles.md. */
-#ifndef MORPHO_API_BUNDLE_H
-#define MORPHO_API_BUNDLE_H
+#ifndef MORPHO_EXCHANGE_BUNDLE_H
+#define MORPHO_EXCHANGE_BUNDLE_H
 
-#include "api/archive.h"
 #include "base/fields.h"
+#include "exchange/archive.h"
 #include "store/imports.h"
 
 #define MO_BUNDLE_VERSION   2

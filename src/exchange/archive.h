@@ -3,8 +3,8 @@
  *
  * An archive of given members has one form. The reader accepts no other: no links, no folders, no
  * other owner or time, nothing behind the end. */
-#ifndef MORPHO_API_ARCHIVE_H
-#define MORPHO_API_ARCHIVE_H
+#ifndef MORPHO_EXCHANGE_ARCHIVE_H
+#define MORPHO_EXCHANGE_ARCHIVE_H
 
 #include <morpho/error.h>
 

@@ -1,7 +1,7 @@
 /* archive.c: see archive.h. Member sizes and the window of the compression are bounded, so that a
  * small file cannot take much memory; and what a byte may unpack to, so that it cannot take hours.
  */
-#include "api/archive.h"
+#include "exchange/archive.h"
 
 #include <stdio.h>
 #include <stdlib.h>

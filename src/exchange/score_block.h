@@ -1,9 +1,9 @@
 /* score_block.h: files of scores, in the form of docs/fleet.md: blocks, each a head of 12 bytes and
  * an archive. */
-#ifndef MORPHO_API_SCORE_BLOCK_H
-#define MORPHO_API_SCORE_BLOCK_H
+#ifndef MORPHO_EXCHANGE_SCORE_BLOCK_H
+#define MORPHO_EXCHANGE_SCORE_BLOCK_H
 
-#include "api/archive.h"
+#include "exchange/archive.h"
 #include "store/score_blocks.h"
 
 #define MO_SCORES_VERSION   1

@@ -3,8 +3,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "api/bundle.h"
-#include "api/scene.h"
+#include "exchange/bundle.h"
+#include "exchange/values.h"
 
 void mo_bundle_recordings_name(const struct mo_bundle_recordings *recordings,
                                char name[MO_ARCHIVE_NAME_BYTES])

@@ -3,7 +3,7 @@
  *
  * Older programs wrote a loss again where two blocks of their store had it. A line that repeats an
  * earlier one in another block is taken, up to a number of them. */
-#include "api/bundle_scores.h"
+#include "exchange/bundle_scores.h"
 
 #include <math.h>
 #include <stdio.h>

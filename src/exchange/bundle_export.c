@@ -3,9 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/bundle.h"
-#include "api/bundle_scores.h"
-#include "api/scene.h"
+#include "exchange/bundle.h"
+#include "exchange/bundle_scores.h"
+#include "exchange/values.h"
 #include "store/campaigns.h"
 #include "store/store.h"
 #include "store/worlds.h"
@@ -238,7 +238,7 @@ static int write_environments(struct mo_bundle_export *export, struct mo_text *o
                                               MO_JOB_CAMPAIGN, &environments, &n);
   for (uint32_t i = 0; error == MO_OK && i < n; i++) {
     struct mo_text line = {0};
-    mo_scene_write_environment(&line, NULL, &environments[i]);
+    mo_environment_write(&line, &environments[i]);
     mo_text_add(&line, "\n");
     mo_text_bytes(&export->member, line.data, line.size);
     mo_text_free(&line);

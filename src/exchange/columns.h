@@ -1,0 +1,13 @@
+/* columns.h: rows of numbers as JSON, written from their list of columns (store/columns.h). */
+#ifndef MORPHO_EXCHANGE_COLUMNS_H
+#define MORPHO_EXCHANGE_COLUMNS_H
+
+#include "base/text.h"
+#include "store/columns.h"
+
+/* Writes the row as an object; NULL: null. */
+void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row);
+/* Writes the members of this object alone. */
+void mo_columns_members(struct mo_text *text, const struct mo_columns *columns, const void *row);
+
+#endif

@@ -1,0 +1,176 @@
+/* values.c: see values.h. */
+#include "exchange/values.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "store/hash.h"
+
+/* ---- values, and members of an object ---- */
+
+void mo_bits_write(struct mo_text *text, const struct mo_bits *bits)
+{
+  char digits[MO_DEFAULT_VOXELS + 1];
+  mo_genotype_to_text(MO_DEFAULT_WORKSPACE, bits->words, digits);
+  mo_text_bytes(text, digits, MO_DEFAULT_VOXELS);
+}
+
+void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form)
+{
+  char id[MO_DEFAULT_ID_DIGITS + 1];
+  mo_genotype_id(MO_DEFAULT_WORKSPACE, form->words, id);
+  mo_text_bytes(text, id, MO_DEFAULT_ID_DIGITS);
+}
+
+void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype)
+{
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
+  (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, genotype->words, robot); /* it is not empty */
+  mo_text_add(text, robot);
+}
+
+void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits)
+{
+  mo_text_name(text, name);
+  mo_text_bytes(text, "\"", 1);
+  mo_bits_write(text, bits);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form)
+{
+  mo_text_name(text, name);
+  mo_text_bytes(text, "\"", 1);
+  mo_bits_write_id(text, form);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype)
+{
+  mo_text_name(text, "robot");
+  mo_text_bytes(text, "\"", 1);
+  mo_robot_write(text, genotype);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash)
+{
+  mo_text_member(text, name, MO_SHA256_HEX(hash));
+}
+
+void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n)
+{
+  mo_text_open(text, name, "[");
+  for (size_t i = 0; i < n; i++) {
+    mo_text_next(text);
+    mo_text_json_number(text, numbers[i]);
+  }
+  mo_text_add(text, "]");
+}
+
+void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count)
+{
+  if (known)
+    mo_text_member_count(text, name, count);
+  else
+    mo_text_member(text, name, NULL);
+}
+
+void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number)
+{
+  mo_text_member_number(text, name, known ? number : (double)NAN);
+}
+
+static void read_hash(struct mo_json *json, void *sha256)
+{
+  struct mo_json_slice slice;
+  if (mo_json_string(json, &slice) && mo_sha256_from_hex(slice.bytes, slice.size, sha256) != MO_OK)
+    mo_json_fault(json, "64 hexadecimal digits are expected");
+}
+
+static void write_hash(struct mo_text *text, const void *value)
+{
+  const struct mo_sha256 *sha256 = value;
+  mo_text_format(text, "\"%s\"", MO_SHA256_HEX(sha256));
+}
+const struct mo_field_own mo_hash_field = {.read = read_hash, .write = write_hash};
+
+void mo_environment_write(struct mo_text *text, const struct mo_environment *environment)
+{
+  struct mo_sha256 hash;
+  mo_environment_hash(environment, &hash);
+  mo_text_object(text);
+  mo_member_hash(text, "sha256", &hash);
+  mo_member_numbers(text, "light_xy_m", environment->light_xy_m, 2);
+  mo_member_numbers(text, "terrain_heights_m", environment->terrain_heights_m, MO_TERRAIN_HEIGHTS);
+  mo_text_add(text, "}");
+}
+
+/* ---- designs of campaigns ---- */
+
+void mo_parents_write(struct mo_text *text, const struct mo_descent *descent)
+{
+  for (int i = 0, n = 0; i < 2; i++)
+    if (descent->parents[i] != MO_NO_PARENT)
+      mo_text_format(text, n++ > 0 ? ",%u" : "%u", descent->parents[i]);
+}
+
+void mo_member_parents(struct mo_text *text, const struct mo_descent *descent)
+{
+  mo_text_add(text, ",\"parents\":[");
+  mo_parents_write(text, descent);
+  mo_text_add(text, "]");
+}
+
+void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row)
+{
+  mo_member_parents(text, &row->descent);
+  mo_text_member(text, "operator", mo_campaign_operator(row));
+  mo_text_member_count(text, "born", row->born);
+  mo_member_count_if(text, "died", row->died >= 0, (uint64_t)row->died);
+  mo_text_member_number(text, "score", row->score);
+  mo_text_member_bool(text, "lower_bound", row->is_cut);
+}
+
+void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
+                             const struct mo_study_words *words)
+{
+  mo_text_member_count(text, "number", row->number);
+  mo_member_form(text, "id", &row->form);
+  if (words != NULL)
+    mo_member_robot(text, &row->genotype);
+  mo_member_bits(text, "genotype", &row->genotype);
+  mo_campaign_json_life(text, row);
+  mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
+                 row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
+  if (words == NULL || words->n_measures == 0)
+    return;
+  mo_text_open(text, "measures", "{");
+  for (uint32_t m = 0; m < words->n_measures; m++)
+    mo_text_member_number(text, words->measures[m], m < row->n_measures ? row->measures[m] : NAN);
+  mo_text_add(text, "}");
+}
+
+/* ---- recordings ---- */
+
+void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
+                         const struct mo_trajectory_sides *sides)
+{
+  static const char *const types[MO_CHANNELS] = {"<f8", "<f4", "|i1", "|u1"};
+  const uint32_t numbers = mo_channel_numbers(channel, sides->masses, sides->springs);
+  char header[MO_NPY_HEADER + 1], last[48];
+  if (channel == MO_RECORD_MASSES)
+    snprintf(last, sizeof(last), "%u, 3", sides->masses);
+  else
+    snprintf(last, sizeof(last), "%u", numbers);
+  memcpy(header, "\x93NUMPY\x01\x00", 8);
+  header[8] = (char)(MO_NPY_HEADER - 10);
+  header[9] = 0;
+  const int n = snprintf(header + 10, sizeof(header) - 10,
+                         "{'descr': '%s', 'fortran_order': False, 'shape': (%s%u, %s), }",
+                         types[__builtin_ctz(channel)], leading, sides->frames, last);
+  memset(header + 10 + n, ' ', MO_NPY_HEADER - 10 - (size_t)n);
+  header[MO_NPY_HEADER - 1] = '\n';
+  mo_text_bytes(text, header, MO_NPY_HEADER);
+}

@@ -1,0 +1,51 @@
+/* values.h: values as replies and files have them: in JSON, and recordings as arrays of NumPy. */
+#ifndef MORPHO_EXCHANGE_VALUES_H
+#define MORPHO_EXCHANGE_VALUES_H
+
+#include "base/fields.h"
+#include "base/text.h"
+#include "store/campaign_designs.h"
+#include "store/evaluations.h"
+
+/* Write the digits of a genotype, or of an id, without quotes. */
+void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
+void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
+/* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
+void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
+void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
+void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
+void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
+/* Writes the notation of a genotype that is scored: the member "robot"; without its name and
+ * quotes. */
+void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype);
+void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype);
+/* Write members that are null where the value is not known. */
+void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
+void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
+extern const struct mo_field_own mo_hash_field; /* a struct mo_sha256 */
+
+/* Writes an environment as an object. */
+void mo_environment_write(struct mo_text *text, const struct mo_environment *environment);
+
+/* ---- designs of campaigns ---- */
+
+/* Writes a design of a campaign: the members of an object without its braces, so that more can
+ * follow. words: those of a study, whose measures it writes, too. NULL: a line of a bundle, which
+ * has neither measures nor the robot. */
+void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
+                             const struct mo_study_words *words);
+/* Writes what the campaign did with the design, as further members: parents, operator, born, died,
+ * score. */
+void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
+/* Writes the parents: the member; their numbers alone, with commas between them. */
+void mo_member_parents(struct mo_text *text, const struct mo_descent *descent);
+void mo_parents_write(struct mo_text *text, const struct mo_descent *descent);
+
+/* ---- recordings ---- */
+
+#define MO_NPY_HEADER 192 /* bytes of the header of an array of NumPy; a multiple of 64 */
+/* Appends the header of an array of a channel: (`leading`, frames, …). leading: "10, ", or "". */
+void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
+                         const struct mo_trajectory_sides *sides);
+
+#endif
