@@ -8,8 +8,8 @@
 
 #include <morpho/error.h>
 
+#include "base/sha256.h"
 #include "base/text.h"
-#include "store/hash.h"
 
 #define MO_ARCHIVE_TYPE       "application/zstd"
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */

@@ -23,7 +23,7 @@
 
 #include <morpho/compute.h>
 
-#include "store/hash.h"
+#include "base/sha256.h"
 
 #define MO_WIRE_VERSION          1
 #define MO_WIRE_LEASES_MAX       4         /* of a message */

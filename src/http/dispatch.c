@@ -7,8 +7,8 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/sha256.h"
 #include "http/query.h"
-#include "store/hash.h"
 
 #define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that need no large body */
 #define PROGRESS_BYTES     16384                /* fewer bytes of a body count as no progress */

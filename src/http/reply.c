@@ -6,9 +6,9 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/sha256.h"
 #include "http/field.h"
 #include "http/server.h"
-#include "store/hash.h"
 
 #define ETAG_GZIP "-gzip" /* ends the tag of a compressed reply */
 #define SMALL_BYTES                                                                                \

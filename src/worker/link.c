@@ -8,8 +8,8 @@
 
 #include <curl/curl.h>
 
+#include "base/sha256.h"
 #include "base/text.h"
-#include "store/hash.h"
 
 #define CONNECT_LIMIT_MS 3000
 

@@ -4,7 +4,7 @@
 
 #include <morpho/compute.h>
 
-#include "store/hash.h"
+#include "base/sha256.h"
 
 #define MO_WEIGHTS_KEPT 8
 

@@ -13,7 +13,7 @@ import tap
 
 # Rooms in order of dependence, with the foreign headers that each may use beside the C library's.
 ROOMS = {
-    "base": [],
+    "base": ["nettle/"],
     "morphospace": [],
     "world": [],
     "controller": ["jansson.h"],
@@ -21,7 +21,7 @@ ROOMS = {
     "compute": [],
     "learning": [],
     "evolution": [],
-    "store": ["sqlite3.h", "nettle/"],
+    "store": ["sqlite3.h"],
     "exchange": ["zstd.h"],
     "fleet": [],
     "worker": ["curl/"],
@@ -31,7 +31,7 @@ ROOMS = {
     "daemon": ["systemd/"],
 }
 # A room that includes only these others, although more come before it: the protocol knows no job.
-ONLY = {"http": ["base", "store/hash.h"]}
+ONLY = {"http": ["base"]}
 CLIENTS = ["base/base64.h", "base/text.h", "base/words.h"]  # what clients share with the service
 LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
 FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnutls/", "systemd/",

@@ -28,7 +28,7 @@ int main(void)
   return MO_DEFAULT_WORKSPACE.nx == 6 ? 0 : 1;
 }
 C
-gcc -o /var/tmp/use /var/tmp/use.c -lmorpho -ljansson -lopenblas -lm -lpthread
+gcc -o /var/tmp/use /var/tmp/use.c -lmorpho -ljansson -lnettle -lopenblas -lm -lpthread
 /var/tmp/use
 kill "$daemon"
 wait "$daemon"
