@@ -59,6 +59,7 @@ struct mo_field {
   const char *const *words;      /* of a word; NULL after the last */
   const struct mo_fields *group; /* of a group, inline or not; of an own type: its members */
   const struct mo_field_own *own;
+  unsigned since;   /* first version of the packed form that has the row; 0: every one */
   const char *unit; /* "m", "s"; "": none */
   const char *help; /* one line without a period */
 };
@@ -107,5 +108,27 @@ void mo_fields_compare(const struct mo_fields *fields, const char *above, const 
  * messages call the struct, as in "schedule.peak …"; "": nothing. */
 int mo_fields_check(const struct mo_fields *fields, const char *above, const void *settings,
                     struct mo_message *message);
+
+/* ---- the packed form ----
+ *
+ * For tables of numbers, seeds, counts, words, flags and groups of these. First come the values of
+ * eight bytes (numbers, seeds), then of four (counts, words), then of one (flags), each in the
+ * order of the rows, without gaps, in the byte order of memory. It is never larger than the struct.
+ *
+ * A row that is added later names the next version in `since`. A struct whose added rows have their
+ * defaults is packed in the older version: its bytes, and hashes of them, do not change. So the
+ * default of an added row never changes. */
+size_t mo_fields_packed_bytes(const struct mo_fields *fields, unsigned version);
+void mo_fields_pack(const struct mo_fields *fields, unsigned version, const void *settings,
+                    uint8_t *bytes);
+/* Leaves rows that are newer than `version` unchanged. False: a word or flag has no such value. */
+bool mo_fields_unpack(const struct mo_fields *fields, unsigned version, const uint8_t *bytes,
+                      void *settings);
+/* Returns the first version, at least 1, that has all rows with other values than the defaults. */
+unsigned mo_fields_version(const struct mo_fields *fields, const void *settings,
+                           const void *defaults);
+/* Makes each −0 a 0: then equal structs have equal packed forms. */
+void mo_fields_clear_minus(const struct mo_fields *fields, void *settings);
+bool mo_fields_equal(const struct mo_fields *fields, const void *first, const void *second);
 
 #endif

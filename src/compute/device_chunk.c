@@ -8,6 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "rollout/physics.h"
+
 enum { BODIES_PER_THREAD = 100 }; /* about a millisecond */
 
 int mo_chunk_create(struct mo_chunk *chunk)
@@ -33,22 +35,12 @@ struct room {
   uint32_t rows; /* left */
 };
 
-bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b)
-{
-  return a->dt_s == b->dt_s && a->n_steps == b->n_steps &&
-         a->stiffness_n_per_m == b->stiffness_n_per_m && a->mass_kg == b->mass_kg &&
-         a->drag_per_s == b->drag_per_s && a->gravity_m_per_s2 == b->gravity_m_per_s2 &&
-         a->actuation == b->actuation && a->friction == b->friction &&
-         a->friction_cap == b->friction_cap && a->drop_height_m == b->drop_height_m &&
-         a->impact == b->impact && a->bisections == b->bisections;
-}
-
 static bool fits(const struct mo_block *block, void *context)
 {
   const struct room *room = context;
   return block->shards == NULL && block->controller == room->like->controller &&
          block->n_environments <= room->rows &&
-         mo_same_physics(&block->physics, &room->like->physics);
+         mo_physics_equal(&block->physics, &room->like->physics);
 }
 
 uint32_t mo_unit_held(const struct mo_unit *unit)

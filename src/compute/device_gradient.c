@@ -12,6 +12,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "rollout/physics.h"
+
 enum { SUM_THREADS_MAX = 16 };
 
 /* A batch, cut into parts, each with its own layout. */
@@ -175,7 +177,7 @@ int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_ro
 static bool is_of(const struct laid_out *laid, const struct mo_gradient_batch *batch)
 {
   return laid->state == READY && laid->robots == batch->robots && laid->n == batch->n &&
-         mo_same_physics(&laid->physics, &batch->physics);
+         mo_physics_equal(&laid->physics, &batch->physics);
 }
 
 /* Returns the ready layout of a batch, in use until give_back; NULL: there is none. */

@@ -126,7 +126,6 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk);
 uint32_t mo_unit_held(const struct mo_unit *unit); /* under the mutex: callers that are not idle */
 /* Without the mutex: builds the bodies, on at most n_threads threads, and lays out the rows. */
 void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads);
-bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b);
 /* Returns whether all of the chunk was cancelled. */
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk);
 /* Under the mutex: requeues what is not done, or ends it with an error if no device is left. */

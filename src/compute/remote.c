@@ -11,6 +11,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "rollout/physics.h"
+
 struct taken {
   struct mo_taken shown;
   struct mo_fair *fair;
@@ -43,7 +45,7 @@ static bool fits(const struct mo_block *block, void *context)
   const struct room *room = context;
   return mo_block_suits_remote(block) && block->controller == room->like->controller &&
          mo_fair_units(block) <= room->steps &&
-         mo_same_physics(&block->physics, &room->like->physics);
+         mo_physics_equal(&block->physics, &room->like->physics);
 }
 
 static struct mo_fair *queue_of(struct mo_compute *compute, enum mo_back_end back_end)

@@ -9,6 +9,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "rollout/physics.h"
+
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "messages are little-endian");
 
 struct header {
@@ -20,9 +22,6 @@ struct lease {
   struct mo_lease_id id;
   uint32_t flags, n_environments, n_blocks, n_rows;
   struct mo_sha256 controller;
-  double dt_s, stiffness_n_per_m, mass_kg, drag_per_s, gravity_m_per_s2, actuation, friction,
-      friction_cap, drop_height_m;
-  uint32_t n_steps, impact, bisections, zero;
 };
 struct gradient {
   double adjoint_bound, weight, restart_weight;
@@ -33,7 +32,7 @@ struct result {
   uint32_t state, n_rows;
   double busy_s, wall_s;
 };
-_Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 152 &&
+_Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 64 &&
                    sizeof(struct gradient) == 32 && sizeof(struct result) == 40 &&
                    sizeof(struct mo_gradient_counts) == 56 &&
                    sizeof(struct mo_environment) == 66 * 8,
@@ -41,6 +40,7 @@ _Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 152 &&
 
 #define ON_DEVICE          1u /* flags */
 #define GRADIENT           2u
+#define PHYSICS_SHIFT      8  /* of the version of the packed physics, less 1, in a byte */
 #define DONE_WITH_GRADIENT 3u /* state */
 
 static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
@@ -144,9 +144,17 @@ static bool gradient_fits(const struct mo_wire_lease *lease)
          lease->n_rows == lease->n_blocks;
 }
 
+static size_t physics_bytes(const struct mo_physics *physics)
+{
+  uint8_t packed[sizeof(*physics)];
+  unsigned version;
+  return mo_physics_pack(physics, &version, packed) + sizeof(uint32_t);
+}
+
 static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)
 {
-  return sizeof(struct lease) + (lease->n_parameters > 0 ? sizeof(struct gradient) : 0) +
+  return sizeof(struct lease) + physics_bytes(&lease->physics) +
+         (lease->n_parameters > 0 ? sizeof(struct gradient) : 0) +
          lease->n_environments * sizeof(struct mo_environment) +
          lease->n_blocks * (genotype_bytes(workspace) + 1) + lease->n_rows * sizeof(uint16_t);
 }
@@ -154,27 +162,21 @@ static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace
 static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
                       struct mo_workspace workspace)
 {
-  const struct mo_physics *physics = &lease->physics;
+  const uint32_t zero = 0;
+  uint8_t physics[sizeof(lease->physics)];
+  unsigned version;
+  const size_t size = mo_physics_pack(&lease->physics, &version, physics);
   const struct lease head = {.id = lease->id,
                              .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) |
-                                      (lease->n_parameters > 0 ? GRADIENT : 0),
+                                      (lease->n_parameters > 0 ? GRADIENT : 0) |
+                                      (version - 1) << PHYSICS_SHIFT,
                              .n_environments = lease->n_environments,
                              .n_blocks = lease->n_blocks,
                              .n_rows = lease->n_rows,
-                             .controller = lease->controller,
-                             .dt_s = physics->dt_s,
-                             .stiffness_n_per_m = physics->stiffness_n_per_m,
-                             .mass_kg = physics->mass_kg,
-                             .drag_per_s = physics->drag_per_s,
-                             .gravity_m_per_s2 = physics->gravity_m_per_s2,
-                             .actuation = physics->actuation,
-                             .friction = physics->friction,
-                             .friction_cap = physics->friction_cap,
-                             .drop_height_m = physics->drop_height_m,
-                             .n_steps = physics->n_steps,
-                             .impact = (uint32_t)physics->impact,
-                             .bisections = physics->bisections};
+                             .controller = lease->controller};
   put(codec, &head, sizeof(head));
+  put(codec, physics, size);
+  put(codec, &zero, sizeof(zero));
   if (lease->n_parameters > 0) {
     const struct gradient gradient = {.adjoint_bound = lease->gradient.adjoint_bound,
                                       .weight = lease->gradient.weight,
@@ -297,7 +299,13 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
 {
   struct lease head;
   struct mo_message why = {""};
+  uint8_t physics[sizeof(lease->physics)];
+  uint32_t zero;
   if (!get(codec, &head, sizeof(head)))
+    return cut_off(message, "lease", i);
+  const unsigned version = 1 + (head.flags >> PHYSICS_SHIFT & UINT8_MAX);
+  if (!get(codec, physics, mo_fields_packed_bytes(&mo_physics_fields, version)) ||
+      !get(codec, &zero, sizeof(zero)))
     return cut_off(message, "lease", i);
   lease->id = head.id;
   lease->controller = head.controller;
@@ -305,20 +313,9 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
   lease->n_environments = head.n_environments;
   lease->n_blocks = head.n_blocks;
   lease->n_rows = head.n_rows;
-  lease->physics = (struct mo_physics){.dt_s = head.dt_s,
-                                       .n_steps = head.n_steps,
-                                       .stiffness_n_per_m = head.stiffness_n_per_m,
-                                       .mass_kg = head.mass_kg,
-                                       .drag_per_s = head.drag_per_s,
-                                       .gravity_m_per_s2 = head.gravity_m_per_s2,
-                                       .actuation = head.actuation,
-                                       .friction = head.friction,
-                                       .friction_cap = head.friction_cap,
-                                       .drop_height_m = head.drop_height_m,
-                                       .bisections = head.bisections};
-  if (head.flags > (ON_DEVICE | GRADIENT) || head.zero != 0 || head.impact > MO_IMPACT_BISECTION)
+  if ((head.flags & ~(ON_DEVICE | GRADIENT | UINT8_MAX << PHYSICS_SHIFT)) != 0 || zero != 0 ||
+      !mo_physics_unpack(version, physics, &lease->physics))
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
-  lease->physics.impact = (enum mo_impact)head.impact;
   if (mo_physics_check(&lease->physics, &why) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: %s", i, why.text);
   if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows))

@@ -9,8 +9,9 @@
  *   header     "MOFLEET" and kind ('L' leases, 'R' results); u32 version; u32 items; u64 bytes of
  *              the whole message
  *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
- *              SHA-256 of the weights (zeros: passive bodies); physics (9 f64; u32 steps, impact,
- *              bisections, 0); with flag 2, a gradient: f64 bound of the adjoint, weight, weight of
+ *              SHA-256 of the weights (zeros: passive bodies); physics, packed in the version that
+ *              the second byte of the flags is, plus 1 (9 f64; u32 steps, impact, bisections); u32
+ *              0; with flag 2, a gradient: f64 bound of the adjoint, weight, weight of
  *              restarts; u32 rule, parameters; environments (66 f64 each); blocks: genotype
  * (⌈voxels / 8⌉ bytes), u8 n, n × u16 environment result     u64 epoch; u64 number; u32 state; u32
  * rows; f64 processor seconds; f64 elapsed seconds; rows × f64 loss; rows × u32 step of divergence;

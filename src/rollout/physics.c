@@ -75,6 +75,12 @@ static int check_impact(const char *name, const void *value, struct mo_message *
 
 #define AT(member) offsetof(struct mo_physics, member)
 static const struct mo_field_own impact = {read_impact, write_impact, check_impact};
+static const char *const impact_words[] = {"exact", "bisection", NULL};
+static const struct mo_field impact_rows[] = {
+    {"impact", MO_FIELD_WORD, 0, AT(impact), .words = impact_words},
+    {"bisections", MO_FIELD_COUNT, 0, AT(bisections), .min = 1, .max = BISECTIONS_MAX},
+};
+static const struct mo_fields impact_members = MO_FIELDS(impact_rows);
 static const struct mo_field rows[] = {
     {"dt_s", MO_FIELD_NUMBER, 0, AT(dt_s), .min = 1e-7, .max = 0.1, .unit = "s",
      .help = "time step"},
@@ -96,7 +102,7 @@ static const struct mo_field rows[] = {
      .help = "largest share of the tangential speed lost in a contact"},
     {"drop_height_m", MO_FIELD_NUMBER, 0, AT(drop_height_m), .min = 0, .max = 1000, .unit = "m",
      .help = "extra height of the body at the start"},
-    {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .unit = "",
+    {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .group = &impact_members, .unit = "",
      .help = "time of impact: exact, or bisection with 1 to 52 halvings"},
 };
 #undef AT
@@ -105,4 +111,28 @@ const struct mo_fields mo_physics_fields = MO_FIELDS(rows);
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
 {
   return mo_fields_check(&mo_physics_fields, "", physics, message);
+}
+
+/* ---- packed ---- */
+
+bool mo_physics_equal(const struct mo_physics *a, const struct mo_physics *b)
+{
+  return mo_fields_equal(&mo_physics_fields, a, b);
+}
+
+size_t mo_physics_pack(const struct mo_physics *physics, unsigned *version,
+                       uint8_t bytes[sizeof(struct mo_physics)])
+{
+  const struct mo_physics defaults = mo_default_physics();
+  *version = mo_fields_version(&mo_physics_fields, physics, &defaults);
+  mo_fields_pack(&mo_physics_fields, *version, physics, bytes);
+  return mo_fields_packed_bytes(&mo_physics_fields, *version);
+}
+
+bool mo_physics_unpack(unsigned version, const uint8_t *bytes, struct mo_physics *physics)
+{
+  const struct mo_physics defaults = mo_default_physics();
+  *physics = defaults;
+  return mo_fields_unpack(&mo_physics_fields, version, bytes, physics) &&
+         mo_fields_version(&mo_physics_fields, physics, &defaults) == version;
 }

@@ -34,9 +34,9 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
 {
   static const char find_sql[] = "SELECT id FROM physics WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO physics(sha256,encoding) VALUES(?1,?2)";
-  uint8_t bytes[MO_PHYSICS_BYTES];
-  mo_encode_physics(physics, precision, sensor, bytes);
-  return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
+  uint8_t bytes[MO_PHYSICS_BYTES_MAX];
+  const size_t size = mo_encode_physics(physics, precision, sensor, bytes);
+  return content_row(writer, find_sql, insert_sql, bytes, size, row);
 }
 
 int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,

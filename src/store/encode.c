@@ -3,6 +3,8 @@
 
 #include <string.h>
 
+#include "rollout/physics.h"
+
 _Static_assert(sizeof(struct mo_environment) == 8 * (2 + MO_TERRAIN_HEIGHTS),
                "nothing but doubles");
 
@@ -17,57 +19,37 @@ void mo_encode_environment(const struct mo_environment *environment,
   memcpy(bytes, &encoded, sizeof(encoded));
 }
 
-struct physics_encoding {
-  uint8_t version;
-  double values[9];
-  uint32_t n_steps, impact, bisections, precision, sensor;
-} __attribute__((packed));
-_Static_assert(sizeof(struct physics_encoding) == MO_PHYSICS_BYTES, "hash.c describes the bytes");
+#define TAIL_BYTES (2 * sizeof(uint32_t)) /* precision, sensor */
 
-void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
-                       enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES])
+size_t mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
+                         enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES_MAX])
 {
-  struct physics_encoding encoded = {
-      .version = 1,
-      .values = {physics->dt_s, physics->stiffness_n_per_m, physics->mass_kg, physics->drag_per_s,
-                 physics->gravity_m_per_s2, physics->actuation, physics->friction,
-                 physics->friction_cap, physics->drop_height_m},
-      .n_steps = physics->n_steps,
-      .impact = (uint32_t)physics->impact,
-      .bisections = physics->impact == MO_IMPACT_BISECTION ? physics->bisections : 0,
-      .precision = (uint32_t)precision,
-      .sensor = (uint32_t)sensor};
-  for (int i = 0; i < 9; i++)
-    encoded.values[i] += 0.0; /* −0 + 0 is 0 */
-  memcpy(bytes, &encoded, sizeof(encoded));
+  const uint32_t tail[] = {(uint32_t)precision, (uint32_t)sensor};
+  struct mo_physics encoded = *physics;
+  unsigned version;
+  mo_fields_clear_minus(&mo_physics_fields, &encoded);
+  if (encoded.impact == MO_IMPACT_EXACT)
+    encoded.bisections = 0;
+  const size_t size = mo_physics_pack(&encoded, &version, bytes + 1);
+  bytes[0] = (uint8_t)version;
+  memcpy(bytes + 1 + size, tail, TAIL_BYTES);
+  return 1 + size + TAIL_BYTES;
 }
 
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor)
 {
-  struct physics_encoding found;
-  if (size != sizeof(found))
+  uint32_t tail[2];
+  if (size < 1 || size != 1 + mo_fields_packed_bytes(&mo_physics_fields, bytes[0]) + TAIL_BYTES ||
+      !mo_physics_unpack(bytes[0], bytes + 1, physics))
     return MO_ERR_CORRUPT;
-  memcpy(&found, bytes, sizeof(found));
-  if (found.version != 1 || found.impact > MO_IMPACT_BISECTION || found.precision > MO_FLOAT64 ||
-      found.sensor > MO_SENSOR_INVERSE_SQUARE)
+  memcpy(tail, bytes + size - TAIL_BYTES, TAIL_BYTES);
+  if (tail[0] > MO_FLOAT64 || tail[1] > MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_CORRUPT;
-  *physics = (struct mo_physics){
-      .dt_s = found.values[0],
-      .n_steps = found.n_steps,
-      .stiffness_n_per_m = found.values[1],
-      .mass_kg = found.values[2],
-      .drag_per_s = found.values[3],
-      .gravity_m_per_s2 = found.values[4],
-      .actuation = found.values[5],
-      .friction = found.values[6],
-      .friction_cap = found.values[7],
-      .drop_height_m = found.values[8],
-      .impact = (enum mo_impact)found.impact,
-      .bisections = found.impact == MO_IMPACT_BISECTION ? found.bisections : 8,
-  };
-  *precision = (enum mo_precision)found.precision;
-  *sensor = (enum mo_sensor)found.sensor;
+  if (physics->impact == MO_IMPACT_EXACT)
+    physics->bisections = mo_default_physics().bisections;
+  *precision = (enum mo_precision)tail[0];
+  *sensor = (enum mo_sensor)tail[1];
   return MO_OK;
 }
 

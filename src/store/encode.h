@@ -9,7 +9,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
 
 #define MO_ENVIRONMENT_BYTES sizeof(struct mo_environment)
-#define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
+#define MO_PHYSICS_BYTES_MAX (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
 #define MO_BITS_BYTES        18
 
 /* Writes −0 as 0, so that equal environments have one row and are computed once. The bytes of an
@@ -17,9 +17,12 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endia
 void mo_encode_environment(const struct mo_environment *environment,
                            uint8_t bytes[MO_ENVIRONMENT_BYTES]);
 
-void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
-                       enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES]);
-/* MO_ERR_CORRUPT: not an encoding of this version. */
+/* Returns the bytes that it wrote: the version of the packed form (rollout/physics.h) in a byte,
+ * the packed form, then precision and sensor in 32 bits. Equal values have one encoding: −0 is
+ * written as 0, and the bisections of an exact impact as 0. */
+size_t mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
+                         enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES_MAX]);
+/* MO_ERR_CORRUPT: no such encoding. */
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor);
 

@@ -1,4 +1,5 @@
-/* Settings as tables: reading with faults, writing, parsing back bit for bit, bounds, paths. */
+/* Settings as tables: reading with faults, writing, parsing back bit for bit, bounds, paths, the
+ * packed form. */
 #include "base/fields.h"
 
 #include "../check.h"
@@ -256,6 +257,110 @@ static void compares(void)
   mo_text_free(&text);
 }
 
+/* ---- the packed form ---- */
+
+struct part {
+  double size;
+  uint32_t n;
+};
+
+struct packed {
+  bool on;
+  uint32_t count;
+  enum color color;
+  uint64_t seed;
+  double rate;
+  struct part part;
+  double added;   /* in version 2 */
+  uint32_t steps; /* in version 3, in a part of its own */
+};
+
+static const struct mo_field part_rows[] = {
+    {"n", MO_FIELD_COUNT, 0, offsetof(struct part, n)},
+    {"size", MO_FIELD_NUMBER, 0, offsetof(struct part, size)},
+};
+static const struct mo_fields part = MO_FIELDS(part_rows);
+static const struct mo_field steps_rows[] = {
+    {"steps", MO_FIELD_COUNT, 0, offsetof(struct packed, steps), .since = 3},
+};
+static const struct mo_fields steps = MO_FIELDS(steps_rows);
+static const struct mo_field packed_rows[] = {
+    {"on", MO_FIELD_FLAG, 0, offsetof(struct packed, on)},
+    {"count", MO_FIELD_COUNT, 0, offsetof(struct packed, count)},
+    {"part", MO_FIELD_GROUP, 0, offsetof(struct packed, part), .group = &part},
+    {"rate", MO_FIELD_NUMBER, 0, offsetof(struct packed, rate)},
+    {"added", MO_FIELD_NUMBER, 0, offsetof(struct packed, added), .since = 2},
+    {"color", MO_FIELD_WORD, 0, offsetof(struct packed, color), .words = colors},
+    {"seed", MO_FIELD_SEED, 0, offsetof(struct packed, seed)},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &steps},
+};
+static const struct mo_fields packed_fields = MO_FIELDS(packed_rows);
+static const struct packed plain = {true, 2, GREEN, 5, 0.5, {1.5, 3}, 7, 9};
+
+/* Eight bytes first, then four, then one. */
+static void packs(void)
+{
+  const uint8_t expected[] = {0, 0, 0, 0, 0, 0, 0xf8, 0x3f, 0, 0, 0, 0, 0, 0, 0xe0, 0x3f, 5, 0, 0,
+                              0, 0, 0, 0, 0, 2, 0,    0,    0, 3, 0, 0, 0, 1, 0,    0,    0, 1};
+  uint8_t bytes[sizeof(struct packed)], bad[sizeof(bytes)];
+  struct packed got = {.added = -1, .steps = 4};
+  REQUIRE(mo_fields_packed_bytes(&packed_fields, 1) == sizeof(expected));
+  mo_fields_pack(&packed_fields, 1, &plain, bytes);
+  CHECK(memcmp(bytes, expected, sizeof(expected)) == 0);
+  REQUIRE(mo_fields_unpack(&packed_fields, 1, bytes, &got));
+  CHECK(got.added == -1 && got.steps == 4);
+  got.added = plain.added;
+  got.steps = plain.steps;
+  CHECK(mo_fields_equal(&packed_fields, &got, &plain));
+  for (size_t at = sizeof(expected) - 5; at < sizeof(expected); at += 4) { /* color and flag */
+    memcpy(bad, bytes, sizeof(expected));
+    bad[at] = 2;
+    CHECK(!mo_fields_unpack(&packed_fields, 1, bad, &got));
+  }
+}
+
+static void packs_added_rows(void)
+{
+  uint8_t bytes[sizeof(struct packed)];
+  struct packed changed = plain, got = {0};
+  CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 1);
+  changed.rate = 8;
+  CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 1);
+  changed.added = 0;
+  CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 2);
+  CHECK_INT(mo_fields_packed_bytes(&packed_fields, 2), 45);
+  changed.steps = 1;
+  CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 3);
+  CHECK_INT(mo_fields_packed_bytes(&packed_fields, 3), 49);
+  mo_fields_pack(&packed_fields, 3, &changed, bytes);
+  REQUIRE(mo_fields_unpack(&packed_fields, 3, bytes, &got));
+  CHECK(mo_fields_equal(&packed_fields, &got, &changed));
+}
+
+/* Each value counts; only the sign of 0 does not. */
+static void equals(void)
+{
+  struct packed others[8];
+  for (int i = 0; i < 8; i++)
+    others[i] = plain;
+  others[0].on = false;
+  others[1].count++;
+  others[2].color = RED;
+  others[3].seed++;
+  others[4].rate = NAN;
+  others[5].part.size = -1.5;
+  others[6].added++;
+  others[7].steps++;
+  for (int i = 0; i < 8; i++)
+    CHECK(!mo_fields_equal(&packed_fields, &others[i], &plain));
+  struct packed zero = plain, minus = plain;
+  zero.part.size = 0.0;
+  minus.part.size = -0.0;
+  CHECK(mo_fields_equal(&packed_fields, &zero, &minus));
+  mo_fields_clear_minus(&packed_fields, &minus);
+  CHECK(!signbit(minus.part.size) && minus.rate == plain.rate);
+}
+
 static const struct check_case cases[] = {
     {"compares", compares},
     {"reads what is given", reads_what_is_given},
@@ -264,5 +369,8 @@ static const struct check_case cases[] = {
     {"checks bounds", checks_bounds},
     {"texts, and groups that are absent", texts_and_absent_groups},
     {"arrays of counts", counts},
+    {"packs in a fixed order", packs},
+    {"packs added rows when they differ", packs_added_rows},
+    {"equality", equals},
 };
 CHECK_MAIN(cases)

@@ -1,0 +1,85 @@
+/* encode.c: the encodings that the store hashes. A hash here never changes, or every stored score
+ * is lost. */
+#include "store/encode.h"
+
+#include "../check.h"
+#include "store/hash.h"
+
+/* The plain encoding of version 1, written by hand. */
+static size_t by_hand(const struct mo_physics *p, uint32_t bisections, uint8_t *bytes)
+{
+  const double numbers[] = {p->dt_s,       p->stiffness_n_per_m, p->mass_kg,
+                            p->drag_per_s, p->gravity_m_per_s2,  p->actuation,
+                            p->friction,   p->friction_cap,      p->drop_height_m};
+  const uint32_t words[] = {p->n_steps, (uint32_t)p->impact, bisections, MO_FLOAT64,
+                            MO_SENSOR_INVERSE_SQUARE};
+  bytes[0] = 1;
+  memcpy(bytes + 1, numbers, sizeof(numbers));
+  memcpy(bytes + 1 + sizeof(numbers), words, sizeof(words));
+  return 1 + sizeof(numbers) + sizeof(words);
+}
+
+static void encodes_physics(void)
+{
+  struct mo_physics physics = mo_default_physics(), found;
+  uint8_t bytes[MO_PHYSICS_BYTES_MAX], expected[MO_PHYSICS_BYTES_MAX];
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  physics.stiffness_n_per_m = 11;
+  physics.mass_kg = 12;
+  physics.drag_per_s = 13;
+  for (int is_exact = 0; is_exact < 2; is_exact++) {
+    physics.impact = is_exact ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    physics.bisections = is_exact ? 8 : 21;
+    const size_t size = by_hand(&physics, is_exact ? 0 : 21, expected);
+    REQUIRE(size == 93 &&
+            mo_encode_physics(&physics, MO_FLOAT64, MO_SENSOR_INVERSE_SQUARE, bytes) == size);
+    CHECK(memcmp(bytes, expected, size) == 0);
+    REQUIRE_OK(mo_decode_physics(bytes, size, &found, &precision, &sensor));
+    CHECK(found.bisections == physics.bisections && found.impact == physics.impact &&
+          found.n_steps == 1000 && found.drag_per_s == 13 && found.drop_height_m == 0);
+    CHECK(precision == MO_FLOAT64 && sensor == MO_SENSOR_INVERSE_SQUARE);
+  }
+}
+
+static void refuses_other_bytes(void)
+{
+  const struct mo_physics physics = mo_default_physics();
+  struct mo_physics found;
+  uint8_t bytes[MO_PHYSICS_BYTES_MAX];
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  const size_t size = by_hand(&physics, 0, bytes);
+  const size_t bad[] = {0, size - 16, size - 8, size - 4}; /* version, impact, precision, sensor */
+  CHECK_INT(mo_decode_physics(NULL, 0, &found, &precision, &sensor), MO_ERR_CORRUPT);
+  CHECK_INT(mo_decode_physics(bytes, size - 1, &found, &precision, &sensor), MO_ERR_CORRUPT);
+  for (int i = 0; i < 4; i++) {
+    const uint8_t kept = bytes[bad[i]];
+    bytes[bad[i]] = 7;
+    CHECK_INT(mo_decode_physics(bytes, size, &found, &precision, &sensor), MO_ERR_CORRUPT);
+    bytes[bad[i]] = kept;
+  }
+}
+
+/* −0 is 0, and bisections that nobody uses do not count. */
+static void hashes(void)
+{
+  struct mo_physics physics = mo_default_physics();
+  struct mo_environment environment = {.light_xy_m = {-0.0, 2}, .terrain_heights_m = {0.5, -0.0}};
+  struct mo_sha256 hash;
+  physics.drop_height_m = -0.0;
+  physics.bisections = 9;
+  mo_physics_hash(&physics, MO_FLOAT32, MO_SENSOR_INVERSE_SQRT, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash),
+             "b91aae0860adacfc0d9697aca4034ab2b9cc25df772552e7b316eaf374bb11c8");
+  mo_environment_hash(&environment, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash),
+             "e68393e703c13e7004db2d8b7d341dd6dad5ece4be2ad3c3caf9d5f6ab7b23e4");
+}
+
+static const struct check_case cases[] = {
+    {"encodes physics", encodes_physics},
+    {"refuses other bytes", refuses_other_bytes},
+    {"hashes", hashes},
+};
+CHECK_MAIN(cases)
