@@ -1,1 +1,0 @@
-"""The client without asyncio, made from `morphod._async` by `tools/synchronous`."""
