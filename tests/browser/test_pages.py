@@ -174,17 +174,24 @@ def test_what_the_editor_does(service, browser):
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.click("Keep")  # the same form, and so the same founder
     assert browser.run("return document.querySelectorAll('.card').length") == 1
-    browser.click("Cross")
-    crossed = browser.run(f"return {voxels}")
-    assert crossed.count("1") == 1  # they differ in two voxels that do not touch
+    browser.click("Cross")  # campaigns place the parents first, and then these are equal
+    browser.until("/equal; nothing is left/.test(document.getElementById('toast').innerText)")
+    assert browser.run(f"return {voxels}") == moved
     browser.click("Undo")
+    assert browser.run(f"return {voxels}") == bar
+    browser.click("→")
     browser.click("Mirror x")
-    assert browser.run(f"return {voxels}") == "".join(
-        "1" if at in (24, 48, 72, 96) else "0" for at in range(144))
+    mirrored = "".join("1" if at in (24, 48, 72, 96) else "0" for at in range(144))
+    assert browser.run(f"return {voxels}") == mirrored
+    browser.click("Cross")
+    browser.until(f"{voxels} !== '{mirrored}'")
+    parents = [{"voxels": mirrored}, {"voxels": bar}]
+    children = service.post("/v1/bodies/cross", {"designs": parents, "pairs": [[0, 1]]})["items"]
+    assert browser.run(f"return {voxels}") == children[0]["genotype"]
     for name in ("Random", "Mutate"):
         before = browser.run(f"return {voxels}")
         browser.click(name)
-        assert browser.run(f"return {voxels}") != before
+        browser.until(f"{voxels} !== '{before}'")
     browser.run("document.querySelector('[data-cell]').dispatchEvent(new KeyboardEvent('keydown',"
                 "{ key: 'z', ctrlKey: true, bubbles: true }))")
     assert browser.run(f"return {voxels}") == before

@@ -29,11 +29,6 @@ export function isConnected(genotype) {
   return components(cellsOf(genotype)).length === 1;
 }
 
-export function keepLargest(genotype) {
-  const parts = components(cellsOf(genotype));
-  return genotypeOf(parts[0] ?? []);
-}
-
 /**
  * Turns one voxel over.
  * @param {string} genotype
@@ -56,39 +51,6 @@ export function shift(genotype, [dx, dy, dz]) {
   const cells = cellsOf(genotype).map(([x, y, z]) => [x + dx, y + dy, z + dz]);
   const inside = cells.every((cell) => cell.every((v, axis) => v >= 0 && v < WORKSPACE[axis]));
   return inside ? genotypeOf(cells) : null;
-}
-
-const random = (n) => Math.floor(Math.random() * n);
-
-/** A random connected body of 6 to 36 voxels, grown voxel by voxel. */
-export function grow() {
-  const wanted = 6 + random(31);
-  const cells = [[2 + random(2), 2 + random(2), random(2)]];
-  const have = new Set(cells.map(key));
-  for (let i = 0; cells.length < wanted && i < 4000; i++) {
-    const step = STEPS[random(6)];
-    const near = cells[random(cells.length)].map((v, axis) => v + step[axis]);
-    if (near.some((v, axis) => v < 0 || v >= WORKSPACE[axis]) || have.has(key(near))) continue;
-    have.add(key(near));
-    cells.push(near);
-  }
-  return genotypeOf(cells);
-}
-
-/** A mutant as in a campaign: each voxel flips with probability 1/144; something always changes. */
-export function mutate(genotype) {
-  for (let i = 0; ; i++) {
-    const rate = (1 + i * 0.025) / genotype.length;
-    const flipped = [...genotype].map((v) => (Math.random() < rate ? (v === '1' ? '0' : '1') : v)).join('');
-    const child = keepLargest(flipped);
-    if (child.includes('1') && child !== genotype) return child;
-  }
-}
-
-/** A recombinant as in a campaign: the voxels in which two parents differ; null if they are equal. */
-export function cross(a, b) {
-  const child = keepLargest([...a].map((v, i) => (v === b[i] ? '0' : '1')).join(''));
-  return child.includes('1') ? child : null;
 }
 
 /**

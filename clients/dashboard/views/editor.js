@@ -6,10 +6,10 @@ import { announce, button, fill, h, toggle } from '../lib/dom.js';
 import { count, countOf, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
-import { cross, flip, grow, isConnected, mirror, mutate, readBody, shift } from '../lib/variation.js';
+import { flip, isConnected, mirror, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
-import { copyButton, formDialog } from './share.js';
+import { announced, copyButton, formDialog } from './share.js';
 
 const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
@@ -34,6 +34,7 @@ export async function mount(main, path, parameters, app) {
   let genotype = await startBody(parameters, last);
   const known = new Map(); // ids by genotype
   let mirrored = false;
+  let isClosed = false;
   let stop = new AbortController();
 
   const layers = h('div.layers', { role: 'group', 'aria-label': 'Body, layer by layer' });
@@ -59,6 +60,29 @@ export async function mount(main, path, parameters, app) {
     store();
     drawLayers();
     walk();
+  }
+
+  /** Shows a body that the service makes as in campaigns, unless the body changes before the reply. */
+  const make = (operator, request, whyNone = '') => announced(async () => {
+    const before = genotype;
+    const { items: [{ genotype: made }] } =
+      await patient(() => post(`v1/bodies/${operator}`, request));
+    if (isClosed || genotype !== before) return;
+    if (made) change(made);
+    else announce(whyNone);
+  });
+  const newSeed = () => Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
+  const grow = () => make('random', { seed: newSeed() });
+  const mutate = () => make('mutate', {
+    designs: [{ voxels: genotype }], seed: newSeed(), repair: 'largest',
+  });
+
+  function cross() {
+    const other = kept[Math.floor(Math.random() * kept.length)];
+    return make('cross', {
+      designs: [genotype, other.genotype].map((voxels) => ({ voxels })), pairs: [[0, 1]],
+      repair: 'largest',
+    }, 'The two bodies are equal; nothing is left.');
   }
 
   function undo() {
@@ -197,12 +221,7 @@ export async function mount(main, path, parameters, app) {
     else announce('The body is at the edge of the workspace.');
   }, { class: 'icon', 'aria-label': `Shift: ${name}`, title: `Shift: ${name}` });
   const breed = breedButton(app, 'Breed these', () => kept.map((one) => ({ voxels: one.genotype })), { class: 'primary', disabled: true });
-  const crossing = button('Cross', () => {
-    const other = kept[Math.floor(Math.random() * kept.length)];
-    const child = cross(genotype, other.genotype);
-    if (child) change(child);
-    else announce('The two bodies are equal; nothing is left.');
-  }, { disabled: true, title: 'Cross with a kept body' });
+  const crossing = button('Cross', cross, { disabled: true, title: 'Cross with a kept body' });
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Editor'), h('span.muted.keys', {}, 'layers from the ground up; arrow keys move, page keys change the layer, space ' +
@@ -214,7 +233,7 @@ export async function mount(main, path, parameters, app) {
       h('div.row', {}, toggle('Mirror x', false, (on) => {
         mirrored = on;
         if (on) change(mirror(genotype, 0));
-      }), button('Random', () => change(grow())), button('Mutate', () => change(mutate(genotype))), crossing,
+      }), button('Random', grow), button('Mutate', mutate), crossing,
       button('Undo', undo)),
       h('div.row', {}, h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'), move('←', [-1, 0, 0]), move('→', [1, 0, 0]),
         move('↑', [0, 1, 0]), move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
@@ -229,6 +248,7 @@ export async function mount(main, path, parameters, app) {
       if (type === 'reset') walk(); // the service was away, and with it the score
     },
     unmount() {
+      isClosed = true;
       stop.abort();
       player.destroy();
     },
