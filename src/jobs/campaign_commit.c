@@ -58,11 +58,12 @@ static void count_survivors(const struct mo_campaign_run *run, struct mo_campaig
 
 static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  row->rollouts_cached = run->n_cached;
-  for (uint32_t i = 0; i < run->n_scored; i++)
+  const struct mo_campaign_scores *scores = &run->scores;
+  row->rollouts_cached = scores->n_cached;
+  for (uint32_t i = 0; i < scores->n; i++)
     for (uint32_t k = 0; k < run->n_environments; k++) {
-      row->rollouts += !isnan(run->losses[i].losses[k]);
-      row->rollouts_diverged += run->losses[i].diverged_steps[k] != 0;
+      row->rollouts += !isnan(scores->losses[i].losses[k]);
+      row->rollouts_diverged += scores->losses[i].diverged_steps[k] != 0;
     }
   for (uint32_t i = 0; i < run->n_children; i++)
     row->children_cut += run->rows->cut[run->n_parents + i];
@@ -72,12 +73,13 @@ static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign
 static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
   const double share = run->settings->collapse_share;
-  if (row->stats.diversity > run->diversity_max) {
-    run->diversity_max = row->stats.diversity;
-    run->is_warned = false;
+  if (row->stats.diversity > run->diversity.max) {
+    run->diversity.max = row->stats.diversity;
+    run->diversity.is_warned = false;
   }
-  row->collapse = share > 0 && !run->is_warned && row->stats.diversity < share * run->diversity_max;
-  run->is_warned = run->is_warned || row->collapse;
+  row->collapse =
+      share > 0 && !run->diversity.is_warned && row->stats.diversity < share * run->diversity.max;
+  run->diversity.is_warned = run->diversity.is_warned || row->collapse;
 }
 
 /* Describes the generation; the survivors are in the other rows. */
@@ -92,9 +94,9 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
       .mean_parents = mean_of(run->rows->scores, run->n_parents),
       .mean_children = mean_of(run->rows->scores + run->n_parents, run->n_children),
       .variation = run->variation,
-      .learning_steps = learns ? run->step : 0,
-      .first_loss = learns ? run->first_loss : NAN,
-      .last_loss = learns ? run->last_loss : NAN};
+      .learning_steps = learns ? run->learning.step : 0,
+      .first_loss = learns ? run->learning.first_loss : NAN,
+      .last_loss = learns ? run->learning.last_loss : NAN};
   int error = mo_population_stats(run->settings->workspace, survivors->genotypes, survivors->scores,
                                   survivors->sizes, run->n_survivors, &row->stats);
   if (error != MO_OK)
@@ -102,7 +104,7 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
   count_survivors(run, row);
   count_rollouts(run, row);
   watch_diversity(run, row);
-  row->seconds = run->prepared_s + (double)(mo_clock_us() - run->begin_us) * 1e-6;
+  row->seconds = run->times.prepared_s + (double)(mo_clock_us() - run->times.begin_us) * 1e-6;
   return MO_OK;
 }
 
@@ -147,15 +149,16 @@ void mo_campaign_writing_free(struct mo_campaign_run *run)
 
 static int take_learning(const struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
-  const uint32_t n = run->step - run->steps_saved;
+  const struct mo_campaign_learning *learning = &run->learning;
+  const uint32_t n = learning->step - learning->steps_saved;
   writing->steps = calloc((size_t)n + 1, sizeof(*writing->steps));
   if (writing->steps == NULL)
     return MO_ERR_NO_MEMORY;
-  memcpy(writing->steps, run->steps + run->steps_saved, n * sizeof(*writing->steps));
+  memcpy(writing->steps, learning->steps + learning->steps_saved, n * sizeof(*writing->steps));
   writing->commit.steps = writing->steps;
   writing->commit.n_steps = n;
-  writing->commit.checkpoint_step = run->step;
-  const int error = mo_training_encode(run->learner.training, &writing->checkpoint,
+  writing->commit.checkpoint_step = learning->step;
+  const int error = mo_training_encode(learning->learner.training, &writing->checkpoint,
                                        &writing->commit.checkpoint_size);
   writing->commit.checkpoint = writing->checkpoint;
   return error;
@@ -192,22 +195,22 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
   if (error != MO_OK)
     return error;
   const struct mo_campaign_generation *row = &writing->commit.row;
-  run->generation_s = row->seconds - run->prepared_s;
-  run->generation_rollouts = row->rollouts;
+  run->times.generation_s = row->seconds - run->times.prepared_s;
+  run->times.generation_rollouts = row->rollouts;
   mo_campaign_advance(run, 0, 0);
   tell_generation(run, row, writing->generation_data);
   if (row->collapse) {
     snprintf(writing->collapse_data, sizeof(writing->collapse_data),
              "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}",
              (long long)run->id, (unsigned)row->generation, MO_FIGURE(row->stats.diversity),
-             MO_FIGURE(run->diversity_max));
+             MO_FIGURE(run->diversity.max));
     writing->commit.collapse_data = writing->collapse_data;
   }
   if (!learns) {
-    writing->losses = run->losses;
+    writing->losses = run->scores.losses;
     writing->commit.losses = writing->losses;
-    writing->commit.n_losses = run->n_scored;
-    run->losses = NULL;
+    writing->commit.n_losses = run->scores.n;
+    run->scores.losses = NULL;
   }
   return MO_OK;
 }
@@ -248,20 +251,19 @@ int mo_campaign_commit(struct mo_campaign_run *run)
     return MO_ERR_NO_MEMORY;
   writing->jobs = run->jobs;
   writing->id = run->id;
-  mo_campaign_enter(run, MO_PHASE_SAVE, 0);
   int error = take(run, writing);
   if (error != MO_OK) {
     drop(writing);
     return error;
   }
-  run->steps_saved = run->step;
-  run->race_pays = writing->commit.race_pays;
-  run->n_unsaved = 0; /* losses are in the commit */
+  run->learning.steps_saved = run->learning.step;
+  run->race.pays = writing->commit.race_pays;
+  run->scores.n_unsaved = 0; /* losses are in the commit */
   writing->is_pending = true;
   writing->status = MO_ERR_BUSY;
   atomic_store(&writing->ended, false);
   writing->has_thread = mo_thread_create(&writing->thread, NULL, write_beside, writing) == 0;
-  return writing->has_thread ? MO_OK : mo_campaign_settle(run);
+  return writing->has_thread ? MO_OK : mo_campaign_wait_for_commit(run);
 }
 
 bool mo_campaign_is_writing(const struct mo_campaign_run *run)
@@ -280,7 +282,7 @@ void mo_campaign_writing_join(struct mo_campaign_run *run)
   writing->has_thread = false;
 }
 
-int mo_campaign_settle(struct mo_campaign_run *run)
+int mo_campaign_wait_for_commit(struct mo_campaign_run *run)
 {
   struct mo_campaign_writing *writing = run->writing;
   if (writing == NULL || !writing->is_pending)
@@ -291,5 +293,25 @@ int mo_campaign_settle(struct mo_campaign_run *run)
     error = mo_runner_persist(run->runner, write_generation, writing, "a generation");
   if (error != MO_ERR_CANCELLED) /* a cancelled commit is still pending and precedes other writes */
     drop(writing);
+  return error;
+}
+
+int mo_campaign_persist(struct mo_campaign_run *run, int (*write)(void *context), void *context,
+                        const char *what)
+{
+  const int error = mo_campaign_wait_for_commit(run);
+  return error == MO_OK ? mo_runner_persist(run->runner, write, context, what) : error;
+}
+
+int mo_campaign_report(struct mo_campaign_run *run)
+{
+  char text[256];
+  const char *progress = mo_campaign_progress(run, text);
+  if (progress == NULL || mo_campaign_is_writing(run))
+    return MO_OK;
+  const int error = mo_campaign_wait_for_commit(run);
+  if (error == MO_OK)
+    (void)mo_store_campaign_progress(run->jobs->store, run->id, progress);
+  run->times.progress_us = mo_clock_us();
   return error;
 }

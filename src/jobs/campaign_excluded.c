@@ -271,8 +271,9 @@ void mo_exclusion_release(struct mo_campaign_run *run)
 static double generations_s(const struct mo_campaign_run *run)
 {
   const uint32_t generations = run->settings->generations;
-  return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s
-                                        : 0;
+  return run->generation <= generations
+             ? (generations - run->generation + 1.0) * run->times.generation_s
+             : 0;
 }
 
 /* Shows the progress of the drawing. seconds_left < 0: not known yet. */
@@ -290,18 +291,6 @@ static void show(struct mo_campaign_run *run, uint64_t done, uint64_t total, int
              "campaign %lld draws the bodies again that the controller was pretrained on: this one "
              "waits for the same",
              (long long)drawer);
-}
-
-/* Adds an event of the progress once a second. A failed write is ignored: the next one follows in a
- * second. */
-static void report(struct mo_campaign_run *run, uint64_t done, uint64_t total)
-{
-  char text[256];
-  const char *progress = mo_campaign_progress(run, "preparing", done, total, text);
-  if (progress == NULL)
-    return;
-  (void)mo_store_campaign_progress(run->jobs->store, run->id, progress);
-  run->progress_us = mo_clock_us();
 }
 
 /* Waits for the end of the drawing, or for a request. */
@@ -325,7 +314,9 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
     const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
     show(run, done, exclusion->n_bodies, drawer,
          done > 0 ? passed_s / (double)done * (double)(exclusion->n_bodies - done) : -1);
-    report(run, done, exclusion->n_bodies);
+    const int error = mo_campaign_report(run);
+    if (error != MO_OK)
+      return error;
     mo_runner_sleep(run->runner, ms, MO_REQUEST_PAUSE);
   }
 }

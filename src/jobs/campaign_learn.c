@@ -15,21 +15,16 @@
 
 #include "base/clock.h"
 
-static uint32_t parent_steps(const struct mo_campaign_run *run, uint32_t generation)
+static uint32_t parent_steps(const struct mo_campaign_run *run)
 {
-  return generation == 0 ? 0 : run->settings->parent_steps;
+  return run->generation == 0 ? 0 : run->settings->parent_steps;
 }
 
-static uint32_t steps_of(const struct mo_campaign_run *run, uint32_t generation)
+void mo_campaign_free_learning(struct mo_campaign_learning *learning)
 {
-  return parent_steps(run, generation) + run->settings->child_steps;
-}
-
-void mo_campaign_free_learning(struct mo_campaign_run *run)
-{
-  mo_learner_free(&run->learner);
-  free(run->steps);
-  run->steps = NULL;
+  mo_learner_free(&learning->learner);
+  free(learning->steps);
+  learning->steps = NULL;
 }
 
 /* ---- checkpoints ---- */
@@ -37,17 +32,18 @@ void mo_campaign_free_learning(struct mo_campaign_run *run)
 static int write_checkpoint(void *context)
 {
   struct mo_campaign_run *run = context;
+  struct mo_campaign_learning *learning = &run->learning;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  int error = mo_training_encode(run->learner.training, &bytes, &size);
+  int error = mo_training_encode(learning->learner.training, &bytes, &size);
   if (error == MO_OK)
-    error = mo_store_campaign_checkpoint(run->jobs->store, run->id, run->generation, run->step,
-                                         bytes, size, run->steps + run->steps_saved,
-                                         run->step - run->steps_saved);
+    error = mo_store_campaign_checkpoint(run->jobs->store, run->id, run->generation, learning->step,
+                                         bytes, size, learning->steps + learning->steps_saved,
+                                         learning->step - learning->steps_saved);
   free(bytes);
   if (error == MO_OK) {
-    run->steps_saved = run->step;
-    run->checkpoint_us = mo_clock_us();
+    learning->steps_saved = learning->step;
+    learning->checkpoint_us = mo_clock_us();
     run->status.job.attempts = 0;
     mo_memory_prove(run->jobs, run->id);
   }
@@ -56,15 +52,13 @@ static int write_checkpoint(void *context)
 
 int mo_campaign_save_learning(struct mo_campaign_run *run)
 {
+  struct mo_campaign_learning *learning = &run->learning;
   char what[96];
-  if (run->steps == NULL || run->steps_saved == run->step)
+  if (learning->steps == NULL || learning->steps_saved == learning->step)
     return MO_OK;
-  int error = mo_campaign_settle(run);
-  if (error != MO_OK)
-    return error;
   snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u",
-           (unsigned)run->generation, (unsigned)run->step);
-  return mo_runner_persist(run->runner, write_checkpoint, run, what);
+           (unsigned)run->generation, (unsigned)learning->step);
+  return mo_campaign_persist(run, write_checkpoint, run, what);
 }
 
 /* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: the
@@ -78,7 +72,7 @@ static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uin
   int error =
       mo_store_campaign_checkpoint_of(run->jobs->store, run->id, generation, step, &bytes, &size);
   if (error == MO_OK)
-    error = mo_training_decode(bytes, size, &run->learner.training, &message);
+    error = mo_training_decode(bytes, size, &run->learning.learner.training, &message);
   free(bytes);
   if (error != MO_ERR_CORRUPT && error != MO_ERR_IO && error != MO_ERR_FORMAT)
     return error;
@@ -101,26 +95,9 @@ int mo_campaign_load_learning(struct mo_campaign_run *run)
 
 /* ---- what is due between steps ---- */
 
-static int tell(struct mo_campaign_run *run)
-{
-  char progress[256];
-  const char *data =
-      mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
-  if (data == NULL || mo_campaign_is_writing(run))
-    return MO_OK;
-  int error = mo_campaign_settle(run);
-  if (error == MO_OK)
-    error =
-        mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
-  run->progress_us = mo_clock_us();
-  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY
-             ? MO_OK
-             : error; /* a lost progress event is no error */
-}
-
 static bool checkpoint_is_due(const struct mo_campaign_run *run)
 {
-  return mo_checkpoint_is_due(&run->status.job, run->checkpoint_us,
+  return mo_checkpoint_is_due(&run->status.job, run->learning.checkpoint_us,
                               run->status.record.checkpoint_every_s);
 }
 
@@ -128,7 +105,7 @@ static int write_what_is_due(void *context)
 {
   struct mo_campaign_run *run = context;
   const int error = checkpoint_is_due(run) ? mo_campaign_save_learning(run) : MO_OK;
-  return error == MO_OK ? tell(run) : error;
+  return error == MO_OK ? mo_campaign_report(run) : error;
 }
 
 /* ---- where it begins ---- */
@@ -150,7 +127,7 @@ static int begin_training(struct mo_campaign_run *run)
   }
   if (error == MO_OK)
     error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run),
-                               run->n_children, &run->learner.training);
+                               run->n_children, &run->learning.learner.training);
   mo_controller_free(random);
   return error;
 }
@@ -158,9 +135,10 @@ static int begin_training(struct mo_campaign_run *run)
 /* Loads what an earlier process learned in this generation. MO_ERR_NOT_FOUND: nothing usable. */
 static int restore(struct mo_campaign_run *run)
 {
-  int error = read_checkpoint(run, run->generation, &run->step);
+  struct mo_campaign_learning *learning = &run->learning;
+  int error = read_checkpoint(run, run->generation, &learning->step);
   if (error == MO_OK)
-    run->steps_saved = run->step;
+    learning->steps_saved = learning->step;
   if (error != MO_ERR_CORRUPT)
     return error;
   mo_runner_warn(run->runner, error,
@@ -172,38 +150,41 @@ static int restore(struct mo_campaign_run *run)
 /* Prepares the training at the step where this generation's learning continues. */
 static int prepare_training(struct mo_campaign_run *run)
 {
+  struct mo_campaign_learning *learning = &run->learning;
   const bool inherits = run->settings->mode == MO_SIMULTANEOUS && run->generation > 0;
-  const bool is_new = run->learner.training == NULL; /* in this process */
+  const bool is_new = learning->learner.training == NULL; /* in this process */
   int error = MO_OK;
-  run->step = run->steps_saved = 0;
+  learning->step = learning->steps_saved = 0;
   if (is_new || !inherits) {
-    mo_training_free(run->learner.training);
-    run->learner.training = NULL;
+    mo_training_free(learning->learner.training);
+    learning->learner.training = NULL;
     error = is_new ? restore(run) : MO_ERR_NOT_FOUND;
     if (error == MO_ERR_NOT_FOUND)
       error = inherits ? mo_campaign_load_learning(run) : begin_training(run);
   }
   if (error == MO_OK &&
       run->settings->mode == MO_SIMULTANEOUS) /* generations may have been added */
-    error = mo_training_set_steps(run->learner.training,
+    error = mo_training_set_steps(learning->learner.training,
                                   mo_campaign_training(run->settings, 0).n_steps);
   if (error == MO_OK)
-    error =
-        mo_learner_prepare(&run->learner, run->runner, &run->status.job, write_what_is_due, run);
+    error = mo_learner_prepare(&learning->learner, run->runner, &run->status.job, write_what_is_due,
+                               run);
   return error;
 }
 
 /* Reads the first and last loss from the steps of an earlier process. */
 static int read_losses(struct mo_campaign_run *run)
 {
+  struct mo_campaign_learning *learning = &run->learning;
   struct mo_campaign_step row;
   int64_t n = mo_store_campaign_steps(run->jobs->store, run->id, run->generation, 0, &row, 1);
   if (n == 1 && row.generation == run->generation)
-    run->first_loss = row.report.mean_loss;
+    learning->first_loss = row.report.mean_loss;
   if (n >= 0)
-    n = mo_store_campaign_steps(run->jobs->store, run->id, run->generation, run->step - 1, &row, 1);
-  if (n == 1 && row.generation == run->generation && row.step == run->step)
-    run->last_loss = row.report.mean_loss;
+    n = mo_store_campaign_steps(run->jobs->store, run->id, run->generation, learning->step - 1,
+                                &row, 1);
+  if (n == 1 && row.generation == run->generation && row.step == learning->step)
+    learning->last_loss = row.report.mean_loss;
   return n < 0 ? (int)n : MO_OK;
 }
 
@@ -211,55 +192,72 @@ static int read_losses(struct mo_campaign_run *run)
 
 static int set_designs(struct mo_campaign_run *run)
 {
-  const bool on_children = run->step >= parent_steps(run, run->generation);
-  return mo_learner_set_designs(&run->learner,
+  const bool on_children = run->learning.step >= parent_steps(run);
+  return mo_learner_set_designs(&run->learning.learner,
                                 on_children ? children(run) : run->rows->bits[0].words,
                                 on_children ? run->n_children : run->n_parents);
 }
 
 static int step(struct mo_campaign_run *run)
 {
-  struct mo_campaign_step *row = &run->steps[run->step];
+  struct mo_campaign_learning *learning = &run->learning;
+  struct mo_campaign_step *row = &learning->steps[learning->step];
   const struct mo_robot *robots = NULL;
-  int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
+  int error = mo_training_draw(learning->learner.training, NULL, NULL, &robots);
   if (error == MO_OK)
-    error = mo_learner_gradient(&run->learner, robots);
+    error = mo_learner_gradient(&learning->learner, robots);
   if (error == MO_OK)
-    error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
+    error = mo_learner_apply(&learning->learner, &row->report, &row->seconds);
   if (error != MO_OK)
     return error;
   row->generation = run->generation;
-  row->on_children = run->step >= parent_steps(run, run->generation);
-  row->step = ++run->step;
+  row->on_children = learning->step >= parent_steps(run);
+  row->step = ++learning->step;
   if (row->step == 1)
-    run->first_loss = row->report.mean_loss;
-  run->last_loss = row->report.mean_loss;
+    learning->first_loss = row->report.mean_loss;
+  learning->last_loss = row->report.mean_loss;
   atomic_fetch_add(&run->jobs->campaign_steps, 1);
   return MO_OK;
 }
 
+uint64_t mo_campaign_n_steps(const struct mo_campaign_run *run)
+{
+  return parent_steps(run) + run->settings->child_steps;
+}
+
 int mo_campaign_learn(struct mo_campaign_run *run)
 {
-  const uint32_t n_steps = steps_of(run, run->generation);
-  if (!mo_mode_learns(run->settings->mode))
-    return MO_OK;
-  mo_campaign_enter(run, MO_PHASE_LEARN, n_steps);
-  run->first_loss = run->last_loss = NAN;
-  free(run->steps);
-  run->steps = calloc((size_t)n_steps + 1, sizeof(*run->steps));
-  int error = run->steps == NULL ? MO_ERR_NO_MEMORY : prepare_training(run);
-  if (error == MO_OK && run->step > 0)
+  struct mo_campaign_learning *learning = &run->learning;
+  const uint32_t n_steps = (uint32_t)mo_campaign_n_steps(run);
+  learning->first_loss = learning->last_loss = NAN;
+  free(learning->steps);
+  learning->steps = calloc((size_t)n_steps + 1, sizeof(*learning->steps));
+  int error = learning->steps == NULL ? MO_ERR_NO_MEMORY : prepare_training(run);
+  if (error == MO_OK && learning->step > 0)
     error = read_losses(run);
-  if (error == MO_OK && n_steps > run->step)
+  if (error == MO_OK && n_steps > learning->step)
     error = set_designs(run);
-  run->checkpoint_us = mo_clock_us();
-  while (error == MO_OK && run->step < n_steps) {
-    mo_campaign_advance(run, run->step, 0);
+  learning->checkpoint_us = mo_clock_us();
+  while (error == MO_OK && learning->step < n_steps) {
+    mo_campaign_advance(run, learning->step, 0);
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     error = step(run);
-    if (error == MO_OK && run->step < n_steps && run->step == parent_steps(run, run->generation))
+    if (error == MO_OK && learning->step < n_steps && learning->step == parent_steps(run))
       error = set_designs(run);
   }
   return error == MO_OK ? mo_campaign_save_learning(run) : error;
+}
+
+int mo_campaign_check_learned(struct mo_campaign_run *run)
+{
+  const struct mo_training *training = run->learning.learner.training;
+  bool any = run->generation > 0 || training == NULL || mo_training_step(training) == 0 ||
+             mo_training_skipped(training) < mo_training_step(training);
+  for (uint32_t i = 0; i < run->n_children && !any; i++)
+    any = isfinite(run->rows->scores[i]);
+  return any ? MO_OK
+             : mo_runner_give_up(run->runner, MO_ERR_RANGE,
+                                 "every robot of generation 0 diverged, while it learned and while "
+                                 "it was scored: choose a smaller dt_s or stiffness_n_per_m");
 }

@@ -29,14 +29,15 @@ static double seconds_left(const struct mo_campaign_run *run, const struct mo_li
   const struct mo_campaign_settings *settings = run->settings;
   const double after =
       run->generation < settings->generations ? settings->generations - run->generation : 0;
-  const double passed = (double)(mo_clock_us() - run->begin_us) * 1e-6;
+  const double passed = (double)(mo_clock_us() - run->times.begin_us) * 1e-6;
   if (!mo_mode_learns(settings->mode) && live->rate > 0 && run->generation > 0) {
-    const double left = after + (run->n_scored - run->n_done) / (double)settings->population;
-    return left * (double)run->generation_rollouts / live->rate;
+    const double left = after + (run->scores.n - run->scores.n_done) / (double)settings->population;
+    return left * (double)run->times.generation_rollouts / live->rate;
   }
-  if (run->generation_s <= 0)
+  if (run->times.generation_s <= 0)
     return -1;
-  return after * run->generation_s + (passed < run->generation_s ? run->generation_s - passed : 0);
+  return after * run->times.generation_s +
+         (passed < run->times.generation_s ? run->times.generation_s - passed : 0);
 }
 
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double rollouts_per_s)
@@ -49,14 +50,14 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double roll
   runner->live.seconds_left = seconds_left(run, &runner->live);
 }
 
-const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
-                                 uint64_t total, char text[256])
+const char *mo_campaign_progress(const struct mo_campaign_run *run, char text[256])
 {
-  if (mo_clock_us() - run->progress_us < PROGRESS_EVERY_US)
+  const struct mo_live *live = &run->runner->live; /* only this thread changes it */
+  if (mo_clock_us() - run->times.progress_us < PROGRESS_EVERY_US)
     return NULL;
   snprintf(text, 256,
            "{\"id\":\"%lld\",\"generation\":%u,\"phase\":\"%s\",\"done\":%llu,\"total\":%llu}",
-           (long long)run->id, (unsigned)run->generation, phase, (unsigned long long)done,
-           (unsigned long long)total);
+           (long long)run->id, (unsigned)run->generation, mo_phase_name(live->phase),
+           (unsigned long long)live->done, (unsigned long long)live->total);
   return text;
 }

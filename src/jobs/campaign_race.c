@@ -15,24 +15,25 @@ _Static_assert(MO_RACE_ENVIRONMENTS_MAX == MO_ENVIRONMENTS_MAX, "a plan holds ev
 
 static uint32_t n_parents_scored(const struct mo_campaign_run *run)
 {
-  return run->n_parents - run->first_scored;
+  return run->n_parents - run->scores.first;
 }
 
 int mo_race_close(struct mo_campaign_run *run)
 {
-  run->races = mo_race_is_possible(run->settings) && run->n_parents > 0;
-  return run->races && (run->race_pays || n_parents_scored(run) == 0)
-             ? mo_grid_close(&run->scoring.grid, n_parents_scored(run))
+  struct mo_campaign_race *race = &run->race;
+  race->is_possible = mo_race_is_possible(run->settings) && run->n_parents > 0;
+  return race->is_possible && (race->pays || n_parents_scored(run) == 0)
+             ? mo_grid_close(&run->scores.scoring.grid, n_parents_scored(run))
              : MO_OK;
 }
 
 /* Opens the next wave of a candidate, or all. */
 static void open_wave(struct mo_campaign_run *run, uint32_t place, uint32_t wave)
 {
-  const struct mo_race *race = &run->race;
+  const struct mo_race *race = &run->race.plan;
   const uint32_t first = wave > 0 ? race->ends[wave - 1] : 0;
   const uint32_t end = race->is_whole ? race->n_environments : race->ends[wave];
-  mo_grid_open(&run->scoring.grid, place, race->order + first, end - first);
+  mo_grid_open(&run->scores.scoring.grid, place, race->order + first, end - first);
 }
 
 static void plan(struct mo_campaign_run *run)
@@ -40,20 +41,20 @@ static void plan(struct mo_campaign_run *run)
   const uint32_t n = run->n_environments, n_scored = n_parents_scored(run);
   struct mo_campaign_rows *rows = run->rows;
   for (uint32_t i = 0; i < n_scored; i++) { /* they have learned, and have new losses */
-    memcpy(rows->parent_losses + (size_t)i * n, run->losses[i].losses, n * sizeof(double));
-    rows->scores[i] = mo_race_score(run->losses[i].losses, n);
+    memcpy(rows->parent_losses + (size_t)i * n, run->scores.losses[i].losses, n * sizeof(double));
+    rows->scores[i] = mo_race_score(run->scores.losses[i].losses, n);
   }
-  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, run->race_pays,
-               &run->race);
+  mo_race_plan(run->settings, rows->parent_losses, rows->scores, run->n_parents, n, run->race.pays,
+               &run->race.plan);
 }
 
 /* Returns the wave that a child has to begin. n_waves: it is inside one. */
 static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
 {
-  const struct mo_race *race = &run->race;
+  const struct mo_race *race = &run->race.plan;
   uint32_t wave = 0;
   for (uint32_t i = 0; i < race->n_environments; i++) {
-    const uint8_t cell = *mo_grid_cell(&run->scoring.grid, place, race->order[i]);
+    const uint8_t cell = *mo_grid_cell(&run->scores.scoring.grid, place, race->order[i]);
     while (i >= race->ends[wave])
       wave++;
     if (cell != MO_CELL_DONE)
@@ -68,10 +69,10 @@ static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
 static bool go_on(struct mo_campaign_run *run, uint32_t place)
 {
   const uint32_t wave = next_wave(run, place);
-  if (wave == run->race.n_waves)
+  if (wave == run->race.plan.n_waves)
     return false;
-  if (mo_race_score(run->losses[place].losses, run->n_environments) > run->race.bound) {
-    mo_grid_finish_design(&run->scoring.grid, place);
+  if (mo_race_score(run->scores.losses[place].losses, run->n_environments) > run->race.plan.bound) {
+    mo_grid_finish_design(&run->scores.scoring.grid, place);
     return true;
   }
   open_wave(run, place, wave);
@@ -82,41 +83,44 @@ static bool go_on(struct mo_campaign_run *run, uint32_t place)
 static void start(struct mo_campaign_run *run)
 {
   plan(run);
-  for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
-    run->n_done += go_on(run, i);
+  for (uint32_t i = n_parents_scored(run); i < run->scores.n; i++)
+    run->scores.n_done += go_on(run, i);
 }
 
 void mo_race_begin(struct mo_campaign_run *run)
 {
-  run->parents_left = 0;
+  struct mo_campaign_race *race = &run->race;
+  race->parents_left = 0;
   for (uint32_t i = 0; i < n_parents_scored(run); i++)
-    run->parents_left += run->scoring.grid.left[i] > 0;
-  if (run->races && run->parents_left == 0)
+    race->parents_left += run->scores.scoring.grid.left[i] > 0;
+  if (race->is_possible && race->parents_left == 0)
     start(run);
 }
 
 bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
 {
-  if (!run->races)
+  struct mo_campaign_race *race = &run->race;
+  if (!race->is_possible)
     return is_done;
   if (place < n_parents_scored(run)) {
-    run->parents_left -= is_done;
-    if (is_done && run->parents_left == 0)
+    race->parents_left -= is_done;
+    if (is_done && race->parents_left == 0)
       start(run);
     return is_done;
   }
-  return is_done || (run->parents_left == 0 && go_on(run, place));
+  return is_done || (race->parents_left == 0 && go_on(run, place));
 }
 
 bool mo_race_pays(const struct mo_campaign_run *run)
 {
+  const struct mo_campaign_race *race = &run->race;
   const bool on_device = run->status.job.back_end == MO_ON_DEVICE;
   int64_t saved = 0;
-  if (!run->races || isinf(run->race.bound))
-    return run->race_pays;
-  for (uint32_t i = n_parents_scored(run); i < run->n_scored; i++)
-    saved += mo_race_saved(&run->race, run->losses[i].losses, on_device);
-  return saved > mo_race_lost(&run->race, on_device, n_parents_scored(run) > 0);
+  if (!race->is_possible || isinf(race->plan.bound))
+    return race->pays;
+  for (uint32_t i = n_parents_scored(run); i < run->scores.n; i++)
+    saved += mo_race_saved(&race->plan, run->scores.losses[i].losses, on_device);
+  return saved > mo_race_lost(&race->plan, on_device, n_parents_scored(run) > 0);
 }
 
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)
@@ -128,7 +132,7 @@ void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to
     const uint32_t place = run->rows->survivors[i];
     memcpy(to->parent_losses + i * n,
            place < run->n_parents ? run->rows->parent_losses + place * n
-                                  : run->losses[place - run->n_parents].losses,
+                                  : run->scores.losses[place - run->n_parents].losses,
            n * sizeof(double));
   }
 }
