@@ -4,9 +4,11 @@
 #                               root, or with sudo)
 #   fetch_promtool              puts Prometheus's checker, build/promtool, in its place once; tests
 #                               that find none are skipped
-#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments; the module
-#                               for GPUs has code for all, but for tools/test without a GPU
+#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments. $gpu_code
+#                               (all, check) says which GPUs the module for them has code for; on a
+#                               machine with a GPU it is all
 #   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
+#   build_shown FOLDER [ARG…]   the same, shows progress, and first estimates how long it takes
 
 set -euo pipefail
 repository=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -63,14 +65,17 @@ fetch_promtool() {
 # Meson must run on Debian's own Python, whatever else is first in PATH.
 export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
 
+has_gpu() { [ -e /dev/nvidiactl ]; }
+if has_gpu; then gpu_code=${gpu_code:-all}; fi
+
 configure_in() {
   local folder=$1 output; shift
   if [ ! -f "$folder/build.ninja" ]; then
-    output=$(meson setup "$folder" "-Dgpu_code=${gpu_code:-all}" "$@" 2>&1) ||
+    output=$(meson setup "$folder" ${gpu_code:+"-Dgpu_code=$gpu_code"} "$@" 2>&1) ||
       { printf '%s\n' "$output"; fail "meson could not configure $folder"; }
-  elif [ "${gpu_code:-all}" = all ] && meson introspect "$folder" --buildoptions |
-      grep -q '"name": "gpu_code", "value": "check"'; then # left by tools/test
-    meson configure "$folder" -Dgpu_code=all || fail "meson could not configure $folder"
+  elif [ -n "${gpu_code:-}" ] && ! meson introspect "$folder" --buildoptions |
+      grep -q "\"name\": \"gpu_code\", \"value\": \"$gpu_code\""; then
+    meson configure "$folder" "-Dgpu_code=$gpu_code" || fail "meson could not configure $folder"
   fi
 }
 
@@ -78,4 +83,41 @@ build_in() {
   local folder=$1
   configure_in "$@"
   ninja -C "$folder" --quiet ${targets:-} || fail "the build in $folder failed"
+}
+
+# Processor time per C file: 116 s for 326 files, without ccache, on slow cores.
+compile_ms=360
+
+# Reads ninja's output: prints its progress every 15 s, and errors and warnings at once.
+build_progress() {
+  local line next=$((SECONDS + 15))
+  while IFS= read -r line; do
+    case $line in
+      '['*/*']'*)
+        [ $SECONDS -lt $next ] && continue
+        next=$((SECONDS + 15)) line=${line%%]*}
+        echo "  ${line#[} steps are done" ;;
+      'ninja: Entering directory'*|'ninja: no work to do.') ;;
+      *) printf '%s\n' "$line" ;;
+    esac
+  done
+}
+
+# On a terminal ninja shows its own progress.
+build_shown() {
+  local folder=$1 output build steps files cuda seconds
+  configure_in "$@"
+  output=$(ninja -C "$folder" --quiet build.ninja) ||
+    { printf '%s\n' "$output"; fail "meson could not configure $folder again"; }
+  build=(ninja -C "$folder" ${targets:-})
+  steps=$("${build[@]}" -n --verbose) || fail "ninja cannot build ${targets:-} in $folder"
+  files=$(grep -c ' -c .*\.c$' <<<"$steps" || true)
+  cuda=$(grep -c ' -c .*\.cu ' <<<"$steps" || true)
+  seconds=$((files * compile_ms / 1000 / $(nproc) + 1))
+  [ "$files" -eq 0 ] ||
+    echo "Compiling $files files: about $seconds s on this machine, less with ccache."
+  [ "$cuda" -eq 0 ] || echo "Compiling $cuda files for GPUs: several minutes more."
+  if [ -t 1 ]; then "${build[@]}"
+  else NINJA_STATUS='[%f/%t] ' "${build[@]}" | build_progress
+  fi || fail "the build in $folder failed"
 }

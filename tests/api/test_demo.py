@@ -21,7 +21,9 @@ def demo(tmp_path):
     """demo(option…): the lines that it prints."""
     for folder in ("build/src/daemon", "build/clients/morphoctl"):
         (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "build/build.ninja").write_text("build all: phony\n")
+    (tmp_path / "build/build.ninja").write_text(
+        "build build.ninja: phony\n"
+        "build src/daemon/morphod clients/morphoctl/morphoctl: phony\n")
     for name, target in (("tools", module.SOURCE / "tools"), ("data", module.SOURCE / "data"),
                          ("build/src/daemon/morphod",
                           module.BINARY), ("build/clients/morphoctl/morphoctl", MORPHOCTL)):
