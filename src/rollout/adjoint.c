@@ -108,18 +108,17 @@ void mo_adjoint_step(const struct mo_reference *r, struct mo_step_tape *tape,
   sense_light_adjoint(r, tape->position_m, adjoint);
 }
 
-void mo_adjoint_start(const struct mo_reference *r, const double *com_m, double scale_m,
+void mo_adjoint_start(const struct mo_reference *r, const double *com_m, const struct mo_goal *goal,
                       double weight, struct mo_adjoint *adjoint)
 {
   const size_t n = r->body->n_masses;
   memset(adjoint->d_position, 0, n * 3 * sizeof(double));
   memset(adjoint->d_velocity, 0, n * 3 * sizeof(double));
-  const double *light = r->environment->light_xy_m;
-  const double far = mo_scene_distance(com_m[0] - light[0], com_m[1] - light[1]);
-  /* loss = mo_scene_distance(com − light) / scale,   com = sum of positions / n; at the light
-   * itself the derivative is taken as 0 */
-  for (int axis = 0; axis < 2 && far > 0; axis++) {
-    const double d_com = weight * (com_m[axis] - light[axis]) / far / scale_m;
+  const struct mo_seed seed = mo_goal_seed(goal, mo_away_of(r->environment->light_xy_m, com_m));
+  /* com = sum of positions / n */
+  for (int axis = 0; axis < 2 && seed.length > 0; axis++) {
+    const double toward = axis == 0 ? seed.toward.x : seed.toward.y;
+    const double d_com = weight * toward / seed.length / seed.scale;
     for (size_t i = 0; i < n; i++)
       adjoint->d_position[3 * i + axis] += d_com / (double)n;
   }

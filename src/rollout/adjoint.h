@@ -2,6 +2,7 @@
 #ifndef MORPHO_ROLLOUT_ADJOINT_H
 #define MORPHO_ROLLOUT_ADJOINT_H
 
+#include "rollout/objective.inc"
 #include "rollout/reference.h"
 
 #include <morpho/gradient.h>
@@ -20,10 +21,9 @@ struct mo_adjoint {
 void mo_adjoint_step(const struct mo_reference *reference, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 
-/* Computes ∂loss/∂ the final state, whose center of mass is com_m, times `weight`. scale_m: the
- * divisor of the distance in the loss. */
-void mo_adjoint_start(const struct mo_reference *reference, const double *com_m, double scale_m,
-                      double weight, struct mo_adjoint *adjoint);
+/* Computes ∂loss/∂ the final state, whose center of mass is com_m, times `weight`. */
+void mo_adjoint_start(const struct mo_reference *reference, const double *com_m,
+                      const struct mo_goal *goal, double weight, struct mo_adjoint *adjoint);
 
 /* Callbacks that receive the adjoint of the state after `step` steps, before it is measured and
  * after it was clipped; nullable. */

@@ -47,7 +47,7 @@ struct gradient {
       *control; /* (segment) copies of the tapes' network parts, in order of time */
   struct mo_adjoint adjoint;
   double *d_parameters; /* (n_parameters) of this robot */
-  double scale_m;       /* d0 */
+  struct mo_goal goal;
   struct mo_gradient_counts counts;
 };
 
@@ -138,7 +138,7 @@ static void take_back(struct gradient *g, double m, const double *before_m)
   if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {
     double com_m[3];
     mo_scene_com(before_m, g->reference.body->n_masses, com_m);
-    mo_adjoint_start(&g->reference, com_m, g->scale_m, g->options->restart_weight, &g->adjoint);
+    mo_adjoint_start(&g->reference, com_m, &g->goal, g->options->restart_weight, &g->adjoint);
     return;
   }
   const double scale = g->options->adjoint_bound / m;
@@ -156,7 +156,8 @@ static bool limit(struct gradient *g, uint32_t step, const double *before_m, boo
   double *dx = g->adjoint.d_position, *dv = g->adjoint.d_velocity;
   if (g->probe != NULL && g->probe->before != NULL)
     g->probe->before(g->probe->context, step, dx, dv);
-  const double x = g->scale_m * norm(dx, n), v = g->scale_m * MO_ADJOINT_RATE_PER_S * norm(dv, n);
+  const double scale_m = g->goal.scale_m;
+  const double x = scale_m * norm(dx, n), v = scale_m * MO_ADJOINT_RATE_PER_S * norm(dv, n);
   if (!isfinite(x) || !isfinite(v))
     return false;
   const double m = fmax(x, v), bound = g->options->adjoint_bound;
@@ -176,7 +177,7 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
 {
   const struct mo_reference *r = &g->reference;
   bool clipped = false;
-  mo_adjoint_start(r, outcome->com_end_m, g->scale_m, 1.0, &g->adjoint);
+  mo_adjoint_start(r, outcome->com_end_m, &g->goal, 1.0, &g->adjoint);
   for (uint32_t k = segments(g); k-- > 0;) {
     const uint32_t first = k * g->segment;
     const uint32_t n =
@@ -229,9 +230,7 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
   r = allocate(&g);
   if (r == MO_OK) {
     mo_reference_run(&g.reference, keep_state, &g, outcome);
-    g.scale_m = mo_scene_distance(outcome->com_start_m[0] - environment->light_xy_m[0],
-                                  outcome->com_start_m[1] - environment->light_xy_m[1]) +
-                MO_LOSS_GUARD_M;
+    g.goal = mo_goal_of(environment, outcome->com_start_m);
     if (outcome->diverged_step != 0)
       g.counts.diverged_robots++;
     else if (!run_backward(&g, outcome))

@@ -1,6 +1,8 @@
 /* scene.c: start positions, light, center of mass, loss. */
 #include "rollout/scene.h"
 
+#include "rollout/objective.inc"
+
 #include <math.h>
 
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
@@ -75,9 +77,7 @@ double mo_scene_distance(double dx_m, double dy_m)
 
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment)
 {
-  const double *light = environment->light_xy_m, *from = outcome->com_start_m,
-               *to = outcome->com_end_m;
-  const double start = mo_scene_distance(from[0] - light[0], from[1] - light[1]);
-  const double end = mo_scene_distance(to[0] - light[0], to[1] - light[1]);
-  outcome->loss = outcome->diverged_step != 0 ? (double)INFINITY : end / (start + MO_LOSS_GUARD_M);
+  const struct mo_goal goal = mo_goal_of(environment, outcome->com_start_m);
+  const struct mo_away end = mo_away_of(environment->light_xy_m, outcome->com_end_m);
+  outcome->loss = outcome->diverged_step != 0 ? (double)INFINITY : mo_goal_loss(&goal, end);
 }

@@ -29,10 +29,8 @@ static inline int8_t mo_scene_actuation(double output)
  * depend. */
 double mo_scene_distance(double dx_m, double dy_m);
 
-/* Sets the loss of an outcome of which the rest is known: distance in x, y from the center of mass
- * to the light at the end over the same distance at the start, guarded against a start at the light
- * itself; infinity where the rollout diverged. */
-#define MO_LOSS_GUARD_M 1e-8
+/* Sets the loss of an outcome of which the rest is known: that of objective.inc; infinity where the
+ * rollout diverged. */
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment);
 
 #endif

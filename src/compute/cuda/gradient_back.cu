@@ -415,8 +415,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       const mo_gk_result &before = k.results[first_row + group_row(row)];
       excluded[r] = before.diverged || before.excluded || before.zeroed;
       if (lane == 0) {
-        const double start_m = k.rows[first_row + group_row(row)].start_m;
-        const back_row now = {start_m * start_m, before.largest * before.largest,
+        const double scale_m = k.rows[first_row + group_row(row)].goal.scale_m;
+        const back_row now = {scale_m * scale_m, before.largest * before.largest,
                               before.steps,      before.clipped,
                               before.zeroed,     0};
         result[row] = now;

@@ -7,7 +7,7 @@
 
 /* What a launch finds out about a row. */
 struct back_row {
-  double start_squared, largest; /* squares, too: largest of the adjoints' norms times start_m */
+  double scale_squared, largest; /* squares, too: largest of the adjoints' norms times scale_m */
   uint32_t steps, clipped;
   int zeroed, padding;
 };
@@ -122,19 +122,18 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     asm volatile("cp.async.wait_all;" ::: "memory");
   }
 
-  /* ∂loss/∂ the final state of row r, whose center of mass is (dx, dy) from the light, times
-   * `weight`. */
-  __device__ __forceinline__ void aim(int r, double dx, double dy, double weight)
+  /* ∂loss/∂ the final state of row r, times `weight`. */
+  __device__ __forceinline__ void aim(int r, mo_away end, double weight)
   {
     const int n = own_masses(r), from = first + own_begin(r);
-    const double far = sqrt(dx * dx + dy * dy),
-                 start_m = k.rows[first_row + group_row(own_row(r))].start_m;
-    const double scale = far > 0 && !excluded[r] && n > 0 ? weight / (far * start_m * n) : 0.0;
+    const mo_seed seed = mo_goal_seed(&k.rows[first_row + group_row(own_row(r))].goal, end);
+    const double scale =
+        seed.length > 0 && !excluded[r] && n > 0 ? weight / (seed.length * seed.scale * n) : 0.0;
 #pragma unroll 1
     for (int m = lane; m < n; m += 32) {
       float *p = gx + 3 * (from + m);
-      p[0] = (float)(dx * scale);
-      p[1] = (float)(dy * scale);
+      p[0] = (float)(seed.toward.x * scale);
+      p[1] = (float)(seed.toward.y * scale);
       p[2] = 0;
       mass[from + m].z_gx.y = 0;
       mass[from + m].gyz = make_float2(0, 0);
@@ -146,9 +145,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
 #pragma unroll
     for (int r = 0; r < MT; r++) {
       const int row = group_row(own_row(r));
-      const double *light = k.rows[first_row + row].light_m,
-                   *com = k.results[first_row + row].com_end;
-      aim(r, com[0] - light[0], com[1] - light[1], 1.0);
+      aim(r, mo_away_of(k.rows[first_row + row].light_m, k.results[first_row + row].com_end), 1.0);
     }
   }
 
@@ -170,7 +167,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
       dx += __shfl_xor_sync(0xffffffffu, dx, far);
       dy += __shfl_xor_sync(0xffffffffu, dy, far);
     }
-    aim(r, dx / n, dy / n, k.restart_weight);
+    aim(r, mo_away{dx / n, dy / n}, k.restart_weight);
   }
 
   /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's
@@ -230,7 +227,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
       if (excluded[r] || own_masses(r) == 0)
         continue;
       back_row &of = result[own_row(r)]; /* all lanes have the same to write: the first does */
-      const double square = of.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S *
+      const double square = of.scale_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S *
                                                                   MO_ADJOINT_RATE_PER_S * sum_v[r]);
       const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[own_row(r)];
       const bool scaled = !bad && k.bound > 0 && square > k.bound * k.bound;

@@ -301,9 +301,7 @@ static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
   mo_scene_light(environment, light);
   for (int axis = 0; axis < 2; axis++)
     row->light_m[axis] = light[axis] - MO_WORLD_CENTRE_M;
-  row->start_m =
-      mo_scene_distance(start->com_start_m[0] - light[0], start->com_start_m[1] - light[1]) +
-      MO_LOSS_GUARD_M;
+  row->goal = mo_goal_of(environment, start->com_start_m);
   row->scene = mo_plan_scene_of(environment);
   for (size_t i = 0; i < body->n_masses; i++) {
     s->plan->input[at + i] = (uint8_t)body->mass_lattice[i];

@@ -23,6 +23,8 @@
 
 #include "compute/cuda/plan_block.h"
 
+#include "rollout/objective.inc"
+
 enum {
   MO_GP_WARPS = 16,
   MO_GP_LANES = 32,
@@ -73,7 +75,7 @@ struct mo_gp_group {
 
 struct mo_gp_row {
   double light_m[2]; /* from the world's center */
-  double start_m;    /* distance to it at the start + 1e-8 */
+  struct mo_goal goal;
   struct mo_plan_scene scene;
   uint32_t robot; /* of the batch; MO_GP_NO_ROBOT: an empty row */
   uint32_t n_masses;

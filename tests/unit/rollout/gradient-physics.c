@@ -15,11 +15,8 @@ static void start_and_clip(void)
       const uint32_t n = c.body->n_masses;
       struct mo_outcome outcome;
       REQUIRE(functions[isa]->start(&b->scene, &outcome, b->fast.next_m, b->fast.d_position));
-      mo_adjoint_start(&b->reference, outcome.com_end_m,
-                       mo_scene_distance(outcome.com_start_m[0] - c.environment.light_xy_m[0],
-                                         outcome.com_start_m[1] - c.environment.light_xy_m[1]) +
-                           MO_LOSS_GUARD_M,
-                       1.0, &b->adjoint);
+      const struct mo_goal goal = mo_goal_of(&c.environment, outcome.com_start_m);
+      mo_adjoint_start(&b->reference, outcome.com_end_m, &goal, 1.0, &b->adjoint);
       double com[3];
       mo_scene_com(b->reference.position_m, n, com);
       const double size = size_of(b->adjoint.d_position, 3 * n);
