@@ -298,7 +298,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
           const float before[3] = {s * to.z_gx.y, s * yz.x, s * yz.y};
           for (int axis = 0; axis < 3; axis++) {
             dp[axis] = s * d[axis];
-            dv[axis] = fmaf(k.physics.dt, dp[axis], before[axis]);
+            dv[axis] = lane_drift_back(&k.physics, dp[axis], before[axis]);
           }
         }
         for (int axis = 0; axis < 3; axis++)
@@ -465,7 +465,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     __syncwarp();
   }
 
-  /* To the mass's adjoint, whose velocity then goes back through drag. */
+  /* To the mass's adjoint, whose velocity then goes back through the kick. */
   __device__ __forceinline__ void push_back(int m, float d, const float (&mean)[2])
   {
     const bool second = is_second(m);
@@ -478,8 +478,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
         (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
     for (int axis = 0; axis < 3; axis++)
       d_place[axis] = fmaf(push, away[axis], d_place[axis]);
-    to.z_gx.y = z_gx.y * k.physics.keep;
-    to.gyz = make_float2(gyz.x * k.physics.keep, gyz.y * k.physics.keep);
+    to.z_gx.y = lane_kick_back(&k.physics, z_gx.y);
+    to.gyz = make_float2(lane_kick_back(&k.physics, gyz.x), lane_kick_back(&k.physics, gyz.y));
   }
 };
 

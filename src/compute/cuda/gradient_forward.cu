@@ -392,12 +392,18 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   }
 
+  /* A velocity as the springs find it: −0 is what adds nothing to any number. */
+  __device__ __forceinline__ float unpushed(int axis, float u) const
+  {
+    return lane_kick(&k.physics, axis, u, -0.0f);
+  }
+
   /* The state after the step. false: not a sane one. */
   __device__ __forceinline__ bool leave(int m, const float *p, const float *u)
   {
     x[first + m] = make_float4(p[0], p[1], p[2], 0);
     for (int axis = 0; axis < 3; axis++)
-      v[3 * (first + m) + axis] = k.physics.keep * u[axis] - (axis == 2 ? k.physics.fall : 0.0f);
+      v[3 * (first + m) + axis] = unpushed(axis, u[axis]);
     return lane_is_sane(p, u);
   }
 
@@ -491,7 +497,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     for (int m = begin() + lane; m < end(); m += 32)
       x[first + m] = make_float4(state_x[3 * m], state_x[3 * m + 1], state_x[3 * m + 2], 0);
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
-      own_v[i] = first_step > 0 ? state_v[i] : i % 3 == 2 ? -k.physics.fall : 0.0f;
+      own_v[i] = first_step > 0 ? state_v[i] : unpushed(i % 3, 0.0f);
     }
     dead[0] = k.results[first_row + group_row(own_row(0))].diverged != 0;
     dead[1] = MT > 1 && k.results[first_row + group_row(own_row(MT - 1))].diverged != 0;

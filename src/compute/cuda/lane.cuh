@@ -214,7 +214,7 @@ MO_INLINE bool lane_strikes(const struct lane_physics *k, const float *heights, 
                             const V p[3], const V v[3], V next[3], struct lane_cell *g)
 {
   for (int axis = 0; axis < 3; axis++)
-    next[axis] = v_fma(k->dt, v[axis], p[axis]);
+    next[axis] = lane_drift(k, p[axis], v[axis]);
   return next[2] < highest && next[2] < lane_ground(heights, next[0], next[1], g);
 }
 
@@ -253,7 +253,7 @@ MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights
   struct lane_cell g;
   if (!lane_strikes(k, heights, highest, p, v, next, &g)) {
     for (int axis = 0; axis < 3; axis++)
-      dv[axis] = v_fma(k->dt, dp[axis], dv[axis]);
+      dv[axis] = lane_drift_back(k, dp[axis], dv[axis]);
     return;
   }
   const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);

@@ -150,9 +150,9 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
       pull_four(quad[i], reach, length, p, j);
     }
     if (item.used) {
-      v[0] = fmaf(j[0], k.pull, before.x * k.keep);
-      v[1] = fmaf(j[1], k.pull, before.y * k.keep);
-      v[2] = fmaf(j[2], k.pull, fmaf(before.z, k.keep, -k.fall));
+      v[0] = fmaf(j[0], k.pull, lane_coast(&k, 0, before.x));
+      v[1] = fmaf(j[1], k.pull, lane_coast(&k, 1, before.y));
+      v[2] = fmaf(j[2], k.pull, lane_coast(&k, 2, before.z));
     }
 #pragma unroll
     for (int i = 0; i < kTurns; i++)
