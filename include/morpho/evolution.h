@@ -42,14 +42,23 @@ enum mo_campaign_mode {
   MO_FEW_SHOT =
       1, /* each generation starts learning from the pretrained weights; parents are scored again */
   MO_SIMULTANEOUS = 2, /* as few-shot, but each inherits weights and optimizer */
-  MO_STUDY = 3         /* as zero-shot, but somebody else makes the children of each generation */
+  MO_STUDY = 3         /* as zero-shot, but a client supplies the children of each generation */
 };
 extern const char
     *const mo_campaign_mode_words[]; /* "zero-shot", "few-shot", "simultaneous", "study", NULL */
-static inline bool mo_mode_learns(enum mo_campaign_mode mode)
-{
-  return mode == MO_FEW_SHOT || mode == MO_SIMULTANEOUS;
-}
+#define MO_PRESETS 3
+/* What a mode does. A new mode is a row of mo_modes, its word and its enumerator. */
+struct mo_mode {
+  bool makes_children;    /* by variation; else a client supplies them, and decides when it ends */
+  bool learns;            /* in each generation; parents are scored again */
+  bool inherits_learning; /* a generation continues the training of the one before */
+  bool starts_untrained;  /* random weights if no controller is given; else there is one */
+  /* Of its presets: */
+  uint32_t generations[MO_PRESETS];
+  uint32_t steps; /* of learning, on parents and on children each */
+  enum mo_schedule_preset schedule;
+};
+extern const struct mo_mode mo_modes[]; /* by enum mo_campaign_mode */
 
 /* In every scheme the best candidate survives, and a diverged one survives only when there is
  * nothing better.
@@ -104,13 +113,13 @@ struct mo_campaign_settings {
   bool exclude_pretraining; /* count the controller's pretraining bodies as seen; true */
   double collapse_share;    /* warn when diversity falls below this share of its maximum so far; 0:
                                never; 0.5 */
-  /* Learning; ignored unless mo_mode_learns. A step's batch is `batch` robots, each in its own
+  /* Learning; ignored in modes that do not learn. A step's batch is `batch` robots, each in its own
    * random environment. */
   uint32_t parent_steps, child_steps; /* of each generation: on parents, then on children */
   uint32_t batch;                     /* 0: the population */
   struct mo_learning
       learning; /* schedule: few-shot within each generation, simultaneous over the campaign */
-  enum mo_sensor sensor; /* used by MO_SIMULTANEOUS without a controller */
+  enum mo_sensor sensor; /* of a mode that starts untrained, without a controller */
   struct mo_physics physics;
 };
 

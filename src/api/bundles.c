@@ -21,7 +21,7 @@ static bool check_ended(struct mo_request *request, int64_t id, struct mo_campai
                      "Campaign %lld is %s; a bundle takes campaigns that have succeeded or were "
                      "cancelled.",
                      (long long)id, mo_job_state_name(state));
-  else if (status->record.settings.mode == MO_STUDY)
+  else if (!mo_modes[status->record.settings.mode].makes_children)
     mo_reply_problem(request, 409, NULL, "Campaign %lld is a study; bundles do not take them.",
                      (long long)id);
   else

@@ -238,13 +238,13 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
 {
   enum mo_campaign_mode mode = parsed->request.record.settings.mode;
   const struct mo_parts *parts = &parsed->parts;
-  bool random = mode == MO_SIMULTANEOUS && (!parts->has_controller || parts->no_controller);
-  if (mode != MO_SIMULTANEOUS && parts->no_controller)
+  bool random = mo_modes[mode].starts_untrained && (!parts->has_controller || parts->no_controller);
+  if (!mo_modes[mode].starts_untrained && parts->no_controller)
     mo_json_fault_at(json, 0, "/controller",
                      "null is given; a %s campaign needs a controller: its name, or sha256: and 64 "
                      "hexadecimal digits, is expected",
                      mo_campaign_mode_words[mode]);
-  if (!mo_mode_learns(mode) && parsed->has_learning)
+  if (!mo_modes[mode].learns && parsed->has_learning)
     mo_json_fault_at(json, 0, "/learning",
                      "nothing learns in a %s campaign; settings of learning are expected of "
                      "few-shot and simultaneous only",
@@ -253,7 +253,7 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
     mo_json_fault_at(
         json, 0, "/learning/sensor",
         "the campaign starts from a controller, which has its sensor; none is expected here");
-  if (!mo_mode_learns(mode) && parsed->request.record.name[0] != '\0')
+  if (!mo_modes[mode].learns && parsed->request.record.name[0] != '\0')
     mo_json_fault_at(json, 0, "/name",
                      "a %s campaign gives no controller; a name for it is expected of "
                      "few-shot and simultaneous only",
@@ -280,7 +280,7 @@ static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaig
 {
   if (parsed->if_exists == 0)
     return;
-  if (parsed->request.record.settings.mode != MO_STUDY)
+  if (mo_modes[parsed->request.record.settings.mode].makes_children)
     mo_json_fault_at(json, 0, "/if_exists",
                      "\"return\" is for studies only; \"create\" is expected");
   else if (parsed->parts.label[0] == '\0')
@@ -301,7 +301,7 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
     mo_json_fault_at(json, 0, "/learning",
                      "neither parent_steps nor child_steps is above 0; a campaign that learns "
                      "takes a step in each generation");
-  if (settings->mode == MO_SIMULTANEOUS && steps > MO_TRAINING_STEPS_MAX)
+  if (mo_modes[settings->mode].inherits_learning && steps > MO_TRAINING_STEPS_MAX)
     mo_json_fault_at(
         json, 0, "/learning",
         "%llu steps of learning are asked for in all generations together; at most %d are expected",
@@ -322,7 +322,7 @@ static int check(struct mo_json *json, void *any)
                      "\"study\"");
   if (parsed->mode >= 0)
     check_mode(json, parsed);
-  if (settings->mode == MO_STUDY)
+  if (!mo_modes[settings->mode].makes_children)
     check_study(json, parsed);
   check_if_exists(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
@@ -331,7 +331,7 @@ static int check(struct mo_json *json, void *any)
                      "most %llu are expected",
                      settings->population, settings->generations, (unsigned long long)designs,
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
-  if (mo_mode_learns(settings->mode))
+  if (mo_modes[settings->mode].learns)
     check_learning(json, settings);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
     mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld",
@@ -367,7 +367,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   int error = mo_read_body(text, size, &mo_campaign_request_fields, parsed, parts, check, faults);
   if ((int)record->settings.sensor < 0)
     record->settings.sensor = sensor;
-  if (mode != MO_SIMULTANEOUS && !parts->has_controller)
+  if (!mo_modes[mode].starts_untrained && !parts->has_controller)
     memcpy(parts->controller, "default", sizeof("default"));
   if (error == MO_OK && mo_campaign_settings_check(&record->settings, &message) != MO_OK) {
     mo_faults_add(faults, MO_FAULT_BODY, "", "%s", message.text);

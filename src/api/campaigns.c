@@ -31,7 +31,7 @@ static int write_notes(struct mo_api *api, struct mo_text *text,
 {
   struct mo_design_note *notes = NULL;
   uint32_t n = 0;
-  const int error = status->record.settings.mode == MO_STUDY
+  const int error = !mo_modes[status->record.settings.mode].makes_children
                         ? MO_OK /* its notes are those of its newest batch */
                         : mo_store_design_notes(api->store, status->record.group, &notes, &n);
   mo_member_notes(text, "founders", notes, n);
@@ -55,7 +55,7 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_status
   mo_member_environments(text, record->environment_set, record->n_environments);
   write_initial(text, record);
   mo_text_name(text, "learning");
-  if (!mo_mode_learns(settings->mode))
+  if (!mo_modes[settings->mode].learns)
     mo_text_add(text, "null");
   else
     mo_fields_write_object(text, &mo_campaign_record_learning_fields, &shown);
@@ -109,8 +109,8 @@ static void write_study(struct mo_text *text, const struct mo_campaign_status *s
 static struct mo_live with_wait(const struct mo_campaign_status *status, const struct mo_live *live)
 {
   struct mo_live shown = *live;
-  if (status->record.settings.mode == MO_STUDY && status->told <= status->generation &&
-      status->job.state == MO_JOB_QUEUED) {
+  if (!mo_modes[status->record.settings.mode].makes_children &&
+      status->told <= status->generation && status->job.state == MO_JOB_QUEUED) {
     shown.phase = MO_PHASE_WAIT;
     snprintf(shown.reason, sizeof(shown.reason), "batch %lld has not come from the study's client",
              (long long)status->generation + 1);
@@ -136,7 +136,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   mo_text_member_id(text, "id", status->job.id);
   mo_text_member(text, "mode", mo_campaign_mode_words[record->settings.mode]);
   mo_text_member(text, "preset", record->preset[0] != '\0' ? record->preset : NULL);
-  mo_text_member(text, "name", mo_mode_learns(record->settings.mode) ? name : NULL);
+  mo_text_member(text, "name", mo_modes[record->settings.mode].learns ? name : NULL);
   mo_job_write_head(text, &status->job, live);
   mo_text_member(text, "phase", mo_phase_name(live->phase));
   mo_member_controller(text, "controller", status->job.has_controller, status->job.controller_name,
@@ -146,7 +146,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
                  (long long)record->group, record->replicate, record->replicates);
   write_progress(text, status, live);
   mo_text_member(text, "end", ends[status->end]);
-  if (record->settings.mode == MO_STUDY)
+  if (!mo_modes[record->settings.mode].makes_children)
     write_study(text, status);
   else
     mo_text_member(text, "study", NULL);

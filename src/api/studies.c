@@ -15,7 +15,8 @@
 static int read_study(struct mo_request *request, int64_t id, struct mo_campaign_status *status)
 {
   const int error = mo_store_campaign(mo_api_of(request)->store, id, status);
-  return error == MO_OK && status->record.settings.mode != MO_STUDY ? MO_ERR_NOT_FOUND : error;
+  return error == MO_OK && mo_modes[status->record.settings.mode].makes_children ? MO_ERR_NOT_FOUND
+                                                                                 : error;
 }
 
 /* ---- a batch with its scores ---- */
@@ -273,7 +274,8 @@ void mo_api_get_study_sampler(struct mo_request *request)
   if (!mo_path_id(request, 0, &id))
     return;
   int error = mo_store_campaign(store, id, &status);
-  if (error == MO_OK && status.record.settings.mode == MO_STUDY && status.sampler_bytes > 0)
+  if (error == MO_OK && !mo_modes[status.record.settings.mode].makes_children &&
+      status.sampler_bytes > 0)
     error = mo_store_campaign_checkpoint_of(store, id, (uint32_t)status.generation, &step, &bytes,
                                             &size);
   if (error != MO_OK) {

@@ -17,7 +17,7 @@
 
 bool mo_race_is_possible(const struct mo_campaign_settings *settings)
 {
-  return settings->racing == MO_RACING_LOSSLESS && settings->mode != MO_STUDY &&
+  return settings->racing == MO_RACING_LOSSLESS && mo_modes[settings->mode].makes_children &&
          settings->selection.kind == MO_SELECT_TRUNCATION;
 }
 

@@ -5,9 +5,6 @@
 
 #include "evolution/fields.h"
 
-#define MODES   4
-#define PRESETS 3
-
 const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultaneous", "study",
                                               NULL};
 const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
@@ -17,22 +14,41 @@ const char *const mo_preset_words[] = {"paper", "workstation", "demo", NULL};
 const char *const mo_operator_words[] = {"random",   "listed",    "inherited",
                                          "mutation", "crossover", NULL};
 
+const struct mo_mode mo_modes[] = {
+    [MO_ZERO_SHOT] = {.makes_children = true,
+                      .generations = {100, 100, 30},
+                      .schedule = MO_SCHEDULE_PAPER_FINETUNE},
+    [MO_FEW_SHOT] = {.makes_children = true,
+                     .learns = true,
+                     .generations = {7, 10, 3},
+                     .steps = 30,
+                     .schedule = MO_SCHEDULE_PAPER_FINETUNE},
+    [MO_SIMULTANEOUS] = {.makes_children = true,
+                         .learns = true,
+                         .inherits_learning = true,
+                         .starts_untrained = true,
+                         .generations = {180, 180, 30},
+                         .steps = 1,
+                         .schedule = MO_SCHEDULE_PAPER_SIMULTANEOUS},
+    [MO_STUDY] = {.schedule = MO_SCHEDULE_PAPER_FINETUNE},
+};
+#define MODES (sizeof(mo_modes) / sizeof(mo_modes[0]))
+_Static_assert(MODES + 1 == sizeof(mo_campaign_mode_words) / sizeof(mo_campaign_mode_words[0]),
+               "each mode has a word");
+
 /* ---- presets ---- */
 
 struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum mo_preset preset)
 {
-  static const uint32_t populations[PRESETS] = {8192, 512, 64};
-  static const uint32_t generations[PRESETS][MODES] = {
-      {100, 7, 180, 0}, {100, 10, 180, 0}, {30, 3, 30, 0}};
-  static const uint32_t steps[MODES] = {0, 30, 1, 0};
-  const unsigned p = (unsigned)preset < PRESETS ? (unsigned)preset : MO_PRESET_PAPER;
+  static const uint32_t populations[MO_PRESETS] = {8192, 512, 64};
+  const unsigned p = (unsigned)preset < MO_PRESETS ? (unsigned)preset : MO_PRESET_PAPER;
   const unsigned m = (unsigned)mode < MODES ? (unsigned)mode : MO_ZERO_SHOT;
   return (struct mo_campaign_settings){
       .mode = (enum mo_campaign_mode)m,
       .seed = 1,
       .workspace = MO_DEFAULT_WORKSPACE,
       .population = populations[p],
-      .generations = generations[p][m],
+      .generations = mo_modes[m].generations[p],
       .mutation_share = 0.25,
       .mutation_rate = 0.0,
       .mutation_growth = 1.025,
@@ -41,13 +57,12 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
                     .novelty_weight = 0.5,
                     .n_layers = 4,
                     .age_gap = 5},
-      .exclude_pretraining = m != MO_STUDY,
+      .exclude_pretraining = mo_modes[m].makes_children,
       .collapse_share = 0.5,
-      .parent_steps = steps[m],
-      .child_steps = steps[m],
+      .parent_steps = mo_modes[m].steps,
+      .child_steps = mo_modes[m].steps,
       .batch = 0,
-      .learning = mo_learning_defaults(m == MO_SIMULTANEOUS ? MO_SCHEDULE_PAPER_SIMULTANEOUS
-                                                            : MO_SCHEDULE_PAPER_FINETUNE),
+      .learning = mo_learning_defaults(mo_modes[m].schedule),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .physics = mo_default_physics(),
   };
@@ -74,7 +89,7 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
                    "parent_steps and child_steps are both 0; a campaign that learns needs a step "
                    "in each generation");
   const uint64_t all = steps[1] + (uint64_t)(steps[0] + steps[1]) * settings->generations;
-  if (settings->mode == MO_SIMULTANEOUS && all > MO_TRAINING_STEPS_MAX)
+  if (mo_modes[settings->mode].inherits_learning && all > MO_TRAINING_STEPS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
                    "child_steps + (parent_steps + child_steps) × generations is %" PRIu64
                    "; it must be at most %d",
@@ -111,7 +126,7 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
   int r = mo_fields_check(&mo_campaign_fields, "", settings, message);
   if (r == MO_OK)
     r = check_designs(settings, message);
-  return r == MO_OK && mo_mode_learns(settings->mode) ? check_learning(settings, message) : r;
+  return r == MO_OK && mo_modes[settings->mode].learns ? check_learning(settings, message) : r;
 }
 
 /* ---- the training inside ---- */
@@ -126,7 +141,7 @@ struct mo_training_settings mo_campaign_training(const struct mo_campaign_settin
   training.seed = settings->seed;
   training.n_steps =
       settings->generations > 0 ? settings->child_steps + steps * settings->generations : first;
-  if (settings->mode != MO_SIMULTANEOUS) {
+  if (!mo_modes[settings->mode].inherits_learning) {
     struct mo_random random;
     mo_random_init(&random, settings->seed, MO_PURPOSE_EVOLUTION_SEED, generation, 0);
     training.seed = mo_random_u64(&random) >> 11;

@@ -59,7 +59,7 @@ static struct mo_bundle_campaign *summary_of(struct mo_reading *reading)
 /* Returns how many steps a generation learns. */
 static uint32_t steps_of(const struct mo_campaign_settings *settings, uint32_t generation)
 {
-  return mo_mode_learns(settings->mode)
+  return mo_modes[settings->mode].learns
              ? (generation > 0 ? settings->parent_steps : 0) + settings->child_steps
              : 0;
 }
@@ -370,7 +370,7 @@ static int read_score(struct mo_reading *reading, uint32_t n, const char *line, 
                                "an environment twice or unknown, or a step beyond the last");
     places |= UINT64_C(1) << score.environments[k];
   }
-  if (score.number >= reading->n_born || reading->campaign.record.settings.mode != MO_ZERO_SHOT)
+  if (score.number >= reading->n_born || mo_modes[reading->campaign.record.settings.mode].learns)
     return mo_reading_refuse(reading, n,
                              "a score of no design of the campaign, or the campaign learns");
   if (score.number + 1 < reading->scored_number ||
@@ -405,7 +405,7 @@ static int read_evaluation(struct mo_reading *reading)
                                         &recordings->evaluation, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, 1, words.text) : error;
-  if (settings->mode != MO_ZERO_SHOT || evaluation->stride > settings->physics.n_steps)
+  if (mo_modes[settings->mode].learns || evaluation->stride > settings->physics.n_steps)
     return mo_reading_refuse(reading, 1,
                              "the campaign learns, or the stride is longer than a rollout");
   for (uint32_t k = 0; k < evaluation->n_environments; k++) {

@@ -339,13 +339,13 @@ static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
   const struct mo_campaign_status *status = &export->status;
   const uint32_t first = (uint32_t)(export->after + 1);
   int error = MO_OK;
-  if (status->record.settings.mode == MO_ZERO_SHOT && first < status->n_designs)
+  if (!mo_modes[status->record.settings.mode].learns && first < status->n_designs)
     error = mo_store_campaign_scores(export->store, export->ids[export->i], first,
                                      first + MO_BUNDLE_PART_ROWS - 1, take_score, export);
   export->after += MO_BUNDLE_PART_ROWS;
   if (error == MO_OK)
     error = add(export, "scores", true, out);
-  if (status->record.settings.mode == MO_ZERO_SHOT &&
+  if (!mo_modes[status->record.settings.mode].learns &&
       export->after + 1 < (int64_t)status->n_designs)
     return error;
   next_phase(export);
@@ -397,7 +397,7 @@ static int write_recordings(struct mo_bundle_export *export, struct mo_text *out
   uint64_t rollouts;
   int error = MO_OK;
   if (export->after < 0 && export->with_recordings &&
-      export->status.record.settings.mode == MO_ZERO_SHOT)
+      !mo_modes[export->status.record.settings.mode].learns)
     error = mo_store_campaign_recordings(export->store, id, &export->evaluations,
                                          &export->n_evaluations, &rollouts);
   else if (export->after < 0)

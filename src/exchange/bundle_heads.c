@@ -258,9 +258,9 @@ static int check_campaign(const void *any, struct mo_message *message)
       (campaign->controller_name[0] != '\0' &&
        mo_controller_name_check(campaign->controller_name) != MO_OK))
     return mo_fail(message, MO_ERR_FORMAT, "/name: not a name of a controller");
-  if (record->settings.mode == MO_STUDY)
+  if (!mo_modes[record->settings.mode].makes_children)
     return mo_fail(message, MO_ERR_FORMAT, "/settings/mode: studies are not in bundles");
-  if (!campaign->has_controller && record->settings.mode != MO_SIMULTANEOUS)
+  if (!campaign->has_controller && !mo_modes[record->settings.mode].starts_untrained)
     return mo_fail(message, MO_ERR_FORMAT, "/controller: this mode has one");
   return MO_OK;
 }

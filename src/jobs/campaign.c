@@ -67,7 +67,7 @@ static const struct phase generation[] = {
 static int run_phase(struct mo_campaign_run *run, const struct phase *phase)
 {
   int error = MO_OK;
-  if (phase->learns && !mo_mode_learns(run->settings->mode))
+  if (phase->learns && !run->mode->learns)
     return MO_OK;
   if (phase->parks && mo_runner_is_interrupted(run->runner))
     return MO_ERR_CANCELLED;
@@ -118,7 +118,7 @@ static int finish(struct mo_campaign_run *run)
 {
   const uint32_t generations = run->settings->generations;
   int error = MO_OK;
-  if (mo_mode_learns(run->settings->mode) && run->generation > 0) {
+  if (run->mode->learns && run->generation > 0) {
     /* The result is the state of the last committed generation. This run has that state unless it
      * has committed no generation, or has found no children since. */
     if (run->learning.learner.training == NULL)
@@ -208,7 +208,7 @@ static int run_campaign(struct mo_runner *runner, void *context)
   run->times.begin_us = run->times.progress_us = mo_clock_us();
   int error = mo_campaign_resume(run);
   if (error == MO_OK)
-    error = run->settings->mode == MO_STUDY ? run_batch(run) : evolve(run);
+    error = run->mode->makes_children ? evolve(run) : run_batch(run);
   mo_campaign_writing_join(run); /* the commit may reset the count of attempts */
   return error;
 }

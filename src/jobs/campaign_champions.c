@@ -205,7 +205,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
     genotypes[i] = rows[i].genotype;
   struct mo_sha256 sha256 =
       status.job.has_result ? status.job.result_sha256 : status.job.controller_sha256;
-  if (error == MO_OK && mo_mode_learns(status.record.settings.mode) && !status.job.has_result)
+  if (error == MO_OK && mo_modes[status.record.settings.mode].learns && !status.job.has_result)
     error = store_controller(jobs, &status, &sha256, name, &created);
   if (error != MO_OK)
     (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));

@@ -85,7 +85,7 @@ static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_gene
 /* Describes the generation; the survivors are in the other rows. */
 static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  const bool learns = mo_mode_learns(run->settings->mode);
+  const bool learns = run->mode->learns;
   const struct mo_campaign_rows *survivors = run->other_rows;
   *row = (struct mo_campaign_generation){
       .generation = run->generation,
@@ -167,7 +167,7 @@ static int take_learning(const struct mo_campaign_run *run, struct mo_campaign_w
 /* Describes the generation for the store. Only the losses are taken from the run. */
 static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
-  const bool learns = mo_mode_learns(run->settings->mode);
+  const bool learns = run->mode->learns;
   const struct mo_campaign_rows *rows = run->rows;
   writing->commit = (struct mo_campaign_commit){
       .births = rows->births,

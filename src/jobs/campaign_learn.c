@@ -151,7 +151,7 @@ static int restore(struct mo_campaign_run *run)
 static int prepare_training(struct mo_campaign_run *run)
 {
   struct mo_campaign_learning *learning = &run->learning;
-  const bool inherits = run->settings->mode == MO_SIMULTANEOUS && run->generation > 0;
+  const bool inherits = run->mode->inherits_learning && run->generation > 0;
   const bool is_new = learning->learner.training == NULL; /* in this process */
   int error = MO_OK;
   learning->step = learning->steps_saved = 0;
@@ -162,8 +162,7 @@ static int prepare_training(struct mo_campaign_run *run)
     if (error == MO_ERR_NOT_FOUND)
       error = inherits ? mo_campaign_load_learning(run) : begin_training(run);
   }
-  if (error == MO_OK &&
-      run->settings->mode == MO_SIMULTANEOUS) /* generations may have been added */
+  if (error == MO_OK && run->mode->inherits_learning) /* generations may have been added */
     error = mo_training_set_steps(learning->learner.training,
                                   mo_campaign_training(run->settings, 0).n_steps);
   if (error == MO_OK)

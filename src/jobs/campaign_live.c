@@ -30,7 +30,7 @@ static double seconds_left(const struct mo_campaign_run *run, const struct mo_li
   const double after =
       run->generation < settings->generations ? settings->generations - run->generation : 0;
   const double passed = (double)(mo_clock_us() - run->times.begin_us) * 1e-6;
-  if (!mo_mode_learns(settings->mode) && live->rate > 0 && run->generation > 0) {
+  if (!mo_modes[settings->mode].learns && live->rate > 0 && run->generation > 0) {
     const double left = after + (run->scores.n - run->scores.n_done) / (double)settings->population;
     return left * (double)run->times.generation_rollouts / live->rate;
   }

@@ -126,7 +126,7 @@ bool mo_race_pays(const struct mo_campaign_run *run)
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to)
 {
   const size_t n = run->n_environments;
-  if (!mo_race_is_possible(run->settings) || mo_mode_learns(run->settings->mode))
+  if (!mo_race_is_possible(run->settings) || run->mode->learns)
     return;
   for (uint32_t i = 0; i < run->n_survivors; i++) {
     const uint32_t place = run->rows->survivors[i];
@@ -146,7 +146,7 @@ int mo_race_read(struct mo_campaign_run *run)
   int64_t found;
   for (size_t i = 0; i < run->n_parents * n; i++)
     run->rows->parent_losses[i] = NAN;
-  if (!mo_race_is_possible(run->settings) || mo_mode_learns(run->settings->mode))
+  if (!mo_race_is_possible(run->settings) || run->mode->learns)
     return MO_OK;
   known = calloc((size_t)run->n_parents + 1, sizeof(*known));
   if (known == NULL)

@@ -103,6 +103,7 @@ int mo_campaign_resume(struct mo_campaign_run *run)
   int error = mo_store_campaign(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
     return mo_runner_fail_unreadable(run->runner, error);
+  run->mode = &mo_modes[run->settings->mode];
   run->generation = (uint32_t)(run->status.generation + 1);
   mo_campaign_enter(run, MO_PHASE_PREPARE, 0);
   error = mo_back_end_check(run->jobs, run->status.job.back_end);

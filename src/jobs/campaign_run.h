@@ -37,6 +37,7 @@ struct mo_campaign_run {
   int64_t id;
   struct mo_campaign_status status; /* from the start of the generation; may be extended since */
   const struct mo_campaign_settings *settings; /* of the status */
+  const struct mo_mode *mode;                  /* of the settings */
   struct mo_controller *controller;            /* as submitted; NULL: random weights */
   struct mo_environment *environments;
   uint32_t n_environments;

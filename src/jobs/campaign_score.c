@@ -34,7 +34,7 @@ static int allocate(struct mo_campaign_run *run)
   struct mo_campaign_scores *scores = &run->scores;
   struct mo_grid *grid = &scores->scoring.grid;
   mo_campaign_free_scores(scores);
-  scores->first = mo_mode_learns(run->settings->mode) ? 0 : run->n_parents;
+  scores->first = run->mode->learns ? 0 : run->n_parents;
   scores->n = run->n_parents + run->n_children - scores->first;
   scores->losses = calloc((size_t)scores->n + 1, sizeof(*scores->losses));
   scores->unsaved = calloc((size_t)scores->n + 1, sizeof(*scores->unsaved));
@@ -267,7 +267,7 @@ int mo_campaign_look_up(struct mo_campaign_run *run)
   int error = allocate(run);
   if (error == MO_OK)
     error = read_saved(run);
-  if (error == MO_OK && !mo_mode_learns(run->settings->mode))
+  if (error == MO_OK && !run->mode->learns)
     error = read_known(run);
   if (error == MO_OK)
     mo_race_begin(run);

@@ -54,9 +54,9 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
   if (error != MO_OK)
     return error;
   *need = (struct mo_need){.own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES};
-  if (settings->mode != MO_STUDY)
+  if (mo_modes[settings->mode].makes_children)
     need->own += mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)));
-  if (!mo_mode_learns(settings->mode)) {
+  if (!mo_modes[settings->mode].learns) {
     need->own += n * SCORED_BYTES;
   } else {
     const uint32_t batch = mo_campaign_training(settings, 0).batch;
@@ -130,7 +130,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   struct mo_campaign_request request = *asked;
   struct mo_campaign_record *record = &request.record;
   struct mo_placed placed = {NULL, NULL};
-  if (asked->controller == NULL && record->settings.mode != MO_SIMULTANEOUS)
+  if (asked->controller == NULL && !mo_modes[record->settings.mode].starts_untrained)
     request.controller = "default";
   record->replicates = record->replicates > 0 ? record->replicates : 1;
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
@@ -202,7 +202,7 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
   struct mo_campaign_settings *settings = &status.record.settings;
   char digits[MO_SHA256_DIGITS + 8] = "sha256:";
   const int error = mo_store_campaign(jobs->store, id, &status);
-  if (error == MO_OK && settings->mode == MO_STUDY)
+  if (error == MO_OK && !mo_modes[settings->mode].makes_children)
     return mo_fail(message, MO_ERR_UNSUPPORTED, "a study has as many generations as are told");
   if (error != MO_OK || generations > MO_GENERATIONS_MAX - settings->generations)
     return MO_OK; /* rejected elsewhere, with another message */

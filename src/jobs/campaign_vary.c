@@ -35,7 +35,7 @@ static int read_seen(struct mo_campaign_run *run)
 
 int mo_campaign_read_seen(struct mo_campaign_run *run)
 {
-  return run->settings->mode == MO_STUDY || run->seen != NULL ? MO_OK : read_seen(run);
+  return !run->mode->makes_children || run->seen != NULL ? MO_OK : read_seen(run);
 }
 
 /* ---- children ---- */
@@ -134,7 +134,7 @@ static int read_told(struct mo_campaign_run *run, uint32_t *n)
 
 int mo_campaign_vary(struct mo_campaign_run *run)
 {
-  const bool is_study = run->settings->mode == MO_STUDY;
+  const bool is_study = !run->mode->makes_children;
   uint32_t n = 0;
   int error;
   run->variation = (struct mo_variation_counts){.mutants = 0};

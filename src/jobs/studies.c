@@ -11,7 +11,8 @@
 static int read_study(struct mo_jobs *jobs, int64_t id, struct mo_campaign_status *status)
 {
   const int error = mo_store_campaign(jobs->store, id, status);
-  return error == MO_OK && status->record.settings.mode != MO_STUDY ? MO_ERR_NOT_FOUND : error;
+  return error == MO_OK && mo_modes[status->record.settings.mode].makes_children ? MO_ERR_NOT_FOUND
+                                                                                 : error;
 }
 
 /* ---- telling ---- */

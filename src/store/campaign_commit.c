@@ -140,7 +140,7 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
-    if (call->lives[i] && !mo_mode_learns(call->head.mode))
+    if (call->lives[i] && !mo_modes[call->head.mode].learns)
       continue;
     error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
                           call->lives[i] ? mo_null() : mo_int(commit->row.generation),

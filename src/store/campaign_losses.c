@@ -176,7 +176,7 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
   int error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
     error = mo_environments_read(reader, head.group, head.n_environments, NULL, environments);
-  if (error != MO_OK || mo_mode_learns(head.mode) || head.controller == 0)
+  if (error != MO_OK || mo_modes[head.mode].learns || head.controller == 0)
     n = 0;
   design.controller = head.controller;
   design.physics = head.physics;

@@ -123,7 +123,7 @@ static int insert_replicate(struct mo_store *store, const struct mo_campaign_req
                   mo_int(setting->physics), mo_int(setting->set), mo_int(setting->n_environments),
                   mo_int(record.n_listed), mo_int(record.initial_campaign), mo_int(*group),
                   mo_int(replicate), mo_int(record.replicates));
-  if (error == MO_OK && record.settings.mode == MO_STUDY)
+  if (error == MO_OK && !mo_modes[record.settings.mode].makes_children)
     error = mo_sql_do(writer, study_sql, mo_int(id));
   if (error != MO_OK)
     return error;
@@ -198,7 +198,7 @@ static int check_extension(const struct mo_campaign_settings *settings, uint64_t
   if (generations > MO_GENERATIONS_MAX ||
       settings->population * (generations + 1) > MO_CAMPAIGN_DESIGNS_MAX)
     return MO_ERR_RANGE;
-  if (settings->mode != MO_SIMULTANEOUS)
+  if (!mo_modes[settings->mode].inherits_learning)
     return MO_OK;
   if (settings->learning.schedule.kind == MO_SCHEDULE_COSINE)
     return MO_ERR_UNSUPPORTED;
@@ -213,8 +213,10 @@ static int check_learning(struct mo_connection *writer, int64_t id, enum mo_camp
       "SELECT count(*) FROM campaigns m WHERE m.job=?1 AND (m.generation<0 OR EXISTS("
       "SELECT 1 FROM checkpoints c WHERE c.job=?1 AND c.generation=m.generation))";
   int64_t n = 0;
-  const int error = mode == MO_SIMULTANEOUS ? mo_sql_find(writer, &n, sql, mo_int(id)) : MO_OK;
-  return error == MO_OK && mode == MO_SIMULTANEOUS && n == 0 ? MO_ERR_EMPTY : error;
+  if (!mo_modes[mode].inherits_learning)
+    return MO_OK;
+  const int error = mo_sql_find(writer, &n, sql, mo_int(id));
+  return error == MO_OK && n == 0 ? MO_ERR_EMPTY : error;
 }
 
 static int extend(struct mo_store *store, void *arguments)

@@ -124,7 +124,7 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   status->scored = mo_column_u32(row, MO_COLUMN_SCORED);
   if (error == MO_OK)
     error = mo_job_warn(reader, &status->job, &status->record);
-  if (error == MO_OK && status->record.settings.mode == MO_STUDY)
+  if (error == MO_OK && !mo_modes[status->record.settings.mode].makes_children)
     error = get_study(reader, id, status);
   if (error == MO_OK)
     error = load_source(reader, id, status);
