@@ -146,7 +146,7 @@ struct scene scene_read(const void *bytes, size_t size)
   struct scene scene = {.frame_s = json_number_value(json_object_get(header, "frame_s")),
                         .designs = designs};
   if (!(scene.frame_s > 0))
-    refuse("it does not tell the time between its frames");
+    refuse("it lacks the time between its frames");
   scene.bodies = list(designs, sizeof(*scene.bodies), &scene.n_bodies);
   scene.worlds = list(environments, sizeof(*scene.worlds), &scene.n_worlds);
   scene.rollouts = list(rollouts, sizeof(*scene.rollouts), &scene.n_rollouts);

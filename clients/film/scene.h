@@ -8,7 +8,7 @@
 
 #include <jansson.h>
 
-/* A body: where its parts lie is told by a track. Arrays belong to the scene. */
+/* A body; a track has the positions of its masses. Arrays belong to the scene. */
 struct scene_body {
   uint32_t n_masses, n_faces, n_voxels;
   const uint16_t *faces;  /* (n_faces, 5) four masses, counter-clockwise from outside, and the

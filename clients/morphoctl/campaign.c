@@ -245,14 +245,14 @@ static void write_view(const struct live *live, FILE *file, int columns, int row
 
 /* Prints a line for each generation up to `until` that was not printed yet. Only the time of the
  * last one is known: that of its event (nullable). */
-static void tell_generations(struct campaign *campaign, int64_t until, const json_t *at)
+static void print_generations(struct campaign *campaign, int64_t until, const json_t *at)
 {
   char line[400], words[256], count[32];
   const json_t *progress = json_object_get(campaign->live.job, "progress");
   const char *generations = count_text(number_of(progress, "generations"), count);
-  for (; campaign->told < campaign->n && campaign->rows[campaign->told].generation <= until;
-       campaign->told++) {
-    const struct campaign_row *row = &campaign->rows[campaign->told];
+  for (; campaign->printed < campaign->n && campaign->rows[campaign->printed].generation <= until;
+       campaign->printed++) {
+    const struct campaign_row *row = &campaign->rows[campaign->printed];
     char generation[32];
     campaign_row_text(row, words, sizeof(words));
     snprintf(line, sizeof(line), "generation %s of %s  %s", count_text(row->generation, generation),
@@ -263,7 +263,7 @@ static void tell_generations(struct campaign *campaign, int64_t until, const jso
 
 static void begin(struct live *live)
 {
-  tell_generations((struct campaign *)live, INT64_MAX, NULL);
+  print_generations((struct campaign *)live, INT64_MAX, NULL);
 }
 
 static void take_progress(json_t *job, json_t *data)
@@ -293,7 +293,7 @@ static bool take_event(struct live *live, const char *type, json_t *event, bool 
   }
   live_load(live);
   if (strcmp(type, "campaign.generation") == 0) {
-    tell_generations((struct campaign *)live, number_of(data, "generation"), at);
+    print_generations((struct campaign *)live, number_of(data, "generation"), at);
     return false; /* more generations may be reported before the end is */
   }
   json_object_set(event, "state", json_object_get(live->job, "state"));

@@ -15,7 +15,7 @@ struct campaign {
   struct live live;
   struct campaign_row *rows;
   size_t n, capacity;
-  size_t told; /* rows already printed, if not on a terminal */
+  size_t printed; /* rows already printed, if not on a terminal */
 };
 
 /* Draws a curve in `width` characters, the newest value at the right. Characters from least to

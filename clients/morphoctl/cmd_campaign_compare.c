@@ -12,7 +12,7 @@
 enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };
 
 struct side {
-  json_t *json;          /* what is told of it */
+  json_t *json;          /* what is printed about it */
   const json_t *members; /* the campaigns that count */
   double scores[REPLICATES_MAX];
   size_t n;

@@ -81,7 +81,7 @@ static const json_t *find(const json_t *fleet, const json_t *session)
   return NULL;
 }
 
-/* Returns the session of a worker that has come since `before`; NULL: there is none. */
+/* Returns the session of a worker that has come since `before`; or NULL. */
 static const json_t *find_return(const json_t *before, const json_t *now, const json_t *worker)
 {
   const json_t *session;
@@ -247,7 +247,7 @@ void run_fleet_verify(struct ctl *ctl)
   json_t *different = json_object_get(whole, "different");
   catch_interrupts(NULL);
   int status = verify_all(ctl, whole);
-  /* What was found is told in any case: after a repair nothing finds it again. */
+  /* Always print what was found: after a repair, nothing finds it again. */
   print_differences(ctl, different);
   if (status == STATUS_OK || json_array_size(different) > 0)
     tell(ctl, whole,

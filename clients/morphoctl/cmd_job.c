@@ -30,9 +30,9 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"name", "{training.name}"},
       {"mode", "{campaign.mode}"},
       {"progress",
-       "[step {training.step:,} of {training.steps:,}; morphoctl train show {id} tells more"
-       "|generation [{campaign.generation:,}|0] of {campaign.generations:,}; morphoctl campaign "
-       "show {id} tells more]"},
+       "[step {training.step:,} of {training.steps:,}; see morphoctl train show {id}"
+       "|generation [{campaign.generation:,}|0] of {campaign.generations:,}; see morphoctl "
+       "campaign show {id}]"},
       {NULL, NULL}};
   static const struct fact evaluation[] = {
       {"controller", CONTROLLER_WORDS("controller", "")},
@@ -64,8 +64,8 @@ void run_job_show(struct ctl *ctl)
   show(ctl, path_to("/v1/%s/%s", list, id), print_job);
 }
 
-/* Sends a request to /v1/, noun + s, / + id + behind for each job that the operands name, and tells
- * of each reply: `accepted`, if the work goes on for now (202), else `words`. */
+/* Sends a request to /v1/, noun + s, / + id + behind for each job that the operands name, and
+ * reports each reply: `accepted`, if the work continues for now (202), else `words`. */
 static void each_job(struct ctl *ctl, struct request request, const char *noun, const char *behind,
                      const char *words, const char *accepted)
 {

@@ -61,7 +61,7 @@ void run_study_ask(struct ctl *ctl)
     }
 }
 
-/* ---- tell ---- */
+/* ---- study tell ---- */
 
 /* Adds a child: an object with a body, or a body alone. */
 static void add_child(json_t *children, json_t *value)

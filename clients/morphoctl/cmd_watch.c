@@ -11,7 +11,7 @@
 #include "follow.h"
 #include "live.h"
 
-/* ---- what events tell ---- */
+/* ---- texts of events ---- */
 
 static const struct {
   const char *type, *words;
@@ -135,7 +135,7 @@ void run_watch(struct ctl *ctl)
 
 /* ---- wait ---- */
 
-/* Waits for the end of a job, over restarts of the server. state: as its reply tells. */
+/* Waits for the end of a job, over restarts of the server. state: as in its reply. */
 static void wait_for_end(struct ctl *ctl, const char *id, char state[16])
 {
   const struct request request = {
@@ -161,8 +161,9 @@ static void run_then(const char *command, const struct ctl *ctl, const char *sta
   pid_t process = 0;
   for (size_t i = 1; i < ctl->n_operands; i++)
     ids = keep(format_text("%s %s", ids, ctl->operands[i]));
-  const bool told = setenv("MORPHOD_JOBS", ids, 1) == 0 && setenv("MORPHOD_STATE", state, 1) == 0;
-  const int error = told ? posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ) : errno;
+  const bool is_set = setenv("MORPHOD_JOBS", ids, 1) == 0 && setenv("MORPHOD_STATE", state, 1) == 0;
+  const int error =
+      is_set ? posix_spawn(&process, "/bin/sh", NULL, NULL, arguments, environ) : errno;
   if (error != 0)
     fail(STATUS_ERROR, "sh: %s", strerror(error));
   while (waitpid(process, &end, 0) < 0)

@@ -21,7 +21,7 @@ enum status {
   STATUS_INTERRUPTED = 130
 };
 
-enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL }; /* a word where nothing else is told */
+enum field_kind { FIELD_WORD, FIELD_WHOLE, FIELD_REAL }; /* default: a word */
 
 struct option_spec {
   const char *name;  /* without dashes; NULL ends a list */
@@ -93,7 +93,8 @@ _Noreturn void leave(int status);
 _Noreturn void fail(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 /* True after SIGINT or SIGTERM, once catch_interrupts was called. Commands call it before they wait
- * for something that goes on without them. words: what is told then at the end; nullable, kept. */
+ * for something that continues without them. words: printed at the end in that case; nullable,
+ * kept. */
 bool interrupted(void);
 void catch_interrupts(const char *words);
 

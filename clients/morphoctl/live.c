@@ -100,7 +100,7 @@ void live_load(struct live *live)
   live->job = job;
   live->kind->load(live);
   live->finished = is_final(text_of(live->job, "state"));
-  live->told_s = monotonic_s();
+  live->event_s = monotonic_s();
 }
 
 static int show_event(void *context, const char *type, const char *data)
@@ -133,7 +133,7 @@ static bool look_again(void *context)
 static bool notice(void *context)
 {
   struct live *live = context;
-  const bool late = monotonic_s() - live->told_s > live->kind->ask_s;
+  const bool late = monotonic_s() - live->event_s > live->kind->ask_s;
   return (late && look_again(live)) || live->finished;
 }
 

@@ -14,7 +14,7 @@ struct live;
 struct live_kind {
   size_t size;                     /* of its own structure */
   const char *noun, *command;      /* "training", "train" */
-  const char *accepted;            /* template of what is told of a job that was started */
+  const char *accepted;            /* template of the line about a job that was started */
   double ask_s;                    /* without an event for this long, the state is fetched */
   void (*load)(struct live *live); /* fetches what belongs to the job, after the job itself */
   void (*print)(struct live *live);
@@ -38,7 +38,7 @@ struct live {
   bool is_drawn;          /* standard output is a terminal that supports escapes */
   int n_lines, n_columns; /* drawn now, and the width they were drawn for */
   double drawn_s;
-  double told_s; /* time of the last event that counts, or when the state was last fetched */
+  double event_s; /* time of the last event that counts, or when the state was last fetched */
   bool finished;
 };
 
@@ -55,11 +55,11 @@ void live_words(const struct live *live, const json_t *at, const json_t *json, c
 void view_lines(FILE *file, int columns, const char *text);
 void view_words(FILE *file, int columns, const json_t *json, const char *words);
 
-/* Returns the template of what an event tells (cmd_watch.c). */
+/* Returns the template of an event's line (cmd_watch.c). */
 const char *event_words(const char *type);
 
-/* ---- how parts of progress are told: templates (table.h) of values below a place, "progress." or
- * the like ---- */
+/* ---- how parts of progress are printed: templates (table.h) of values below a place, such as
+ * "progress." ---- */
 
 #define STEP_WORDS(place) "step {" place "step:,} of {" place "steps:,}"
 #define NUMBER_WORDS(place)                                                                        \

@@ -78,7 +78,7 @@ void options_print_help(FILE *file, const struct command *command)
   fputs("\nExit status: 0 done; 1 error; 2 wrong use; 3 not found, or the answer is no; 4 no "
         "connection;\n"
         "5 not allowed; 6 rejected by the server; 7 server too busy; 130 interrupted.\n"
-        "morphoctl COMMAND --help tells more about a command; morphoctl(1) about everything.\n",
+        "See morphoctl COMMAND --help about a command, morphoctl(1) about everything.\n",
         file);
 }
 

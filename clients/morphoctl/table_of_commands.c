@@ -387,8 +387,9 @@ const struct command commands[] = {
     {"design draw", "[DESIGN]...", "Draw designs of files without asking the server.",
      run_design_draw},
     {"film", "[DESIGN]...", "Film up to 16 robots, without a display.", run_film,
-     "Rolls them out in one environment and draws what happens. --output tells the form: film.mp4 "
-     "(or another that ffmpeg makes, if it is installed), film.y4m, - for such a stream on "
+     "Rolls them out in one environment and draws what happens. --output names the format: "
+     "film.mp4 (or another that ffmpeg makes, if it is installed), film.y4m, - for such a stream "
+     "on "
      "standard output, or a folder, ending with /, for PNG files.",
      film_options},
     {"picture", "[DESIGN]...", "Draw up to 16 robots as they walk, without a display.", run_picture,
@@ -478,7 +479,7 @@ const struct command commands[] = {
     {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...",
      "Let a population evolve.", run_campaign_start,
      "zero-shot: the controller is frozen. few-shot: it learns again in each generation. "
-     "simultaneous: it learns along. study: nothing is born until study tell tells it. DESIGNs (as "
+     "simultaneous: it learns along. study: children come from study tell alone. DESIGNs (as "
      "those of eval) begin the initial population, random bodies fill it up. The campaign is a job "
      "of the server, which goes on without morphoctl, and after a crash where it was.",
      campaign_start_options, &campaign_kind},
@@ -517,19 +518,20 @@ const struct command commands[] = {
      "champions cannot be recorded any more. Of a campaign that has not ended nothing is deleted."},
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,
      "Children of its population as JSON, one per line, which study tell reads. The same question "
-     "has the same answer until the next batch is told. campaign start study makes a study; the "
+     "has the same answer until the next batch. campaign start study makes a study; the "
      "other commands of campaigns are for studies, too.",
      study_ask_options},
     {"study tell", "ID [FILE]", "Tell a study its next batch, and print the scores.",
      run_study_tell,
      "FILE (default: standard input) has children as JSON, one after the other or in lists: "
      "{\"body\": {\"cells\": [[x,y,z], ...]}, \"parents\": [3, 17], \"operator\": \"mine\", "
-     "\"measures\": {\"reach\": 2}}, or designs alone. The same batch told again changes nothing.",
+     "\"measures\": {\"reach\": 2}}, or designs alone. Sending the same batch again changes "
+     "nothing.",
      study_tell_options},
     {"study sampler", "ID", "Fetch the state of a study's sampler.", run_study_sampler,
-     "That of the newest batch that is committed. Exit status 3 if it was told without one.",
+     "That of the newest batch that is committed. Exit status 3 if it came without one.",
      study_sampler_options},
-    {"study finish", "ID", "End a study.", run_study_finish, "Nothing more can be told then."},
+    {"study finish", "ID", "End a study.", run_study_finish, "It then accepts no more batches."},
     {"export", "LIST", "Save any list, curve or phylogeny as a table.", run_export,
      "LIST is a path of the API behind /v1/, with its parameters: jobs, designs?sort=score, "
      "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",
@@ -541,7 +543,7 @@ const struct command commands[] = {
     {"bundle import", "FILE", "Enter the campaigns of a bundle.", run_bundle_import,
      "All of them or, if the bundle is damaged, nothing. What is here already stays as it is.",
      bundle_import_options},
-    {"bundle verify", "FILE", "Check a bundle, and tell what it has.", run_bundle_verify,
+    {"bundle verify", "FILE", "Check a bundle, and list its content.", run_bundle_verify,
      "The server checks every hash and every line, and stores nothing."},
     {"scores export", "[FILE]", "Save stored scores as one file.", run_scores_export,
      "With what they depend on: bodies, environments, physics, weights, class, and who computed "

@@ -77,7 +77,7 @@ static void load(struct live *live)
   load_curve(live, "validations", 0, &training->validations);
 }
 
-/* Plots both curves (malloc). NULL: there are none yet. */
+/* Plots both curves (malloc). NULL: no values yet. */
 static char *draw_plot(const struct training *training, int width, int height)
 {
   const struct ctl *ctl = training->live.ctl;
@@ -204,7 +204,7 @@ static bool take_event(struct live *live, const char *type, json_t *event, bool 
   const json_t *at = json_object_get(event, "at");
   json_t *data = json_object_get(event, "data");
   const double step = (double)number_of(data, "step");
-  live->told_s = monotonic_s();
+  live->event_s = monotonic_s();
   *draw = strcmp(type, "training.progress") != 0;
   if (!*draw) {
     merge(live->job, "progress", data);

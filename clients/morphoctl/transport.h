@@ -25,7 +25,7 @@ struct request {
 
 struct reply {
   long status;
-  char *body; /* a NUL follows the last byte; NULL: there is none */
+  char *body; /* a NUL follows the last byte; nullable */
   size_t body_bytes;
   FILE *file;                /* that writes the body; private */
   bool is_file, is_too_long; /* private */
