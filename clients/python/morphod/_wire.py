@@ -189,7 +189,7 @@ class Retries:
                   f"{self.within_s:g}).", file=sys.stderr)
 
     def delay(self, status: int | None, retry_after: str | None = None) -> float | None:
-        """Seconds until the next attempt; None: there is none. status None: the connection broke,
+        """Seconds until the next attempt; None: no further one. status None: the connection broke,
         or could not be made."""
         if status is None:
             repeat = self.request.repeatable

@@ -33,7 +33,7 @@ class UnreachableError(MorphodError, ConnectionError):
 class JobError(MorphodError):
     """A job failed, or was cancelled, while somebody waited for its result.
 
-    `job` is the job as the service last told it; `job["error"]` says why.
+    `job` is the job as the service last reported it; `job["error"]` says why.
     """
 
     def __init__(self, message: str, job: Mapping[str, Any]) -> None:
@@ -68,9 +68,9 @@ class ApiError(MorphodError):
         for fault in self.faults:
             place = fault.get("pointer") or fault.get("parameter") or fault.get("header")
             detail = printable(fault.get("detail"))
-            told = f"{printable(place)}: {detail}" if place else detail
-            if told not in text:
-                text += f"\n  {told}"
+            line = f"{printable(place)}: {detail}" if place else detail
+            if line not in text:
+                text += f"\n  {line}"
         super().__init__(f"{status}: {text}")
 
     def __reduce__(self) -> Any:

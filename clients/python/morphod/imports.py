@@ -253,9 +253,9 @@ def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[Any]:
     if polycubes.ndim != 4 or len(polycubes) != len(hashes):
         raise BodyError(f"robots/polycubes has the shape {polycubes.shape}, and there are "
                         f"{len(hashes)} hashes")
-    for place, (polycube, told) in enumerate(zip(polycubes[:100], hashes)):
-        if _hash(polycube) != told:
-            raise BodyError(f"body {place} has another hash than robots/pc_hashes tells: the file "
+    for place, (polycube, stored) in enumerate(zip(polycubes[:100], hashes)):
+        if _hash(polycube) != stored:
+            raise BodyError(f"body {place} has another hash than robots/pc_hashes has: the file "
                             "has another format")
     return polycubes
 

@@ -1,4 +1,4 @@
-"""How solutions of an optimizer become bodies, and scores become what it is told."""
+"""How solutions of an optimizer become bodies, and scores become its objectives."""
 
 from __future__ import annotations
 
@@ -80,18 +80,18 @@ class Plan:
 
     def write(self, bodies: list[Body | None], scores: NDArray[np.float64] | None, paths: Any,
               single: bool) -> Any:
-        """What the optimizer is told; scores and paths are of the bodies that are there."""
+        """What the optimizer needs; scores and paths are of the bodies that are there."""
         there = np.array([body is not None for body in bodies], dtype=np.bool_)
         losses = np.full(len(bodies), self.worst)
         if scores is not None:
             losses[there] = np.where(np.isnan(scores), self.worst, scores)
-        told = -losses if self.maximize else losses
+        objectives = -losses if self.maximize else losses
         if self.measures is None:
-            return float(told[0]) if single else told
+            return float(objectives[0]) if single else objectives
         table = self.values(bodies)
         if paths is not None:
             table[there, list(self.measures).index(_PATH)] = paths
-        return told, table
+        return objectives, table
 
     @property
     def names(self) -> list[str]:

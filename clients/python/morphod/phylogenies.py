@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NONE = 4294967295
-"""In the columns of parents: there is none."""
+"""In the columns of parents: no parent."""
 
 
 class Phylogeny:
     """Columns of a row per design, in order of birth.
 
     `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent), `born` and `died`
-    generations (`alive` tells who lives), `operator` places in `operators`, `score` float32 with
+    generations (`alive` marks the living), `operator` places in `operators`, `score` float32 with
     NaN where a rollout diverged, `lower_bound` bool (it was cut short, because the design could not
     survive: its score is at least this), `voxels` and `footprint` uint8, `measures` float64 by
     name, of a study. A million designs are a few arrays of a few megabytes.

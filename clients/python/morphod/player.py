@@ -15,7 +15,7 @@ import numpy as np
 from .errors import MorphodError
 from .scenes import Scene
 
-# Blue, orange, green, pink, gray, yellow: told apart by the color-blind, too.
+# Blue, orange, green, pink, gray, yellow: the color-blind can distinguish them.
 _COLORS = ("#5aa9e6", "#f3a536", "#3fae8c", "#d77fb4", "#a9b4c0", "#e2d04b")
 
 

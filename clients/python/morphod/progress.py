@@ -22,7 +22,7 @@ class Bar:
 
     def __init__(self, title: str, total: int, unit: str) -> None:
         self._title = title
-        self._told_s = -self.EVERY_S
+        self._printed_s = -self.EVERY_S
         self._text = ""
         self._bar: Any = None
         if not sys.stderr.isatty() and "ipykernel" not in sys.modules:
@@ -48,9 +48,9 @@ class Bar:
         text = f"{self._title}: {done} of {total}"
         text += f", {doing}" if doing else ""
         text += "".join(f", {name} {value:.4g}" for name, value in known.items())
-        is_due = time.monotonic() - self._told_s >= self.EVERY_S or done == total
+        is_due = time.monotonic() - self._printed_s >= self.EVERY_S or done == total
         if is_due and text != self._text:
-            self._told_s = time.monotonic()
+            self._printed_s = time.monotonic()
             self._text = text
             print(text, file=sys.stderr)
 

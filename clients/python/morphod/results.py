@@ -36,8 +36,8 @@ class Result:
                  fault: str | None = None) -> None:
         self.data = data
         self.lost = lost + dropped(data["repaired"])
-        told = data["fault"]
-        self.fault: str | None = fault if told and fault else told and str(told["detail"])
+        found = data["fault"]
+        self.fault: str | None = fault if found and fault else found and str(found["detail"])
         self.id = str(data["id"] or "")
         self.robot = str(data["robot"] or "")
         self.orientation: str | None = data["orientation"]
@@ -66,7 +66,7 @@ class Batch:
     """A batch of a study: its children by their places, with scores.
 
     `number` is that of the batch, `numbers` has those of the designs (None: skipped), `notes` what
-    was skipped or repaired, `data` all that the service tells.
+    was skipped or repaired, `data` all that the service returned.
     """
 
     @reading()
@@ -163,7 +163,7 @@ def _measure(name: str, value: float) -> float | None:
 class Controller:
     """A controller: its file, and what is known of it.
 
-    `data` is what the service tells of it, `content` the bytes of its safetensors file.
+    `data` is what the service knows of it, `content` the bytes of its safetensors file.
     """
 
     @reading()
@@ -179,7 +179,7 @@ class Controller:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the file tells of itself: sensor, parent, settings, …"""
+        """The metadata of the file: sensor, parent, settings, …"""
         return read_safetensors(self.content)[1]
 
     def torch(self) -> Any:

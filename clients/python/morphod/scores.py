@@ -19,7 +19,7 @@ class Entered:
     """What became of the scores of a file, in rollouts.
 
     `new` were not stored, `known` were, with the same bits; `different` are stored with other bits
-    and were left out. `differences` has the first of each block, as the service tells them.
+    and were left out. `differences` has the first of each block, as the service reports them.
     """
 
     new: int = 0
@@ -27,12 +27,12 @@ class Entered:
     different: int = 0
     differences: list[Mapping[str, Any]] = dataclasses.field(default_factory=list)
 
-    def add(self, told: Mapping[str, Any]) -> None:
-        """Counts what the service tells of a block."""
-        self.new += told["new"]
-        self.known += told["known"]
-        self.different += told["different"]
-        self.differences += told["differences"]
+    def add(self, reply: Mapping[str, Any]) -> None:
+        """Counts the scores of a block."""
+        self.new += reply["new"]
+        self.known += reply["known"]
+        self.different += reply["different"]
+        self.differences += reply["differences"]
 
 
 def blocks(path: str | os.PathLike[str]) -> Iterator[bytes]:

@@ -393,9 +393,9 @@ class AsyncClient:
     async def verify_bundle(self, path: str | os.PathLike[str]) -> pd.DataFrame:
         """Checks every hash and line of a bundle, and stores nothing. A table of its campaigns:
         campaign (its id here, None where it is not), source_store, source_campaign, designs, …"""
-        told = await self._connection.json(self._bundle_request(path, "verify"))
+        reply = await self._connection.json(self._bundle_request(path, "verify"))
         with reading():
-            return frame(told["items"]).drop(columns="entered")
+            return frame(reply["items"]).drop(columns="entered")
 
     @staticmethod
     def _bundle_request(path: str | os.PathLike[str], mode: str) -> Request:
@@ -425,12 +425,12 @@ class AsyncClient:
         `InvalidError`, and nothing of it is stored."""
         entered, is_last = Entered(), False
         for block in blocks(path):
-            told = await self._connection.json(Request(
+            reply = await self._connection.json(Request(
                 "POST", "/v1/scores", content=block, timeout_s=600.0,
                 headers={"Content-Type": "application/zstd"}))
             with reading():
-                entered.add(told)
-                is_last = told["last"]
+                entered.add(reply)
+                is_last = reply["last"]
         if not is_last:
             raise MorphodError(f"{path} ends early: its last block is missing")
         return entered
@@ -482,7 +482,7 @@ class AsyncClient:
                                       Controller),
                              metadata: Mapping[str, str] | None = None) -> Controller:
         """Stores a controller under a name: a safetensors file, its bytes, or its tensors by name,
-        such as the `state_dict` of `Controller.torch()` (with `metadata`, which tells the
+        such as the `state_dict` of `Controller.torch()` (with `metadata`, which names the
         `sensor`)."""
         if isinstance(source, Controller):
             content = source.content
@@ -510,9 +510,9 @@ class AsyncClient:
                     ) -> pd.DataFrame:
         """A table of what jobs have used, deleted ones too: name, jobs, core_seconds,
         device_seconds; those that used most first."""
-        told = await self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
+        reply = await self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
         with reading():
-            return frame(told["items"])
+            return frame(reply["items"])
 
     async def fleet(self) -> AsyncFleet:
         """The workers of other machines."""
@@ -525,7 +525,7 @@ class AsyncClient:
         `export("campaigns/7/phylogeny", "born.csv")`, `export("jobs", "jobs.ndjson", label="B")`.
 
         `what` is a path of the contract behind /v1/, `params` its parameters. The end of the file's
-        name tells the form: .csv, .ndjson or .jsonl, .nwk; `format` tells another one.
+        name gives the format: .csv, .ndjson or .jsonl, .nwk; `format` overrides it.
         """
         target = pathlib.Path(path)
         ends = {".csv": "csv", ".ndjson": "ndjson", ".jsonl": "ndjson", ".nwk": "newick"}

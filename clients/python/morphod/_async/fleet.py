@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class AsyncFleet:
     """The workers of other machines that compute for the service, as of the last look.
 
-    `data` is what the service told, by the names of the contract: whether workers can join
+    `data` is what the service reported, by the names of the contract: whether workers can join
     (`listening`), the classes, sums over all workers, and `sessions`.
     """
 
@@ -27,9 +27,9 @@ class AsyncFleet:
 
     @reading()
     def __repr__(self) -> str:
-        told = self.data
-        return (f"<{told['n_sessions']} workers with {told['n_threads']} threads and "
-                f"{told['n_devices']} GPUs, {told['rollouts_per_s']:,.0f} rollouts/s>")
+        data = self.data
+        return (f"<{data['n_sessions']} workers with {data['n_threads']} threads and "
+                f"{data['n_devices']} GPUs, {data['rollouts_per_s']:,.0f} rollouts/s>")
 
     @property
     @reading()

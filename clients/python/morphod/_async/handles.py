@@ -44,7 +44,7 @@ def interrupted(*jobs: AsyncJob) -> KeyboardInterrupt:
 class AsyncJob:
     """What evaluations, campaigns and trainings have in common.
 
-    `data` is the job as the service last told it, by the names of the contract.
+    `data` is the job as the service last reported it, by the names of the contract.
     """
 
     _list = "/v1/jobs"
@@ -206,11 +206,11 @@ class AsyncJob:
 
     async def delete(self) -> dict[str, Any]:
         """Deletes it for good, once it has ended, with all that only it has: results, recordings,
-        curves, phylogeny. Tells what `stays`, and why. Raises `ApiError` (409) where another job
+        curves, phylogeny. Returns what `stays`, and why. Raises `ApiError` (409) where another job
         needs it."""
-        told: dict[str, Any] = await self._connection.json(
+        reply: dict[str, Any] = await self._connection.json(
             Request("DELETE", f"/v1/jobs/{self.id}"))
-        return told
+        return reply
 
 
 class AsyncEvaluation(AsyncJob):

@@ -35,7 +35,7 @@ class AsyncStudy(AsyncCampaign):
         super().__init__(connection, data)
         with reading():
             self.next_batch = int(data["study"]["next_batch"])
-        """The number of the batch that `tell` tells next."""
+        """The number of the next batch."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -49,7 +49,7 @@ class AsyncStudy(AsyncCampaign):
                   parents: Iterable[int] | None = None) -> Asked:
         """Bodies that this study has never seen, made by the service: children of its population or
         of `parents`, by its settings' mutation and crossover; random ones while it is empty. The
-        same question has the same answer until the next batch is told."""
+        same question has the same answer until the next batch."""
         value = {"n": n, "by": by, "parents": None if parents is None else list(parents)}
         return Asked(await self._connection.json(
             Request.post(f"{self._list}/{self.id}/ask", without_none(value))))
@@ -60,7 +60,7 @@ class AsyncStudy(AsyncCampaign):
                    measures: Mapping[str, Iterable[float]] | None = None,
                    survivors: Iterable[int] | None = None, sampler_state: bytes | None = None,
                    on_fault: OnFault = "refuse", repair: Repair | None = None) -> Batch:
-        """Tells the next batch, and returns its scores once they are committed.
+        """Sends the next batch, and returns its scores once they are committed.
 
         `children` are bodies, or what `ask` gave. `parents` are the numbers of each one's parents,
         up to two designs of earlier batches, and `operator` says how they were made, in your own
@@ -83,65 +83,65 @@ class AsyncStudy(AsyncCampaign):
             value["survivors"] = [int(number) for number in survivors]
         if sampler_state is not None:
             value["sampler_state"] = base64.b64encode(sampler_state).decode()
-        # The same batch told again changes nothing, so that it is safe to repeat.
+        # Sending the same batch again changes nothing, so it is safe to repeat.
         request = Request.post(f"{self._list}/{self.id}/tell", without_none(value)).waiting(WAIT_S)
         try:
-            batch = await self._settled(await self._connection.json(request))
+            batch = await self._committed(await self._connection.json(request))
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"batch {self.next_batch} of study {self.id} goes on if it was told: restore() or "
-                "the same tell() gives its scores") from None
+                f"batch {self.next_batch} of study {self.id} continues if it has arrived: "
+                "restore() or the same tell() returns its scores") from None
         self.next_batch = batch.number + 1
         with reading():
             warn_of_ids(batch.notes)
         return batch
 
-    async def _settled(self, told: dict[str, Any]) -> Batch:
+    async def _committed(self, reply: dict[str, Any]) -> Batch:
         """Waits until a batch is committed."""
-        while told.get("state") != "committed":
+        while reply.get("state") != "committed":
             await self.refresh()
             if self.ended:
                 self._require_success()
             asked = time.monotonic()
-            told = await self._connection.json(
+            reply = await self._connection.json(
                 Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S))
             with reading():
-                is_committed = told["state"] == "committed"
+                is_committed = reply["state"] == "committed"
             if not is_committed and self.ended:
                 raise MorphodError(f"study {self.id} has ended without its newest batch")
             if not is_committed and time.monotonic() - asked < AT_ONCE_S:
                 await anyio.sleep(AT_ONCE_S)
-        return Batch(told)
+        return Batch(reply)
 
     async def last(self) -> Batch | None:
-        """The newest batch, once it is committed; None: none was told yet."""
+        """The newest batch, once it is committed; None: there was no batch yet."""
         await self.refresh()
         with reading():
             state = self.data["study"]
             if state["next_batch"] == 0 and not state["pending"]:
                 return None
-        batch = await self._settled(await self._connection.json(
+        batch = await self._committed(await self._connection.json(
             Request.get(f"{self._list}/{self.id}/batch", wait_s=WAIT_S)))
         self.next_batch = batch.number + 1
         return batch
 
     async def restore(self) -> tuple[bytes, Batch] | None:
         """What a search needs to go on where it died: the state of the sampler that the newest
-        batch was told with, and that batch with its scores, which the sampler does not know yet.
-        None: nothing was told yet, so the search begins."""
+        batch came with, and that batch with its scores, which the sampler does not know yet. None:
+        there was no batch yet, so the search begins."""
         batch = await self.last()
         if batch is None:
             return None
         with reading():
             is_saved = self.data["study"]["sampler"] is not None
         if not is_saved:
-            raise MorphodError(f"batch {batch.number} of study {self.id} was told without "
-                               "sampler_state, so the sampler cannot be restored; last() gives the "
-                               "batch")
+            raise MorphodError(f"batch {batch.number} of study {self.id} came without "
+                               "sampler_state, so the sampler cannot be restored; last() returns "
+                               "the batch")
         reply = await self._connection.send(Request.get(
             f"{self._list}/{self.id}/sampler", accept="application/octet-stream"))
         if reply.headers.get("Morphod-Batch") != str(batch.number):
-            raise MorphodError(f"study {self.id} is driven by somebody else, too")
+            raise MorphodError(f"study {self.id} is also driven by another client")
         return reply.content, batch
 
     async def finish(self, survivors: Iterable[int] | None = None) -> None:
@@ -165,7 +165,7 @@ class AsyncStudy(AsyncCampaign):
 class AsyncStudyObjective:
     """An objective whose calls are batches of a study; see `Objective`.
 
-    `objective(solutions, sampler_state=…)` tells them and gives what the optimizer is told.
+    `objective(solutions, sampler_state=…)` sends them and returns what the optimizer needs.
     `objective.last` is the batch of the newest call.
     """
 
@@ -177,7 +177,7 @@ class AsyncStudyObjective:
 
     async def __call__(self, solutions: Any, *, sampler_state: bytes | None = None,
                        survivors: Iterable[int] | None = None) -> Any:
-        """Scores the solutions, and gives what the optimizer is told."""
+        """Scores the solutions, and returns what the optimizer needs."""
         bodies, single = self._plan.read(solutions)
         values = self._plan.values(bodies)
         self.last = await self.study.tell(
