@@ -320,7 +320,7 @@ class Frame {
     return this.identified;
   }
 
-  /** Begins anew: with another token, or after the service was away. */
+  /** Starts over: with another token, or after the service was away. */
   start() {
     this.identified = null;
     return this.route();

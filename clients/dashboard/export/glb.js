@@ -18,7 +18,9 @@ class Arrays {
     this.accessors = [];
   }
 
-  /** @param {{bounds?: boolean, target?: number}} [options] bounds: tell the least and the largest */
+  /**
+   * @param {{bounds?: boolean, target?: number}} [options] bounds: add the least and the largest
+   */
   add(data, componentType, type, count, options = {}) {
     const { bounds = false, target } = options;
     const accessor = { bufferView: this.views.length, componentType, count, type };
@@ -31,7 +33,8 @@ class Arrays {
         accessor.max[i % width] = Math.max(accessor.max[i % width], value);
       });
     }
-    this.views.push({ buffer: 0, byteOffset: this.size, byteLength: data.byteLength, ...(target ? { target } : {}) });
+    this.views.push({ buffer: 0, byteOffset: this.size, byteLength: data.byteLength,
+      ...(target ? { target } : {}) });
     this.accessors.push(accessor);
     this.parts.push(new Uint8Array(data.buffer, data.byteOffset, data.byteLength));
     this.size += Math.ceil(data.byteLength / 4) * 4;
@@ -87,7 +90,8 @@ export function toGlb(robot, options = {}) {
     // The world of the robots is z up, that of glTF y up.
     nodes: [{ name, mesh: 0, rotation: [-Math.SQRT1_2, 0, 0, Math.SQRT1_2] }],
     materials: [{ name: 'skin', doubleSided: true,
-      pbrMetallicRoughness: { baseColorFactor: [0.42, 0.6, 0.9, 1], metallicFactor: 0, roughnessFactor: 0.7 } }],
+      pbrMetallicRoughness: { baseColorFactor: [0.42, 0.6, 0.9, 1], metallicFactor: 0,
+        roughnessFactor: 0.7 } }],
     meshes: [{ name, weights: new Array(targets.length).fill(0),
       primitives: [{ attributes: { POSITION: position }, indices: index, material: 0, targets }] }],
     animations: [{ name: 'walk', samplers: [{ input, output, interpolation: 'LINEAR' }],
@@ -104,7 +108,8 @@ function pack(json, arrays) {
   const textSize = Math.ceil(text.length / 4) * 4;
   const file = new Uint8Array(12 + 8 + textSize + 8 + arrays.size);
   const view = new DataView(file.buffer);
-  [GLB_MAGIC, 2, file.length, textSize, JSON_CHUNK].forEach((value, i) => view.setUint32(4 * i, value, true));
+  [GLB_MAGIC, 2, file.length, textSize, JSON_CHUNK]
+    .forEach((value, i) => view.setUint32(4 * i, value, true));
   file.fill(0x20, 20, 20 + textSize);
   file.set(text, 20);
   view.setUint32(20 + textSize, arrays.size, true);

@@ -4,14 +4,19 @@
  */
 
 /** Modules of the stage, each after those that it imports. */
-const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js', 'stage/stage.js', 'lib/body.js'];
+const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js',
+  'stage/stage.js', 'lib/body.js'];
 
-const STYLE = `html,body{margin:0;height:100%;background:#14171b;color:#e9edf2;font:15px system-ui,sans-serif}
-body{display:flex;flex-direction:column}canvas{flex:1;width:100%;min-height:0;touch-action:none;display:block}
+const STYLE = `
+html,body{margin:0;height:100%;background:#14171b;color:#e9edf2;font:15px system-ui,sans-serif}
+body{display:flex;flex-direction:column}
+canvas{flex:1;width:100%;min-height:0;touch-action:none;display:block}
 footer{display:flex;gap:12px;padding:10px 14px;background:#1b2027;align-items:center;flex-wrap:wrap}
 footer input[type=range]{flex:1;min-width:120px;accent-color:#f3a536}
-button{font:inherit;background:#232a32;color:inherit;border:1px solid #313a44;border-radius:7px;padding:6px 12px}
-button[aria-pressed=true]{border-color:#f3a536;color:#f3a536}i{display:inline-block;width:11px;height:11px;border-radius:3px;margin-right:5px}
+button{font:inherit;background:#232a32;color:inherit;border:1px solid #313a44;border-radius:7px;
+padding:6px 12px}
+button[aria-pressed=true]{border-color:#f3a536;color:#f3a536}
+i{display:inline-block;width:11px;height:11px;border-radius:3px;margin-right:5px}
 #names{display:flex;flex-wrap:wrap;gap:4px 12px}`;
 
 const SCRIPT = `
@@ -23,21 +28,26 @@ const stage = new Stage(canvas);
 stage.setRobots(robots);
 stage.sideBySide = robots.length > 1;
 stage.aim();
-const [slider, play, side, springs] = ['time', 'play', 'side', 'springs'].map((id) => document.getElementById(id));
+const [slider, play, side, springs] = ['time', 'play', 'side', 'springs']
+  .map((id) => document.getElementById(id));
 slider.max = stage.durationS();
 let playing = !matchMedia('(prefers-reduced-motion: reduce)').matches;
 let before;
 driveCamera(canvas, stage.camera, () => {});
 play.onclick = () => { playing = !playing; };
 side.onclick = () => { stage.sideBySide = !stage.sideBySide; };
-springs.onclick = () => { stage.show.springs = !stage.show.springs; stage.show.skin = !stage.show.springs; };
+springs.onclick = () => {
+  stage.show.springs = !stage.show.springs;
+  stage.show.skin = !stage.show.springs;
+};
 slider.oninput = () => { playing = false; stage.timeS = Number(slider.value); };
 const names = document.getElementById('names');
 for (const robot of stage.robots) {
   const name = document.createElement('span');
   const swatch = document.createElement('i');
   swatch.style.background = robot.color;
-  name.append(swatch, robot.label + ' ' + (robot.loss === null ? 'diverged' : robot.loss.toFixed(4)));
+  const loss = robot.loss === null ? 'diverged' : robot.loss.toFixed(4);
+  name.append(swatch, robot.label + ' ' + loss);
   names.append(name);
 }
 (function frame(now) {
@@ -54,25 +64,30 @@ for (const robot of stage.robots) {
 
 function base64(bytes) {
   let text = '';
-  for (let i = 0; i < bytes.length; i += 0x8000) text += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
+  for (let i = 0; i < bytes.length; i += 0x8000) {
+    text += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
+  }
   return btoa(text);
 }
 
 /** A module's source as part of one script: its imports are already there. */
 export function inline(source) {
-  return source.replace(/^import [^;]*;$/gm, '').replace(/^export (?=(const|function|class|async))/gm, '');
+  return source.replace(/^import [^;]*;$/gm, '')
+    .replace(/^export (?=(const|function|class|async))/gm, '');
 }
 
 /** Text inside a script element must not end it. */
 const safe = (text) => text.replace(/<\//g, '<\\/').replace(/<!--/g, '<\\!--');
 
 /**
- * @param {import('../stage/stage.js').Robot[]} robots as the stage has them, with genotype and label
+ * @param {import('../stage/stage.js').Robot[]} robots as the stage has them, with genotype and
+ *   label
  * @param {string} title
  */
 export async function toPage(robots, title) {
   const base = new URL('..', import.meta.url);
-  const sources = await Promise.all(MODULES.map(async (name) => (await fetch(new URL(name, base))).text()));
+  const load = async (name) => (await fetch(new URL(name, base))).text();
+  const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
   const data = {
     worlds: worlds.map(({ light, heights }) => ({ light: [...light], heights: [...heights] })),
@@ -84,10 +99,15 @@ export async function toPage(robots, title) {
   const modules = sources.map(inline).join('\n')
     .replaceAll('new Program(gl, shaders.', 'new Program(gl, ');
   const escaped = title.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
-  const html = `<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">` +
-    `<title>${escaped}</title><style>${STYLE}</style><canvas tabindex="0" aria-label="${escaped}"></canvas>` +
-    '<footer><button id="play"></button><input id="time" type="range" min="0" step="any" aria-label="Time">' +
-    '<button id="side">Side by side</button><button id="springs">Springs</button><span id="names"></span></footer>' +
-    `<script type="module">const DATA=${safe(JSON.stringify(data))};\n${safe(modules)}\n${SCRIPT}</script></html>`;
+  const html = '<!doctype html><html lang="en"><meta charset="utf-8">' +
+    '<meta name="viewport" content="width=device-width">' +
+    `<title>${escaped}</title><style>${STYLE}</style>` +
+    `<canvas tabindex="0" aria-label="${escaped}"></canvas>` +
+    '<footer><button id="play"></button>' +
+    '<input id="time" type="range" min="0" step="any" aria-label="Time">' +
+    '<button id="side">Side by side</button><button id="springs">Springs</button>' +
+    '<span id="names"></span></footer>' +
+    `<script type="module">const DATA=${safe(JSON.stringify(data))};\n${safe(modules)}\n` +
+    `${SCRIPT}</script></html>`;
   return new Blob([html], { type: 'text/html' });
 }

@@ -1,9 +1,10 @@
 /** Films of the stage: frames drawn one by one, encoded by the browser, put into a WebM file. */
 
 const IDS = {
-  header: 0x1a45dfa3, version: 0x4286, readVersion: 0x42f7, idLength: 0x42f2, sizeLength: 0x42f3, docType: 0x4282,
-  docVersion: 0x4287, docReadVersion: 0x4285, segment: 0x18538067, info: 0x1549a966, scale: 0x2ad7b1, duration: 0x4489,
-  muxer: 0x4d80, writer: 0x5741, tracks: 0x1654ae6b, track: 0xae, number: 0xd7, uid: 0x73c5, type: 0x83, codec: 0x86,
+  header: 0x1a45dfa3, version: 0x4286, readVersion: 0x42f7, idLength: 0x42f2, sizeLength: 0x42f3,
+  docType: 0x4282, docVersion: 0x4287, docReadVersion: 0x4285, segment: 0x18538067,
+  info: 0x1549a966, scale: 0x2ad7b1, duration: 0x4489, muxer: 0x4d80, writer: 0x5741,
+  tracks: 0x1654ae6b, track: 0xae, number: 0xd7, uid: 0x73c5, type: 0x83, codec: 0x86,
   video: 0xe0, width: 0xb0, height: 0xba, cluster: 0x1f43b675, time: 0xe7, block: 0xa3,
 };
 
@@ -41,7 +42,8 @@ function double(value) {
 
 /**
  * @param {{data: Uint8Array, key: boolean}[]} frames encoded, in order
- * @param {{width: number, height: number, rate: number, codec: string}} video codec: "V_VP8", "V_VP9"
+ * @param {{width: number, height: number, rate: number, codec: string}} video codec: "V_VP8",
+ *   "V_VP9"
  */
 export function toWebm(frames, { width, height, rate, codec }) {
   const timeOf = (i) => Math.round((i * 1000) / rate);
@@ -49,7 +51,9 @@ export function toWebm(frames, { width, height, rate, codec }) {
   let blocks = [];
   let start = 0;
   const close = () => {
-    if (blocks.length) clusters.push(element(IDS.cluster, element(IDS.time, timeOf(start)), ...blocks));
+    if (blocks.length) {
+      clusters.push(element(IDS.cluster, element(IDS.time, timeOf(start)), ...blocks));
+    }
     blocks = [];
   };
   frames.forEach(({ data, key }, i) => {
@@ -64,13 +68,17 @@ export function toWebm(frames, { width, height, rate, codec }) {
     blocks.push(element(IDS.block, block));
   });
   close();
-  const header = element(IDS.header, element(IDS.version, 1), element(IDS.readVersion, 1), element(IDS.idLength, 4),
-    element(IDS.sizeLength, 8), element(IDS.docType, 'webm'), element(IDS.docVersion, 4), element(IDS.docReadVersion, 2));
-  const info = element(IDS.info, element(IDS.scale, 1000000), element(IDS.duration, double(timeOf(frames.length))),
+  const header = element(IDS.header, element(IDS.version, 1), element(IDS.readVersion, 1),
+    element(IDS.idLength, 4), element(IDS.sizeLength, 8), element(IDS.docType, 'webm'),
+    element(IDS.docVersion, 4), element(IDS.docReadVersion, 2));
+  const info = element(IDS.info, element(IDS.scale, 1000000),
+    element(IDS.duration, double(timeOf(frames.length))),
     element(IDS.muxer, 'morphod'), element(IDS.writer, 'morphod'));
-  const tracks = element(IDS.tracks, element(IDS.track, element(IDS.number, 1), element(IDS.uid, 1), element(IDS.type, 1),
-    element(IDS.codec, codec), element(IDS.video, element(IDS.width, width), element(IDS.height, height))));
-  return new Blob([header, element(IDS.segment, info, tracks, ...clusters)], { type: 'video/webm' });
+  const video = element(IDS.video, element(IDS.width, width), element(IDS.height, height));
+  const tracks = element(IDS.tracks, element(IDS.track, element(IDS.number, 1),
+    element(IDS.uid, 1), element(IDS.type, 1), element(IDS.codec, codec), video));
+  return new Blob([header, element(IDS.segment, info, tracks, ...clusters)],
+    { type: 'video/webm' });
 }
 
 // Debian's compiler of types does not know WebCodecs yet.

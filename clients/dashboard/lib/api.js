@@ -10,7 +10,10 @@ export class ApiError extends Error {
   constructor(status, problem, retryAfterS) {
     super(problem.detail ?? problem.title ?? `The service answered with ${status}.`);
     this.status = status;
-    /** Faults of the request, each with a JSON pointer. @type {{pointer: string, detail: string}[]} */
+    /**
+     * Faults of the request, each with a JSON pointer.
+     * @type {{pointer: string, detail: string}[]}
+     */
     this.faults = problem.errors ?? [];
     this.retryAfterS = retryAfterS;
   }
@@ -21,7 +24,10 @@ export class LinkError extends Error {}
 
 let memoryToken = null;
 
-/** Uses the storage of the browser; undefined where that is forbidden. What it keeps then lasts as long as the page. */
+/**
+ * Uses the storage of the browser; undefined where that is forbidden. What it keeps then lasts as
+ * long as the page.
+ */
 export function storing(use) {
   try {
     return use();
@@ -40,8 +46,8 @@ export function decoded(text) {
 }
 
 /**
- * Takes a token out of the address (#token=…), so that it is neither kept nor sent there. Returns it;
- * null: there is none.
+ * Takes a token out of the address (#token=…), so that it is neither kept nor sent there. Returns
+ * the token, or null.
  */
 export function tokenOfAddress() {
   const match = /[#&]token=([^&]*)/.exec(location.hash);
@@ -73,7 +79,8 @@ function setConnection(up) {
 /**
  * Sends one request.
  * @param {string} path relative, like "v1/jobs"
- * @param {{method?: string, body?: any, headers?: Object<string, string>, signal?: AbortSignal}} [options]
+ * @param {{method?: string, body?: any, headers?: Object<string, string>, signal?: AbortSignal}}
+ *   [options]
  * @returns {Promise<Response>} a reply below 400; throws ApiError
  */
 export async function request(path, options = {}) {
@@ -97,7 +104,8 @@ export async function request(path, options = {}) {
   setConnection(![502, 504].includes(response.status));
   if (response.ok) return response;
   const problem = await response.json().catch(() => ({}));
-  throw new ApiError(response.status, problem, Number(response.headers.get('Retry-After')) || undefined);
+  throw new ApiError(response.status, problem,
+    Number(response.headers.get('Retry-After')) || undefined);
 }
 
 export async function getJson(path, options) {
@@ -117,7 +125,8 @@ export async function patient(send, limit = 5) {
     } catch (error) {
       const again = error instanceof ApiError && [429, 503].includes(error.status);
       if (!again || i >= limit) throw error;
-      await new Promise((resolve) => setTimeout(resolve, 1000 * Math.min(error.retryAfterS ?? 1, 10)));
+      const waitMs = 1000 * Math.min(error.retryAfterS ?? 1, 10);
+      await new Promise((resolve) => setTimeout(resolve, waitMs));
     }
   }
 }
@@ -125,7 +134,8 @@ export async function patient(send, limit = 5) {
 /** A path with a query; parameters that are undefined, null or '' are left out. */
 export function withQuery(path, parameters) {
   const query = new URLSearchParams(
-    Object.entries(parameters).filter(([, value]) => value !== undefined && value !== null && value !== ''),
+    Object.entries(parameters)
+      .filter(([, value]) => value !== undefined && value !== null && value !== ''),
   ).toString();
   return query ? `${path}?${query}` : path;
 }
@@ -137,8 +147,8 @@ export function shared(work) {
 }
 
 /**
- * A curve that grows: keeps its rows and brings those that came since. The newest row's number is the
- * cursor of what follows.
+ * A curve that grows: keeps its rows and brings those that came since. The newest row's number is
+ * the cursor of what follows.
  */
 export class Curve {
   constructor(path) {
@@ -152,7 +162,8 @@ export class Curve {
   async #refresh(signal) {
     const before = this.rows.length;
     for (;;) {
-      const page = await getJson(withQuery(this.path, { cursor: this.cursor, limit: 1000 }), { signal });
+      const page = await getJson(withQuery(this.path, { cursor: this.cursor, limit: 1000 }),
+        { signal });
       this.rows.push(...page.items);
       const last = page.items.at(-1);
       if (last) this.cursor = last.step ?? last.generation;

@@ -31,7 +31,10 @@ const FACE_STEPS = [
   [0, 0, 1],
 ];
 
-/** Pairs of a voxel's corners that a spring joins: 12 edges (true: a face diagonal) and 12 diagonals. */
+/**
+ * Pairs of a voxel's corners that a spring joins: 12 edges (true: a face diagonal) and 12
+ * diagonals.
+ */
 const VOXEL_SPRINGS = [];
 for (let a = 0; a < 8; a++) {
   for (let b = a + 1; b < 8; b++) {
@@ -40,7 +43,7 @@ for (let a = 0; a < 8; a++) {
   }
 }
 
-/** Tells whether a genotype (a text of '0' and '1') has a voxel at (x, y, z). */
+/** Returns whether a genotype (a text of '0' and '1') has a voxel at (x, y, z). */
 export function hasVoxel(genotype, x, y, z) {
   if (x < 0 || y < 0 || z < 0 || x >= NX || y >= NY || z >= NZ) return false;
   return genotype[(x * NY + y) * NZ + z] === '1';
@@ -50,7 +53,8 @@ export function hasVoxel(genotype, x, y, z) {
 export function cellsOf(genotype) {
   const cells = [];
   for (let v = 0; v < NX * NY * NZ; v++) {
-    if (genotype[v] === '1') cells.push([Math.floor(v / (NY * NZ)), Math.floor(v / NZ) % NY, v % NZ]);
+    if (genotype[v] !== '1') continue;
+    cells.push([Math.floor(v / (NY * NZ)), Math.floor(v / NZ) % NY, v % NZ]);
   }
   return cells;
 }

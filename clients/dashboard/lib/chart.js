@@ -1,7 +1,7 @@
 /**
- * Charts of curves that grow: bands, lines and points on a canvas, with axes, a cursor that tells the
- * values, and a text for screen readers. 100,000 points with a band are drawn at once: what falls on
- * one column of pixels is drawn as its range.
+ * Charts of curves that grow: bands, lines and points on a canvas, with axes, a cursor that shows
+ * the values, and a text for screen readers. 100,000 points with a band are drawn at once: what
+ * falls on one column of pixels is drawn as its range.
  */
 
 import { h, paint, swatch } from './dom.js';
@@ -10,7 +10,7 @@ import { number } from './format.js';
 /**
  * @typedef {Object} Series
  * @property {string} name
- * @property {'line'|'band'|'points'} [kind] a line unless told
+ * @property {'line'|'band'|'points'} [kind] default: line
  * @property {ArrayLike<number>} x ascending
  * @property {ArrayLike<number>} y NaN: no value
  * @property {ArrayLike<number>} [low] of a band
@@ -36,7 +36,9 @@ export function ticks(from, to, n) {
   const power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw);
   const all = [];
-  for (let i = Math.ceil(from / step - 1e-9); i * step <= to + step * 1e-9; i++) all.push(i * step + 0); // not -0
+  for (let i = Math.ceil(from / step - 1e-9); i * step <= to + step * 1e-9; i++) {
+    all.push(i * step + 0); // not -0
+  }
   return all;
 }
 
@@ -54,7 +56,7 @@ function logTicks(from, to) {
 /** Rows as a list of numbers; NaN: no value. */
 export const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
 
-/** Index of the last value of an ascending list that is at most `value`; -1 if there is none. */
+/** Index of the last value of an ascending list that is at most `value`, or -1. */
 export function lastAtMost(list, value) {
   let low = 0;
   let high = list.length;
@@ -75,7 +77,8 @@ export class Chart {
    *          between whole numbers; xRange: of the axis, whatever values there are
    */
   constructor(options) {
-    this.options = { xName: 'generation', height: 220, empty: 'No values yet.', xText: (x) => number(x, 6), yText: number, ...options };
+    this.options = { xName: 'generation', height: 220, empty: 'No values yet.',
+      xText: (x) => number(x, 6), yText: number, ...options };
     const { note } = this.options;
     /** @type {Series[]} */
     this.series = [];
@@ -88,7 +91,8 @@ export class Chart {
     this.readout = h('div.readout', { 'aria-live': 'polite' });
     this.legend = h('div.legend');
     this.element = h('figure.panel.chart', {},
-      h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null, this.legend), this.canvas, this.readout);
+      h('figcaption', {}, h('h3', {}, options.title), note ? h('span.muted', {}, note) : null,
+        this.legend), this.canvas, this.readout);
     this.canvas.addEventListener('pointermove', (event) => this.#point(event.offsetX));
     this.canvas.addEventListener('pointerleave', () => this.#moveCursor(-1));
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
@@ -102,7 +106,8 @@ export class Chart {
     this.range = this.#range();
     this.readout.dataset.axis = this.range ? this.options.xName : '';
     this.legend.replaceChildren(...series.filter((s) => !s.silent).map((s) => {
-      const sample = swatch(s.color, s.kind === 'band' ? '' : `.line${s.dash?.length ? '.dashed' : ''}`);
+      const sample = swatch(s.color,
+        s.kind === 'band' ? '' : `.line${s.dash?.length ? '.dashed' : ''}`);
       sample.style.opacity = String(s.opacity ?? 1);
       return h('span', {}, sample, s.name);
     }));
@@ -116,10 +121,11 @@ export class Chart {
 
   #summary() {
     const { title, xName } = this.options;
-    const parts = this.series.filter((s) => !s.silent && s.kind !== 'band' && s.x.length).map((s) => {
+    const shown = this.series.filter((s) => !s.silent && s.kind !== 'band' && s.x.length);
+    const parts = shown.map((s) => {
       const last = s.x.length - 1;
-      return `${s.name} from ${number(s.y[0])} at ${xName} ${number(s.x[0])} to ${number(s.y[last])} ` +
-        `at ${xName} ${number(s.x[last])}`;
+      return `${s.name} from ${number(s.y[0])} at ${xName} ${number(s.x[0])} ` +
+        `to ${number(s.y[last])} at ${xName} ${number(s.x[last])}`;
     });
     return this.range && parts.length ? `${title}: ${parts.join('; ')}`
       : `${title}: ${this.options.empty}`;
@@ -262,8 +268,10 @@ export class Chart {
     context.fill();
   }
 
-  /** Adds what lies between two curves to the path: of each column of pixels the lowest and the highest
-   * value, so that no peak is lost, and nothing where a value is missing. */
+  /**
+   * Adds the area between two curves to the path. Each column of pixels has its lowest and highest
+   * value, so that no peak is lost; where a value is missing there is a gap.
+   */
   #envelope(context, x, low, high, scale) {
     /** @type {number[][]} x, low, high of each column in a row */
     const parts = [];
@@ -356,7 +364,8 @@ export class Chart {
       const values = this.series.filter((s) => !s.silent).map((s) => {
         const at = lastAtMost(s.x, x);
         if (at < 0 || s.x[at] !== x) return null;
-        const text = s.kind === 'band' ? `${number(s.low[at])} to ${number(s.high[at])}` : number(s.y[at]);
+        const text = s.kind === 'band' ? `${number(s.low[at])} to ${number(s.high[at])}`
+          : number(s.y[at]);
         return `${s.name} ${text}`;
       });
       this.readout.textContent =

@@ -14,7 +14,9 @@ export function pythonOf(value) {
   if (typeof value === 'boolean') return value ? 'True' : 'False';
   if (Array.isArray(value)) return `[${value.map(pythonOf).join(', ')}]`;
   if (typeof value === 'object') {
-    return `{${Object.entries(value).map(([key, one]) => `${JSON.stringify(key)}: ${pythonOf(one)}`).join(', ')}}`;
+    const items = Object.entries(value)
+      .map(([key, one]) => `${JSON.stringify(key)}: ${pythonOf(one)}`);
+    return `{${items.join(', ')}}`;
   }
   return JSON.stringify(value);
 }
@@ -40,7 +42,8 @@ export function commandsOf({ path, body, headers = [], output, morphoctl, python
   const given = input ? `echo ${shellWord(input)} | ` : '';
   const { pathname, searchParams } = new URL(path, 'http://any');
   const values = [...searchParams].map(([key, one]) => `${key}=${pythonOf(one)}`);
-  const words = [body === undefined ? 'GET' : 'POST', pathname].map(pythonOf).concat(body === undefined ? values : pythonOf(body));
+  const words = [body === undefined ? 'GET' : 'POST', pathname].map(pythonOf)
+    .concat(body === undefined ? values : pythonOf(body));
   return [
     ['curl', curl.join(' ')],
     ['morphoctl', morphoctl.split('\n').map((line) => `${given}morphoctl ${line}${at}`).join('\n')],

@@ -116,7 +116,7 @@ export function button(text, onclick, attributes = {}) {
   return h('button', { type: 'button', onclick, ...attributes }, text);
 }
 
-/** A button that stays pressed: aria-pressed tells its state. */
+/** A button that stays pressed: aria-pressed has its state. */
 export function toggle(text, pressed, onchange, attributes = {}) {
   const element = button(text, () => {
     const now = element.getAttribute('aria-pressed') !== 'true';
@@ -144,7 +144,8 @@ export function table(names, body, isRight = (name, i) => false, tag = 'table.ca
 
 /** A value with its name above it, and words below. */
 export function tile(name, value, words) {
-  return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value), h('div.muted', {}, words));
+  return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value),
+    h('div.muted', {}, words));
 }
 
 /** What a color means, in a legend. color: the name of a custom property of CSS, or a color. */
@@ -154,7 +155,10 @@ export function swatch(color, kind = '') {
   return element;
 }
 
-/** Prepares a canvas to be drawn anew at its present size; null: it has none. color: of a name as above. */
+/**
+ * Prepares a canvas to be redrawn at its current size, or returns null if it has none. color: of a
+ * name as above.
+ */
 export function paint(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
   if (!width || !height) return null;

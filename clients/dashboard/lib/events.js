@@ -12,8 +12,8 @@ const CHANNEL = 'morphod-events';
 export const isNews = ({ type }) => type !== 'reset' && !type.endsWith('progress');
 
 /**
- * Does work soon after it is asked for, and again where it was asked for meanwhile: never twice at once,
- * and so that the last time begins after the last request. Failures wait for the next event.
+ * Does work soon after it is asked for, and again where it was asked for meanwhile: never twice at
+ * once, and so that the last time begins after the last request. Failures wait for the next event.
  * @param {() => Promise<any>} work
  * @param {AbortSignal} signal ends it
  */
@@ -39,7 +39,8 @@ export class Events {
     this.last = null;
     this.listeners = new Set();
     this.stopper = null;
-    this.channel = 'BroadcastChannel' in window ? new BroadcastChannel(CHANNEL + location.pathname) : null;
+    this.channel = 'BroadcastChannel' in window ? new BroadcastChannel(CHANNEL + location.pathname)
+      : null;
     this.channel?.addEventListener('message', ({ data }) => this.#take(data));
     document.addEventListener('visibilitychange', () => this.#change());
   }
@@ -59,7 +60,8 @@ export class Events {
 
   /** What is news among the `n` events up to a number, oldest first. */
   async upTo(last, n = 300) {
-    const page = await getJson(withQuery('v1/events', { format: 'json', after: Math.max(0, last - n), limit: n }));
+    const query = { format: 'json', after: Math.max(0, last - n), limit: n };
+    const page = await getJson(withQuery('v1/events', query));
     return page.items.filter((event) => Number(event.id) <= last && isNews(event));
   }
 

@@ -1,13 +1,15 @@
 /**
  * The layout of a phylogeny: typed arrays, no object per design, so that a million designs take a
- * fraction of a second. Designs are numbered in order of birth, so a parent's number is always lower.
+ * fraction of a second. Designs are numbered in order of birth, so a parent's number is always
+ * lower.
  */
 
 /** In a column of parents: none. */
 export const NO_PARENT = 0xffffffff;
 
 /** Colors of operators: random, listed, inherited, mutation, crossover, and those of a study. */
-export const OPERATOR_HUES = ['--grey', '--grey', '--green', '--orange', '--blue', '--pink', '--bad', '--text'];
+export const OPERATOR_HUES = ['--gray', '--gray', '--green', '--orange', '--blue', '--pink',
+  '--bad', '--text'];
 
 /**
  * @typedef {Object} Columns
@@ -39,8 +41,9 @@ function placesOf(numbers) {
  * designs are ancestors of the living.
  * @param {Columns} columns
  * @returns {{y: Float32Array, parentRow: Int32Array, lineage: Uint8Array, order: Uint32Array,
- *            size: Uint32Array, nLineage: number, alive: number}} size: of the family, itself and its descendants; order: rows,
- *   the ancestors of the living last, to be drawn on top; alive: `died` of the living
+ *            size: Uint32Array, nLineage: number, alive: number}}
+ *   size: of the family, a design and its descendants; order: rows, the ancestors of the living
+ *   last, to be drawn on top; alive: `died` of the living
  */
 export function layout(columns) {
   const { number, parent, other_parent: other, died } = columns;

@@ -1,6 +1,8 @@
-/** Brings robots to the stage: rollouts that the daemon computes and stores nowhere, and recordings. */
+/**
+ * Brings robots to the stage: rollouts that the daemon computes and stores nowhere, and recordings.
+ */
 
-import { getJson, patient, request } from './api.js';
+import { getJson, patient, request, withQuery } from './api.js';
 import { countOf } from './format.js';
 import { decodeScene, robotsOf } from './scene.js';
 
@@ -17,20 +19,23 @@ async function environmentsAt(path) {
 }
 
 /** The environments of a named set. */
-export const environmentSet = (name) => environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
+export const environmentSet = (name) =>
+  environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
 
 /** An environment as a request has it. */
 export const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
 
 /** What an evaluation recorded of one of its designs in one of its environments, as a scene. */
 export const recordingPath = (evaluation, row, environment) =>
-  `v1/evaluations/${encodeURIComponent(evaluation)}/trajectories/${row}?environment=${environment}&format=scene`;
+  withQuery(`v1/evaluations/${encodeURIComponent(evaluation)}/trajectories/${row}`,
+    { environment, format: 'scene' });
 
 /** The robots of recordings. @param {number[]} rows places of the designs in the evaluation */
 export async function recorded(evaluation, rows, environment, signal) {
   const robots = [];
   for (const row of rows) {
-    const response = await patient(() => request(recordingPath(evaluation, row, environment), { signal }));
+    const path = recordingPath(evaluation, row, environment);
+    const response = await patient(() => request(path, { signal }));
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
   }
   return robots;

@@ -1,12 +1,13 @@
 /**
- * Reads a scene: application/vnd.morphod.scene (docs/scenes.md). Four bytes tell the length of a JSON
- * header; the arrays that it describes follow, each at an offset that is a multiple of 8.
+ * Reads a scene: application/vnd.morphod.scene (docs/scenes.md). Four bytes hold the length of a
+ * JSON header; the arrays that it describes follow, each at an offset that is a multiple of 8.
  */
 
 import { bodyOf } from './body.js';
 
 const TYPES = {
-  float64: Float64Array, float32: Float32Array, uint32: Uint32Array, uint16: Uint16Array, uint8: Uint8Array,
+  float64: Float64Array, float32: Float32Array, uint32: Uint32Array, uint16: Uint16Array,
+  uint8: Uint8Array,
   int8: Int8Array,
 };
 

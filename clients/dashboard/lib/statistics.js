@@ -1,4 +1,6 @@
-/** The statistics of morphoctl (clients/morphoctl/stats.c): intervals of Student's t distribution. */
+/**
+ * The statistics of morphoctl (clients/morphoctl/stats.c): intervals of Student's t distribution.
+ */
 
 export const CONFIDENCE = 0.95;
 
@@ -11,7 +13,10 @@ function logGamma(x) {
   return (x + 0.5) * Math.log(base) - base + Math.log((2.5066282746310005 * sum) / x);
 }
 
-/** The continued fraction of the incomplete beta function I_x(a, b), for x below (a + 1)/(a + b + 2). */
+/**
+ * The continued fraction of the incomplete beta function I_x(a, b), for x below
+ * (a + 1)/(a + b + 2).
+ */
 function betaFraction(a, b, x) {
   const away = (value) => (Math.abs(value) < 1e-300 ? 1e-300 : value);
   let c = 1;
@@ -34,7 +39,8 @@ function betaFraction(a, b, x) {
 
 function incompleteBeta(a, b, x, y) {
   if (x <= 0 || y <= 0) return x <= 0 ? 0 : 1;
-  const front = Math.exp(logGamma(a + b) - logGamma(a) - logGamma(b) + a * Math.log(x) + b * Math.log(y));
+  const front =
+    Math.exp(logGamma(a + b) - logGamma(a) - logGamma(b) + a * Math.log(x) + b * Math.log(y));
   if (x < (a + 1) / (a + b + 2)) return (front * betaFraction(a, b, x)) / a;
   return 1 - (front * betaFraction(b, a, y)) / b;
 }
@@ -42,7 +48,8 @@ function incompleteBeta(a, b, x, y) {
 /** P(T ≤ t) with so many degrees of freedom. */
 function studentProbability(t, freedom) {
   const square = t * t;
-  const tails = incompleteBeta(freedom / 2, 0.5, freedom / (freedom + square), square / (freedom + square));
+  const tails = incompleteBeta(freedom / 2, 0.5, freedom / (freedom + square),
+    square / (freedom + square));
   return t > 0 ? 1 - tails / 2 : tails / 2;
 }
 
@@ -63,8 +70,8 @@ const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.leng
 const squares = (values, middle) => values.reduce((sum, one) => sum + (one - middle) ** 2, 0);
 
 /**
- * The mean of b − a over designs with a finite loss in every world, and its interval, which holds for
- * other designs in other worlds (compare_crossed in stats.h). NaN: fewer than two designs.
+ * The mean of b − a over designs with a finite loss in every world, and its interval, which holds
+ * for other designs in other worlds (compare_crossed in stats.h). NaN: fewer than two designs.
  * @param {number[][]} a losses by design and world @param {number[][]} b
  */
 export function compareCrossed(a, b) {
@@ -96,7 +103,8 @@ export function compareMeans(a, b) {
   const [ma, mb] = [mean(a), mean(b)];
   const difference = mb - ma;
   if (a.length < 2 || b.length < 2) return { difference, low: NaN, high: NaN };
-  const [va, vb] = [squares(a, ma) / (a.length - 1) / a.length, squares(b, mb) / (b.length - 1) / b.length];
+  const va = squares(a, ma) / (a.length - 1) / a.length;
+  const vb = squares(b, mb) / (b.length - 1) / b.length;
   if (va + vb === 0) return { difference, low: difference, high: difference };
   const freedom = (va + vb) ** 2 / (va ** 2 / (a.length - 1) + vb ** 2 / (b.length - 1));
   const half = studentQuantile(0.5 + CONFIDENCE / 2, freedom) * Math.sqrt(va + vb);

@@ -42,7 +42,8 @@ export function flip(genotype, [x, y, z]) {
 /** The union of a body with its mirror image along x (0) or y (1). */
 export function mirror(genotype, axis) {
   const cells = cellsOf(genotype);
-  const images = cells.map((cell) => cell.map((v, i) => (i === axis ? WORKSPACE[axis] - 1 - v : v)));
+  const images =
+    cells.map((cell) => cell.map((v, i) => (i === axis ? WORKSPACE[axis] - 1 - v : v)));
   return genotypeOf([...cells, ...images]);
 }
 
@@ -65,12 +66,16 @@ export function readBody(text) {
   if (/^[01]{144}$/.test(trimmed)) return { genotype: trimmed };
   let rows;
   try {
-    rows = JSON.parse(trimmed.replace(/\)|\(|array|np\.|numpy\./g, '').replace(/(\d)\.(?=\D)/g, '$1'));
+    rows = JSON.parse(trimmed.replace(/\)|\(|array|np\.|numpy\./g, '')
+      .replace(/(\d)\.(?=\D)/g, '$1'));
   } catch {
-    rows = trimmed.replaceAll('array', '').replace(/[()]/g, ' ').split('\n').map((line) => line.replace(/[[\],]/g, ' ').trim().split(/\s+/).map(Number));
+    rows = trimmed.replaceAll('array', '').replace(/[()]/g, ' ').split('\n')
+      .map((line) => line.replace(/[[\],]/g, ' ').trim().split(/\s+/).map(Number));
   }
-  if (!Array.isArray(rows) || !rows.length || !rows.every((row) => Array.isArray(row) && row.every(Number.isFinite))) {
-    throw new Error('This is neither an id, nor 144 digits, nor a list of cells, nor an EvoGym array.');
+  if (!Array.isArray(rows) || !rows.length ||
+    !rows.every((row) => Array.isArray(row) && row.every(Number.isFinite))) {
+    throw new Error(
+      'This is neither an id, nor 144 digits, nor a list of cells, nor an EvoGym array.');
   }
   const isList = trimmed.startsWith('[') && trimmed.includes(',');
   const isCells = isList && rows.every((row) => row.length === 3);
@@ -85,7 +90,8 @@ export function readBody(text) {
   const materials = isCells ? [] : [...new Set(rows.flat())].filter((one) => one !== 0).sort();
   const cells = isCells ? rows : rows.flatMap((row, up) => row.flatMap((material, x) =>
     (material === 0 ? [] : [2, 3].map((y) => [x, y, rows.length - 1 - up]))));
-  if (cells.some((cell) => cell.some((v, axis) => !Number.isInteger(v) || v < 0 || v >= WORKSPACE[axis]))) {
+  const isOutside = (v, axis) => !Number.isInteger(v) || v < 0 || v >= WORKSPACE[axis];
+  if (cells.some((cell) => cell.some(isOutside))) {
     throw new Error(`A voxel lies outside of the workspace of ${WORKSPACE.join(' × ')}.`);
   }
   const lost = materials.length > 1 ? `Materials ${materials.join(', ')} became one.` : '';

@@ -77,8 +77,8 @@ export class Camera {
 }
 
 /**
- * Tells of pointers on a canvas: drag(dx, dy, event) of one, pinch(factor, x, y) of two, and click(x, y)
- * of one that hardly moved.
+ * Reports pointers on a canvas: drag(dx, dy, event) of one, pinch(factor, x, y) of two, and
+ * click(x, y) of one that hardly moved.
  */
 export function onPointers(canvas, { drag, pinch, click = (x, y) => {} }) {
   const pointers = new Map();

@@ -31,7 +31,8 @@ export class Program {
     if (!this.handle) this.prepare();
     if (!gl.getProgramParameter(this.handle, gl.LINK_STATUS) && !gl.isContextLost()) {
       const logs = gl.getAttachedShaders(this.handle).map((shader) => gl.getShaderInfoLog(shader));
-      throw new Error(`A shader does not compile: ${gl.getProgramInfoLog(this.handle)} ${logs.join(' ')}`);
+      throw new Error(
+        `A shader does not compile: ${gl.getProgramInfoLog(this.handle)} ${logs.join(' ')}`);
     }
     this.places = new Map();
     this.units = 0;
@@ -58,7 +59,10 @@ export class Program {
     return this;
   }
 
-  /** Sets uniforms by name; a texture takes the next free unit. Names that the program lacks are skipped. */
+  /**
+   * Sets uniforms by name; a texture takes the next free unit. Names that the program lacks are
+   * skipped.
+   */
   set(values) {
     const { gl } = this;
     for (const [name, value] of Object.entries(values)) {

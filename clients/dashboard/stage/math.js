@@ -50,7 +50,8 @@ export function multiply(a, b) {
  * @param {Iterable<number>} point
  */
 export function project(matrix, [x, y, z]) {
-  const at = (row) => matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z + matrix[12 + row];
+  const at = (row) => matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z +
+    matrix[12 + row];
   const w = at(3);
   return [at(0) / w, at(1) / w, at(2) / w];
 }

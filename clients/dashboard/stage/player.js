@@ -9,10 +9,13 @@ import { Tags } from './tags.js';
 export const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', '¼ ×'], ['0.1', '⅒ ×']];
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
 const SLOW_FRAME_S = 0.028;
-/** The ground is drawn without robots only when none came in that time: without a GPU it delays them. */
+/**
+ * The ground is drawn without robots only when none came in that time: without a GPU it delays
+ * them.
+ */
 const PATIENCE_MS = 1000;
 /** A picture that stands still is drawn in full after this pause. */
-const SETTLE_MS = 250;
+const STILL_MS = 250;
 /** More names would hide the robots; more views would be too small. */
 const NAMES_MAX = 40;
 const APART_MAX = 64;
@@ -51,7 +54,8 @@ export class Player {
     this.timeRow = h('div.time', {}, this.playButton, this.slider, this.clock);
     this.controls = h(`div.controls${compact ? '.compact' : ''}`, {}, this.timeRow, this.toggleRow);
     this.tags = new Tags();
-    this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.note, this.controls);
+    this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.note,
+      this.controls);
     try {
       this.stage = new Stage(this.canvas, { theme: app.theme });
     } catch (error) {
@@ -102,11 +106,14 @@ export class Player {
       this.#wake();
       this.onchange();
     });
-    this.sideToggle = button('Side by side', () => this.setSide(true), { 'aria-pressed': 'false', title: 'A view for each robot' });
-    this.raceToggle = button('Race', () => this.setSide(false), { 'aria-pressed': 'true', title: 'All robots on one terrain' });
+    this.sideToggle = button('Side by side', () => this.setSide(true),
+      { 'aria-pressed': 'false', title: 'A view for each robot' });
+    this.raceToggle = button('Race', () => this.setSide(false),
+      { 'aria-pressed': 'true', title: 'All robots on one terrain' });
     this.springsToggle = flag('Springs', 'springs');
     this.actuationToggle = flag('Actuation', 'actuation');
-    this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle, contacts: flag('Contacts', 'contacts'),
+    this.toggles = { skin: flag('Skin', 'skin'), springs: this.springsToggle,
+      contacts: flag('Contacts', 'contacts'),
       trails: flag('Trails', 'trails'), actuation: this.actuationToggle };
     const speed = select('Speed', SPEEDS, '1', (value) => {
       this.speed = Number(value);
@@ -122,7 +129,7 @@ export class Player {
     this.toggleRow.append(this.toggles.trails);
   }
 
-  /** Sets what is shown, as a link tells it: {skin, springs, …, side}. */
+  /** Sets what is shown, as in a link: {skin, springs, …, side}. */
   setShown(names) {
     this.arranged = true;
     this.setSide(names.includes('side'));
@@ -134,7 +141,8 @@ export class Player {
 
   shown() {
     return Object.entries({ ...this.toggles, side: this.sideToggle })
-      .filter(([, element]) => element.getAttribute('aria-pressed') === 'true').map(([name]) => name);
+      .filter(([, element]) => element.getAttribute('aria-pressed') === 'true')
+      .map(([name]) => name);
   }
 
   /** A view for each robot, or all on one terrain. */
@@ -163,7 +171,8 @@ export class Player {
   /** Takes the view of a link, once the robots are there. @param {URLSearchParams} parameters */
   setView(parameters) {
     const { stage } = this;
-    const [show, view, follow, time, speed] = ['show', 'view', 'follow', 'time', 'speed'].map((name) => parameters.get(name));
+    const [show, view, follow, time, speed] = ['show', 'view', 'follow', 'time', 'speed']
+      .map((name) => parameters.get(name));
     if (show !== null) this.setShown(show.split(','));
     if (view && stage.camera.fromText(view)) {
       this.aimed = true;
@@ -218,24 +227,28 @@ export class Player {
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
     this.sideToggle.parentElement.hidden = robots.length < 2;
-    // All robots start at the same place, so they are first shown apart, unless there are very many.
+    // All robots start at the same place, so they are first shown apart, unless there are very
+    // many.
     const apart = robots.length > 1 && robots.length <= APART_MAX;
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
-    fill(this.names, h('div.muted', {}, 'score in this environment'), this.stage.robots.map((robot, i) => this.#name(robot, i)));
+    fill(this.names, h('div.muted', {}, 'score in this environment'),
+      this.stage.robots.map((robot, i) => this.#name(robot, i)));
     this.#showNames();
     const text = robots.length === 0 ? 'no robots yet'
-      : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ${duration.toFixed(1)} s: ` +
+      : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ` +
+        `${duration.toFixed(1)} s: ` +
         robots.slice(0, 8).map((robot) => `${robot.label ?? ''} ${score(robot.loss)}`).join(', ');
     this.canvas.setAttribute('aria-label', `Stage: ${text}`);
     this.#wake();
   }
 
-  /** The list of robots; side by side, the tags in the views tell the same. */
+  /** The list of robots; side by side, the tags in the views show the same. */
   #showNames() {
     const { robots, sideBySide } = this.stage;
-    this.names.hidden = robots.length === 0 || robots.length > NAMES_MAX || (sideBySide && robots.length > 1);
+    this.names.hidden = robots.length === 0 || robots.length > NAMES_MAX ||
+      (sideBySide && robots.length > 1);
   }
 
   #name(robot, i) {
@@ -243,20 +256,22 @@ export class Player {
       type: 'button', 'aria-pressed': String(i === this.stage.followed),
       title: 'Follow this robot',
       onclick: () => this.#followRobot(i),
-    }, h('span.row', {}, swatch(robot.color), robot.label ?? ''), h('span.number', {}, score(robot.loss)));
+    }, h('span.row', {}, swatch(robot.color), robot.label ?? ''),
+    h('span.number', {}, score(robot.loss)));
   }
 
   #followRobot(i) {
     this.stage.followed = i;
     this.#setFollow(true);
-    this.names.querySelectorAll('button').forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
+    this.names.querySelectorAll('button')
+      .forEach((child, j) => child.setAttribute('aria-pressed', String(i === j)));
     this.#wake();
     this.onchange();
   }
 
   /**
-   * Stands still until other robots come, or until it is let go: where frames take long, drawing the
-   * old robots would delay the new ones.
+   * Stands still until other robots come, or until it is let go: where frames take long, drawing
+   * the old robots would delay the new ones.
    */
   hold(on) {
     this.held = on && this.meanFrameS > SLOW_FRAME_S;
@@ -304,15 +319,17 @@ export class Player {
     this.#show();
     if (moving || this.wanted) requestAnimationFrame((next) => this.#frame(next));
     else this.running = false;
-    clearTimeout(this.settling);
-    if (!moving) this.settling = setTimeout(() => this.#settle(), SETTLE_MS);
+    clearTimeout(this.stillTimer);
+    if (!moving) this.stillTimer = setTimeout(() => this.#drawStill(), STILL_MS);
   }
 
   /** What stands still is drawn in full, however slow the frames before were. */
-  #settle() {
+  #drawStill() {
     const { scale, shadows } = this.stage;
     const isFull = scale === 1 && shadows;
-    if (!this.playing && !this.held && !isFull && this.canvas.isConnected) this.inFull(() => this.stage.draw());
+    if (!this.playing && !this.held && !isFull && this.canvas.isConnected) {
+      this.inFull(() => this.stage.draw());
+    }
   }
 
   /** Does work, such as saving a picture, with the full resolution and the shadow. */
@@ -327,7 +344,10 @@ export class Player {
     }
   }
 
-  /** Lowers the resolution, then leaves out the shadow, where frames take long: no GPU, or a small one. */
+  /**
+   * Lowers the resolution, then leaves out the shadow, where frames take long: no GPU, or a small
+   * one.
+   */
   #adapt(elapsed) {
     this.meanFrameS = 0.9 * (this.meanFrameS ?? 0.016) + 0.1 * elapsed;
     this.framesSince = (this.framesSince ?? 0) + 1;
@@ -354,7 +374,7 @@ export class Player {
 
   destroy() {
     this.app.themeListeners.delete(this.onTheme);
-    clearTimeout(this.settling);
+    clearTimeout(this.stillTimer);
     this.resize?.disconnect();
     this.sight?.disconnect();
     this.stage?.setRobots([]);

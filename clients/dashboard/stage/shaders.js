@@ -1,11 +1,14 @@
 /**
- * The shaders of the stage. Tracks are textures of the daemon's own float32 numbers, (frames, masses)
- * of (x, y, z) in meters, read without conversion: a vertex shader takes two frames and interpolates.
+ * The shaders of the stage. Tracks are textures of the daemon's own float32 numbers, (frames,
+ * masses) of (x, y, z) in meters, read without conversion: a vertex shader takes two frames and
+ * interpolates.
  */
 
 const VERSION = '#version 300 es\nprecision highp float;\nprecision highp int;\n';
 
-/** Position of a mass at the present time: `frame` is the number of the earlier frame and a share. */
+/**
+ * Position of a mass at the present time: `frame` is the number of the earlier frame and a share.
+ */
 const TRACK = `
 uniform highp sampler2D track;
 uniform float frame;
@@ -78,7 +81,8 @@ layout(location = 0) in vec2 corner;
 uniform mat4 matrix;
 out vec3 at;
 void main() {
-  // The mesh is finer in the middle, where robots walk; beyond the map it goes on, flat in one axis.
+  // The mesh is finer in the middle, where robots walk; beyond the map it goes on, flat in one
+  // axis.
   vec2 p = 2.5 + corner * (0.55 + 0.45 * abs(corner)) * 6.0;
   at = vec3(p, heightAt(p));
   gl_Position = matrix * vec4(at, 1.0);
@@ -171,7 +175,8 @@ void main() {
   lit += rim * 0.07;
   vec2 edge = min(uv, 1.0 - uv);
   vec2 w = fwidth(uv);
-  float border = 1.0 - smoothstep(0.0, 1.0, min(edge.x / max(w.x, 0.012), edge.y / max(w.y, 0.012)) - 0.35);
+  float border = 1.0 - smoothstep(0.0, 1.0,
+    min(edge.x / max(w.x, 0.012), edge.y / max(w.y, 0.012)) - 0.35);
   lit = mix(lit, mix(lit * 0.42, tint, 0.32), border * 0.85);
   color = vec4(exposed(lit), 1.0);
 }`,
@@ -260,7 +265,10 @@ void main() {
 }`,
 ];
 
-/** Masses that touch the ground: a ring under each. Without a record of contacts, those that lie on it. */
+/**
+ * Masses that touch the ground: a ring under each. Without a record of contacts, those that lie on
+ * it.
+ */
 export const CONTACT_SHADERS = [
   `${VERSION}${TRACK}${TERRAIN}
 uniform mat4 matrix;

@@ -16,17 +16,20 @@ const COARSE_GRID = 56;
 /** Views that are less high than this, in pixels of the page, are small: the camera goes nearer. */
 const SMALL_PX = 260;
 
-/** Colors of robots in the order of the legend: told apart by color-blind people, too. */
-export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0', '#e07060'];
+/** Colors of robots in the order of the legend: color-blind people can distinguish them. */
+export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0',
+  '#e07060'];
 
 const THEMES = {
   dark: {
     background: [0.078, 0.09, 0.106], ground: [0.33, 0.375, 0.37], line: [0.1, 0.13, 0.14],
-    glow: [1.0, 0.83, 0.42], rest: [0.82, 0.85, 0.9], swollen: [0.98, 0.62, 0.28], shrunk: [0.16, 0.47, 0.86],
+    glow: [1.0, 0.83, 0.42], rest: [0.82, 0.85, 0.9], swollen: [0.98, 0.62, 0.28],
+    shrunk: [0.16, 0.47, 0.86],
   },
   light: {
     background: [0.925, 0.94, 0.96], ground: [0.61, 0.66, 0.62], line: [0.3, 0.34, 0.33],
-    glow: [1.0, 0.88, 0.5], rest: [0.9, 0.92, 0.95], swollen: [0.94, 0.5, 0.12], shrunk: [0.13, 0.4, 0.8],
+    glow: [1.0, 0.88, 0.5], rest: [0.9, 0.92, 0.95], swollen: [0.94, 0.5, 0.12],
+    shrunk: [0.13, 0.4, 0.8],
   },
 };
 
@@ -85,7 +88,8 @@ function upload(gl, robot) {
   return {
     track: dataTexture(gl, gl.RGB32F, body.nMasses, frames, gl.RGB, gl.FLOAT, track),
     actuation: actuation
-      ? dataTexture(gl, gl.R8I, body.nSprings, actuation.length / body.nSprings, gl.RED_INTEGER, gl.BYTE, actuation)
+      ? dataTexture(gl, gl.R8I, body.nSprings, actuation.length / body.nSprings, gl.RED_INTEGER,
+        gl.BYTE, actuation)
       : null,
     contacts: contacts
       ? dataTexture(gl, gl.R8UI, body.nMasses, frames, gl.RED_INTEGER, gl.UNSIGNED_BYTE, contacts)
@@ -150,7 +154,8 @@ function groundMesh(gl, cells) {
  * @property {Float32Array} track (frames, masses, 3) in meters
  * @property {number} frames
  * @property {number} frameS seconds between two frames
- * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and the
+ * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and
+ *   the
  *   64 heights of the terrain
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 where a mass touches the ground
@@ -164,7 +169,8 @@ function groundMesh(gl, cells) {
 export class Stage {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas, { theme = 'dark' } = {}) {
-    const gl = canvas.getContext('webgl2', { antialias: true, alpha: false, preserveDrawingBuffer: true });
+    const gl = canvas.getContext('webgl2',
+      { antialias: true, alpha: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error('This browser does not offer WebGL 2, which the stage is drawn with.');
     this.canvas = canvas;
     this.gl = gl;
@@ -206,7 +212,8 @@ export class Stage {
     gl.bindVertexArray(null);
     this.shadow = shadowTarget(gl, 1024);
     this.noActuation = dataTexture(gl, gl.R8I, 1, 1, gl.RED_INTEGER, gl.BYTE, new Int8Array(1));
-    this.noContacts = dataTexture(gl, gl.R8UI, 1, 1, gl.RED_INTEGER, gl.UNSIGNED_BYTE, new Uint8Array(1));
+    this.noContacts = dataTexture(gl, gl.R8UI, 1, 1, gl.RED_INTEGER, gl.UNSIGNED_BYTE,
+      new Uint8Array(1));
     gl.flush(); // the compiler begins now
   }
 
@@ -237,7 +244,8 @@ export class Stage {
     const key = world.key ?? world;
     if (!this.terrains.has(key)) {
       const { gl } = this;
-      this.terrains.set(key, dataTexture(gl, gl.R32F, 8, 8, gl.RED, gl.FLOAT, Float32Array.from(world.heights)));
+      this.terrains.set(key,
+        dataTexture(gl, gl.R32F, 8, 8, gl.RED, gl.FLOAT, Float32Array.from(world.heights)));
     }
     return this.terrains.get(key);
   }
@@ -275,7 +283,9 @@ export class Stage {
     const { gl, canvas } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio * this.scale));
     const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio * this.scale));
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    if (canvas.width !== width || canvas.height !== height) {
+      Object.assign(canvas, { width, height });
+    }
     const look = THEMES[this.theme];
     gl.disable(gl.SCISSOR_TEST);
     gl.viewport(0, 0, width, height);
@@ -290,7 +300,8 @@ export class Stage {
 
   /** Whether the graphics processor has yet to end the picture before. */
   isBusy() {
-    return Boolean(this.drawn) && this.gl.getSyncParameter(this.drawn, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;
+    return Boolean(this.drawn) &&
+      this.gl.getSyncParameter(this.drawn, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;
   }
 
   /** Turns the camera so that the light of the followed robot lies ahead, a little to the left. */
@@ -328,7 +339,7 @@ export class Stage {
     this.programs.terrain.use().set(common);
     gl.bindVertexArray(ground.array);
     gl.drawElements(gl.TRIANGLES, ground.n, gl.UNSIGNED_INT, 0);
-    // In a race the robots are told apart by their colors.
+    // In a race, colors distinguish the robots.
     const owned = view.robots.length > 1 ? 0.65 : 0;
     for (const robot of view.robots) this.#drawRobot(robot, { ...common, owned });
     this.#drawBlended(view, common);
@@ -343,9 +354,11 @@ export class Stage {
       const values = centers.map((center) => center[axis]);
       return values.length ? (Math.min(...values) + Math.max(...values)) / 2 : 0;
     });
-    const reach = 0.75 + Math.max(0, ...centers.map((c) => Math.hypot(c[0] - middle[0], c[1] - middle[1])));
+    const reach = 0.75 + Math.max(0,
+      ...centers.map((c) => Math.hypot(c[0] - middle[0], c[1] - middle[1])));
     const from = middle.map((x, axis) => x + sun[axis] * 6);
-    const sunMatrix = multiply(orthographic(reach, reach, 0.1, 12), lookAt(from, middle, [0, 0, 1]));
+    const sunMatrix = multiply(orthographic(reach, reach, 0.1, 12),
+      lookAt(from, middle, [0, 0, 1]));
     if (!this.shadows) return sunMatrix;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadow.frame);
     gl.disable(gl.SCISSOR_TEST);
@@ -354,7 +367,8 @@ export class Stage {
     gl.clear(gl.DEPTH_BUFFER_BIT);
     this.programs.depth.use();
     for (const robot of robots) {
-      this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track, frame: this.frameOf(robot) });
+      this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track,
+        frame: this.frameOf(robot) });
       gl.bindVertexArray(robot.gpu.skin.array);
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
     }
@@ -395,7 +409,8 @@ export class Stage {
       }
       if (show.contacts) {
         this.programs.contacts.use().set(common).set({
-          ...own, contacts: robot.gpu.contacts ?? this.noContacts, hasContacts: robot.gpu.contacts !== null,
+          ...own, contacts: robot.gpu.contacts ?? this.noContacts,
+          hasContacts: robot.gpu.contacts !== null,
         });
         gl.bindVertexArray(this.empty);
         gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nMasses);
@@ -416,5 +431,6 @@ export function heightAt(heights, x, y) {
   const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));
   const [fx, fy] = [cx - i, cy - j];
   const at = (a, b) => heights[(j + b) * 8 + i + a];
-  return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) + fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
+  return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) +
+    fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
 }

@@ -1,4 +1,6 @@
-/** Names beside the robots on the stage: above each in a race, in the corner of its view otherwise. */
+/**
+ * Names beside the robots on the stage: above each in a race, in the corner of its view otherwise.
+ */
 
 import { fill, h } from '../lib/dom.js';
 import { score } from '../lib/format.js';
@@ -11,7 +13,7 @@ const [HEIGHT_PX, WIDTH_PX] = [22, 90];
 
 export class Tags {
   constructor() {
-    // The list of robots tells the same to screen readers.
+    // Screen readers read the list of robots instead.
     this.element = h('div.tags', { 'aria-hidden': 'true' });
     this.robots = null;
   }
@@ -33,12 +35,15 @@ export class Tags {
       } else {
         const robot = stage.robots[i];
         const [mx, my, mz] = centerOfMass(robot, stage.frameOf(robot));
-        const [px, py, depth] = project(stage.camera.matrix(views[0].width, views[0].height), [mx, my, mz + 0.28]);
+        const [px, py, depth] = project(stage.camera.matrix(views[0].width, views[0].height),
+          [mx, my, mz + 0.28]);
         x = ((px + 1) / 2) * clientWidth - WIDTH_PX / 2;
         y = ((1 - py) / 2) * clientHeight - HEIGHT_PX;
         tag.hidden = depth > 1 || Math.abs(px) > 1 || Math.abs(py) > 1;
         // All start at one place: names that would cover each other are stacked.
-        while (placed.some((at) => Math.abs(at[0] - x) < WIDTH_PX && Math.abs(at[1] - y) < HEIGHT_PX)) y -= HEIGHT_PX;
+        const overlaps = (at) =>
+          Math.abs(at[0] - x) < WIDTH_PX && Math.abs(at[1] - y) < HEIGHT_PX;
+        while (placed.some(overlaps)) y -= HEIGHT_PX;
         placed.push([x, y]);
       }
       tag.style.transform = `translate(${x.toFixed(1)}px, ${(y + offsetTop).toFixed(1)}px)`;

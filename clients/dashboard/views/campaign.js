@@ -25,7 +25,9 @@ const DASH_NAMES = ['dashed', 'dotted', 'dash and dot'];
 
 export async function mount(main, [id, part], parameters, app) {
   if (!id) return mountList(main, app);
-  if (part === 'phylogeny') return (await import('./phylogeny.js')).mount(main, id, parameters, app);
+  if (part === 'phylogeny') {
+    return (await import('./phylogeny.js')).mount(main, id, parameters, app);
+  }
   return mountOne(main, id, parameters, app);
 }
 
@@ -138,14 +140,17 @@ async function mountOne(main, id, parameters, app) {
   const status = h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble,
     parts.remark, parts.row);
   const charts = {
-    scores: new Chart({ title: 'Score', note: 'lower is better', log: true, height: 260, empty: 'No generation has ended yet.' }),
-    diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260, empty: 'No generation has ended yet.' }),
+    scores: new Chart({ title: 'Score', note: 'lower is better', log: true, height: 260,
+      empty: 'No generation has ended yet.' }),
+    diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260,
+      empty: 'No generation has ended yet.' }),
     operators: new Chart({ title: 'Share of children that survive', minimum: 0, yText: percent }),
     size: new Chart({ title: 'Voxels and footprint', minimum: 0 }),
   };
   const { racing, selection } = campaign.settings;
   if (racing === 'lossless' && selection.kind === 'truncation' && !campaign.study) {
-    charts.race = new Chart({ title: 'Share of children cut short', note: 'they could not survive: their scores are lower bounds', minimum: 0, yText: percent });
+    charts.race = new Chart({ title: 'Share of children cut short', minimum: 0, yText: percent,
+      note: 'they could not survive: their scores are lower bounds' });
   }
   if (learns) charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
   const champions = h('div.grid.small');
@@ -224,8 +229,10 @@ async function mountOne(main, id, parameters, app) {
     const quantile = (name) => column(rows, (row) => row.score.quantiles[name]);
     /** @type {import('../lib/chart.js').Series[]} */
     const scores = [
-      { name: '5 to 95 %', kind: 'band', x, low: quantile('p5'), high: quantile('p95'), y: x, color: '--blue-softer' },
-      { name: '25 to 75 %', kind: 'band', x, low: quantile('p25'), high: quantile('p75'), y: x, color: '--blue-soft' },
+      { name: '5 to 95 %', kind: 'band', x, low: quantile('p5'), high: quantile('p95'), y: x,
+        color: '--blue-softer' },
+      { name: '25 to 75 %', kind: 'band', x, low: quantile('p25'), high: quantile('p75'), y: x,
+        color: '--blue-soft' },
       { name: 'median', x, y: quantile('p50'), color: '--blue' },
       { name: 'best', x, y: quantile('p0'), color: '--orange' },
     ];
@@ -234,7 +241,7 @@ async function mountOne(main, id, parameters, app) {
       const rx = column(r, (row) => row.generation);
       scores.unshift({
         name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band',
-        x: rx, y: rx, color: others.length ? '--grey' : '--green', opacity: 0.3,
+        x: rx, y: rx, color: others.length ? '--gray' : '--green', opacity: 0.3,
         low: column(r, (row) => row.mean_score.least),
         high: column(r, (row) => row.mean_score.most),
       });
@@ -242,9 +249,12 @@ async function mountOne(main, id, parameters, app) {
     others.forEach((other, i) => {
       const { rows: r } = curves[i + 1];
       const ox = column(r, (row) => row.generation);
-      scores.push({ name: `25 to 75 % of ${other}`, kind: 'band', x: ox, y: ox, color: HUES[i + 1], opacity: 0.18,
-        low: column(r, (row) => row.score.quantiles.p25), high: column(r, (row) => row.score.quantiles.p75) },
-      { name: `median of ${other}`, x: ox, y: column(r, (row) => row.score.quantiles.p50), color: HUES[i + 1], dash: DASHES[i + 1] });
+      scores.push({ name: `25 to 75 % of ${other}`, kind: 'band', x: ox, y: ox, color: HUES[i + 1],
+        opacity: 0.18,
+        low: column(r, (row) => row.score.quantiles.p25),
+        high: column(r, (row) => row.score.quantiles.p75) },
+      { name: `median of ${other}`, x: ox, y: column(r, (row) => row.score.quantiles.p50),
+        color: HUES[i + 1], dash: DASHES[i + 1] });
     });
     const newest = rows.at(-1);
     charts.scores.options.empty = emptyText(newest?.population, newest?.score.diverged,
@@ -252,7 +262,8 @@ async function mountOne(main, id, parameters, app) {
     charts.scores.set(scores);
     charts.diversity.set([
       { name: 'diversity', x, y: column(rows, (row) => row.diversity), color: '--blue' },
-      { name: 'turnover', x, y: column(rows, (row) => row.turnover), color: '--pink', dash: [5, 4] },
+      { name: 'turnover', x, y: column(rows, (row) => row.turnover), color: '--pink',
+        dash: [5, 4] },
     ]);
     const share = (name) => column(rows, ({ operators }) =>
       (operators[name].born ? operators[name].survived / operators[name].born : null));
@@ -261,15 +272,19 @@ async function mountOne(main, id, parameters, app) {
       { name: 'crossover', x, y: share('crossover'), color: '--blue', dash: [5, 4] },
     ]);
     charts.size.set([
-      { name: 'voxels, least to most', kind: 'band', x, y: x, low: column(rows, (row) => row.voxels.least),
+      { name: 'voxels, least to most', kind: 'band', x, y: x,
+        low: column(rows, (row) => row.voxels.least),
         high: column(rows, (row) => row.voxels.most), color: '--blue-softer' },
       { name: 'mean voxels', x, y: column(rows, (row) => row.voxels.mean), color: '--blue' },
-      { name: 'mean footprint', x, y: column(rows, (row) => row.footprint.mean), color: '--orange', dash: [5, 4] },
+      { name: 'mean footprint', x, y: column(rows, (row) => row.footprint.mean), color: '--orange',
+        dash: [5, 4] },
     ]);
-    charts.race?.set([{ name: 'cut short', x, color: '--grey',
-      y: column(rows, (row) => (row.generation && row.born ? row.children_cut / row.born : null)) }]);
+    charts.race?.set([{ name: 'cut short', x, color: '--gray',
+      y: column(rows,
+        (row) => (row.generation && row.born ? row.children_cut / row.born : null)) }]);
     charts.learning?.set([
-      { name: 'first step', x, y: column(rows, (row) => row.learning.first_loss), color: '--grey', dash: [5, 4] },
+      { name: 'first step', x, y: column(rows, (row) => row.learning.first_loss), color: '--gray',
+        dash: [5, 4] },
       { name: 'last step', x, y: column(rows, (row) => row.learning.last_loss), color: '--blue' },
     ]);
   }
@@ -321,7 +336,8 @@ async function mountOne(main, id, parameters, app) {
 
   /** Lets designs walk, by their numbers. */
   async function walk(numbers, known = population) {
-    const designs = numbers.map((one) => known.find((design) => design.number === one)).filter(Boolean).slice(0, 64);
+    const designs = numbers.map((one) => known.find((design) => design.number === one))
+      .filter(Boolean).slice(0, 64);
     if (!designs.length) return;
     player.setNote('Walking…');
     try {
@@ -340,7 +356,8 @@ async function mountOne(main, id, parameters, app) {
   }
 
   async function refreshCurves() {
-    const fresh = await Promise.all([...curves, ...(replicates ? [replicates] : [])].map((curve) => curve.refresh(stop.signal)));
+    const fresh = await Promise.all([...curves, ...(replicates ? [replicates] : [])]
+      .map((curve) => curve.refresh(stop.signal)));
     if (fresh.some(Boolean)) {
       showCharts();
       await compared?.refresh();

@@ -8,7 +8,7 @@ import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
 import { Curve } from '../lib/api.js';
 
 /** Of this campaign and of those that are compared with it, in every chart. */
-export const HUES = ['--blue', '--green', '--pink', '--grey'];
+export const HUES = ['--blue', '--green', '--pink', '--gray'];
 export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
 /**
@@ -28,14 +28,19 @@ export class Comparison {
   constructor(ids, get) {
     this.ids = ids;
     this.get = get;
-    /** @type {{id: string, campaign: Object, group: string, members: string[], early: string[], curves: Curve[]}[]|null} */
+    /**
+     * @type {{id: string, campaign: Object, group: string, members: string[], early: string[],
+     *         curves: Curve[]}[]|null}
+     */
     this.sides = null;
-    this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true, empty: 'No generation has ended yet.' });
+    this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true,
+      empty: 'No generation has ended yet.' });
     this.body = h('tbody');
     this.note = h('p.muted');
     this.element = h('section.grid', { 'aria-label': 'Comparison' }, this.chart.element,
       h('section.panel.stack', {}, h('h2', {}, 'Comparison'), this.note, h('div.scroll', {}, table(
-        ['Campaign', 'Runs', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`], this.body, (name, i) => i > 0, 'table'))));
+        ['Campaign', 'Runs', 'Best score', 'Difference', `${100 * CONFIDENCE} % interval`],
+        this.body, (name, i) => i > 0, 'table'))));
   }
 
   /** The campaigns of a side, with their curves. */
@@ -45,7 +50,8 @@ export class Comparison {
       const { items } = await this.get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
       const worlds = await this.get(`v1/campaigns/${id}/environments`);
       // Replicates that ended early are only named, unless all did.
-      const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed').map((one) => one.id);
+      const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed')
+        .map((one) => one.id);
       const counted = items.map((one) => one.id).filter((one) => !early.includes(one));
       return {
         id, campaign: { ...campaign, kind: 'campaign' }, group: campaign.group.id,
@@ -67,7 +73,8 @@ export class Comparison {
     this.sides ??= await this.#load();
     await Promise.all(this.sides.flatMap(({ curves }) => curves.map((curve) => curve.refresh())));
     const best = ({ rows }) => rows.map((row) => row.score.quantiles.p0 ?? NaN);
-    const last = Math.min(...this.sides.flatMap(({ curves }) => curves.map((curve) => curve.rows.length))) - 1;
+    const last =
+      Math.min(...this.sides.flatMap(({ curves }) => curves.map((curve) => curve.rows.length))) - 1;
     if (last < 0) return;
     this.chart.set(this.sides.flatMap(({ id, curves }, i) => {
       const all = curves.map(best);
@@ -75,8 +82,11 @@ export class Comparison {
       const x = Array.from({ length: n }, (_, generation) => generation);
       const at = (take) => x.map((generation) => take(all.map((one) => one[generation])));
       return [
-        ...(all.length > 1 ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true, x, y: x, color: HUES[i],
-          opacity: 0.2, low: at((values) => Math.min(...values)), high: at((values) => Math.max(...values)) }] : []),
+        ...(all.length > 1
+          ? [{ name: `least to most of ${id}`, kind: /** @type {'band'} */ ('band'), silent: true,
+            x, y: x, color: HUES[i], opacity: 0.2, low: at((values) => Math.min(...values)),
+            high: at((values) => Math.max(...values)) }]
+          : []),
         { name: `campaign ${id}`, x, color: HUES[i], dash: DASHES[i],
           y: at((values) => values.reduce((sum, one) => sum + one, 0) / values.length) },
       ];
@@ -86,11 +96,15 @@ export class Comparison {
 
   #showTable(generation, values) {
     const early = this.sides.flatMap((side) => side.early);
-    this.note.textContent = `At generation ${generation}, the newest that all have; lower is better.${
-      early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}${
-      this.sides.map((side) => differenceOf(this.sides[0], side) &&
-        ` Campaigns ${this.ids[0]} and ${side.id} differ in ${differenceOf(this.sides[0], side)}: ` +
-        'their scores do not compare.').join('')}`;
+    const differing = this.sides.map((side) => {
+      const difference = differenceOf(this.sides[0], side);
+      return difference && ` Campaigns ${this.ids[0]} and ${side.id} differ in ${difference}: ` +
+        'their scores do not compare.';
+    });
+    this.note.textContent =
+      `At generation ${generation}, the newest that all have; lower is better.${
+        early.length ? ` Left out, because they ended early: ${early.join(', ')}.` : ''}${
+        differing.join('')}`;
     fill(this.body, this.sides.map((side, i) => {
       const { id, campaign } = side;
       const compares = i > 0 && !differenceOf(this.sides[0], side);

@@ -99,12 +99,15 @@ async function mountBoard(main, parameters, app) {
   const panel = h('section.panel', { 'aria-label': 'Leaderboard' }, wall.element);
   let cursor;
 
-  const asked = () => ({ ...ORDERS[order], controller: ORDERS[order].sort === 'score' ? controller : null });
+  const asked = () =>
+    ({ ...ORDERS[order], controller: ORDERS[order].sort === 'score' ? controller : null });
+  const given = () => Object.entries(asked()).filter(([, value]) => value);
 
   async function more(limit = PAGE) {
     const page = await getJson(withQuery('v1/designs', { ...asked(), cursor, limit }));
     cursor = page.next_cursor;
-    wall.add(page.items.map((design) => ({ ...design, genotype: design.scored_genotype ?? design.genotype })));
+    wall.add(page.items.map((design) =>
+      ({ ...design, genotype: design.scored_genotype ?? design.genotype })));
     const shown = wall.element.childElementCount;
     panel.hidden = shown === 0;
     app.remember({ shown });
@@ -133,10 +136,10 @@ async function mountBoard(main, parameters, app) {
       announced(again);
     }), wall.watch, wall.breed, copyButton(() => ({
       path: withQuery('v1/designs', { ...asked(), limit: PAGE }),
-      morphoctl: ['design list', ...Object.entries(asked()).filter(([, value]) => value).flatMap(([key, value]) =>
-        [`--${key}`, shellWord(value)])].join(' '),
-      python: `print(m.designs(${Object.entries(asked()).filter(([, value]) => value).map(([key, value]) =>
-        `${key}=${pythonOf(value)}`).join(', ')}))`,
+      morphoctl: ['design list',
+        ...given().flatMap(([key, value]) => [`--${key}`, shellWord(value)])].join(' '),
+      python: `print(m.designs(${
+        given().map(([key, value]) => `${key}=${pythonOf(value)}`).join(', ')}))`,
     })))), panel, foot);
   // A person who comes back finds as many as before.
   await again(Math.min(1000, app.remembered().shown || PAGE));
@@ -171,14 +174,16 @@ async function mountEvaluation(main, id, app) {
 
   /** Shows what was recorded: of the chosen designs, or of the best. */
   const recordings = button('Show recordings', () => {
-    const rows = wall.chosen.size ? [...wall.chosen.values()].map(({ row }) => row) : best.slice(0, 4);
+    const rows = wall.chosen.size ? [...wall.chosen.values()].map(({ row }) => row)
+      : best.slice(0, 4);
     app.go('stage', { evaluation: id, rows: rows.join(',') });
   }, { hidden: true });
 
   async function refresh() {
     const path = `v1/evaluations/${encodeURIComponent(id)}`;
     const job = { ...(await getJson(path, { signal: stop.signal })), kind: 'evaluation' };
-    const isRecorded = job.record.includes('masses') && job.recorded_bytes > 0 && !job.recordings_removed_at;
+    const isRecorded = job.record.includes('masses') && job.recorded_bytes > 0 &&
+      !job.recordings_removed_at;
     recordings.hidden = !isRecorded || !job.results;
     parts.update(job);
     say(title, titleOf(job));
@@ -265,26 +270,35 @@ async function mountDesign(main, id, app) {
       breedButton(app, 'Breed', () => [{ id: name }]),
       copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${name}` })))),
     h('div.grid', {}, h('section.panel.row.portrait', {}, picture(genotypeOfId(name), 'The design'),
-      h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)), h('div', {}, `${design.masses} masses`),
-        h('div', {}, `${design.springs} springs`), h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
+      h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)),
+        h('div', {}, `${design.masses} masses`),
+        h('div', {}, `${design.springs} springs`),
+        h('div.muted', {}, `first seen ${ago(design.first_seen_at)}`))),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
     h('p.muted', {}, 'It walks in environment 0 of paper-test, under the controller default.'),
     h('section.panel.stack', {}, h('h2', {}, 'Scores'), scored.length ? h('div.scroll', {}, table(
       ['Score', 'Orientation', 'Controller', 'Environments', 'Computed', 'Class', 'Origin'],
-      h('tbody', {}, scored.map((one) => h('tr', {}, h('td', { 'data-name': 'Score' }, scoreOf(one)),
-        h('td', { 'data-name': 'Orientation' }, h('a', { href: `#/designs/${one.robot}` }, one.robot.slice(36))),
+      h('tbody', {}, scored.map((one) => h('tr', {},
+        h('td', { 'data-name': 'Score' }, scoreOf(one)),
+        h('td', { 'data-name': 'Orientation' },
+          h('a', { href: `#/designs/${one.robot}` }, one.robot.slice(36))),
         h('td', { 'data-name': 'Controller' }, h('code', {}, one.controller.slice(0, 12))),
-        h('td', {}, Array.isArray(one.environments) ? countOf(one.environments.length, 'environment') : String(one.environments)),
-        h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint), h('td', {}, one.origin))))))
+        h('td', {}, Array.isArray(one.environments)
+          ? countOf(one.environments.length, 'environment') : String(one.environments)),
+        h('td', {}, ago(one.computed_at)), h('td', {}, one.fingerprint),
+        h('td', {}, one.origin))))))
       : h('p.empty', {}, 'No score is stored for this design.')),
-    h('section.panel.stack', {}, h('h2', {}, 'Campaigns'), design.campaigns.length ? h('ul', {}, design.campaigns.map((one) =>
-      h('li', {}, h('a', { href: `#/campaigns/${one.campaign}` }, `campaign ${one.campaign}`),
-        `: number ${one.number}, ${one.operator}, born in generation ${one.born}, score ${scoreOf(one)}`)))
+    h('section.panel.stack', {}, h('h2', {}, 'Campaigns'), design.campaigns.length
+      ? h('ul', {}, design.campaigns.map((one) => h('li', {},
+        h('a', { href: `#/campaigns/${one.campaign}` }, `campaign ${one.campaign}`),
+        `: number ${one.number}, ${one.operator}, born in generation ${one.born}, ` +
+        `score ${scoreOf(one)}`)))
       : h('p.empty', {}, 'It was not born in a campaign.')));
   app.setTitle(`Design ${design.id.slice(0, 10)}`);
   const environments = await environmentSet('paper-test');
   roll([{ id: name }], environments[0], { signal: stop.signal })
-    .then((robots) => player.setRobots(robots.map((robot) => ({ ...robot, label: robot.robot.slice(36) }))))
+    .then((robots) =>
+      player.setRobots(robots.map((robot) => ({ ...robot, label: robot.robot.slice(36) }))))
     .catch((error) => { if (!stop.signal.aborted) player.setNote(error.message); });
   return {
     unmount() {

@@ -11,8 +11,10 @@ import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
 import { announced, copyButton, formDialog } from './share.js';
 
-const FIRST = [[1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
-  [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1]];
+const FIRST = [
+  [1, 1, 0], [2, 1, 0], [3, 1, 0], [4, 1, 0], [1, 4, 0], [2, 4, 0], [3, 4, 0], [4, 4, 0],
+  [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1],
+];
 
 /** Where the kept bodies, the steps back and the body itself stay while the tab is open. */
 const SHELF_KEY = 'morphod-editor';
@@ -62,7 +64,9 @@ export async function mount(main, path, parameters, app) {
     walk();
   }
 
-  /** Shows a body that the service makes as in campaigns, unless the body changes before the reply. */
+  /**
+   * Shows a body that the service makes as in campaigns, unless the body changes before the reply.
+   */
   const make = (operator, request, whyNone = '') => announced(async () => {
     const before = genotype;
     const { items: [{ genotype: made }] } =
@@ -112,14 +116,16 @@ export async function mount(main, path, parameters, app) {
         const on = hasVoxel(genotype, x, y, z);
         const hint = !on && hasVoxel(genotype, x, y, z - 1) ? '.hint' : '';
         return h(`button${hint}`, {
-          type: 'button', role: 'gridcell', 'aria-selected': String(on), 'data-cell': `${x},${y},${z}`,
+          type: 'button', role: 'gridcell', 'aria-selected': String(on),
+          'data-cell': `${x},${y},${z}`,
           tabindex: x === 2 && y === 2 && z === 0 ? 0 : -1,
           'aria-label': `x ${x}, y ${y}, layer ${z}: ${on ? 'voxel' : 'empty'}`,
           onclick: () => click([x, y, z]),
         });
       }));
     });
-    return h('fieldset.layer', {}, h('legend', {}, z === 0 ? 'layer 0, on the ground' : `layer ${z}`),
+    return h('fieldset.layer', {},
+      h('legend', {}, z === 0 ? 'layer 0, on the ground' : `layer ${z}`),
       h('div.cells', { role: 'grid', 'aria-label': `Layer ${z}` }, rows));
   }
 
@@ -170,11 +176,12 @@ export async function mount(main, path, parameters, app) {
         designs: [design], environments: 'paper-test', record: [],
       }, { signal, headers: { Accept: 'application/json' } }));
       if (signal.aborted) return;
+      const scoredMs = Math.round(performance.now() - started);
       const losses = reply.rollouts.map((rollout) => rollout.loss);
       const diverged = losses.some((loss) => loss === null);
       const mean = diverged ? null : reply.designs[0].score;
       fill(result, h('strong', {}, `score ${score(mean)}`), ` over ten environments, ${size}; `,
-        h('span.muted', {}, `walking after ${shownMs} ms, scored after ${Math.round(performance.now() - started)} ms`));
+        h('span.muted', {}, `walking after ${shownMs} ms, scored after ${scoredMs} ms`));
       performance.measure('morphod-click-to-motion', { start: started, duration: shownMs });
     } catch (error) {
       if (signal.aborted) return;
@@ -185,9 +192,11 @@ export async function mount(main, path, parameters, app) {
 
   function drawShelf() {
     fill(shelf, kept.map((one, i) => h('button.card', {
-      type: 'button', title: 'Take this body back into the editor', onclick: () => change(one.genotype),
+      type: 'button', title: 'Take this body back into the editor',
+      onclick: () => change(one.genotype),
     }, picture(one.genotype, `Kept body ${i + 1}`), h('span.muted', {}, one.note))),
-    kept.length ? null : h('p.empty', {}, 'Keep bodies here to cross them, or to breed a campaign from them.'));
+    kept.length ? null
+      : h('p.empty', {}, 'Keep bodies here to cross them, or to breed a campaign from them.'));
     breed.disabled = kept.length === 0;
     crossing.disabled = kept.length === 0;
   }
@@ -199,7 +208,8 @@ export async function mount(main, path, parameters, app) {
       announce('This body is kept already.');
       return;
     }
-    kept.push({ id, genotype, note: /^score \S+/.exec(result.textContent)?.[0] ?? voxels(cellsOf(genotype).length) });
+    kept.push({ id, genotype,
+      note: /^score \S+/.exec(result.textContent)?.[0] ?? voxels(cellsOf(genotype).length) });
     store();
     drawShelf();
     announce(`${countOf(kept.length, 'body', 'bodies')} kept`);
@@ -212,7 +222,8 @@ export async function mount(main, path, parameters, app) {
       change(body.genotype ?? genotypeOfId(body.id));
       if (body.lost) announce(body.lost);
     }, h('p.wide', {}, 'A robot (ID@K), an id, 144 digits of voxels, a list of cells as ' +
-      '[[x,y,z], …], or an array of EvoGym (it becomes two voxels deep).'), h('div.stack.wide', {}, text));
+      '[[x,y,z], …], or an array of EvoGym (it becomes two voxels deep).'),
+      h('div.stack.wide', {}, text));
   }
 
   const move = (name, step) => button(name, () => {
@@ -220,26 +231,33 @@ export async function mount(main, path, parameters, app) {
     if (next) change(next);
     else announce('The body is at the edge of the workspace.');
   }, { class: 'icon', 'aria-label': `Shift: ${name}`, title: `Shift: ${name}` });
-  const breed = breedButton(app, 'Breed these', () => kept.map((one) => ({ voxels: one.genotype })), { class: 'primary', disabled: true });
+  const breed = breedButton(app, 'Breed these',
+    () => kept.map((one) => ({ voxels: one.genotype })), { class: 'primary', disabled: true });
   const crossing = button('Cross', cross, { disabled: true, title: 'Cross with a kept body' });
 
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Editor'), h('span.muted.keys', {}, 'layers from the ground up; arrow keys move, page keys change the layer, space ' +
-      'sets a voxel, Ctrl and Z undo'), h('div.actions', {}, button('Import', importBody), copyButton(() => ({
-      path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] }, headers: ['Prefer: wait=30'],
-      morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,
-    })))),
+    h('div.title', {}, h('h1', {}, 'Editor'),
+      h('span.muted.keys', {}, 'layers from the ground up; arrow keys move, page keys change ' +
+        'the layer, space sets a voxel, Ctrl and Z undo'),
+      h('div.actions', {}, button('Import', importBody), copyButton(() => ({
+        path: 'v1/evaluations', body: { designs: [{ voxels: genotype }] },
+        headers: ['Prefer: wait=30'],
+        morphoctl: `eval ${genotype}`, python: `print(m.evaluate(["${genotype}"]).frame())`,
+      })))),
     h('div.grid.editor', {}, h('section.panel.stack', {}, layers,
       h('div.row', {}, toggle('Mirror x', false, (on) => {
         mirrored = on;
         if (on) change(mirror(genotype, 0));
       }), button('Random', grow), button('Mutate', mutate), crossing,
       button('Undo', undo)),
-      h('div.row', {}, h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'), move('←', [-1, 0, 0]), move('→', [1, 0, 0]),
-        move('↑', [0, 1, 0]), move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
-      button('Keep', keep)), result),
+      h('div.row', {},
+        h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'),
+          move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]),
+          move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
+        button('Keep', keep)), result),
     h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
-    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));
+    h('section.panel.stack', {},
+      h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));
   drawLayers();
   drawShelf();
   walk();

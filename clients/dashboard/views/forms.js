@@ -1,4 +1,6 @@
-/** Forms that start jobs. Names, bounds and defaults come from the contract that the daemon serves. */
+/**
+ * Forms that start jobs. Names, bounds and defaults come from the contract that the daemon serves.
+ */
 
 import { getJson, post } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
@@ -84,7 +86,8 @@ function inputFor(kind, name, schema, isRequired, controllers) {
 function hintOf(schema) {
   const parts = [];
   if (schema.minimum !== undefined && schema.maximum !== undefined) {
-    parts.push(`${schema.minimum.toLocaleString('en-US')} to ${schema.maximum.toLocaleString('en-US')}`);
+    const [least, most] = [schema.minimum, schema.maximum].map((n) => n.toLocaleString('en-US'));
+    parts.push(`${least} to ${most}`);
   }
   if (schema.description) parts.push(schema.description);
   return parts.join('. ');
@@ -307,8 +310,9 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   dialog.showModal();
 }
 
-const founders = (n) => `${n === 1 ? 'One design is the founder' : `${n} designs are the founders`}; random bodies fill ` +
-  'up what the population leaves free.';
+const founders = (n) =>
+  `${n === 1 ? 'One design is the founder' : `${n} designs are the founders`}; ` +
+  'random bodies fill up the rest of the population.';
 
 /**
  * The button that opens the form of a campaign whose first population are the given designs; hidden

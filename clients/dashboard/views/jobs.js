@@ -46,7 +46,7 @@ export function stateOf(job) {
   return job.state + (warned.length ? `, but ${warned.join(', ')}` : '');
 }
 
-/** What a chart without values says: why there are none, if all robots diverged. */
+/** The text of a chart without values. It says why, if all robots diverged. */
 export function emptyText(n, diverged, otherwise) {
   return n > 0 && diverged === n ? `No value: all ${countOf(n, 'robot')} diverged.` : otherwise;
 }
@@ -279,7 +279,8 @@ async function remove(job) {
     campaign: 'its generations, population and phylogeny, and checkpoints',
   }[job.kind];
   if (!await confirmDialog(`Delete ${titleOf(job)}?`,
-    `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id} and ${what} are lost for good. Designs, scores and controllers stay.`,
+    `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id} and ${what} are lost for good. ` +
+    'Designs, scores and controllers stay.',
     'Delete the job')) return false;
   await request(`v1/jobs/${job.id}`, { method: 'DELETE' });
   announce(`${titleOf(job)} is deleted`);

@@ -9,7 +9,8 @@ import { announced, confirmDialog, copyButton } from './share.js';
 
 const REFRESH_MS = 2000;
 /** The colors of states, as jobs have them. */
-const COLORS = { active: 'running', draining: 'paused', quarantined: 'failed', left: 'succeeded', lost: 'failed' };
+const COLORS = { active: 'running', draining: 'paused', quarantined: 'failed', left: 'succeeded',
+  lost: 'failed' };
 
 export async function mount(main, path, parameters, app) {
   const stop = new AbortController();
@@ -18,10 +19,14 @@ export async function mount(main, path, parameters, app) {
   const machines = h('tbody');
   const ended = h('tbody');
   const note = h('p.muted');
-  const heads = ['Machine', 'State', 'Computes with', 'Rollouts a second', 'Done', 'Now', 'Lost', 'Since', ''];
+  const heads = ['Machine', 'State', 'Computes with', 'Rollouts a second', 'Done', 'Now', 'Lost',
+    'Since', ''];
   const outcasts = h('tbody');
-  const outcastsPanel = h('section.panel.stack', { 'aria-label': 'Quarantine' }, h('h2', {}, 'Quarantine'),
-    h('p.muted', {}, 'Workers of these names cannot join until somebody releases them, also after a restart of the service.'),
+  const outcastsPanel = h('section.panel.stack', { 'aria-label': 'Quarantine' },
+    h('h2', {}, 'Quarantine'),
+    h('p.muted', {},
+      'Workers with these names cannot join until they are released, ' +
+      'even after a restart of the service.'),
     table(['Machine', 'Why', 'When', ''], outcasts));
   const endedPanel = h('section.panel.stack', { 'aria-label': 'Past workers' },
     h('h2', {}, 'Past workers'),
@@ -32,42 +37,56 @@ export async function mount(main, path, parameters, app) {
       path: 'v1/fleet', morphoctl: 'fleet', python: 'print(m.fleet().sessions)',
     })))),
     tiles, note,
-    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'), listOf(heads, machines)), outcastsPanel, endedPanel);
+    h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'),
+      listOf(heads, machines)), outcastsPanel, endedPanel);
 
   function listOf(names, body) {
     return h('div.scroll', {}, table(names, body, (name) => /second|Done|Lost|Now/.test(name)));
   }
 
   const nameOf = (session) => h('td.main', {}, session.name, h('div.muted', {},
-    [session.host === session.name ? '' : session.host, session.version + (session.older ? ' (older)' : '')].filter(Boolean).join(', ')));
-  const stateOf = (session) => h('td', {}, h(`span.state.${COLORS[session.state]}`, {}, session.state),
+    [session.host === session.name ? '' : session.host,
+      session.version + (session.older ? ' (older)' : '')].filter(Boolean).join(', ')));
+  const stateOf = (session) => h('td', {},
+    h(`span.state.${COLORS[session.state]}`, {}, session.state),
     session.why && session.state !== 'left' ? h('div.muted', {}, session.why) : null);
-  const powerOf = (threads, devices) => [threads ? countOf(threads, 'thread') : '', devices ? countOf(devices, 'GPU') : '']
+  const powerOf = (threads, devices) => [threads ? countOf(threads, 'thread') : '',
+    devices ? countOf(devices, 'GPU') : '']
     .filter(Boolean).join(', ');
   const numberCell = (name, text) => h('td.right', { 'data-name': name }, text);
 
   /** This machine, which computes beside the others. */
   function ownRow(threads, devices, fleet) {
     const only = fleet.compute === 'fleet';
-    return h('tr', {}, h('td.main', {}, 'this machine', h('div.muted', {}, only ? 'what workers cannot compute' : 'the service itself')),
+    return h('tr', {},
+      h('td.main', {}, 'this machine',
+        h('div.muted', {}, only ? 'what workers cannot compute' : 'the service itself')),
       h('td', {}, threads.n_busy ? h('span.state.running', {}, 'computing')
         : h('span.state', {}, 'idle')),
       h('td', {}, powerOf(threads.n_threads, devices.items.length)),
       numberCell('Rollouts a second', '–'), numberCell('Done', count(threads.rollouts_done)),
-      numberCell('Now', countOf(threads.n_busy, 'block')), numberCell('Lost', '–'), h('td'), h('td'));
+      numberCell('Now', countOf(threads.n_busy, 'block')), numberCell('Lost', '–'),
+      h('td'), h('td'));
   }
 
   function row(session) {
-    return h('tr', {}, nameOf(session), stateOf(session), h('td', {}, powerOf(session.n_threads, session.n_devices)),
-      numberCell('Rollouts a second', number(session.rollouts_per_s)), numberCell('Done', count(session.rollouts_done)),
-      numberCell('Now', session.leases ? `${countOf(session.leases, 'lease')}, ${count(session.rollouts_out)}` : 'idle'),
-      numberCell('Lost', count(session.leases_lost)), h('td', { title: session.joined_at }, ago(session.joined_at)), h('td', {}, changes(session)));
+    return h('tr', {}, nameOf(session), stateOf(session),
+      h('td', {}, powerOf(session.n_threads, session.n_devices)),
+      numberCell('Rollouts a second', number(session.rollouts_per_s)),
+      numberCell('Done', count(session.rollouts_done)),
+      numberCell('Now',
+        session.leases ? `${countOf(session.leases, 'lease')}, ${count(session.rollouts_out)}`
+        : 'idle'),
+      numberCell('Lost', count(session.leases_lost)),
+      h('td', { title: session.joined_at }, ago(session.joined_at)), h('td', {}, changes(session)));
   }
 
   function endedRow(session) {
     const seconds = (Date.parse(session.ended_at) - Date.parse(session.joined_at)) / 1000;
-    return h('tr', {}, nameOf(session), stateOf(session), numberCell('Done', count(session.rollouts_done)),
-      numberCell('Lost', count(session.leases_lost)), h('td', {}, duration(seconds)), h('td', {}, ago(session.ended_at)));
+    return h('tr', {}, nameOf(session), stateOf(session),
+      numberCell('Done', count(session.rollouts_done)),
+      numberCell('Lost', count(session.leases_lost)), h('td', {}, duration(seconds)),
+      h('td', {}, ago(session.ended_at)));
   }
 
   /** Does something about a worker, and says what the service says against it. */
@@ -80,20 +99,26 @@ export async function mount(main, path, parameters, app) {
     if (!may('admin')) return null;
     const at = `v1/fleet/sessions/${session.id}`;
     if (session.state === 'quarantined') return null;
-    return h('div.row', {}, session.state === 'active' ? button('Drain', () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
-      { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' }) : null,
+    return h('div.row', {}, session.state === 'active'
+      ? button('Drain', () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
+        { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' })
+      : null,
     button('Quarantine', async () => {
       if (await confirmDialog(`Take no more results of ${session.name}?`,
-        'Others compute what it has. Workers of this name cannot join until the name is released.', 'Quarantine')) {
+        'Others compute what it has. Workers of this name cannot join until the name is released.',
+        'Quarantine')) {
         act(() => post(`${at}/quarantine`, {}), `${session.name} is in quarantine`);
       }
     }, { 'aria-label': `Quarantine ${session.name}` }));
   }
 
   function outcastRow({ name, host, user, why, quarantined_at: when }) {
-    return h('tr', {}, h('td.main', {}, name, h('div.muted', {}, user ? `${host}, token of ${user}` : host)), h('td', {}, why),
+    return h('tr', {},
+      h('td.main', {}, name, h('div.muted', {}, user ? `${host}, token of ${user}` : host)),
+      h('td', {}, why),
       h('td', { title: when }, ago(when)), h('td', {}, may('admin') ? button('Release',
-        () => act(() => request(`v1/fleet/quarantine/${encodeURIComponent(name)}`, { method: 'DELETE' }), `${name} may join again`),
+        () => act(() => request(`v1/fleet/quarantine/${encodeURIComponent(name)}`,
+          { method: 'DELETE' }), `${name} may join again`),
         { 'aria-label': `Release ${name}` }) : null));
   }
 
@@ -114,9 +139,15 @@ export async function mount(main, path, parameters, app) {
     ];
     patch(tiles, all, ([name]) => name, (one) => tile(...one), (element, values) =>
       values.forEach((text, i) => say(element.children[i], text)));
-    note.textContent = fleet.listening
-      ? (fleet.n_older ? `${countOf(fleet.n_older, 'worker')} of an older version than ${fleet.version}, with the same bits; morphoctl fleet drain --older lets them be upgraded. ` : '') + Object.values(fleet.classes).filter(Boolean).map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`).join('; ')
-      : 'Only this machine computes. With the setting fleet_listen, workers of other machines can join (morphod worker).';
+    const older = fleet.n_older
+      ? `${countOf(fleet.n_older, 'worker')} of an older version than ${fleet.version}, with the ` +
+        'same bits; morphoctl fleet drain --older lets them be upgraded. '
+      : '';
+    const classes = Object.values(fleet.classes).filter(Boolean)
+      .map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`);
+    note.textContent = fleet.listening ? older + classes.join('; ')
+      : 'Only this machine computes. With the setting fleet_listen, workers of other machines ' +
+        'can join (morphod worker).';
     const list = (body, items, key, make) => patch(body, items, key, () => h('tr'),
       (element, item) => patchRow(element, [...make(item).cells]));
     list(machines, [{ id: 'own' }, ...open], ({ id }) => id, (session) =>

@@ -54,6 +54,7 @@ export async function mount(main, path, parameters, app) {
   });
   /** What the list is filtered by, as the contract names it. */
   const filters = () => ({ state, label: search && `${search}*`, archived });
+  const given = () => Object.entries(filters()).filter(([, value]) => value);
   const titles = new Map(); // of the jobs of the list, by id
   let by = 'experiment';
   const usage = h('tbody');
@@ -78,15 +79,17 @@ export async function mount(main, path, parameters, app) {
         startButton(app, kind, kind === 'campaign' ? { class: 'primary' } : {})),
       copyButton(() => ({
         path: withQuery('v1/jobs', filters()),
-        morphoctl: `job list${Object.entries(filters()).map(([name, value]) => (value ? ` --${name} ${shellWord(value)}` : '')).join('')}`,
-        python: `print(m.jobs(${Object.entries(filters()).filter(([, value]) => value).map(([name, value]) =>
-          `${name}=${JSON.stringify(value)}`).join(', ')}))`,
+        morphoctl: ['job list',
+          ...given().map(([name, value]) => `--${name} ${shellWord(value)}`)].join(' '),
+        python: `print(m.jobs(${
+          given().map(([name, value]) => `${name}=${JSON.stringify(value)}`).join(', ')}))`,
       })))),
     tiles, running,
     h('div.grid', {}, load.element,
       h('section.panel', { 'aria-label': 'Newest events' }, h('h2', {}, 'Newest events'),
         h('div.scroll', {}, h('table', {}, events)))),
-    h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, searched, filter, archive)),
+    h('section.panel.stack', {},
+      h('div.title', {}, h('h2', {}, 'Jobs'), h('div.actions', {}, searched, filter, archive)),
       table.element, more),
     h('section.panel.stack', { 'aria-label': 'Usage' },
       h('div.title', {}, h('h2', {}, 'Usage'), h('div.actions', {}, usageBy)),
@@ -106,7 +109,8 @@ export async function mount(main, path, parameters, app) {
   function showEvents() {
     const news = app.recent.slice(-6).reverse();
     showRows(events, news.length ? news.map((event) => ({ key: event.id, cells: [
-      h('td', {}, linkTo(event, titles), h('div.muted', {}, nameOf(event))), h('td', {}, detailOf(event)),
+      h('td', {}, linkTo(event, titles), h('div.muted', {}, nameOf(event))),
+      h('td', {}, detailOf(event)),
       h('td.right.muted', {}, ago(event.at))] }))
       : [{ key: 'none', cells: [h('td.empty', {}, 'Nothing has happened yet.')] }]);
   }
@@ -231,7 +235,9 @@ function linkTo({ type, job, data }, titles) {
 }
 
 function detailOf({ type, data }) {
-  if (type === 'campaign.generation') return `generation ${data.generation}: best ${number(data.best)}`;
+  if (type === 'campaign.generation') {
+    return `generation ${data.generation}: best ${number(data.best)}`;
+  }
   if (type === 'training.validation') return `step ${data.step}: ${number(data.mean_score)}`;
   if (type === 'controller.stored') return data.name ?? '';
   if (type === 'job.warning') return data.detail;

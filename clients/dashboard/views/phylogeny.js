@@ -17,7 +17,8 @@ const SHADERS = [
   `#version 300 es
 precision highp float;
 uniform highp sampler2D lives;   // a texel a design: born, end, y, y of the parent
-uniform highp sampler2D looks;   // value for the color, or operator / 255; 1: ancestor of the living, 1/4: a lower bound
+// value for the color, or operator / 255; 1: ancestor of the living, 1/4: a lower bound
+uniform highp sampler2D looks;
 uniform vec2 shift;
 uniform vec2 zoom;
 uniform bool byKind;
@@ -57,10 +58,13 @@ const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)
 
 /** A canvas with the lives of designs; it knows nothing of the page around it. */
 export class PhylogenyCanvas {
-  /** @param {number} n about so many designs: where lines lie closer than pixels, edges need no care */
+  /**
+   * @param {number} n about so many designs: where lines lie closer than pixels, edges need no care
+   */
   constructor(canvas, n = 0) {
-    const gl = canvas.getContext('webgl2', { antialias: n < MANY, alpha: false, preserveDrawingBuffer: true });
-    if (!gl) throw new Error('This browser does not offer WebGL 2, which the phylogeny is drawn with.');
+    const gl = canvas.getContext('webgl2',
+      { antialias: n < MANY, alpha: false, preserveDrawingBuffer: true });
+    if (!gl) throw new Error('The phylogeny needs WebGL 2, which this browser does not offer.');
     this.canvas = canvas;
     this.gl = gl;
     this.colorBy = 'score';
@@ -141,9 +145,12 @@ export class PhylogenyCanvas {
       let value = 0;
       if (this.colorBy === 'operator') value = operator[i] / 255;
       else if (this.colorBy === 'descendants') value = Math.log(size[i]) / Math.log(Math.max(2, n));
-      else if (this.colorBy === 'age') value = Math.min(1, (end - born[i]) / Math.max(2, this.last * 0.5));
-      else if (measure) value = most > least && measure[i] >= least ? (measure[i] - least) / (most - least) : 0;
-      else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span)) : 0;
+      else if (this.colorBy === 'age') value = Math.min(1,
+        (end - born[i]) / Math.max(2, this.last * 0.5));
+      else if (measure) value = most > least && measure[i] >= least
+        ? (measure[i] - least) / (most - least) : 0;
+      else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span))
+        : 0;
       looks[2 * k] = Math.round(value * 255);
       looks[2 * k + 1] = lineage[i] ? 255 : isBound[i] && this.colorBy === 'score' ? 64 : 0;
     }
@@ -184,7 +191,8 @@ export class PhylogenyCanvas {
   pick(px, py) {
     const [x, y] = this.at(px, py);
     const { clientWidth: w, clientHeight: hgt } = this.canvas;
-    return nearest(this.columns, this.layout, x, y, w / this.span[0] / (this.last + 1), hgt / this.span[1], 12);
+    return nearest(this.columns, this.layout, x, y, w / this.span[0] / (this.last + 1),
+      hgt / this.span[1], 12);
   }
 
   zoom(factor, px, py) {
@@ -201,8 +209,11 @@ export class PhylogenyCanvas {
     if (!this.columns) return;
     const started = performance.now();
     const { gl, canvas } = this;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((v) => Math.max(1, Math.round(v * devicePixelRatio)));
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight]
+      .map((v) => Math.max(1, Math.round(v * devicePixelRatio)));
+    if (canvas.width !== width || canvas.height !== height) {
+      Object.assign(canvas, { width, height });
+    }
     const style = getComputedStyle(canvas);
     const color = (name) => toRgb(style.getPropertyValue(name).trim().padEnd(7, '0'));
     gl.viewport(0, 0, width, height);
@@ -216,7 +227,8 @@ export class PhylogenyCanvas {
       shift: [0.5 - this.center[0] * generations, -this.center[1]],
       zoom: [2 / (this.span[0] * generations), -2 / this.span[1]],
       byKind: this.colorBy === 'operator', low: color('--blue'), high: color('--orange'),
-      lives: this.textures[0], looks: this.textures[1], dim: this.columns.number.length > MANY ? 0.35 : 0.6,
+      lives: this.textures[0], looks: this.textures[1],
+      dim: this.columns.number.length > MANY ? 0.35 : 0.6,
     });
     const kinds = this.program.places.get('kinds[0]');
     if (kinds) gl.uniform3fv(kinds.at, OPERATOR_HUES.flatMap(color));
@@ -233,9 +245,11 @@ export class PhylogenyCanvas {
 
 /** Loads a phylogeny as columns: the ancestors of the living, or all designs. */
 export async function loadColumns(id, keep, signal) {
-  const response = await request(withQuery(`v1/campaigns/${id}/phylogeny`, { format: 'columns', keep }), { signal });
+  const path = withQuery(`v1/campaigns/${id}/phylogeny`, { format: 'columns', keep });
+  const response = await request(path, { signal });
   const { header, array } = decodeScene(await response.arrayBuffer());
-  const columns = Object.fromEntries(Object.entries(header.columns).map(([name, where]) => [name, array(where)]));
+  const columns = Object.fromEntries(Object.entries(header.columns)
+    .map(([name, where]) => [name, array(where)]));
   // Of all designs, the place is the number.
   columns.operators = header.operators;
   columns.lower_bound = Uint8Array.from(columns.score, (value) => (value < 0 ? 1 : 0));
@@ -262,22 +276,33 @@ export async function mount(main, id, parameters, app) {
   let newest = shownTo;
   const detail = h('div.stack', { 'aria-live': 'polite' });
   const ancestry = h('div.grid.small');
-  const search = h('input', { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
+  const colors = [...COLOR_BY,
+    ...(campaign.study?.measures ?? []).map((name) => [`measures.${name}`, name])];
+  const search = h('input',
+    { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Phylogeny'), h('a', { href: `#/campaigns/${id}` }, title), note, fresh,
+    h('div.title', {}, h('h1', {}, 'Phylogeny'), h('a', { href: `#/campaigns/${id}` }, title),
+      note, fresh,
       missing,
       h('div.actions', {}, copyButton(() => ({
         path: `v1/campaigns/${id}/phylogeny?format=csv`, output: `phylogeny-${id}.csv`,
         morphoctl: `campaign export ${id} --phylogeny phylogeny-${id}.csv`,
         python: `print(m.get_campaign(${id}).phylogeny().frame())`,
-      })), select('Color', [...COLOR_BY, ...(campaign.study?.measures ?? []).map((name) => [`measures.${name}`, name])], 'score', (by) => { view.setColor(by); view.draw(); marks.tell(); }),
-        h('form.row', { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search, h('button', { type: 'submit' }, 'Find')),
+      })), select('Color', colors, 'score', (by) => {
+        view.setColor(by);
+        view.draw();
+        marks.showColors();
+      }),
+        h('form.row',
+          { onsubmit: (event) => { event.preventDefault(); find(search.value.trim()); } }, search,
+          h('button', { type: 'submit' }, 'Find')),
         button('Fit', () => { view.reset(); view.draw(); }))),
     h('section.panel.flush', {}, h('div.overlaid', {}, canvas, marks.canvas), marks.legend),
     h('div.grid', {}, h('section.panel.stack', {}, detail, h('h3', {}, 'Ancestry'), ancestry),
       h('section.panel.flush.beside', { 'aria-label': 'Stage' }, player.element)));
-  fill(detail, h('p.empty', {}, 'Select a design: its robot walks, and its line of descent is shown. Drag to move, wheel or pinch to zoom. ' +
-    'Arrow keys go from design to design.'));
+  fill(detail, h('p.empty', {},
+    'Select a design: its robot walks, and its line of descent is shown. ' +
+    'Drag to move, wheel or pinch to zoom. Arrow keys go from design to design.'));
   const redraw = () => view.draw();
   app.themeListeners.add(redraw);
   const observer = new ResizeObserver(redraw);
@@ -288,7 +313,7 @@ export async function mount(main, id, parameters, app) {
     view.set(columns);
     marks.selected = -1;
     view.draw();
-    marks.tell();
+    marks.showColors();
     note.textContent = text;
     canvas.setAttribute('aria-label', `Phylogeny of ${text}`);
   }
@@ -330,23 +355,35 @@ export async function mount(main, id, parameters, app) {
     marks.draw();
     const number = view.columns.number[row];
     app.keep({ design: number });
-    const design = await getJson(`v1/campaigns/${id}/designs/${number}?limit=1`, { signal: stop.signal });
-    fill(detail, h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)), h('div.stack', {},
-      h('h2', {}, `Design #${number}`), h('div', {}, `score ${scoreOf(design)}, ${design.voxels} voxels, ${design.operator}`),
+    const design = await getJson(`v1/campaigns/${id}/designs/${number}?limit=1`,
+      { signal: stop.signal });
+    fill(detail,
+      h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)),
+      h('div.stack', {},
+      h('h2', {}, `Design #${number}`),
+      h('div', {}, `score ${scoreOf(design)}, ${design.voxels} voxels, ${design.operator}`),
       h('div.muted', {}, `born in generation ${design.born}, ` +
         `${design.died === null ? 'alive' : `died in ${design.died}`}`),
-      design.lower_bound ? h('div.muted', {}, 'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
-      h('a', { href: `#/designs/${design.robot}` }, 'all its scores'), h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
+      design.lower_bound
+        ? h('div.muted', {},
+        'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
+      h('a', { href: `#/designs/${design.robot}` }, 'all its scores'),
+      h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
     const [robots, ancestors] = await Promise.all([rollOfCampaign(campaign, [design], stop.signal),
       getJson(`v1/campaigns/${id}/designs/${number}/ancestors?limit=24`, { signal: stop.signal })]);
     if (selected !== row) return;
     player.setRobots(robots);
-    fill(ancestry, ancestors.items.map((one) => h('button.card', { type: 'button', onclick: () => find(String(one.number)) },
-      picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, score(one.score)), h('span.muted', {}, `#${one.number}`))),
-    ancestors.items.length ? null : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));
+    fill(ancestry,
+      ancestors.items.map((one) => h('button.card',
+      { type: 'button', onclick: () => find(String(one.number)) },
+      picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, score(one.score)),
+      h('span.muted', {}, `#${one.number}`))),
+    ancestors.items.length ? null
+      : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));
   }
 
-  const chosen = (row) => choose(row).catch((error) => { if (!stop.signal.aborted) note.textContent = error.message; });
+  const chosen = (row) => choose(row)
+    .catch((error) => { if (!stop.signal.aborted) note.textContent = error.message; });
 
   async function find(text) {
     let number = Number(text);

@@ -1,4 +1,7 @@
-/** What lies over the picture of a phylogeny: generations, the chosen design and its line of descent. */
+/**
+ * What lies over the picture of a phylogeny: generations, the chosen design and its line of
+ * descent.
+ */
 
 import { ticks } from '../lib/chart.js';
 import { fill, h, paint, swatch } from '../lib/dom.js';
@@ -30,19 +33,23 @@ export class PhylogenyMarks {
   }
 
   /** Says what the colors mean. */
-  tell() {
+  showColors() {
     const { colorBy, scores, ends, columns } = this.view;
     const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
-    const tellers = {
+    const legends = {
       score: () => [...ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
-        columns.lower_bound.includes(1) ? h('span', {}, 'faint: lower bounds, of children that could not survive') : null],
+        columns.lower_bound.includes(1)
+          ? h('span', {}, 'faint: lower bounds, of children that could not survive') : null],
       age: () => ramp('short life', 'long life'),
       descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
       operator: () => [...new Set(columns.operator)].sort().map((operator) =>
-        h('span', {}, swatch(OPERATOR_HUES[Math.min(operator, OPERATOR_HUES.length - 1)]), columns.operators[operator])),
+        h('span', {}, swatch(OPERATOR_HUES[Math.min(operator, OPERATOR_HUES.length - 1)]),
+          columns.operators[operator])),
     };
-    const other = () => ramp(`${colorBy.replace(/^measures\./, '')} ${number(ends[0])}`, number(ends[1]));
-    fill(this.legend, (tellers[colorBy] ?? other)(), h('span', {}, 'bright: ancestors of the living'), h('span', {}, 'across: generations'));
+    const other = () => ramp(`${colorBy.replace(/^measures\./, '')} ${number(ends[0])}`,
+      number(ends[1]));
+    fill(this.legend, (legends[colorBy] ?? other)(),
+      h('span', {}, 'bright: ancestors of the living'), h('span', {}, 'across: generations'));
   }
 
   draw() {
@@ -58,7 +65,8 @@ export class PhylogenyMarks {
     context.globalAlpha = 1;
     context.fillStyle = color('--muted');
     context.textAlign = 'center';
-    for (const tick of ticks(Math.max(0, from), Math.min(view.last, to), Math.max(2, width / 110))) {
+    for (const tick of ticks(Math.max(0, from), Math.min(view.last, to),
+      Math.max(2, width / 110))) {
       if (!Number.isInteger(tick)) continue;
       const [x] = view.placeOf(tick, 0);
       context.globalAlpha = 0.25;

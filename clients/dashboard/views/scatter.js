@@ -5,20 +5,26 @@ import { announce, button, fill, h, paint, select, swatch } from '../lib/dom.js'
 import { number } from '../lib/format.js';
 
 /** What a design is measured by, besides the measures of a study: names by key. */
-const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs', born: 'born in generation' };
-const valueOf = (design, key) => (key in TRAITS ? design[key] : design.measures?.[key.slice('measures.'.length)]) ?? null;
-const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--grey', listed: '--green', inherited: '--grey' };
+const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs',
+  born: 'born in generation' };
+const valueOf = (design, key) =>
+  (key in TRAITS ? design[key] : design.measures?.[key.slice('measures.'.length)]) ?? null;
+const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--gray',
+  listed: '--green', inherited: '--gray' };
 const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink'; // a study's own
 const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 
 export class Scatter {
-  /** @param {function(number[]): void} chosen called with the numbers of the designs in the brush */
+  /**
+   * @param {function(number[]): void} chosen called with the numbers of the designs in the brush
+   */
   constructor(chosen) {
     this.chosen = chosen;
     this.designs = [];
     this.axes = ['voxels', 'score'];
     this.brush = null;
-    this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': 'Population: no designs yet' });
+    this.canvas = h('canvas',
+      { tabindex: 0, role: 'img', 'aria-label': 'Population: no designs yet' });
     this.canvas.style.minHeight = '340px';
     this.walk = button('Watch here', () => this.#choose(), { disabled: true });
     this.legend = h('div.legend');
@@ -41,7 +47,8 @@ export class Scatter {
     this.canvas.addEventListener('keydown', (event) => {
       if (event.key !== 'Enter') return;
       // Without a pointer: the eight best.
-      this.selected = [...this.designs].sort((a, b) => (a.score ?? 1e9) - (b.score ?? 1e9)).slice(0, 8);
+      this.selected = [...this.designs]
+        .sort((a, b) => (a.score ?? 1e9) - (b.score ?? 1e9)).slice(0, 8);
       this.draw();
       this.#choose();
     });
@@ -52,7 +59,8 @@ export class Scatter {
 
   /** Offers the traits, and the measures of a study. */
   #offer(measures = []) {
-    this.traits = { ...TRAITS, ...Object.fromEntries(measures.map((name) => [`measures.${name}`, name])) };
+    this.traits = { ...TRAITS,
+      ...Object.fromEntries(measures.map((name) => [`measures.${name}`, name])) };
     const traits = Object.entries(this.traits);
     fill(this.selects, select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
       select('Up', traits, this.axes[1], (key) => this.#axis(1, key)));
@@ -60,13 +68,16 @@ export class Scatter {
 
   set(designs) {
     this.designs = designs;
-    const measures = [...new Set(designs.flatMap((design) => Object.keys(design.measures ?? {})))].sort();
-    if (Object.keys(this.traits).length !== Object.keys(TRAITS).length + measures.length) this.#offer(measures);
+    const measures = [...new Set(designs.flatMap((design) => Object.keys(design.measures ?? {})))]
+      .sort();
+    const n = Object.keys(TRAITS).length + measures.length;
+    if (Object.keys(this.traits).length !== n) this.#offer(measures);
     fill(this.legend, [...new Set(designs.map((design) => design.operator))].sort()
       .map((operator) => h('span', {}, swatch(colorOf(operator)), operator)));
     const numbers = new Set(designs.map((design) => design.number));
     this.selected = this.selected.filter((design) => numbers.has(design.number));
-    this.canvas.setAttribute('aria-label', `Population of ${designs.length} designs: ${this.traits[this.axes[1]]} ` +
+    this.canvas.setAttribute('aria-label',
+      `Population of ${designs.length} designs: ${this.traits[this.axes[1]]} ` +
       `over ${this.traits[this.axes[0]]}. Enter shows the eight best walking.`);
     this.draw();
   }
@@ -93,7 +104,8 @@ export class Scatter {
       if (!values.length) [low, high] = [0, 1];
       const room = (high - low || 1) * 0.05;
       [low, high] = [low - room, high + room];
-      const [from, to] = axis === 0 ? [MARGIN.left, width - MARGIN.right] : [height - MARGIN.bottom, MARGIN.top];
+      const [from, to] = axis === 0 ? [MARGIN.left, width - MARGIN.right]
+        : [height - MARGIN.bottom, MARGIN.top];
       return { low, high, of, at: (value) => from + ((value - low) / (high - low)) * (to - from) };
     });
   }
@@ -114,7 +126,9 @@ export class Scatter {
       context.fillText(number(tick), MARGIN.left - 8, y.at(tick) + 4);
     }
     context.textAlign = 'center';
-    for (const tick of ticks(x.low, x.high, 8)) context.fillText(number(tick), x.at(tick), height - MARGIN.bottom + 18);
+    for (const tick of ticks(x.low, x.high, 8)) {
+      context.fillText(number(tick), x.at(tick), height - MARGIN.bottom + 18);
+    }
     const [across, up] = this.axes.map((key) => this.traits[key]);
     context.fillText(across, (MARGIN.left + width - MARGIN.right) / 2, height - 6);
     context.textAlign = 'left';
@@ -144,7 +158,8 @@ export class Scatter {
     // A click takes what lies near it.
     const room = Math.hypot(x1 - x0, y1 - y0) < 5 ? 7 : 0;
     const between = (v, a, b) => v >= Math.min(a, b) - room && v <= Math.max(a, b) + room;
-    this.selected = this.designs.filter((design) => x.of(design) !== null && y.of(design) !== null &&
+    this.selected = this.designs.filter((design) => x.of(design) !== null &&
+      y.of(design) !== null &&
       between(x.at(x.of(design)), x0, x1) && between(y.at(y.of(design)), y0, y1));
     this.draw();
     announce(`${this.selected.length} designs chosen`);

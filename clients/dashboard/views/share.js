@@ -87,7 +87,8 @@ export function copyButton(request) {
 
 /** Commands that do the same from a shell. @param {[string, string][]} commands tool and text */
 export function copyDialog(commands) {
-  showDialog('The same from a shell or a program', ...commands.map(([tool, text]) => h('section.stack', {},
+  showDialog('The same from a shell or a program',
+    ...commands.map(([tool, text]) => h('section.stack', {},
     h('div.row', {}, h('h3', {}, tool), button('Copy', async (event) => {
       try {
         await navigator.clipboard.writeText(text);
@@ -121,7 +122,10 @@ export function filmCommand(ids, how) {
   return `${input && `echo ${shellWord(input)} | `}morphoctl ${words}`;
 }
 
-/** A link that saves a reply of the service: the token goes along, which a plain link would not send. */
+/**
+ * A link that saves a reply of the service: the token goes along, which a plain link would not
+ * send.
+ */
 export function saveLink(path, name, text, attributes = {}) {
   return h('a', { href: path, download: name, ...attributes, onclick: (event) => {
     event.preventDefault();
@@ -138,7 +142,8 @@ function save(blob, name) {
 /**
  * Saves what the stage shows: a picture, a film, a page of its own, or a model for other programs.
  * @param {import('../stage/player.js').Player} player
- * @param {{name: string, film?: string}} what name of the files; film: the command that makes the film
+ * @param {{name: string, film?: string}} what name of the files; film: the command that makes the
+ *   film
  */
 export function exportDialog(player, { name, film: command }) {
   const { stage, canvas } = player;
@@ -171,13 +176,15 @@ export function exportDialog(player, { name, film: command }) {
   async function model() {
     const { toGlb } = await import('../export/glb.js');
     for (const robot of stage.robots) {
-      save(new Blob([toGlb(robot, { name: robot.label })], { type: 'model/gltf-binary' }), `${name}-${robot.label}.glb`);
+      save(new Blob([toGlb(robot, { name: robot.label })], { type: 'model/gltf-binary' }),
+        `${name}-${robot.label}.glb`);
     }
   }
 
   async function page() {
     const { toPage } = await import('../export/page.js');
-    save(await toPage(stage.robots, `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`), `${name}.html`);
+    save(await toPage(stage.robots,
+      `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`), `${name}.html`);
   }
 
   showDialog('Export', h('div.row', {},
@@ -190,5 +197,6 @@ export function exportDialog(player, { name, film: command }) {
     }),
     'VideoEncoder' in window ? doing('Film (WebM)', film) : null,
     doing('Page (HTML)', page), doing('Model (GLB)', model)), message,
-  command ? [h('p', {}, 'A film, on the machine that has morphoctl:'), h('pre', { tabindex: 0 }, command)] : null);
+  command ? [h('p', {}, 'A film, on the machine that has morphoctl:'),
+    h('pre', { tabindex: 0 }, command)] : null);
 }

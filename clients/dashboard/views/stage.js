@@ -200,7 +200,8 @@ async function recordings(parameters) {
     exported: () => ({ name: `morphod-evaluation-${id}` }),
     commands: (environment) => commandsOf({
       path: recordingPath(id, rows[0], environment), output: `evaluation-${id}-${rows[0]}.scene`,
-      morphoctl: `job show ${id} --results`, python: `m.evaluation(${id}).show(${rows[0]}, ${environment}).save("robot.html")`,
+      morphoctl: `job show ${id} --results`,
+      python: `m.evaluation(${id}).show(${rows[0]}, ${environment}).save("robot.html")`,
     }),
   };
 }

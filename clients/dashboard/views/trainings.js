@@ -1,4 +1,7 @@
-/** Trainings and controllers: curves over each other, validations, lineage, and two controllers compared. */
+/**
+ * Trainings and controllers: curves over each other, validations, lineage, and two controllers
+ * compared.
+ */
 
 import { Curve, getJson, patient, post } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
@@ -98,12 +101,19 @@ const asJob = (item) => ({ ...item, trainingKind: item.kind, kind: 'training' })
 /** Where a controller comes from: the training that made it, and what that began with. */
 function lineageOf(controller, trainings) {
   const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);
-  if (!training) return [h('td.muted', { 'data-name': 'Made by' }, 'no training here'), h('td', { 'data-name': 'From' }, '–')];
-  return [h('td', { 'data-name': 'Made by' }, h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),
-    h('td', { 'data-name': 'From' }, training.parent?.name ?? (training.parent ? h('code', {}, training.parent.sha256.slice(0, 12)) : 'random weights'))];
+  if (!training) return [h('td.muted', { 'data-name': 'Made by' }, 'no training here'),
+    h('td', { 'data-name': 'From' }, '–')];
+  return [h('td', { 'data-name': 'Made by' },
+    h('a', { href: `#/trainings/${training.id}` }, training.label ?? `Training ${training.id}`)),
+    h('td', { 'data-name': 'From' },
+      training.parent?.name ?? (training.parent
+      ? h('code', {}, training.parent.sha256.slice(0, 12)) : 'random weights'))];
 }
 
-/** Two controllers on the same held-out bodies: the difference with its interval, and both side by side. */
+/**
+ * Two controllers on the same held-out bodies: the difference with its interval, and both side by
+ * side.
+ */
 function comparison(app, controllers) {
   // The newest file that a training made, against the default: two names of one file are the same.
   const names = controllers.map(({ name }) => name);
@@ -124,7 +134,8 @@ function comparison(app, controllers) {
     go.disabled = true;
     result.textContent = 'Scoring both on the held-out bodies…';
     try {
-      const { designs, environments } = await getJson(`v1/held-out?seed=1&designs=${size}&environments=16`);
+      const path = `v1/held-out?seed=1&designs=${size}&environments=16`;
+      const { designs, environments } = await getJson(path);
       const evaluate = async (controller) => {
         let evaluation = await patient(() => post('v1/evaluations', {
           designs, environments, controller, label: `comparison of ${a} and ${b}`,
@@ -133,19 +144,24 @@ function comparison(app, controllers) {
           const path = `v1/evaluations/${evaluation.id}`;
           evaluation = await getJson(path, { headers: { Prefer: 'wait=10' } });
         }
-        if (!evaluation.results) throw new Error(`The evaluation of ${controller} has ${evaluation.state}.`);
+        if (!evaluation.results) {
+          throw new Error(`The evaluation of ${controller} has ${evaluation.state}.`);
+        }
         return evaluation;
       };
       const [first, second] = await Promise.all([evaluate(a), evaluate(b)]);
       const losses = [first, second].map(({ results }) => results.map((one) => one.losses.map(
         (loss) => loss ?? NaN)));
       const { n, difference, low, high, improved } = compareCrossed(losses[0], losses[1]);
-      const better = high < 0 ? `${b} is better on such bodies` : low > 0 ? `${b} is worse on such bodies`
+      const better = high < 0 ? `${b} is better on such bodies`
+        : low > 0 ? `${b} is worse on such bodies`
         : 'which is better is not shown: more bodies and environments make the interval narrower';
       const left = designs.length - n;
-      result.textContent = n < 2 ? 'Too few bodies have a score with both controllers to say which is better.'
-        : `${b} minus ${a}: ${signed(difference)}, ${percent(CONFIDENCE)} interval ${signed(low)} to ${signed(high)} ` +
-          `(for other bodies and environments; Student t, ${n} held-out bodies in ${environments.length} environments, ` +
+      result.textContent = n < 2
+        ? 'Too few bodies have a score with both controllers to say which is better.'
+        : `${b} minus ${a}: ${signed(difference)}, ${percent(CONFIDENCE)} interval ` +
+          `${signed(low)} to ${signed(high)} (for other bodies and environments; Student t, ` +
+          `${n} held-out bodies in ${environments.length} environments, ` +
           `${improved} of them improved` +
           `${left ? `; ${left} that diverged left out` : ''}). Lower is better: ${better}.`;
       const [design] = designs;
@@ -156,7 +172,9 @@ function comparison(app, controllers) {
         robots.push({ ...robot, label: controller });
       }
       stage.hidden = false;
-      fill(link, h('a', { href: `#/stage?designs=${designs[0].voxels ?? designs[0].id ?? ''}&controller=${a},${b}&show=skin,trails,side` },
+      const shown = designs[0].voxels ?? designs[0].id ?? '';
+      fill(link, h('a',
+        { href: `#/stage?designs=${shown}&controller=${a},${b}&show=skin,trails,side` },
         'both on the stage, in any environment'));
       player.setRobots(robots);
       player.setSide(true);
@@ -171,12 +189,16 @@ function comparison(app, controllers) {
   return h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Compare two controllers'),
     h('span.muted', {}, 'on bodies and environments that no training draws'), h('div.actions', {},
       select('First', names, a, (value) => { a = value; }),
-      select('Second', other ? names : [['', 'choose one'], ...names], b, (value) => { b = value; }),
-      select('Bodies', ['16', '64', '256'], size, (value) => { size = value; }), go, copyButton(() => ({
-        path: `v1/held-out?seed=1&designs=${size}&environments=16`, morphoctl: `train compare ${a} ${b} --designs ${size}`,
-        python: `held_out = m.request("GET", "/v1/held-out", seed=1, designs=${size}, environments=16)\n` +
-          `for controller in ("${a}", "${b}"):\n` +
-          '    print(m.request("POST", "/v1/evaluations", {**held_out, "controller": controller})["id"])',
+      select('Second', other ? names : [['', 'choose one'], ...names], b,
+        (value) => { b = value; }),
+      select('Bodies', ['16', '64', '256'], size, (value) => { size = value; }), go,
+      copyButton(() => ({
+        path: `v1/held-out?seed=1&designs=${size}&environments=16`,
+        morphoctl: `train compare ${a} ${b} --designs ${size}`,
+        python: `held_out = m.request("GET", "/v1/held-out", seed=1, designs=${size}, ` +
+          `environments=16)\nfor controller in ("${a}", "${b}"):\n` +
+          '    print(m.request("POST", "/v1/evaluations", ' +
+          '{**held_out, "controller": controller})["id"])',
       })))), result, link, stage);
 }
 
@@ -193,10 +215,13 @@ async function mountOne(main, id, parameters, app) {
     parts.remark, parts.row);
   const heading = h('h1');
   const about = h('span.muted');
-  const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280, empty: 'No step has ended yet.' });
-  const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280, empty: 'No validation yet.' });
+  const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280,
+    empty: 'No step has ended yet.' });
+  const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280,
+    empty: 'No validation yet.' });
   const norm = new Chart({ title: 'Gradient norm', xName: 'step', log: true });
-  const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0, yText: percent });
+  const clipped = new Chart({ title: 'Share of clipped adjoints', xName: 'step', minimum: 0,
+    yText: percent });
   const charts = [loss, held, norm, clipped];
   const csv = `v1/trainings/${id}/steps?format=csv`;
   fill(title, heading, about, others.map((other) =>
@@ -222,24 +247,31 @@ async function mountOne(main, id, parameters, app) {
   }
 
   /** Trainings that differ in their seeds alone are replicates: a band of them is one curve. */
-  let groups = ids.map((one, i) => ({ name: ids.length > 1 ? `training ${one}` : '', members: [i] }));
+  let groups =
+    ids.map((one, i) => ({ name: ids.length > 1 ? `training ${one}` : '', members: [i] }));
 
   async function findReplicates() {
     if (ids.length < 2) return;
     const items = await Promise.all(ids.map((one) => get(`v1/trainings/${one}`)));
-    const keys = items.map(({ kind, parent, settings: { seed, ...rest } }) => JSON.stringify([kind, parent, rest]));
+    const keys = items.map(({ kind, parent, settings: { seed, ...rest } }) =>
+      JSON.stringify([kind, parent, rest]));
     groups = [...new Set(keys)].flatMap((key) => {
       const members = keys.flatMap((one, i) => (one === key ? [i] : []));
       const seeds = new Set(members.map((i) => items[i].settings.seed));
       // Equal trainings of one seed are no replicates.
-      return members.length > 1 && seeds.size === members.length ? [{ members, name: `mean of ${members.length} replicates` }]
+      return members.length > 1 && seeds.size === members.length
+        ? [{ members, name: `mean of ${members.length} replicates` }]
         : members.map((i) => ({ name: `training ${ids[i]}`, members: [i] }));
     });
   }
 
-  /** The curve of a group: its rows, or the mean, least and most over its replicates where all have a row. */
+  /**
+   * The curve of a group: its rows, or the mean, least and most over its replicates where all have
+   * a row.
+   */
   function curveOf({ members }, curves, name) {
-    const lists = members.map((i) => new Map(curves[i].rows.map((row) => [row.step, row[name] ?? NaN])));
+    const lists =
+      members.map((i) => new Map(curves[i].rows.map((row) => [row.step, row[name] ?? NaN])));
     const x = [...lists[0].keys()].filter((step) => lists.every((list) => list.has(step)));
     const values = x.map((step) => lists.map((list) => list.get(step)));
     return {
@@ -253,26 +285,32 @@ async function mountOne(main, id, parameters, app) {
       const { x, y, low, high } = curveOf(group, curves, name);
       const line = { name: group.name || name.replaceAll('_', ' '), color: HUES[i], x, y };
       return group.members.length < 2 ? [line]
-        : [{ name: 'least to most', kind: 'band', x, y: x, low, high, color: HUES[i], opacity: 0.2 }, line];
+        : [{ name: 'least to most', kind: 'band', x, y: x, low, high, color: HUES[i],
+          opacity: 0.2 }, line];
     });
     loss.options.empty = emptyText(batch, steps[0].rows.at(-1)?.diverged, 'No step has ended yet.');
     loss.set(each(steps, 'mean_loss'));
     norm.set(each(steps, 'gradient_norm'));
     clipped.set(each(steps, 'clipped_share'));
     held.set(groups.flatMap((group, i) => {
-      if (group.members.length > 1) return /** @type {any[]} */ (each(validations, 'mean_score').filter(({ color }) => color === HUES[i]));
+      if (group.members.length > 1) return /** @type {any[]} */ (each(validations, 'mean_score')
+        .filter(({ color }) => color === HUES[i]));
       const { rows } = validations[group.members[0]];
       const x = column(rows, (row) => row.step);
-      const bound = (sign) => column(rows, (row) => (row.mean_score === null ? null : row.mean_score + sign * (row.standard_error ?? 0)));
+      const bound = (sign) => column(rows, (row) =>
+        (row.mean_score === null ? null : row.mean_score + sign * (row.standard_error ?? 0)));
       return [
-        { name: 'standard error', kind: 'band', silent: true, x, y: x, low: bound(-1), high: bound(1), color: HUES[i], opacity: 0.2 },
-        { name: group.name || 'held-out score', x, y: column(rows, (row) => row.mean_score), color: HUES[i] },
+        { name: 'standard error', kind: 'band', silent: true, x, y: x, low: bound(-1),
+          high: bound(1), color: HUES[i], opacity: 0.2 },
+        { name: group.name || 'held-out score', x, y: column(rows, (row) => row.mean_score),
+          color: HUES[i] },
       ];
     }));
   }
 
   async function refresh() {
-    await Promise.all([showHead(), ...[...steps, ...validations].map((curve) => curve.refresh(stop.signal))]);
+    await Promise.all([showHead(),
+      ...[...steps, ...validations].map((curve) => curve.refresh(stop.signal))]);
     showCharts();
   }
 
