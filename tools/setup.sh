@@ -58,7 +58,7 @@ fetch_promtool() {
   (cd "$part" && { apt-get download -qq prometheus ||
     { as_root apt-get update -qq && apt-get download -qq prometheus; }; } &&
     dpkg-deb --fsys-tarfile prometheus_*.deb | tar -x ./usr/bin/promtool) 2>/dev/null &&
-    mv "$part/usr/bin/promtool" build/promtool || echo "there is none: its tests are skipped"
+    mv "$part/usr/bin/promtool" build/promtool || echo "there is no promtool: its tests are skipped"
   rm -rf "$part"
 }
 
