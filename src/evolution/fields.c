@@ -6,6 +6,10 @@
 #include "learning/fields.h"
 #include "rollout/physics.h"
 
+const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
+                                          NULL};
+const char *const mo_racing_words[] = {"lossless", "off", NULL};
+
 /* ---- workspace: [nx, ny, nz] ---- */
 
 static void read_workspace(struct mo_json *json, void *value)

@@ -7,9 +7,6 @@
 
 const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultaneous", "study",
                                               NULL};
-const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
-                                          NULL};
-const char *const mo_racing_words[] = {"lossless", "off", NULL};
 const char *const mo_preset_words[] = {"paper", "workstation", "demo", NULL};
 const char *const mo_operator_words[] = {"random",   "listed",    "inherited",
                                          "mutation", "crossover", NULL};
