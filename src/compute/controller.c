@@ -1,5 +1,5 @@
 /* controller.c: a controller's packs, one per precision, made when a block first needs them.
- * Devices own their copies of the weights until mo_devices_forget. */
+ * Devices own their copies of the weights until it is freed. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -26,12 +26,25 @@ int mo_compute_controller_create(struct mo_compute *compute, const struct mo_con
   return MO_OK;
 }
 
+/* Marks the copies of a controller that is being freed as no longer needed. */
+static void forget(struct mo_devices *devices, const struct mo_compute_controller *controller)
+{
+  MO_GUARD(&devices->fair.mutex);
+  for (uint32_t i = 0; i < MO_CALLERS * devices->n; i++) {
+    const struct mo_caller *caller = &devices->units[i / MO_CALLERS].callers[i % MO_CALLERS];
+    for (struct mo_device_copy *copy = caller->copies; copy != NULL; copy = copy->next)
+      if (copy->owner == controller)
+        copy->owner = NULL;
+  }
+  pthread_cond_broadcast(&devices->wake); /* callers free the copies */
+}
+
 void mo_compute_controller_free(struct mo_compute_controller *controller)
 {
   if (controller == NULL)
     return;
   if (controller->devices != NULL)
-    mo_devices_forget(controller->devices, controller);
+    forget(controller->devices, controller);
   for (int precision = 0; precision < 2; precision++)
     mo_pack_free(controller->pack[precision]);
   pthread_mutex_destroy(&controller->making);

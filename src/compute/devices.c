@@ -303,18 +303,6 @@ int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
   return MO_OK;
 }
 
-void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller)
-{
-  MO_GUARD(&devices->fair.mutex);
-  for (uint32_t i = 0; i < MO_CALLERS * devices->n; i++) {
-    const struct mo_caller *caller = &devices->units[i / MO_CALLERS].callers[i % MO_CALLERS];
-    for (struct mo_device_copy *copy = caller->copies; copy != NULL; copy = copy->next)
-      if (copy->owner == controller)
-        copy->owner = NULL;
-  }
-  pthread_cond_broadcast(&devices->wake); /* callers free the copies */
-}
-
 /* ---- status ---- */
 
 uint32_t mo_compute_devices(const struct mo_compute *compute)

@@ -113,8 +113,6 @@ struct mo_devices *mo_devices_create(struct mo_compute *compute); /* NULL: no me
 /* Queues a block. MO_ERR_DEVICE: no device works, or the block needs one of this machine;
  * MO_ERR_CANCELLED. */
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block);
-/* Marks the copies of a controller that is being freed as no longer needed. */
-void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller);
 /* Cancels what is queued and running, joins the threads, closes the devices. NULL-safe. */
 void mo_devices_free(struct mo_devices *devices);
 

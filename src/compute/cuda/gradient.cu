@@ -92,13 +92,6 @@ void mo_cuda_gradient_set_halves(struct mo_device *device, enum mo_cuda_halves h
   device->gradient.halves = halves;
 }
 
-void mo_cuda_gradient_trim(struct mo_device *device)
-{
-  cudaSetDevice(device->index);
-  for (mo_cuda_buffer &b : device->gradient.buffers)
-    mo_cuda_release(&b);
-}
-
 void mo_cuda_gradient_close(mo_device *device)
 {
   mo_cuda_gradient_state *s = &device->gradient;

@@ -417,6 +417,13 @@ int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uin
 
 } // namespace
 
+void mo_cuda_gradient_trim(struct mo_device *device)
+{
+  cudaSetDevice(device->index);
+  for (mo_cuda_buffer &b : device->gradient.buffers)
+    mo_cuda_release(&b);
+}
+
 int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradient_plan &plan,
                          uint64_t memory_bytes)
 {
