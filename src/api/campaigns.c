@@ -306,8 +306,9 @@ static int extend(struct mo_request *request, struct mo_post *post)
   static const struct mo_fields fields = MO_FIELDS(rows);
   struct mo_request_key known;
   uint32_t generations = 0;
+  struct mo_job job;
   int64_t id;
-  if (!mo_path_job(request, &id))
+  if (!mo_path_id(request, 0, &id) || !mo_job_of_kind(request, &mo_campaign_resource, id, &job))
     return MO_ERR_NOT_FOUND;
   int error = mo_read_body(request->body, request->body_size, &fields, &generations, NULL,
                            check_extension, &post->faults);

@@ -32,8 +32,10 @@ struct mo_resource {
 };
 extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource;
 
-/* Returns the kind whose path the request's route begins with; NULL: none. */
-const struct mo_resource *mo_resource_of(const struct mo_request *request);
+/* ---- job_reply.c ---- */
+
+/* Reads how a job stands now; of one that has ended, nothing. */
+void mo_read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *live);
 /* Replies with a job as it stands now: whole, or as an item of the list of jobs. An error is
  * replied to, and returned. */
 int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
@@ -48,14 +50,22 @@ bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, in
 /* Reads a job of this kind. False: the reply is made. */
 bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                     struct mo_job *job);
+
+/* ---- jobs.c ---- */
+
+/* Returns the kind whose path the request's route begins with; NULL: none. */
+const struct mo_resource *mo_resource_of(const struct mo_request *request);
+/* Reads the id in the path of a job of the route's kind. False: the 404 is made. */
+bool mo_path_job(struct mo_request *request, int64_t *id);
 /* Reads the filters that lists of all kinds have. label: room for one without its star. False: the
  * reply is made. */
 bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
                          char label[MO_LABEL_BYTES_MAX + 1]);
+
+/* ---- several.c ---- */
+
 /* Finds the campaigns that the parameters campaigns, group, label and experiment name, ascending,
  * or all: (n) malloc. False: the reply is made. */
 bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n);
-/* Reads the id in the path of a job of the route's kind. False: the 404 is made. */
-bool mo_path_job(struct mo_request *request, int64_t *id);
 
 #endif
