@@ -6,8 +6,8 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
+#include "store/readers.h"
 #include "store/runner.h"
-#include "store/sql.h"
 #include "store/store.h"
 
 #define MO_APPLICATION_ID    0x6D727068 /* "mrph" */

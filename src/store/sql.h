@@ -32,21 +32,6 @@ int mo_connection_open(const struct mo_store *store, bool writable,
                        struct mo_connection *connection);
 void mo_connection_close(struct mo_connection *connection);
 
-/* ---- the pool of readers (readers.c) ---- */
-
-/* Wait for a free reader, and for the scheduler's. It reads in one transaction until its release.
- * If that cannot start, all its statements return the error. */
-struct mo_connection *mo_reader_acquire(struct mo_store *store);
-struct mo_connection *mo_runner_acquire(struct mo_store *store);
-void mo_reader_release(struct mo_store *store, struct mo_connection *connection);
-static inline void mo_reader_leave(struct mo_connection *const *reader)
-{
-  mo_reader_release((*reader)->store, *reader);
-}
-/* Releases the reader at the end of the block, however the block is left. */
-#define MO_SCOPED __attribute__((cleanup(mo_reader_leave)))
-int mo_readers_open(struct mo_store *store);
-
 /* ---- statements with their values ---- */
 
 /* The value of a parameter. Text and bytes must outlive the query. */
