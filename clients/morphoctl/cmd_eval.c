@@ -1,11 +1,11 @@
 /* cmd_eval.c: eval and verify. */
 #include <errno.h>
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 
 #include "commands.h"
+#include "results.h"
 
 static void fill_record(const struct ctl *ctl, json_t *request)
 {
@@ -80,103 +80,7 @@ void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fo
     fprintf(stderr, "%zu trajectories in %s\n", n_files, folder);
 }
 
-/* ---- results ---- */
-
-static int compare_ranked(const void *a, const void *b)
-{
-  const struct ranked *x = a, *y = b;
-  if (x->is_bound != y->is_bound)
-    return x->is_bound ? 1 : -1;
-  if (x->score != y->score)
-    return x->score < y->score ? -1 : 1;
-  return x->place < y->place ? -1 : x->place > y->place;
-}
-
-struct ranked *rank_results(const json_t *results, bool by_score)
-{
-  const size_t n = json_array_size(results);
-  struct ranked *order = keep(calloc(n + 1, sizeof(*order)));
-  for (size_t i = 0; i < n; i++) {
-    const json_t *result = json_array_get(results, i);
-    const double score = real_at(result, "score");
-    order[i] = (struct ranked){i, isnan(score) ? (double)INFINITY : score,
-                               json_is_true(json_object_get(result, "lower_bound"))};
-  }
-  if (by_score)
-    qsort(order, n, sizeof(*order), compare_ranked);
-  return order;
-}
-
-/* Returns a copy of a result with what the table shows besides: number, name, note, and of a score
- * that is not a lower bound the best and the worst loss. */
-static json_t *result_row(const json_t *result, size_t number, const char *name)
-{
-  const json_t *losses = json_object_get(result, "losses"), *best = NULL, *worst = NULL, *loss,
-               *agrees = json_object_get(result, "agrees");
-  const char *note = json_is_true(agrees)    ? "the same"
-                     : json_is_false(agrees) ? "DIFFERENT"
-                                             : "nothing stored";
-  const bool is_whole = !json_is_true(json_object_get(result, "lower_bound"));
-  size_t k;
-  json_array_foreach(losses, k, loss)
-  {
-    if (!is_whole || !json_is_number(loss))
-      continue;
-    if (best == NULL || json_number_value(loss) < json_number_value(best))
-      best = loss;
-    if (worst == NULL || json_number_value(loss) > json_number_value(worst))
-      worst = loss;
-  }
-  json_t *row = json_pack("{s:I, s:s*, s:O*, s:O*}", "number", (json_int_t)number, "name", name,
-                          "best", best, "worst", worst);
-  if (agrees != NULL)
-    json_object_set_new(row, "note", json_string(note));
-  json_object_update_missing(row, (json_t *)result);
-  return row;
-}
-
-static const char *name_of(const struct designs *designs, size_t i)
-{
-  return designs != NULL ? json_string_value(json_array_get(designs->names, i)) : NULL;
-}
-
-/* Returns which design of the request result i belongs to: results in pages have its number. */
-static size_t place_of(const json_t *results, size_t i)
-{
-  const json_t *number = json_object_get(json_array_get(results, i), "number");
-  return number != NULL ? (size_t)json_integer_value(number) : i;
-}
-
-void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
-                   bool by_score, size_t top)
-{
-  const json_t *results = json_object_get(evaluation, "results");
-  const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
-  struct ranked *order = rank_results(results, by_score);
-  json_t *rows = keep(json_array());
-  bool named = false, verified = false;
-  char columns[512];
-  for (size_t i = 0; i < n; i++) {
-    named |= name_of(designs, place_of(results, i)) != NULL;
-    verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
-  }
-  for (size_t r = 0; r < shown; r++) {
-    const size_t i = order[r].place;
-    const size_t place = place_of(results, i);
-    json_array_append_new(rows,
-                          result_row(json_array_get(results, i), place, name_of(designs, place)));
-  }
-  snprintf(columns, sizeof(columns),
-           ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
-           "]{score:.4f}|>best={best:.4f}"
-           "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
-           "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
-           named ? "|name={name}" : "", verified ? "bits" : "note");
-  print_table(stdout, ctl, rows, columns);
-  say_orientations(ctl, results);
-  if (shown < n)
-    printf("… and %zu more\n", n - shown);
-}
+/* ---- eval ---- */
 
 static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
                              const struct designs *designs, bool by_score, size_t top)

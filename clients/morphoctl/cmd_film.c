@@ -16,6 +16,7 @@
 
 #include "../film/raster.h"
 #include "commands.h"
+#include "results.h"
 
 #define ROBOTS_MAX     16
 #define LAST_S         1.0 /* how long the last frame stays */

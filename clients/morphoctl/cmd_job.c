@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "commands.h"
+#include "results.h"
 
 void run_job_list(struct ctl *ctl)
 {

@@ -94,8 +94,7 @@ void run_version(struct ctl *ctl)
 
 void run_completion(struct ctl *ctl)
 {
-  (void)ctl;
-  options_print_completion(stdout);
+  options_print_completion(stdout, ctl);
 }
 
 /* ---- the pages ---- */

@@ -46,17 +46,6 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
 
 /* Saves trajectories of an evaluation as NumPy files, with evaluation.json, in a new folder. */
 void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
-struct ranked {
-  size_t place;  /* position in the request */
-  double score;  /* +infinity: diverged */
-  bool is_bound; /* a lower bound, which is behind every score */
-};
-/* Ranks results, in their order or the best first. */
-struct ranked *rank_results(const json_t *results, bool by_score);
-/* Prints the results of a finished evaluation as a table. designs: nullable, for
- * their names. */
-void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
-                   bool by_score, size_t top);
 
 /* ---- cmd_film.c ---- */
 
@@ -110,6 +99,10 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
     "finished", "{finished_at:time}"                                                               \
   }
 
+/* Prints JSON on one line of standard output. */
+void put_json(const json_t *json, size_t flags);
+/* Prints JSON from the API, indented on a terminal. */
+void print_json(const json_t *json);
 /* Prints the reply to a GET: JSON with --json, else what `print` makes of it. */
 void show(struct ctl *ctl, const char *path,
           void (*print)(const struct ctl *ctl, const json_t *json));
@@ -140,11 +133,8 @@ void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *co
 
 /* ---- plain.c ---- */
 
-/* Writes JSON as text; numbers have the fewest digits that read back (malloc). flags: jansson's. */
+/* Writes JSON as text; numbers have the fewest digits that read back (malloc). flags: jansson's.
+ * NULL: no memory. */
 char *dump_json(const json_t *json, size_t flags);
-/* Prints JSON on one line of standard output. */
-void put_json(const json_t *json, size_t flags);
-/* Prints JSON from the API, indented on a terminal. */
-void print_json(const json_t *json);
 
 #endif

@@ -69,6 +69,13 @@ void expect_success(const char *noun, const json_t *job)
 
 /* ---- output ---- */
 
+void put_json(const json_t *json, size_t flags)
+{
+  char *text = need(dump_json(json, flags));
+  puts(text);
+  free(text);
+}
+
 void print_json(const json_t *json)
 {
   put_json(json, isatty(STDOUT_FILENO) ? JSON_INDENT(2) : JSON_COMPACT);

@@ -53,6 +53,8 @@ struct command {
 
 /* One run of the program. */
 struct ctl {
+  const struct command *commands; /* (n_commands) all of them */
+  size_t n_commands;
   const struct command *command;
   struct given *given; /* in order of appearance */
   size_t n_given;
@@ -87,6 +89,10 @@ void close_text(FILE *file);               /* of open_memstream */
 
 /* Prints "morphoctl: …" on standard error, as plain text; returns `status`. */
 int complain(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
+/* Says that a line of progress begins on standard error, and returns whether it stands there
+ * already; erases it. */
+bool progress_begin(void);
+void progress_end(void);
 /* Ends the program with a status, once standard output is written. */
 _Noreturn void leave(int status);
 /* Complains, and ends the program. */
@@ -103,8 +109,9 @@ void catch_interrupts(const char *words);
 /* Finds the command and reads its options. Ends the program if help was printed, or the usage is
  * wrong. */
 void options_parse(struct ctl *ctl, int argc, const char *const *argv);
-void options_print_help(FILE *file, const struct command *command); /* NULL: of the whole program */
-void options_print_completion(FILE *file);                          /* for bash */
+/* Prints the help of a command; NULL: of the whole program. */
+void options_print_help(FILE *file, const struct ctl *ctl, const struct command *command);
+void options_print_completion(FILE *file, const struct ctl *ctl); /* for bash */
 
 bool option_is_set(const struct ctl *ctl, const char *name);
 const char *option_text(const struct ctl *ctl, const char *name,
@@ -120,9 +127,10 @@ int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int6
 /* ---- plain.c: shows text from elsewhere without obeying its escapes ---- */
 
 /* Replaces control characters (C0, DEL, C1) by question marks, and escapes characters that only
- * change how others are shown, such as bidirectional ones: \u202e (malloc). */
+ * change how others are shown, such as bidirectional ones: \u202e (malloc). NULL: no memory. */
 char *plain_text(const char *text);
-/* Prints text in this way. The format must have no control characters either. */
+/* Print text in this way, or without memory nothing. The format must have no control characters
+ * either. */
 void print_plain(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3)));
 void print_plain_line(FILE *file, const char *format, ...)
     __attribute__((format(printf, 2, 3))); /* and a newline */

@@ -90,7 +90,7 @@ static void fill_standard_descriptors(void)
 
 int main(int argc, char **argv)
 {
-  struct ctl ctl = {0};
+  struct ctl ctl = {.commands = commands, .n_commands = n_commands};
   fill_standard_descriptors();
   setlocale(LC_CTYPE, "");
   options_parse(&ctl, argc, (const char *const *)argv);

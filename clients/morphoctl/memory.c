@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "ctl.h"
-#include "table.h"
 
 static volatile sig_atomic_t interrupt_seen;
 static const char *farewell;
@@ -42,6 +41,22 @@ void close_text(FILE *file)
 }
 
 /* ---- the end ---- */
+
+static bool progress_stands;
+
+bool progress_begin(void)
+{
+  const bool stood = progress_stands;
+  progress_stands = true;
+  return stood;
+}
+
+void progress_end(void)
+{
+  if (progress_stands)
+    fputs("\r\033[K", stderr);
+  progress_stands = false;
+}
 
 static void complain_list(const char *format, va_list arguments)
 {

@@ -50,7 +50,7 @@ static void print_options(FILE *file, const struct option_spec *options)
   }
 }
 
-void options_print_help(FILE *file, const struct command *command)
+void options_print_help(FILE *file, const struct ctl *ctl, const struct command *command)
 {
   if (command != NULL) {
     fprintf(file, "Usage: morphoctl %s [OPTION]...%s%s\n", command->name,
@@ -71,8 +71,8 @@ void options_print_help(FILE *file, const struct command *command)
   fputs("Usage: morphoctl COMMAND [OPTION]... [OPERAND]...\n"
         "Scores voxel robots and looks after the work of a morphod server.\n\nCommands:\n",
         file);
-  for (size_t i = 0; i < n_commands; i++)
-    fprintf(file, "  %-18s %s\n", commands[i].name, commands[i].summary);
+  for (size_t i = 0; i < ctl->n_commands; i++)
+    fprintf(file, "  %-18s %s\n", ctl->commands[i].name, ctl->commands[i].summary);
   fputs("\nCommon options:\n", file);
   print_options(file, common_options);
   fputs("\nExit status: 0 done; 1 error; 2 wrong use; 3 not found, or the answer is no; 4 no "
@@ -82,7 +82,7 @@ void options_print_help(FILE *file, const struct command *command)
         file);
 }
 
-void options_print_completion(FILE *file)
+void options_print_completion(FILE *file, const struct ctl *ctl)
 {
   fputs("# bash completion of morphoctl; written by `morphoctl completion`.\n"
         "_morphoctl() {\n"
@@ -92,32 +92,33 @@ void options_print_completion(FILE *file)
         "  if [ \"$COMP_CWORD\" -eq 1 ]; then\n"
         "    mapfile -t COMPREPLY < <(compgen -W \"",
         file);
-  for (size_t i = 0; i < n_commands; i++) {
-    size_t length = strcspn(commands[i].name, " ");
-    if (i == 0 || strncmp(commands[i].name, commands[i - 1].name, length) != 0 ||
-        strcspn(commands[i - 1].name, " ") != length)
-      fprintf(file, "%.*s ", (int)length, commands[i].name);
+  for (size_t i = 0; i < ctl->n_commands; i++) {
+    size_t length = strcspn(ctl->commands[i].name, " ");
+    if (i == 0 || strncmp(ctl->commands[i].name, ctl->commands[i - 1].name, length) != 0 ||
+        strcspn(ctl->commands[i - 1].name, " ") != length)
+      fprintf(file, "%.*s ", (int)length, ctl->commands[i].name);
   }
   fputs("\" -- \"$word\")\n    return\n  fi\n  case \"$first $second\" in\n", file);
-  for (size_t i = 0; i < n_commands; i++) {
-    bool two = strchr(commands[i].name, ' ') != NULL;
-    fprintf(file, "    \"%s\"%s) options=\"", commands[i].name, two ? "" : "\\ *");
-    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL;
-         spec++)
+  for (size_t i = 0; i < ctl->n_commands; i++) {
+    bool two = strchr(ctl->commands[i].name, ' ') != NULL;
+    fprintf(file, "    \"%s\"%s) options=\"", ctl->commands[i].name, two ? "" : "\\ *");
+    for (const struct option_spec *spec = ctl->commands[i].options;
+         spec != NULL && spec->name != NULL; spec++)
       fprintf(file, "--%s ", spec->name);
     for (const struct option_spec *spec = common_options; spec->name != NULL; spec++)
       fprintf(file, "--%s ", spec->name);
     fputs("\" ;;\n", file);
   }
-  for (size_t i = 0; i < n_commands; i++) {
-    size_t length = strcspn(commands[i].name, " ");
-    if (commands[i].name[length] == 0 ||
-        (i > 0 && strncmp(commands[i].name, commands[i - 1].name, length + 1) == 0))
+  for (size_t i = 0; i < ctl->n_commands; i++) {
+    size_t length = strcspn(ctl->commands[i].name, " ");
+    if (ctl->commands[i].name[length] == 0 ||
+        (i > 0 && strncmp(ctl->commands[i].name, ctl->commands[i - 1].name, length + 1) == 0))
       continue;
-    fprintf(file, "    \"%.*s \"*) options=\"", (int)length, commands[i].name);
-    for (size_t j = i;
-         j < n_commands && strncmp(commands[j].name, commands[i].name, length + 1) == 0; j++)
-      fprintf(file, "%s ", commands[j].name + length + 1);
+    fprintf(file, "    \"%.*s \"*) options=\"", (int)length, ctl->commands[i].name);
+    for (size_t j = i; j < ctl->n_commands &&
+                       strncmp(ctl->commands[j].name, ctl->commands[i].name, length + 1) == 0;
+         j++)
+      fprintf(file, "%s ", ctl->commands[j].name + length + 1);
     fputs("\" ;;\n", file);
   }
   fputs("    *) options= ;;\n  esac\n"
@@ -162,37 +163,40 @@ static _Noreturn void refuse_option(const struct command *command, const char *t
 }
 
 /* Finds the command that the first words name. *used: number of its words. */
-static const struct command *find_command(int argc, const char *const *argv, int *used)
+static const struct command *find_command(const struct ctl *ctl, int argc, const char *const *argv,
+                                          int *used)
 {
   const size_t length = strlen(argv[1]);
-  for (size_t i = 0; i < n_commands; i++) {
-    const char *rest = commands[i].name + length;
-    if (strncmp(commands[i].name, argv[1], length) != 0)
+  for (size_t i = 0; i < ctl->n_commands; i++) {
+    const char *rest = ctl->commands[i].name + length;
+    if (strncmp(ctl->commands[i].name, argv[1], length) != 0)
       continue;
     *used = *rest == 0 ? 1 : 2;
     if (*rest == 0 || (*rest == ' ' && argc > 2 && strcmp(argv[2], rest + 1) == 0))
-      return &commands[i];
+      return &ctl->commands[i];
   }
   return NULL;
 }
 
-static _Noreturn void refuse_command(int argc, const char *const *argv)
+static _Noreturn void refuse_command(const struct ctl *ctl, int argc, const char *const *argv)
 {
   size_t length = strlen(argv[1]);
   bool group = false;
-  for (size_t i = 0; i < n_commands; i++)
-    if (strncmp(commands[i].name, argv[1], length) == 0 && commands[i].name[length] == ' ') {
+  for (size_t i = 0; i < ctl->n_commands; i++)
+    if (strncmp(ctl->commands[i].name, argv[1], length) == 0 &&
+        ctl->commands[i].name[length] == ' ') {
       if (!group)
         fprintf(stderr, "morphoctl: %s%s%s; the commands are\n", argv[1],
                 argc > 2 ? " has no command " : " needs a command", argc > 2 ? argv[2] : "");
       group = true;
-      fprintf(stderr, "  morphoctl %-18s %s\n", commands[i].name, commands[i].summary);
+      fprintf(stderr, "  morphoctl %-18s %s\n", ctl->commands[i].name, ctl->commands[i].summary);
     }
   if (group)
     leave(argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0)
               ? STATUS_OK
               : STATUS_USAGE);
-  const char *near = did_you_mean("", argv[1], &commands->name, n_commands, sizeof(*commands));
+  const char *near =
+      did_you_mean("", argv[1], &ctl->commands->name, ctl->n_commands, sizeof(*ctl->commands));
   fail(STATUS_USAGE, "there is no command \"%s\"%s", argv[1],
        *near != 0 ? near : "; see morphoctl --help");
 }
@@ -277,9 +281,10 @@ static bool is_number_of_operands(const char *operands, size_t n)
   return n >= min && n <= max;
 }
 
-static _Noreturn void print_help(FILE *file, const struct command *command, int status)
+static _Noreturn void print_help(FILE *file, const struct ctl *ctl, const struct command *command,
+                                 int status)
 {
-  options_print_help(file, command);
+  options_print_help(file, ctl, command);
   leave(status);
 }
 
@@ -289,12 +294,12 @@ void options_parse(struct ctl *ctl, int argc, const char *const *argv)
   int leading = count_leading(argc, argv), n = argc - leading, used = 0;
   const char *const *words = argv + leading; /* words[1] is the command */
   if (n < 2)
-    print_help(stderr, NULL, STATUS_USAGE);
+    print_help(stderr, ctl, NULL, STATUS_USAGE);
   if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0)
-    print_help(stdout, NULL, STATUS_OK);
+    print_help(stdout, ctl, NULL, STATUS_OK);
   const bool helps = strcmp(words[1], "help") == 0;
   if (helps && (n < 3 || is_option(words[2])))
-    print_help(stdout, NULL, STATUS_OK);
+    print_help(stdout, ctl, NULL, STATUS_OK);
   if (helps) {
     words++;
     n--;
@@ -305,17 +310,17 @@ void options_parse(struct ctl *ctl, int argc, const char *const *argv)
   if (is_option(words[1]))
     fail(STATUS_USAGE,
          "%s is not an option of every command: the options of a command stand after it", words[1]);
-  ctl->command = find_command(n, words, &used);
+  ctl->command = find_command(ctl, n, words, &used);
   if (ctl->command == NULL)
-    refuse_command(n, words);
+    refuse_command(ctl, n, words);
   if (helps)
-    print_help(stdout, ctl->command, STATUS_OK);
+    print_help(stdout, ctl, ctl->command, STATUS_OK);
   ctl->given = keep(calloc((size_t)argc, sizeof(*ctl->given)));
   ctl->operands = keep(calloc((size_t)argc, sizeof(*ctl->operands)));
   parse_words(ctl, leading, argv + 1);
   parse_words(ctl, n - 1 - used, words + 1 + used);
   if (option_is_set(ctl, "help"))
-    print_help(stdout, ctl->command, STATUS_OK);
+    print_help(stdout, ctl, ctl->command, STATUS_OK);
   if (!is_number_of_operands(ctl->command->operands, ctl->n_operands))
     fail(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", ctl->command->name,
          ctl->command->operands);

@@ -35,8 +35,10 @@ static unsigned long character_at(const char *begin, size_t *bytes)
 
 char *plain_text(const char *text)
 {
-  char *plain = need(malloc(3 * strlen(text) + 1)), *out = plain; /* 2 bytes become at most 6 */
+  char *plain = malloc(3 * strlen(text) + 1), *out = plain; /* 2 bytes become at most 6 */
   size_t bytes;
+  if (plain == NULL)
+    return NULL;
   for (const char *at = text; *at != 0; at += bytes) {
     const unsigned long c = character_at(at, &bytes);
     if (is_control(c)) {
@@ -58,7 +60,8 @@ void print_plain_list(FILE *file, const char *format, va_list arguments)
   if (vasprintf(&text, format, arguments) < 0)
     return;
   char *plain = plain_text(text);
-  fputs(plain, file);
+  if (plain != NULL)
+    fputs(plain, file);
   free(plain);
   free(text);
 }
@@ -127,12 +130,8 @@ char *dump_json(const json_t *json, size_t flags)
     }
   }
   free(text);
-  return need(made.failed ? NULL : made.data);
-}
-
-void put_json(const json_t *json, size_t flags)
-{
-  char *text = dump_json(json, flags);
-  puts(text);
-  free(text);
+  if (!made.failed)
+    return made.data;
+  mo_text_free(&made);
+  return NULL;
 }

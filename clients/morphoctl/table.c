@@ -328,8 +328,6 @@ double monotonic_s(void)
   return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
 }
 
-static bool is_shown;
-
 void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total,
                    const char *what)
 {
@@ -339,12 +337,11 @@ void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64
   if (!ctl->progress || ctl->quiet)
     return;
   double now = monotonic_s();
-  if (!is_shown || shown == NULL || strcmp(shown, what) != 0) {
+  if (!progress_begin() || shown == NULL || strcmp(shown, what) != 0) {
     begin_s = now;
     first_done = done;
     shown = what;
   }
-  is_shown = true;
   struct winsize window = {0};
   int columns =
       ioctl(STDERR_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 ? window.ws_col : 80;
@@ -373,11 +370,4 @@ void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64
     fputc(']', stderr);
   }
   fflush(stderr);
-}
-
-void progress_end(void)
-{
-  if (is_shown)
-    fputs("\r\033[K", stderr);
-  is_shown = false;
 }

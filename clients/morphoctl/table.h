@@ -51,7 +51,6 @@ size_t text_width(const char *text);
  * 0:21 left". what: "rollouts". */
 void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64_t total,
                    const char *what);
-void progress_end(void);
 double monotonic_s(void);
 
 #endif

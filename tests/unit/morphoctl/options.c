@@ -11,7 +11,7 @@ static struct ctl parse(const char *line)
   static char words[256];
   const char *argv[32] = {"morphoctl"};
   int argc = 1;
-  struct ctl ctl = {0};
+  struct ctl ctl = {.commands = commands, .n_commands = n_commands};
   snprintf(words, sizeof(words), "%s", line);
   for (char *word = strtok(words, " "); word != NULL; word = strtok(NULL, " "))
     argv[argc++] = word;
@@ -92,7 +92,7 @@ static void help_and_manual(void)
     size_t length = 0;
     FILE *memory = open_memstream(&text, &length);
     REQUIRE(memory != NULL);
-    options_print_help(memory, &commands[i]);
+    options_print_help(memory, NULL, &commands[i]);
     fclose(memory);
     CHECK(strstr(text, commands[i].summary) != NULL || length > 200);
     free(text);

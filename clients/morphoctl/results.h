@@ -1,0 +1,19 @@
+/* results.h: the results of an evaluation, ranked, and as a table. */
+#ifndef MORPHOCTL_RESULTS_H
+#define MORPHOCTL_RESULTS_H
+
+#include "commands.h"
+
+struct ranked {
+  size_t place;  /* position in the request */
+  double score;  /* +infinity: diverged */
+  bool is_bound; /* a lower bound, which is behind every score */
+};
+/* Ranks results, in their order or the best first. */
+struct ranked *rank_results(const json_t *results, bool by_score);
+/* Prints the results of a finished evaluation as a table. designs: nullable, for
+ * their names. */
+void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
+                   bool by_score, size_t top);
+
+#endif
