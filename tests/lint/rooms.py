@@ -2,14 +2,17 @@
 """Enforces the order of the rooms: a room includes only itself, rooms above it, and the libraries
 that it is given.
 
-Prints TAP: one line per room, that no files of a room call each other in a circle, then the rules
-that hold for all code, among them the size of private headers, and that each rule can fail."""
+Prints TAP: one line per room, that no files of a room or a client use each other in a circle
+(circles.py), then the rules that hold for all code, among them the size of private headers, and
+that each rule can fail."""
 import re
 import sys
 import tempfile
 from pathlib import Path
 
+import circles
 import tap
+from circles import COMMENT, INCLUDE, circles_of, code_files
 
 # Rooms in order of dependence, with the foreign headers that each may use beside the C library's.
 ROOMS = {
@@ -41,19 +44,9 @@ PUBLIC = {
     "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout",
     "compute.h": "compute", "learning.h": "learning", "evolution.h": "evolution"
 }
-INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.M)
 SPEAKS = re.compile(
     r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
 HEADER_LINES = 150
-NAME = re.compile(r"\bmo_\w+")
-DEFINITION = re.compile(
-    r"^(?!static\b|typedef\b|extern\b)[a-z][\w \*]*?\b(mo_\w+)\([^;{}]*\)\s*\{", re.M)
-COMMENT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.S)
-
-
-def code_files(folder):
-    return sorted(p for p in folder.rglob("*")
-                  if p.suffix in (".c", ".h", ".inc", ".cu", ".cuh")) if folder.is_dir() else []
 
 
 def room_of(include, path, top):
@@ -108,30 +101,6 @@ def faults_of(room, top):
     return faults
 
 
-def circles_of(room, top):
-    """Files of a room that call each other in a circle, by the public functions that they name."""
-    texts = {p: COMMENT.sub(" ", p.read_text()) for p in code_files(top / "src" / room)
-             if p.suffix == ".c"}
-    owner = {name: path for path, text in texts.items() for name in DEFINITION.findall(text)}
-    calls = {
-        path: {owner[name] for name in NAME.findall(text) if name in owner} - {path}
-        for path, text in texts.items()
-    }
-    reached = {}
-    for path in texts:
-        reached[path], left = set(), list(calls[path])
-        while left:
-            callee = left.pop()
-            if callee not in reached[path]:
-                reached[path].add(callee)
-                left += calls[callee]
-    return sorted({
-        "these files call each other in a circle: " +
-        ", ".join(sorted(q.name for q in reached[path] if path in reached[q]))
-        for path in texts if path in reached[path]
-    })
-
-
 def headers_of(top):
     """Private headers that are too long."""
     return [
@@ -166,7 +135,9 @@ def report(top):
         f"include/morpho/{p.name} belongs to no room" for p in (top / "include/morpho").glob("*.h")
         if p.name not in PUBLIC
     ]
-    results += [(f"no circle in {room}", circles_of(room, top)) for room in ROOMS]
+    folders = [top / "src" / room for room in ROOMS] + sorted((top / "clients").glob("*/"))
+    results += [(f"no circle in {folder.relative_to(top)}", circles_of(folder, top))
+                for folder in folders if code_files(folder)]
     results.append(("every folder of src is a room", strangers + unlisted))
     results.append(("private headers are short", headers_of(top)))
     results.append(("clients use the HTTP API alone", client_faults(top)))
@@ -199,14 +170,14 @@ def self_test():
                 (top / name).parent.mkdir(parents=True, exist_ok=True)
                 (top / name).write_text(text)
             if not any(faults for _, faults in report(top)):
-                missed.append(rule)
+                missed.append(f"not noticed: {rule}")
     return missed
 
 
 def main():
     top = Path(__file__).resolve().parents[2]
     results = report(top) + [
-        ("each rule can fail", [f"not noticed: {rule}" for rule in self_test()])
+        ("each rule can fail", self_test() + circles.self_test())
     ]
     return tap.report(results)
 
