@@ -2,12 +2,13 @@
  *
  * A block takes a group of rows and lives its lives from the first step to the last, then takes the
  * next group. Positions, activations and the springs' lengths stay in shared memory; velocities are
- * the block's own in global memory, and seldom leave the caches. A step: sense    sixteen lanes per
- * row: the light's mean, then the inputs of the first layer think    three hidden layers, then
- * tiles of springs: the length that each wants to have pull     a thread per mass and row adds its
- * springs up, each seen from both of its ends: no two threads write one number move     the same
- * thread moves the mass A row's numbers come from its own inputs in a fixed order, wherever it
- * stands.
+ * the block's own in global memory, and seldom leave the caches. A step:
+ *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
+ *   think    three hidden layers, then tiles of springs: the length that each wants to have
+ *   pull     a thread per mass and row adds its springs up, each seen from both of its ends: no two
+ *            threads write one number
+ *   move     the same thread moves the mass
+ * A row's numbers come from its own inputs in a fixed order, wherever it stands.
  *
  * There are two of it. For any device: 256 threads and at most 40 rows, two blocks on a
  * multiprocessor, so that one's physics runs beside the other's products (score_think_narrow.cuh,
