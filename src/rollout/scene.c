@@ -44,37 +44,6 @@ void mo_scene_com(const double *position_m, uint32_t n, double com_m[3])
     com_m[axis] = sum[axis] / n;
 }
 
-/* With e the square root of the rounded sum of squares, e² exceeds a² + b² by the rounding error,
- * which one step of Newton's method removes. The excess is written so that its parts are small and
- * nearly exact: one way for b near a, another for b below about a/2 (C. F. Borges, "An improved
- * algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
-double mo_scene_distance(double dx_m, double dy_m)
-{
-  double a = fmax(fabs(dx_m), fabs(dy_m)), b = fmin(fabs(dx_m), fabs(dy_m));
-  double unit = 1.0;
-  if (isinf(dx_m) || isinf(dy_m))
-    return INFINITY;
-  if (isnan(dx_m) || isnan(dy_m))
-    return NAN;
-  if (b <= a * 0x1p-54)
-    return a + b;
-  if (a > 0x1p510 || b < 0x1p-459) { /* the squares leave float64's range */
-    unit = a > 0x1p510 ? 0x1p600 : 0x1p-600;
-    a /= unit;
-    b /= unit;
-  }
-  const double e = sqrt(a * a + b * b);
-  double excess;
-  if (e <= 2.0 * b) {
-    const double rest = e - b;
-    excess = a * (2.0 * rest - a) + (rest - 2.0 * (a - b)) * rest;
-  } else {
-    const double rest = e - a;
-    excess = 2.0 * rest * (a - 2.0 * b) + ((4.0 * rest - b) * b + rest * rest);
-  }
-  return (e - excess / (2.0 * e)) * unit;
-}
-
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment)
 {
   const struct mo_goal goal = mo_goal_of(environment, outcome->com_start_m);

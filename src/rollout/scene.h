@@ -24,11 +24,6 @@ static inline int8_t mo_scene_actuation(double output)
   return (int8_t)lrint(127 * fmax(-1, fmin(1, output)));
 }
 
-/* Returns the length of (dx, dy), within one unit of the last place. C libraries' hypot may differ
- * in that place; this has the same bits everywhere, on which losses and the clipping of a training
- * depend. */
-double mo_scene_distance(double dx_m, double dy_m);
-
 /* Sets the loss of an outcome of which the rest is known: that of objective.inc; infinity where the
  * rollout diverged. */
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment);

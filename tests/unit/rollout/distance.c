@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "../make.h"
-#include "rollout/scene.h"
+#include "rollout/distance.h"
 
 #define PAIRS 200000
 
@@ -27,14 +27,14 @@ static void exact(void)
     for (size_t s = 0; s < COUNT(scales); s++) {
       const double a = ldexp(triples[i][0], scales[s]), b = ldexp(triples[i][1], scales[s]);
       const double c = ldexp(triples[i][2], scales[s]);
-      same(mo_scene_distance(a, b), c);
-      same(mo_scene_distance(-b, a), c);
+      same(mo_distance(a, b), c);
+      same(mo_distance(-b, a), c);
     }
-  same(mo_scene_distance(INFINITY, NAN), INFINITY);
-  same(mo_scene_distance(1, -INFINITY), INFINITY);
-  same(mo_scene_distance(0x1.fp1023, 0x1.fp1023), INFINITY);
-  same(mo_scene_distance(0x1p-1074, 0), 0x1p-1074);
-  CHECK(isnan(mo_scene_distance(NAN, 1)) && isnan(mo_scene_distance(0, NAN)));
+  same(mo_distance(INFINITY, NAN), INFINITY);
+  same(mo_distance(1, -INFINITY), INFINITY);
+  same(mo_distance(0x1.fp1023, 0x1.fp1023), INFINITY);
+  same(mo_distance(0x1p-1074, 0), 0x1p-1074);
+  CHECK(isnan(mo_distance(NAN, 1)) && isnan(mo_distance(0, NAN)));
 }
 
 /* Distances as robots have them, in meters; one in eight pairs has numbers of very different size.
@@ -48,7 +48,7 @@ static void frozen(void)
     const double x = 8 * mo_random_uniform(&random) - 4;
     const double y =
         (8 * mo_random_uniform(&random) - 4) * (i % 8 == 0 ? ldexp(1, -(int)(i / 8 % 60)) : 1);
-    const double d = mo_scene_distance(x, y);
+    const double d = mo_distance(x, y);
     const long double right = sqrtl((long double)x * x + (long double)y * y);
     worst = fmax(
         worst, (double)(fabsl((long double)d - right) / ((long double)nextafter(d, INFINITY) - d)));
