@@ -192,12 +192,10 @@ static void run_with(struct result *r, const struct mo_controller *controller,
                .robots = s->robots + first,
                .n = n,
                .physics = *physics,
-               .adjoint_bound = options->adjoint_bound,
-               .adjoint_rule = options->adjoint_rule,
-               .restart_weight = options->restart_weight,
-               .weight = 1.0 / n,
+               .options = *options,
                .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
                .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
+  r->call.options.weight = 1.0 / n;
   memset(r->call.d_parameters, 0,
          shards * controller->n_parameters * sizeof(float)); /* as a caller's, which lasts */
   const double start = now_s();

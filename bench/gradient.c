@@ -204,7 +204,7 @@ static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t work
                                     .robots = s->scene->robots,
                                     .n = s->n,
                                     .physics = s->physics,
-                                    .adjoint_bound = MO_ADJOINT_BOUND,
+                                    .options.adjoint_bound = MO_ADJOINT_BOUND,
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
   if (urgent != NULL) {

@@ -138,9 +138,7 @@ static void run_fast(struct comparison *c, enum mo_isa isa)
                                     .robots = c->scene->robots,
                                     .n = c->n,
                                     .physics = c->physics,
-                                    .adjoint_bound = c->options.adjoint_bound,
-                                    .adjoint_rule = c->options.adjoint_rule,
-                                    .restart_weight = c->options.restart_weight,
+                                    .options = c->options,
                                     .d_parameters = c->fast,
                                     .outcomes = c->fast_outcomes};
   bench_check(mo_gradient_state_create(compute, &state), "state");

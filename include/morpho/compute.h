@@ -161,16 +161,13 @@ struct mo_gradient_batch {
   const struct mo_robot *robots; /* (n) */
   uint32_t n;                    /* 1 … 65536 */
   struct mo_physics physics;
-  double adjoint_bound; /* ≥ 0; 0: off */
-  enum mo_adjoint_rule adjoint_rule;
-  double restart_weight;
+  struct mo_gradient_options options; /* weight: of each robot's gradient; 0: 1 / n */
   enum mo_urgency urgency; /* MO_INTERACTIVE: runs before all waiting batch blocks, without
                               interrupting a running one */
   const volatile int *cancel;
   int64_t tag;
   struct mo_compute_share *share; /* as in a block */
   enum mo_back_end back_end;
-  double weight;    /* of each robot's gradient; 0: 1 / n */
   bool is_arranged; /* on the CPU: the robots already have the order of mo_gradient_arrange */
   bool is_strict;   /* on devices: what they do not support is MO_ERR_UNSUPPORTED */
   /* Results. */

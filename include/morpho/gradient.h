@@ -33,6 +33,7 @@ extern "C" {
 #endif
 
 #define MO_ADJOINT_BOUND      2.0
+#define MO_ADJOINT_BOUND_MAX  1e6 /* of settings */
 #define MO_ADJOINT_RATE_PER_S 15.0
 #define MO_RESTART_WEIGHT     3.0 /* docs/learning.md: the best of those measured */
 #define MO_RESTART_WEIGHT_MAX 1e6

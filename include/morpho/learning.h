@@ -33,7 +33,6 @@ extern "C" {
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6
-#define MO_ADJOINT_BOUND_MAX         1e6
 
 /* ---- learning rate ---- */
 
@@ -80,11 +79,9 @@ enum mo_training_kind {
 /* How weights follow from gradients; trainings and campaigns share this. */
 struct mo_learning {
   struct mo_schedule schedule;
-  double beta1, beta2, epsilon;      /* Adam: 0.9, 0.999, 1e-8 */
-  double norm_limit;                 /* limit of the batch gradient's global L2 norm; 1; 0: off */
-  double adjoint_bound;              /* per robot; MO_ADJOINT_BOUND; 0: off */
-  enum mo_adjoint_rule adjoint_rule; /* applied above the bound; MO_ADJOINT_CLIP */
-  double restart_weight;             /* for MO_ADJOINT_RESTART; MO_RESTART_WEIGHT */
+  double beta1, beta2, epsilon;        /* Adam: 0.9, 0.999, 1e-8 */
+  double norm_limit;                   /* limit of the batch gradient's global L2 norm; 1; 0: off */
+  struct mo_gradient_options gradient; /* the defaults; weight 0: the mean over the batch */
 };
 
 /* The defaults above, with a schedule. */

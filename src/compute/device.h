@@ -39,7 +39,7 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      4
+#define MO_DEVICE_ABI      5
 #define MO_DEVICE_SHARD    1024 /* consecutive robots whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 131072
 
@@ -76,10 +76,8 @@ struct mo_device_gradient {
   uint32_t n;                             /* 1 … MO_DEVICE_ROWS_MAX */
   struct mo_physics physics;
   struct mo_device_layout
-      *layout;                  /* NULL, or the finished layout of these same robots and physics */
-  double adjoint_bound, weight; /* as in mo_gradient_options */
-  enum mo_adjoint_rule adjoint_rule;
-  double restart_weight;
+      *layout; /* NULL, or the finished layout of these same robots and physics */
+  struct mo_gradient_options options;
   const volatile int *cancel; /* as above */
   /* Results. */
   float *d_parameters; /* (shards, n_parameters) the sum of each shard; robots that diverged or were

@@ -83,15 +83,6 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   free(state);
 }
 
-/* Options for one robot: its share of the batch mean. */
-static struct mo_gradient_options options_of(const struct mo_gradient_batch *batch)
-{
-  return (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound,
-                                      .weight = batch->weight != 0 ? batch->weight : 1.0 / batch->n,
-                                      .adjoint_rule = batch->adjoint_rule,
-                                      .restart_weight = batch->restart_weight};
-}
-
 /* Prepares a pack of the batch's controller; reuses the old one if it fits. */
 static int prepare_pack(struct mo_gradient_state *state, const struct mo_controller *controller)
 {
@@ -173,7 +164,7 @@ static int submit(struct call *call)
   task->pack = state->pack;
   task->n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
   memcpy(task->robots, part->robots + call->first, task->n * sizeof(*task->robots));
-  task->options = options_of(part);
+  task->options = mo_batch_options(part);
   task->stop = &shard->stop;
   task->counts = (struct mo_gradient_counts){0};
   task->d_parameters = (float *)state->d_parameters.at + place * stride_of(part);
@@ -266,7 +257,7 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
   int status = prepare(state, batch);
   if (status == MO_OK)
     status = mo_offer_open(&call.offer, state->compute, MO_ON_CPU, batch, state->order.at,
-                           options_of(batch).weight);
+                           mo_batch_options(batch).weight);
   if (status != MO_OK)
     return status;
   clear(batch, MO_ON_CPU);
@@ -302,7 +293,7 @@ static int compute_elsewhere(struct mo_gradient_state *state, struct mo_gradient
   for (uint32_t i = 0; i < batch->n; i++)
     ((uint32_t *)state->order.at)[i] = i;
   int status = mo_offer_open(&call.offer, state->compute, MO_ON_DEVICE, batch, state->order.at,
-                             options_of(batch).weight);
+                             mo_batch_options(batch).weight);
   if (status != MO_OK)
     return status;
   while (status == MO_OK && call.n_added < call.offer.n) {

@@ -101,6 +101,16 @@ struct mo_gradient_task {
   float *d_parameters; /* (n_parameters) */
   struct mo_gradient_counts counts;
 };
+/* Returns the options for each robot: its weight is its share of the batch's mean, unless the batch
+ * has one. */
+static inline struct mo_gradient_options mo_batch_options(const struct mo_gradient_batch *batch)
+{
+  struct mo_gradient_options options = batch->options;
+  if (options.weight == 0)
+    options.weight = 1.0 / batch->n;
+  return options;
+}
+
 /* A part of a batch for one device: shards of MO_DEVICE_SHARD robots. Its `block` stands in the
  * queue, like that of a gradient block. */
 struct mo_device_layout;

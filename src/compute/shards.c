@@ -83,7 +83,7 @@ int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_ba
     *part = *batch;
     part->robots = offer->robots + first;
     part->n = left < MO_GRADIENT_SHARD ? left : MO_GRADIENT_SHARD;
-    part->weight = weight;
+    part->options.weight = weight;
     part->is_arranged = true;
   }
   pthread_mutex_lock(&offer->fair->mutex);

@@ -59,10 +59,7 @@ static int copy_robots(const struct mo_gradient_batch *shard, struct numbers *nu
                        struct mo_wire_lease *content)
 {
   content->n_parameters = (uint32_t)shard->controller->n_parameters;
-  content->gradient = (struct mo_gradient_options){.adjoint_bound = shard->adjoint_bound,
-                                                   .weight = shard->weight,
-                                                   .adjoint_rule = shard->adjoint_rule,
-                                                   .restart_weight = shard->restart_weight};
+  content->gradient = shard->options;
   for (uint32_t i = 0; i < shard->n; i++) {
     struct mo_wire_block *to = &content->blocks[i];
     int number = number_of(numbers, content, shard->robots[i].environment);

@@ -9,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "rollout/gradient_options.h"
 #include "rollout/physics.h"
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "messages are little-endian");
@@ -23,24 +24,20 @@ struct lease {
   uint32_t flags, n_environments, n_blocks, n_rows;
   struct mo_sha256 controller;
 };
-struct gradient {
-  double adjoint_bound, weight, restart_weight;
-  uint32_t rule, n_parameters;
-};
 struct result {
   struct mo_lease_id id;
   uint32_t state, n_rows;
   double busy_s, wall_s;
 };
 _Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 64 &&
-                   sizeof(struct gradient) == 32 && sizeof(struct result) == 40 &&
-                   sizeof(struct mo_gradient_counts) == 56 &&
+                   sizeof(struct result) == 40 && sizeof(struct mo_gradient_counts) == 56 &&
                    sizeof(struct mo_environment) == 66 * 8,
                "without padding");
 
 #define ON_DEVICE          1u /* flags */
 #define GRADIENT           2u
 #define PHYSICS_SHIFT      8  /* of the version of the packed physics, less 1, in a byte */
+#define GRADIENT_SHIFT     16 /* of the version of the packed options, likewise */
 #define DONE_WITH_GRADIENT 3u /* state */
 
 static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
@@ -67,6 +64,13 @@ static bool get(struct codec *codec, void *value, size_t size)
   memcpy(value, codec->from + codec->at, size);
   codec->at += size;
   return true;
+}
+
+static void put_packed(struct codec *codec, const struct mo_fields *fields, unsigned version,
+                       const void *settings)
+{
+  mo_fields_pack(fields, version, settings, codec->to + codec->at);
+  codec->at += mo_fields_packed_bytes(fields, version);
 }
 
 static int open_message(int kind, uint32_t items, struct codec *codec)
@@ -144,17 +148,23 @@ static bool gradient_fits(const struct mo_wire_lease *lease)
          lease->n_rows == lease->n_blocks;
 }
 
-static size_t physics_bytes(const struct mo_physics *physics)
+static unsigned gradient_version(const struct mo_wire_lease *lease)
 {
-  uint8_t packed[sizeof(*physics)];
-  unsigned version;
-  return mo_physics_pack(physics, &version, packed) + sizeof(uint32_t);
+  const struct mo_gradient_options defaults = mo_default_gradient_options();
+  return mo_fields_version(&mo_gradient_packed_fields, &lease->gradient, &defaults);
+}
+
+static size_t gradient_bytes(const struct mo_wire_lease *lease)
+{
+  return mo_fields_packed_bytes(&mo_gradient_packed_fields, gradient_version(lease)) +
+         sizeof(lease->n_parameters);
 }
 
 static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)
 {
-  return sizeof(struct lease) + physics_bytes(&lease->physics) +
-         (lease->n_parameters > 0 ? sizeof(struct gradient) : 0) +
+  return sizeof(struct lease) +
+         mo_fields_packed_bytes(&mo_physics_fields, mo_physics_version(&lease->physics)) +
+         sizeof(uint32_t) + (lease->n_parameters > 0 ? gradient_bytes(lease) : 0) +
          lease->n_environments * sizeof(struct mo_environment) +
          lease->n_blocks * (genotype_bytes(workspace) + 1) + lease->n_rows * sizeof(uint16_t);
 }
@@ -163,27 +173,21 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
                       struct mo_workspace workspace)
 {
   const uint32_t zero = 0;
-  uint8_t physics[sizeof(lease->physics)];
-  unsigned version;
-  const size_t size = mo_physics_pack(&lease->physics, &version, physics);
-  const struct lease head = {.id = lease->id,
-                             .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) |
-                                      (lease->n_parameters > 0 ? GRADIENT : 0) |
-                                      (version - 1) << PHYSICS_SHIFT,
-                             .n_environments = lease->n_environments,
-                             .n_blocks = lease->n_blocks,
-                             .n_rows = lease->n_rows,
-                             .controller = lease->controller};
+  const unsigned physics = mo_physics_version(&lease->physics), gradient = gradient_version(lease);
+  const struct lease head = {
+      .id = lease->id,
+      .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) | (physics - 1) << PHYSICS_SHIFT |
+               (lease->n_parameters > 0 ? GRADIENT | (gradient - 1) << GRADIENT_SHIFT : 0),
+      .n_environments = lease->n_environments,
+      .n_blocks = lease->n_blocks,
+      .n_rows = lease->n_rows,
+      .controller = lease->controller};
   put(codec, &head, sizeof(head));
-  put(codec, physics, size);
+  put_packed(codec, &mo_physics_fields, physics, &lease->physics);
   put(codec, &zero, sizeof(zero));
   if (lease->n_parameters > 0) {
-    const struct gradient gradient = {.adjoint_bound = lease->gradient.adjoint_bound,
-                                      .weight = lease->gradient.weight,
-                                      .restart_weight = lease->gradient.restart_weight,
-                                      .rule = (uint32_t)lease->gradient.adjoint_rule,
-                                      .n_parameters = lease->n_parameters};
-    put(codec, &gradient, sizeof(gradient));
+    put_packed(codec, &mo_gradient_packed_fields, gradient, &lease->gradient);
+    put(codec, &lease->n_parameters, sizeof(lease->n_parameters));
   }
   put(codec, lease->environments, lease->n_environments * sizeof(struct mo_environment));
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
@@ -273,19 +277,29 @@ static int get_block(struct codec *codec, struct mo_workspace workspace,
   return check_genotype(block->genotype, workspace, lease->n_parameters == 0, message, i, b);
 }
 
-static int get_gradient(struct codec *codec, struct mo_wire_lease *lease, uint32_t i,
-                        struct mo_message *message)
+static int get_packed(struct codec *codec, const struct mo_fields *fields, unsigned version,
+                      void *settings, uint32_t i, struct mo_message *message)
 {
-  struct gradient gradient;
-  if (!get(codec, &gradient, sizeof(gradient)))
+  const size_t size = mo_fields_packed_bytes(fields, version);
+  if (size > codec->size - codec->at)
     return cut_off(message, "lease", i);
-  lease->n_parameters = gradient.n_parameters;
-  lease->gradient = (struct mo_gradient_options){.adjoint_bound = gradient.adjoint_bound,
-                                                 .weight = gradient.weight,
-                                                 .restart_weight = gradient.restart_weight};
-  if (gradient.rule > MO_ADJOINT_RESTART)
-    return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown rule %u", i, gradient.rule);
-  lease->gradient.adjoint_rule = (enum mo_adjoint_rule)gradient.rule;
+  codec->at += size;
+  return mo_fields_unpack(fields, version, codec->from + codec->at - size, settings)
+             ? MO_OK
+             : mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
+}
+
+static int get_gradient(struct codec *codec, struct mo_wire_lease *lease, unsigned version,
+                        uint32_t i, struct mo_message *message)
+{
+  lease->gradient = mo_default_gradient_options();
+  int error = get_packed(codec, &mo_gradient_packed_fields, version, &lease->gradient, i, message);
+  if (error != MO_OK)
+    return error;
+  if (!get(codec, &lease->n_parameters, sizeof(lease->n_parameters)))
+    return cut_off(message, "lease", i);
+  if (gradient_version(lease) != version)
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
   if (lease->n_parameters == 0 || !gradient_fits(lease) || lease->gradient.weight == 0 ||
       mo_gradient_options_check(&lease->gradient) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT,
@@ -299,13 +313,16 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
 {
   struct lease head;
   struct mo_message why = {""};
-  uint8_t physics[sizeof(lease->physics)];
   uint32_t zero;
   if (!get(codec, &head, sizeof(head)))
     return cut_off(message, "lease", i);
-  const unsigned version = 1 + (head.flags >> PHYSICS_SHIFT & UINT8_MAX);
-  if (!get(codec, physics, mo_fields_packed_bytes(&mo_physics_fields, version)) ||
-      !get(codec, &zero, sizeof(zero)))
+  const unsigned physics = 1 + (head.flags >> PHYSICS_SHIFT & UINT8_MAX);
+  const unsigned gradient = 1 + (head.flags >> GRADIENT_SHIFT & UINT8_MAX);
+  lease->physics = mo_default_physics();
+  int error = get_packed(codec, &mo_physics_fields, physics, &lease->physics, i, message);
+  if (error != MO_OK)
+    return error;
+  if (!get(codec, &zero, sizeof(zero)))
     return cut_off(message, "lease", i);
   lease->id = head.id;
   lease->controller = head.controller;
@@ -313,15 +330,16 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
   lease->n_environments = head.n_environments;
   lease->n_blocks = head.n_blocks;
   lease->n_rows = head.n_rows;
-  if ((head.flags & ~(ON_DEVICE | GRADIENT | UINT8_MAX << PHYSICS_SHIFT)) != 0 || zero != 0 ||
-      !mo_physics_unpack(version, physics, &lease->physics))
+  if ((head.flags & UINT8_MAX) > (ON_DEVICE | GRADIENT) || head.flags > 0xffffff || zero != 0 ||
+      (gradient != 1 && (head.flags & GRADIENT) == 0) ||
+      mo_physics_version(&lease->physics) != physics)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
   if (mo_physics_check(&lease->physics, &why) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: %s", i, why.text);
   if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows))
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: %u environments, %u blocks, %u rows", i,
                    head.n_environments, head.n_blocks, head.n_rows);
-  return head.flags & GRADIENT ? get_gradient(codec, lease, i, message) : MO_OK;
+  return head.flags & GRADIENT ? get_gradient(codec, lease, gradient, i, message) : MO_OK;
 }
 
 static int get_lease(struct codec *codec, struct mo_workspace workspace,

@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "base/text.h"
+#include "rollout/gradient_options.h"
 #include "rollout/physics.h"
 
 /* ---- schedule ---- */
@@ -128,14 +129,7 @@ static const struct mo_field learning_rows[] = {
     {"gradient_norm_limit", MO_FIELD_NUMBER, 0, AT(norm_limit), .min = 0,
      .max = MO_GRADIENT_NORM_LIMIT_MAX, .unit = "",
      .help = "largest norm of a step's gradient; 0: no limit"},
-    {"adjoint_bound", MO_FIELD_NUMBER, 0, AT(adjoint_bound), .min = 0, .max = MO_ADJOINT_BOUND_MAX,
-     .unit = "", .help = "bound of each robot's adjoint in the backward pass; 0: no bound"},
-    {"adjoint_rule", MO_FIELD_WORD, 0, AT(adjoint_rule), .words = mo_adjoint_words, .unit = "",
-     .help = "above the bound: clip, or restart the backward pass"},
-    {"restart_weight", MO_FIELD_NUMBER, 0, AT(restart_weight), .min = 0,
-     .max = MO_RESTART_WEIGHT_MAX, .unit = "",
-     .help = "restart: weight of what the adjoint restarts with, next to that of a rollout's end; "
-             "0: none"},
+    {NULL, MO_FIELD_INLINE, 0, AT(gradient), .group = &mo_gradient_fields},
 };
 #undef AT
 const struct mo_fields mo_learning_fields = MO_FIELDS(learning_rows);

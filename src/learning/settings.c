@@ -14,14 +14,14 @@ const char *const mo_learning_preset_words[] = {"workstation", "phototaxis", "pa
 
 struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule)
 {
-  return (struct mo_learning){.schedule = mo_schedule_presets[schedule],
-                              .beta1 = 0.9,
-                              .beta2 = 0.999,
-                              .epsilon = 1e-8,
-                              .norm_limit = 1.0,
-                              .adjoint_bound = MO_ADJOINT_BOUND,
-                              .adjoint_rule = MO_ADJOINT_CLIP,
-                              .restart_weight = MO_RESTART_WEIGHT};
+  struct mo_learning learning = {.schedule = mo_schedule_presets[schedule],
+                                 .beta1 = 0.9,
+                                 .beta2 = 0.999,
+                                 .epsilon = 1e-8,
+                                 .norm_limit = 1.0,
+                                 .gradient = mo_default_gradient_options()};
+  learning.gradient.weight = 0;
+  return learning;
 }
 
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
@@ -53,9 +53,9 @@ static void set_phototaxis(struct mo_training_settings *settings)
                                                      .cycle_growth = 22,
                                                      .warmup_steps = 5};
   settings->learning.beta1 = 0.8;
-  settings->learning.adjoint_bound = 8.0;
-  settings->learning.adjoint_rule = MO_ADJOINT_RESTART;
-  settings->learning.restart_weight = 3.0;
+  settings->learning.gradient.adjoint_bound = 8.0;
+  settings->learning.gradient.adjoint_rule = MO_ADJOINT_RESTART;
+  settings->learning.gradient.restart_weight = 3.0;
 }
 
 static void set_paper(struct mo_training_settings *settings)
@@ -64,7 +64,7 @@ static void set_paper(struct mo_training_settings *settings)
   settings->batch = BATCH_PAPER;
   settings->learning.schedule =
       mo_schedule_presets[finetune ? MO_SCHEDULE_PAPER_FINETUNE : MO_SCHEDULE_PAPER_PRETRAIN];
-  settings->learning.adjoint_bound = 0.0;
+  settings->learning.gradient.adjoint_bound = 0.0;
 }
 
 struct mo_training_settings mo_training_preset(enum mo_training_kind kind,

@@ -5,34 +5,12 @@
  * tape, then walks the tape in reverse, and computes the parameters' gradient once per segment. A
  * robot's gradient is summed in its own buffer and added to the result only when all of it is
  * finite. */
-#include "base/words.h"
 #include "rollout/adjoint.h"
 #include "rollout/scene.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-
-const char *const mo_adjoint_words[] = {"clip", "restart", NULL};
-
-struct mo_gradient_options mo_default_gradient_options(void)
-{
-  return (struct mo_gradient_options){.adjoint_bound = MO_ADJOINT_BOUND,
-                                      .weight = 1.0,
-                                      .adjoint_rule = MO_ADJOINT_CLIP,
-                                      .restart_weight = MO_RESTART_WEIGHT};
-}
-
-int mo_gradient_options_check(const struct mo_gradient_options *options)
-{
-  if (!isfinite(options->adjoint_bound) || !isfinite(options->weight) ||
-      !isfinite(options->restart_weight) || (unsigned)options->adjoint_rule > MO_ADJOINT_RESTART)
-    return MO_ERR_INVALID;
-  return options->adjoint_bound < 0 || options->restart_weight < 0 ||
-                 options->restart_weight > MO_RESTART_WEIGHT_MAX
-             ? MO_ERR_RANGE
-             : MO_OK;
-}
 
 struct gradient {
   struct mo_reference reference;

@@ -113,26 +113,15 @@ int mo_physics_check(const struct mo_physics *physics, struct mo_message *messag
   return mo_fields_check(&mo_physics_fields, "", physics, message);
 }
 
-/* ---- packed ---- */
+/* ---- packed, compared ---- */
 
 bool mo_physics_equal(const struct mo_physics *a, const struct mo_physics *b)
 {
   return mo_fields_equal(&mo_physics_fields, a, b);
 }
 
-size_t mo_physics_pack(const struct mo_physics *physics, unsigned *version,
-                       uint8_t bytes[sizeof(struct mo_physics)])
+unsigned mo_physics_version(const struct mo_physics *physics)
 {
   const struct mo_physics defaults = mo_default_physics();
-  *version = mo_fields_version(&mo_physics_fields, physics, &defaults);
-  mo_fields_pack(&mo_physics_fields, *version, physics, bytes);
-  return mo_fields_packed_bytes(&mo_physics_fields, *version);
-}
-
-bool mo_physics_unpack(unsigned version, const uint8_t *bytes, struct mo_physics *physics)
-{
-  const struct mo_physics defaults = mo_default_physics();
-  *physics = defaults;
-  return mo_fields_unpack(&mo_physics_fields, version, bytes, physics) &&
-         mo_fields_version(&mo_physics_fields, physics, &defaults) == version;
+  return mo_fields_version(&mo_physics_fields, physics, &defaults);
 }

@@ -6,16 +6,11 @@
 
 #include "base/fields.h"
 
-/* Of struct mo_physics. */
+/* Of struct mo_physics. Packed (base/fields.h): nine float64, then the steps, the impact and the
+ * bisections in 32 bits, until a constant is added. */
 extern const struct mo_fields mo_physics_fields;
 
+unsigned mo_physics_version(const struct mo_physics *physics); /* of its packed form */
 bool mo_physics_equal(const struct mo_physics *a, const struct mo_physics *b);
-
-/* The packed form (base/fields.h): nine float64, then the steps, the impact and the bisections in
- * 32 bits, until a constant is added. pack returns the bytes that it wrote. unpack: false: not what
- * pack writes in this version; values are not checked otherwise. */
-size_t mo_physics_pack(const struct mo_physics *physics, unsigned *version,
-                       uint8_t bytes[sizeof(struct mo_physics)]);
-bool mo_physics_unpack(unsigned version, const uint8_t *bytes, struct mo_physics *physics);
 
 #endif

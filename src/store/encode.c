@@ -26,12 +26,13 @@ size_t mo_encode_physics(const struct mo_physics *physics, enum mo_precision pre
 {
   const uint32_t tail[] = {(uint32_t)precision, (uint32_t)sensor};
   struct mo_physics encoded = *physics;
-  unsigned version;
   mo_fields_clear_minus(&mo_physics_fields, &encoded);
   if (encoded.impact == MO_IMPACT_EXACT)
     encoded.bisections = 0;
-  const size_t size = mo_physics_pack(&encoded, &version, bytes + 1);
+  const unsigned version = mo_physics_version(&encoded);
+  const size_t size = mo_fields_packed_bytes(&mo_physics_fields, version);
   bytes[0] = (uint8_t)version;
+  mo_fields_pack(&mo_physics_fields, version, &encoded, bytes + 1);
   memcpy(bytes + 1 + size, tail, TAIL_BYTES);
   return 1 + size + TAIL_BYTES;
 }
@@ -40,8 +41,10 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
                       enum mo_precision *precision, enum mo_sensor *sensor)
 {
   uint32_t tail[2];
+  *physics = mo_default_physics();
   if (size < 1 || size != 1 + mo_fields_packed_bytes(&mo_physics_fields, bytes[0]) + TAIL_BYTES ||
-      !mo_physics_unpack(bytes[0], bytes + 1, physics))
+      !mo_fields_unpack(&mo_physics_fields, bytes[0], bytes + 1, physics) ||
+      mo_physics_version(physics) != bytes[0])
     return MO_ERR_CORRUPT;
   memcpy(tail, bytes + size - TAIL_BYTES, TAIL_BYTES);
   if (tail[0] > MO_FLOAT64 || tail[1] > MO_SENSOR_INVERSE_SQUARE)

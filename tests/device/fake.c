@@ -266,10 +266,6 @@ static void fake_release(void *memory)
 static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gradient)
 {
   const struct mo_pause_point pause = {.interval = 4, .reached = look, .context = device};
-  const struct mo_gradient_options options = {.adjoint_bound = gradient->adjoint_bound,
-                                              .weight = gradient->weight,
-                                              .adjoint_rule = gradient->adjoint_rule,
-                                              .restart_weight = gradient->restart_weight};
   const uint32_t n_parameters = (uint32_t)gradient->controller->n_parameters;
   const struct mo_device_layout *layout = gradient->layout;
   struct mo_pack *pack = NULL;
@@ -292,7 +288,8 @@ static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gr
     const uint32_t left = gradient->n - i,
                    n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
     status = mo_gradient_block(device->gradient, pack, gradient->robots + i, n, &gradient->physics,
-                               &options, &pause, gradient->outcomes + i, part, &gradient->counts);
+                               &gradient->options, &pause, gradient->outcomes + i, part,
+                               &gradient->counts);
     for (uint32_t k = 0; k < n_parameters; k++)
       sum[k] = i % MO_DEVICE_SHARD == 0 ? part[k] : sum[k] + part[k];
   }

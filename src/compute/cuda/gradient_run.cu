@@ -259,8 +259,8 @@ int collect(work &w, float *to, cudaEvent_t after)
       w,
       in_turn(
           [&] {
-            return mo_gk_collect(&w.k, s->buffers[SHARDS].of<uint32_t>(), n, w.call->weight, sums,
-                                 stream);
+            return mo_gk_collect(&w.k, s->buffers[SHARDS].of<uint32_t>(), n, w.call->options.weight,
+                                 sums, stream);
           },
           [&] { return (int)cudaMemcpyAsync(to, sums, bytes, cudaMemcpyDeviceToHost, stream); },
           [&] { return (int)cudaEventRecord(after, stream); }),
@@ -449,9 +449,9 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
       return r;
     w.k.physics = lane_physics_of(&call->physics);
     w.k.sensor = call->controller->sensor;
-    w.k.bound = call->adjoint_bound;
-    w.k.restarts = call->adjoint_rule == MO_ADJOINT_RESTART;
-    w.k.restart_weight = call->restart_weight;
+    w.k.bound = call->options.adjoint_bound;
+    w.k.restarts = call->options.adjoint_rule == MO_ADJOINT_RESTART;
+    w.k.restart_weight = call->options.restart_weight;
     w.k.n_steps = n_steps;
     w.k.part_steps = PART_STEPS;
     const double since = now_s();

@@ -207,8 +207,8 @@ static void waits_for_another(void)
 static void training_failed(void)
 {
   begin_training(MO_TRAINING_FINETUNE, MO_JOB_FAILED);
-  training.record.settings.learning.adjoint_rule = MO_ADJOINT_RESTART;
-  training.record.settings.learning.restart_weight = 0.5;
+  training.record.settings.learning.gradient.adjoint_rule = MO_ADJOINT_RESTART;
+  training.record.settings.learning.gradient.restart_weight = 0.5;
   training.job.has_controller = true;
   training.record.n_designs = 3;
   training.record.population = 5;
@@ -283,8 +283,8 @@ static void campaign_exhausted(void)
   CHECK(has_number("newest.learning.last_loss", 0.5));
   CHECK_TEXT(text_at("settings.learning.sensor"), "inverse_sqrt");
   check_rule("settings.learning", "clip", 3);
-  campaign.record.settings.learning.adjoint_rule = MO_ADJOINT_RESTART;
-  campaign.record.settings.learning.restart_weight = 0.5;
+  campaign.record.settings.learning.gradient.adjoint_rule = MO_ADJOINT_RESTART;
+  campaign.record.settings.learning.gradient.restart_weight = 0.5;
   write_campaign(false);
   check_rule("settings.learning", "restart", 0.5);
   check_row(&mo_generation_columns, &campaign.last, "7,2,0,14,,,,,,,,,2,0,0,0,");

@@ -19,6 +19,10 @@ struct gradient {
   struct mo_gradient_counts counts;
 };
 
+/* Each adjoint restarts at each step. */
+static const struct mo_gradient_options restarts = {
+    .adjoint_bound = 0.01, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5};
+
 static struct gradient differentiate_with(struct mo_gradient_state *state,
                                           enum mo_back_end back_end, const volatile int *cancel)
 {
@@ -28,9 +32,7 @@ static struct gradient differentiate_with(struct mo_gradient_state *state,
                                     .robots = robots,
                                     .n = ROBOTS,
                                     .physics = mo_default_physics(),
-                                    .adjoint_bound = 0.01, /* each adjoint restarts at each step */
-                                    .adjoint_rule = MO_ADJOINT_RESTART,
-                                    .restart_weight = 2.5,
+                                    .options = restarts,
                                     .back_end = back_end,
                                     .cancel = cancel,
                                     .d_parameters = gradient.d_parameters,
@@ -240,9 +242,7 @@ static struct gradient differentiate_by(struct taker *taker, bool is_strict,
                                     .robots = robots,
                                     .n = ROBOTS,
                                     .physics = physics_of(ROBOT_STEPS),
-                                    .adjoint_bound = 0.01,
-                                    .adjoint_rule = MO_ADJOINT_RESTART,
-                                    .restart_weight = 2.5,
+                                    .options = restarts,
                                     .back_end = MO_ON_DEVICE,
                                     .is_strict = is_strict,
                                     .share = share,

@@ -109,7 +109,7 @@ static struct mo_gradient_batch make_batch(uint32_t n, uint32_t n_steps, int res
                                     .robots = robots,
                                     .n = n,
                                     .physics = mo_default_physics(),
-                                    .adjoint_bound = MO_ADJOINT_BOUND,
+                                    .options.adjoint_bound = MO_ADJOINT_BOUND,
                                     .tag = 7,
                                     .d_parameters = d_parameters[result],
                                     .outcomes = outcomes[result]};
@@ -233,10 +233,8 @@ __attribute__((unused)) static void it_is_the_mean(void)
                                               .weight = 1.0 / N,
                                               .adjoint_rule = MO_ADJOINT_RESTART,
                                               .restart_weight = 2.5};
-  batch.adjoint_bound =
-      options.adjoint_bound; /* each adjoint restarts at each step, and counts 2.5 times */
-  batch.adjoint_rule = options.adjoint_rule;
-  batch.restart_weight = options.restart_weight;
+  batch.options = options; /* each adjoint restarts at each step, and counts 2.5 times */
+  batch.options.weight = 0;
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
   CHECK_INT(batch.counts.clipped_steps, N * STEPS);
   const size_t n = controller->n_parameters;

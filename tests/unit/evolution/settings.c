@@ -30,9 +30,9 @@ static void presets(void)
       CHECK(s.workspace.nx == 6 && s.workspace.ny == 6 && s.workspace.nz == 4);
       CHECK(s.parent_steps == (m == 0 ? 0 : m == 1 ? 30 : 1) && s.child_steps == s.parent_steps);
       CHECK(s.learning.beta1 == 0.9 && s.learning.beta2 == 0.999 && s.learning.norm_limit == 1.0 &&
-            s.learning.adjoint_bound == MO_ADJOINT_BOUND);
-      CHECK_INT(s.learning.adjoint_rule, MO_ADJOINT_CLIP);
-      CHECK(s.learning.restart_weight == MO_RESTART_WEIGHT);
+            s.learning.gradient.adjoint_bound == MO_ADJOINT_BOUND);
+      CHECK_INT(s.learning.gradient.adjoint_rule, MO_ADJOINT_CLIP);
+      CHECK(s.learning.gradient.restart_weight == MO_RESTART_WEIGHT);
     }
 }
 
@@ -84,8 +84,8 @@ static void refused(void)
       {FEW, FIELD(s.batch), 65537, MO_ERR_RANGE,
        "batch must be at least 1 and at most 65536, or null, got 65537"},
       {FEW, FIELD(s.learning.beta1), 1, MO_ERR_RANGE, "beta1 must be at least 0 and below 1"},
-      {FEW, FIELD(s.learning.adjoint_bound), 0, MO_OK, ""},
-      {FEW, FIELD(s.learning.adjoint_rule), MO_ADJOINT_RESTART, MO_OK, ""},
+      {FEW, FIELD(s.learning.gradient.adjoint_bound), 0, MO_OK, ""},
+      {FEW, FIELD(s.learning.gradient.adjoint_rule), MO_ADJOINT_RESTART, MO_OK, ""},
       {BOTH, FIELD(s.sensor), 2, MO_ERR_INVALID, "\"inverse_square\", got number 2"},
       {BOTH, FIELD(s.learning.schedule.peak), -1, MO_ERR_RANGE, "peak must be above 0"},
       {ZERO, FIELD(s.physics.dt_s), 1, MO_ERR_RANGE, "dt_s must be at least 1e-07"},
@@ -136,12 +136,12 @@ static void few_shot(void)
   CHECK(mo_campaign_training(&s, 3).seed != seeds[3]);
   s.batch = 100;
   s.child_steps = 5;
-  CHECK_INT(mo_campaign_training(&s, 1).learning.adjoint_rule, MO_ADJOINT_CLIP);
-  CHECK(mo_campaign_training(&s, 1).learning.restart_weight == MO_RESTART_WEIGHT);
-  s.learning.adjoint_rule = MO_ADJOINT_RESTART;
-  s.learning.restart_weight = 0.5;
-  CHECK_INT(mo_campaign_training(&s, 1).learning.adjoint_rule, MO_ADJOINT_RESTART);
-  CHECK(mo_campaign_training(&s, 1).learning.restart_weight == 0.5);
+  CHECK_INT(mo_campaign_training(&s, 1).learning.gradient.adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(mo_campaign_training(&s, 1).learning.gradient.restart_weight == MO_RESTART_WEIGHT);
+  s.learning.gradient.adjoint_rule = MO_ADJOINT_RESTART;
+  s.learning.gradient.restart_weight = 0.5;
+  CHECK_INT(mo_campaign_training(&s, 1).learning.gradient.adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(mo_campaign_training(&s, 1).learning.gradient.restart_weight == 0.5);
   CHECK(mo_campaign_training(&s, 1).batch == 100 && mo_campaign_training(&s, 1).n_steps == 35);
 }
 

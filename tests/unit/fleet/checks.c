@@ -100,8 +100,7 @@ static void shards(void)
                                           .robots = robots,
                                           .n = N,
                                           .physics = physics_of(1000),
-                                          .adjoint_bound = 2,
-                                          .weight = 0.25};
+                                          .options = {.adjoint_bound = 2, .weight = 0.25}};
   fake->shard = &shard;
   const uint64_t ids[3] = {join("liar"), join("a"), join("b")};
   struct mo_wire_leases leases[3] = {exchange(ids[0]), exchange(ids[1]), exchange(ids[2])};

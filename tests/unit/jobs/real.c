@@ -62,9 +62,9 @@ static void lone_gradient(void *context, const struct mo_controller *controller,
                                     .robots = robots,
                                     .n = n,
                                     .physics = *physics,
-                                    .adjoint_bound = BOUND,
-                                    .adjoint_rule = MO_ADJOINT_RESTART,
-                                    .restart_weight = RESTART_WEIGHT,
+                                    .options = {.adjoint_bound = BOUND,
+                                                .adjoint_rule = MO_ADJOINT_RESTART,
+                                                .restart_weight = RESTART_WEIGHT},
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
   CHECK_OK(mo_compute_gradient(alone->gradients, &batch));
@@ -137,9 +137,9 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   settings->physics.n_steps = 30;
   if (mode != MO_ZERO_SHOT)
     settings->parent_steps = settings->child_steps = 1;
-  settings->learning.adjoint_bound = BOUND;
-  settings->learning.adjoint_rule = MO_ADJOINT_RESTART;
-  settings->learning.restart_weight = RESTART_WEIGHT;
+  settings->learning.gradient.adjoint_bound = BOUND;
+  settings->learning.gradient.adjoint_rule = MO_ADJOINT_RESTART;
+  settings->learning.gradient.restart_weight = RESTART_WEIGHT;
   snprintf(request.record.environment_set, sizeof(request.record.environment_set), "paper-test");
   mo_environment_paper_test(paper);
   REQUIRE_OK(service_begin());

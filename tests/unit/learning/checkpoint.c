@@ -3,6 +3,8 @@
 #include "fixture.h"
 
 #include "learning/internal.h"
+#include "rollout/gradient_options.h"
+#include "rollout/physics.h"
 
 static struct mo_training *begin(enum mo_training_kind kind)
 {
@@ -52,7 +54,6 @@ static bool same_settings(const struct mo_training_settings *a,
                           const struct mo_training_settings *b)
 {
   const struct mo_learning *x = &a->learning, *y = &b->learning;
-  const struct mo_physics *p = &a->physics, *q = &b->physics;
   return a->kind == b->kind && a->seed == b->seed && a->n_steps == b->n_steps &&
          a->batch == b->batch && a->sensor == b->sensor &&
          a->held_out_designs == b->held_out_designs &&
@@ -63,13 +64,8 @@ static bool same_settings(const struct mo_training_settings *a,
          x->schedule.cycle_growth == y->schedule.cycle_growth &&
          x->schedule.warmup_steps == y->schedule.warmup_steps && x->beta1 == y->beta1 &&
          x->beta2 == y->beta2 && x->epsilon == y->epsilon && x->norm_limit == y->norm_limit &&
-         x->adjoint_bound == y->adjoint_bound && x->adjoint_rule == y->adjoint_rule &&
-         x->restart_weight == y->restart_weight && p->dt_s == q->dt_s && p->n_steps == q->n_steps &&
-         p->stiffness_n_per_m == q->stiffness_n_per_m && p->mass_kg == q->mass_kg &&
-         p->drag_per_s == q->drag_per_s && p->gravity_m_per_s2 == q->gravity_m_per_s2 &&
-         p->actuation == q->actuation && p->friction == q->friction &&
-         p->friction_cap == q->friction_cap && p->drop_height_m == q->drop_height_m &&
-         p->impact == q->impact && p->bisections == q->bisections;
+         mo_fields_equal(&mo_gradient_fields, &x->gradient, &y->gradient) &&
+         mo_physics_equal(&a->physics, &b->physics);
 }
 
 /* Every setting survives. */
@@ -85,9 +81,9 @@ static void settings_kept(void)
       .learning.beta2 = 0.99,
       .learning.epsilon = 1e-7,
       .learning.norm_limit = 2.5,
-      .learning.adjoint_bound = 3.5,
-      .learning.adjoint_rule = MO_ADJOINT_RESTART,
-      .learning.restart_weight = 2.25,
+      .learning.gradient.adjoint_bound = 3.5,
+      .learning.gradient.adjoint_rule = MO_ADJOINT_RESTART,
+      .learning.gradient.restart_weight = 2.25,
       .sensor = MO_SENSOR_INVERSE_SQUARE,
       .held_out_designs = 12,
       .held_out_environments = 13};

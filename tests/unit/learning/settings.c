@@ -33,8 +33,9 @@ static void presets(void)
             a->cycle_growth == b->cycle_growth && a->warmup_steps == b->warmup_steps);
       CHECK(s.learning.beta1 == all[kind][preset].beta1 && s.learning.beta2 == 0.999 &&
             s.learning.epsilon == 1e-8 && s.learning.norm_limit == 1);
-      CHECK(s.learning.adjoint_bound == all[kind][preset].bound &&
-            s.learning.adjoint_rule == all[kind][preset].rule && s.learning.restart_weight == 3);
+      CHECK(s.learning.gradient.adjoint_bound == all[kind][preset].bound &&
+            s.learning.gradient.adjoint_rule == all[kind][preset].rule &&
+            s.learning.gradient.restart_weight == 3);
       CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 &&
             s.physics.impact == MO_IMPACT_EXACT);
       CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
@@ -97,11 +98,12 @@ static void refused_settings(void)
        "adam.epsilon must be above 0 and at most 1, got 0"},
       {FIELD(s.learning.norm_limit), -1, MO_ERR_RANGE,
        "gradient_norm_limit must be at least 0 and at most 1e+06, got -1"},
-      {FIELD(s.learning.adjoint_rule), 2, MO_ERR_INVALID,
+      {FIELD(s.learning.gradient.adjoint_rule), 2, MO_ERR_INVALID,
        "adjoint_rule must be \"clip\" or \"restart\", got number 2"},
-      {FIELD(s.learning.adjoint_rule), MO_ADJOINT_RESTART, MO_OK, ""},
-      {FIELD(s.learning.restart_weight), 1000000.0000001, MO_ERR_RANGE, "got 1000000.0000001"},
-      {FIELD(s.learning.restart_weight), MO_RESTART_WEIGHT_MAX, MO_OK, ""},
+      {FIELD(s.learning.gradient.adjoint_rule), MO_ADJOINT_RESTART, MO_OK, ""},
+      {FIELD(s.learning.gradient.restart_weight), 1000000.0000001, MO_ERR_RANGE,
+       "got 1000000.0000001"},
+      {FIELD(s.learning.gradient.restart_weight), MO_RESTART_WEIGHT_MAX, MO_OK, ""},
       {FIELD(s.sensor), 2, MO_ERR_INVALID, "inverse_sqrt"},
       {FIELD(s.held_out_designs), 10001, MO_ERR_RANGE,
        "held-out designs must be at most 10000, got 10001"},

@@ -147,7 +147,7 @@ static void start(const struct stress *s, enum mo_sensor sensor, double bound, u
   struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_FINETUNE);
   settings.batch = ROBOTS;
   settings.held_out_designs = 0;
-  settings.learning.adjoint_bound = bound;
+  settings.learning.gradient.adjoint_bound = bound;
   settings.learning.schedule = (struct mo_schedule){MO_SCHEDULE_CONSTANT, 1e-2, 1e-2, 1, 1, 1, 0};
   settings.physics.n_steps = n_steps;
   settings.physics.stiffness_n_per_m *= s->stiffness_factor;
@@ -221,9 +221,7 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state,
                                     .robots = run->robots,
                                     .n = ROBOTS,
                                     .physics = settings->physics,
-                                    .adjoint_bound = settings->learning.adjoint_bound,
-                                    .adjoint_rule = settings->learning.adjoint_rule,
-                                    .restart_weight = settings->learning.restart_weight,
+                                    .options = settings->learning.gradient,
                                     .d_parameters = run->gradient,
                                     .outcomes = run->outcomes};
   REQUIRE(mo_compute_gradient(state, &batch) == MO_OK);

@@ -36,11 +36,10 @@ static struct mo_training *begin(void)
 static int learn(struct mo_training *training, struct made_up *made_up, bool save)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
-  const struct mo_gradient_options options = {
-      settings->learning.adjoint_bound, 1.0 / settings->batch, settings->learning.adjoint_rule,
-      settings->learning.restart_weight};
+  struct mo_gradient_options options = settings->learning.gradient;
   const struct mo_robot *robots;
   int r = mo_training_draw(training, NULL, NULL, &robots);
+  options.weight = 1.0 / settings->batch;
   memset(made_up->gradient, 0, made_up->n * sizeof(double));
   made_up->counts = (struct mo_gradient_counts){0};
   for (uint32_t i = 0; i < settings->batch && r == MO_OK; i++)

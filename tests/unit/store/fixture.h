@@ -188,20 +188,19 @@ static inline void fixture_loss(struct mo_save *save, const struct mo_work *work
 /* Settings of learning, each with another value than its default. */
 static inline struct mo_learning fixture_learning(void)
 {
-  return (struct mo_learning){.schedule = {.kind = MO_SCHEDULE_RESTARTS,
-                                           .peak = 1e-3,
-                                           .floor = 1e-5,
-                                           .decay = 0.65,
-                                           .cycle_steps = 10,
-                                           .cycle_growth = 2,
-                                           .warmup_steps = 3},
-                              .beta1 = 0.9,
-                              .beta2 = 0.999,
-                              .epsilon = 1e-8,
-                              .norm_limit = 1,
-                              .adjoint_bound = 2,
-                              .adjoint_rule = MO_ADJOINT_RESTART,
-                              .restart_weight = 2.5};
+  return (struct mo_learning){
+      .schedule = {.kind = MO_SCHEDULE_RESTARTS,
+                   .peak = 1e-3,
+                   .floor = 1e-5,
+                   .decay = 0.65,
+                   .cycle_steps = 10,
+                   .cycle_growth = 2,
+                   .warmup_steps = 3},
+      .beta1 = 0.9,
+      .beta2 = 0.999,
+      .epsilon = 1e-8,
+      .norm_limit = 1,
+      .gradient = {.adjoint_bound = 2, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5}};
 }
 
 /* The classes of a process that has but one. */
