@@ -48,10 +48,10 @@ static void lives_create(struct lives *lives, uint32_t n)
 static struct mo_physics physics_at(double dt_s, int mode)
 {
   struct mo_physics physics = mo_default_physics();
-  physics.dt_s = dt_s;
-  physics.n_steps = (uint32_t)lround(LIFE_S / dt_s);
-  physics.impact = modes[mode].impact;
-  physics.bisections = modes[mode].bisections;
+  physics.scheme.dt_s = dt_s;
+  physics.scheme.n_steps = (uint32_t)lround(LIFE_S / dt_s);
+  physics.scheme.impact = modes[mode].impact;
+  physics.scheme.bisections = modes[mode].bisections;
   return physics;
 }
 

@@ -205,9 +205,9 @@ static void run_with(struct result *r, const struct mo_controller *controller,
   printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums "
          "%.4f), host %.3f (layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u "
          "passes, %u ways back; bits %016llx\n",
-         n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s,
-         p->collect_s, r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9,
-         p->groups, p->halved, p->passes, p->walks,
+         n, physics->scheme.n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s,
+         p->products_s, p->collect_s, r->call.host_s, p->plan_s, p->upload_s,
+         (double)p->device_bytes * 1e-9, p->groups, p->halved, p->passes, p->walks,
          (unsigned long long)hash_of(r->call.d_parameters, shards * controller->n_parameters));
 }
 
@@ -216,7 +216,7 @@ static void run(struct result *r, const struct mo_controller *controller, const 
 {
   struct mo_physics physics = mo_default_physics();
   const struct mo_gradient_options options = mo_default_gradient_options();
-  physics.n_steps = n_steps;
+  physics.scheme.n_steps = n_steps;
   run_with(r, controller, s, first, n, &physics, &options, memory_bytes);
 }
 
@@ -428,7 +428,7 @@ static void check_halves(const struct scene *s)
     struct mo_gradient_options options = options_of(cases[i].options);
     struct result ways[3];
     uint32_t halved[3];
-    physics.stiffness_n_per_m *= cases[i].stiffness;
+    physics.constants.stiffness_n_per_m *= cases[i].stiffness;
     options.adjoint_bound *= cases[i].bound;
     for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
       controller->weight[MO_HIDDEN_LAYERS][k] *= (float)cases[i].last_layer;
@@ -467,8 +467,8 @@ static void check_rare(const struct scene *s)
   struct mo_physics physics = mo_default_physics();
   struct mo_gradient_options options = mo_default_gradient_options();
   struct result a, b;
-  physics.n_steps = 300;
-  physics.stiffness_n_per_m *= 1.7;
+  physics.scheme.n_steps = 300;
+  physics.constants.stiffness_n_per_m *= 1.7;
   run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
   run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
   print_counts("springs 1.7 times as stiff", &a.call.counts);

@@ -142,7 +142,7 @@ static void check_golden(struct mo_device_controller *controller)
   double *truth = must_have(calloc(n, sizeof(*truth)));
   for (int mode = 0; mode < GOLDEN_MODES; mode++) {
     struct mo_physics physics = mo_default_physics();
-    physics.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    physics.scheme.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     for (uint32_t i = 0; i < n; i++) {
       robots[i] = (struct mo_robot){golden.cases[i].body, &golden.cases[i].environment};
       truth[i] = golden.cases[i].loss[mode];
@@ -228,7 +228,7 @@ static void check_starts(struct mo_device_controller *controller)
     mo_terrain_random(20251102, 0, i, 0.5, environments[i].terrain_heights_m);
     robots[i] = (struct mo_robot){bodies[i], environments + i};
   }
-  physics.n_steps = 1;
+  physics.scheme.n_steps = 1;
   run(controller, robots, RANDOM, &physics, outcomes);
   for (uint32_t i = 0; i < RANDOM; i++) {
     struct mo_outcome truth;
@@ -289,9 +289,9 @@ static void check_sizes(uint32_t n_steps)
     struct mo_device_controller *controller = NULL;
     struct mo_physics physics = mo_default_physics();
     double worst = 0, start = 0;
-    physics.n_steps = n_steps;
+    physics.scheme.n_steps = n_steps;
     physics.drop_height_m = 0.05;
-    physics.impact = kinds[kind].impact;
+    physics.scheme.impact = kinds[kind].impact;
     golden.controller->sensor = kinds[kind].sensor;
     if (!kinds[kind].is_passive)
       must(module->controller_create(device, golden.controller, &controller), "controller");
@@ -330,7 +330,7 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
   for (uint32_t i = 0; i < n; i++)
     turned[n - 1 - i] = rows->robots[i];
   struct mo_physics physics = mo_default_physics();
-  physics.n_steps = n_steps;
+  physics.scheme.n_steps = n_steps;
   run(controller, rows->robots, n, &physics, rows->outcomes);
   run(controller, rows->robots, n, &physics, again);
   expect(memcmp(rows->outcomes, again, n * sizeof(*again)) == 0, "two runs give the same bits");
@@ -357,8 +357,8 @@ static void check_divergence(struct mo_device_controller *controller)
   struct mo_body **bodies = random_bodies(golden.lattice, N, 9);
   struct rows *rows = make_rows(bodies, N, 1);
   struct mo_physics physics = mo_default_physics();
-  physics.stiffness_n_per_m *= 4;
-  physics.n_steps = 200;
+  physics.constants.stiffness_n_per_m *= 4;
+  physics.scheme.n_steps = 200;
   run(controller, rows->robots, N, &physics, rows->outcomes);
   int diverged = 0, agree = 1;
   double apart = 0;
@@ -403,7 +403,7 @@ static void check_cancel(struct mo_device_controller *controller)
                                   .cancel = &flag,
                                   .outcomes = &outcome};
   pthread_t thread;
-  score.physics.n_steps = 100000; /* seconds */
+  score.physics.scheme.n_steps = 100000; /* seconds */
   flag = 0;
   must(pthread_create(&thread, NULL, raise_flag, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
   const double start = now_s();
@@ -413,7 +413,7 @@ static void check_cancel(struct mo_device_controller *controller)
   expect(status == MO_ERR_CANCELLED && took < 0.2,
          "a flag raised after 20 ms ends a call after %.0f ms", 1e3 * took);
   flag = 0;
-  score.physics.n_steps = 10;
+  score.physics.scheme.n_steps = 10;
   expect(module->score(device, &score) == MO_OK && isfinite(outcome.loss), "the next call works");
 }
 

@@ -58,7 +58,7 @@ static double block_flop(const struct sample *s, uint32_t block)
   double flop = 0;
   for (uint32_t i = 0; i < block_size(s, block); i++)
     flop += 3 * bench_controller_flop(s->ordered[block * MO_GRADIENT_ROBOTS + i].body) *
-            s->physics.n_steps;
+            s->physics.scheme.n_steps;
   return flop;
 }
 
@@ -182,7 +182,7 @@ static void *submit_urgent(void *argument)
                              .n_environments = 1,
                              .physics = urgent->sample->physics,
                              .urgency = MO_INTERACTIVE};
-    block.physics.n_steps = 1;
+    block.physics.scheme.n_steps = 1;
     const double start_s = bench_now_s();
     bench_check(mo_compute_run(urgent->compute, &block, 1), "urgent block");
     urgent->worst_s = fmax(urgent->worst_s, bench_now_s() - start_s);

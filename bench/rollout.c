@@ -83,8 +83,8 @@ static void measure_sample(struct report *report, const struct runner *runner,
     for (uint32_t i = round; i < scene->n_bodies; i += rounds, n++) {
       const struct mo_body *body = scene->bodies[i];
       round_s += run_s(runner, runner->pack, scene, body, PAPER, physics);
-      flop += bench_controller_flop(body) * PAPER * physics->n_steps;
-      all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * physics->n_steps;
+      flop += bench_controller_flop(body) * PAPER * physics->scheme.n_steps;
+      all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * physics->scheme.n_steps;
       report->masses += body->n_masses / (double)scene->n_bodies;
       report->springs += body->n_springs / (double)scene->n_bodies;
       report->voxels += body->n_voxels / (double)scene->n_bodies;
@@ -139,7 +139,7 @@ static double print_sizes(const struct runner *runner, const struct bench_scene 
     last_s = best_run_s(runner, runner->pack, scene, body, PAPER, physics) / PAPER;
     first_s = i == 0 ? last_s : first_s;
     printf("%9u %8u %8u %21.3f %12.1f\n", body->n_voxels, body->n_masses, body->n_springs,
-           1e6 * last_s / physics->n_steps, 1 / last_s);
+           1e6 * last_s / physics->scheme.n_steps, 1 / last_s);
     mo_body_free(body);
   }
   printf("144 voxels cost %.1f times as much as one\n", last_s / first_s);
@@ -157,7 +157,7 @@ static void print_skipping(const struct runner *runner, const struct bench_scene
   const double falling = best_run_s(runner, runner->pack, scene, body, PAPER, &air);
   const double without = best_run_s(runner, runner->passive, scene, body, PAPER, physics);
   const double alone = best_run_s(runner, runner->pack, scene, body, 1, physics);
-  const double scale = 1e6 / (PAPER * (double)physics->n_steps);
+  const double scale = 1e6 / (PAPER * (double)physics->scheme.n_steps);
   printf("\n64 voxels, µs per rollout step: %.3f, in the air %.3f, without a controller %.3f, in "
          "one environment instead of ten %.3f\n",
          scale * with, scale * falling, scale * without, scale * PAPER * alone);
@@ -201,7 +201,7 @@ static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
   runner_create(&runner, scene, isa, precision);
   struct mo_body *body = bench_box(scene, 6, 6, 4);
   struct mo_physics physics = mo_default_physics();
-  physics.n_steps = 1;
+  physics.scheme.n_steps = 1;
   (void)run_s(&runner, runner.pack, scene, body, MO_BLOCK_LANES, &physics);
   return 2.0 * (double)mo_workspace_memory_bytes(runner.memory) / (1 << 20);
 }

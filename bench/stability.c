@@ -47,8 +47,8 @@ static double stiffness_n_per_m(int k)
 static struct mo_physics physics_of(double dt, double stiffness)
 {
   struct mo_physics physics = mo_default_physics();
-  physics.dt_s = dt;
-  physics.stiffness_n_per_m = stiffness;
+  physics.scheme.dt_s = dt;
+  physics.constants.stiffness_n_per_m = stiffness;
   return physics;
 }
 
@@ -56,7 +56,8 @@ static struct mo_physics physics_of(double dt, double stiffness)
 static double linear_bound(const struct map *map, double dt)
 {
   const struct mo_physics physics = mo_default_physics();
-  return 2 * (1 + exp(-physics.drag_per_s * dt)) * physics.mass_kg / (dt * dt * map->eigenvalue);
+  return 2 * (1 + exp(-physics.constants.drag_per_s * dt)) * physics.constants.mass_kg /
+         (dt * dt * map->eigenvalue);
 }
 
 /* The largest eigenvalue of Σ d dᵀ over the springs, d the unit vector along each at rest: power
@@ -194,7 +195,7 @@ static void print_summary(const struct map *map, int mode)
   const struct mo_physics physics = mo_default_physics();
   double dt = 1e-3; /* linear bound of the time step at the default stiffness */
   for (int look = 0; look < LOOKS; look++)
-    dt *= pow(linear_bound(map, dt) / physics.stiffness_n_per_m, 0.25);
+    dt *= pow(linear_bound(map, dt) / physics.constants.stiffness_n_per_m, 0.25);
   fprintf(stderr,
           "%-11s %3u voxels, %-7s λ = %.3f k; at 15000 N/m dt < %.2f ms; border/bound %.2f to "
           "%.2f; %u of %d points on the other side of the bound\n",

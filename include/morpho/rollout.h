@@ -37,9 +37,15 @@ enum mo_impact {
 };
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
-struct mo_physics {
-  double dt_s;              /* 0.004 */
-  uint32_t n_steps;         /* 1000 */
+/* What all rollouts of a block share: it decides which operations they perform. */
+struct mo_scheme {
+  double dt_s;           /* 0.004 */
+  uint32_t n_steps;      /* 1000 */
+  enum mo_impact impact; /* exact */
+  uint32_t bisections;   /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
+};
+/* Numbers that the kernels keep for each of their lanes. */
+struct mo_constants {
   double stiffness_n_per_m; /* 15000, of every spring */
   double mass_kg;           /* 1, of every node */
   double drag_per_s;        /* 15: velocities are scaled by exp(−drag·dt) */
@@ -47,9 +53,11 @@ struct mo_physics {
   double actuation;         /* 0.2: rest length L0 (1 + actuation · a), a in [−1, 1] */
   double friction;          /* 0.9: tangential speed lost per normal speed */
   double friction_cap;      /* 0.95: largest share of the tangential speed lost in one contact */
-  double drop_height_m;     /* 0: extra lift of the body at the start */
-  enum mo_impact impact;    /* exact */
-  uint32_t bisections;      /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
+};
+struct mo_physics {
+  struct mo_scheme scheme;
+  struct mo_constants constants;
+  double drop_height_m; /* 0: extra lift of the body at the start */
 };
 struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message says which field and which bounds. */

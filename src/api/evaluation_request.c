@@ -116,7 +116,7 @@ static int check(struct mo_json *json, void *any)
 {
   struct mo_parsed_evaluation *parsed = any;
   struct mo_evaluation_request *request = &parsed->request;
-  const uint32_t steps = request->physics.n_steps;
+  const uint32_t steps = request->physics.scheme.n_steps;
   const struct mo_random_bodies *random = &parsed->parts.random;
   const uint32_t n_designs = random->count + parsed->parts.n_designs + parsed->parts.n_skipped;
   if (!parsed->parts.has_designs && !parsed->parts.has_random)

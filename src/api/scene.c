@@ -261,7 +261,7 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   mo_text_member(text, "precision", rollouts->precision == MO_FLOAT64 ? "float64" : "float32");
   if (arrays != NULL)
     mo_text_member_number(text, "frame_s",
-                          rollouts->rollouts[0].recording.stride * rollouts->physics.dt_s);
+                          rollouts->rollouts[0].recording.stride * rollouts->physics.scheme.dt_s);
   mo_text_open(text, "environments", "[");
   for (uint32_t k = 0; k < n; k++)
     write_environment(text, arrays, &rollouts->environments[k]);

@@ -230,7 +230,7 @@ static void count(struct worker *worker, const struct mo_block *block)
     diverged += block->outcomes[i].diverged_step > 0;
   atomic_fetch_add(&compute->rollouts_done, block->n_environments);
   atomic_fetch_add(&compute->rollout_steps,
-                   (uint64_t)block->n_environments * block->physics.n_steps);
+                   (uint64_t)block->n_environments * block->physics.scheme.n_steps);
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 

@@ -64,7 +64,7 @@ double mo_fair_units(const struct mo_block *block)
   const uint32_t n = block->gradient != NULL ? block->gradient->n
                      : block->shards != NULL ? block->shards->n
                                              : block->n_environments;
-  return (double)n * block->physics.n_steps;
+  return (double)n * block->physics.scheme.n_steps;
 }
 
 static uint64_t remote_steps_of(const struct mo_block *block)

@@ -103,7 +103,7 @@ static bool take_shard(struct mo_compute *compute, struct taken *taken, bool her
   taken->offer = offer;
   taken->shard = mo_offer_take(offer, here);
   const struct mo_gradient_batch *part = &taken->shard->part;
-  mo_fair_charge_gradient(taken->fair, offer->share, (double)part->n * part->physics.n_steps,
+  mo_fair_charge_gradient(taken->fair, offer->share, (double)part->n * part->physics.scheme.n_steps,
                           &taken->charge);
   taken->shown.n_blocks = 1;
   taken->shown.n_rows = part->n;

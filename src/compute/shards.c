@@ -24,7 +24,7 @@ static struct mo_compute_core *core_of(const struct mo_offer *offer)
 
 static double units_of(const struct mo_gradient_batch *batch)
 {
-  return (double)batch->n * batch->physics.n_steps;
+  return (double)batch->n * batch->physics.scheme.n_steps;
 }
 
 /* ---- opening and closing ---- */

@@ -365,7 +365,7 @@ static int read_score(struct mo_reading *reading, uint32_t n, const char *line, 
   for (uint32_t k = 0; k < score.n; k++) {
     if (score.environments[k] >= reading->n_environments ||
         (places >> score.environments[k] & 1) != 0 ||
-        score.diverged_steps[k] > reading->campaign.record.settings.physics.n_steps)
+        score.diverged_steps[k] > reading->campaign.record.settings.physics.scheme.n_steps)
       return mo_reading_refuse(reading, n,
                                "an environment twice or unknown, or a step beyond the last");
     places |= UINT64_C(1) << score.environments[k];
@@ -405,7 +405,7 @@ static int read_evaluation(struct mo_reading *reading)
                                         &recordings->evaluation, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, 1, words.text) : error;
-  if (mo_modes[settings->mode].learns || evaluation->stride > settings->physics.n_steps)
+  if (mo_modes[settings->mode].learns || evaluation->stride > settings->physics.scheme.n_steps)
     return mo_reading_refuse(reading, 1,
                              "the campaign learns, or the stride is longer than a rollout");
   for (uint32_t k = 0; k < evaluation->n_environments; k++) {

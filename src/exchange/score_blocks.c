@@ -237,7 +237,7 @@ static const char *check_score(const struct mo_score_block *block, uint32_t cond
     return "a score of no design of the block";
   for (uint32_t k = 0; k < score->n; k++) {
     if (score->environments[k] >= block->n_environments ||
-        score->diverged_steps[k] > block->conditions[condition].physics.n_steps)
+        score->diverged_steps[k] > block->conditions[condition].physics.scheme.n_steps)
       return "an unknown environment, or a step beyond the last";
     for (uint32_t i = 0; i < k; i++)
       if (score->environments[i] == score->environments[k])

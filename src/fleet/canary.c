@@ -31,12 +31,12 @@ static struct mo_physics physics_of(uint32_t body)
   struct mo_physics physics = mo_default_physics();
   if (body < BODIES / 2)
     return physics;
-  physics.n_steps = 500;
-  physics.gravity_m_per_s2 = 30;
-  physics.drag_per_s = 1;
-  physics.friction = 0.1;
+  physics.scheme.n_steps = 500;
+  physics.constants.gravity_m_per_s2 = 30;
+  physics.constants.drag_per_s = 1;
+  physics.constants.friction = 0.1;
   physics.drop_height_m = 1;
-  physics.impact = body % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+  physics.scheme.impact = body % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
   return physics;
 }
 
@@ -101,7 +101,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
     struct mo_sha256 sum;
     double losses[ROBOTS];
   } bits = {.losses = {0}};
-  batch.physics.n_steps = STEPS;
+  batch.physics.scheme.n_steps = STEPS;
   batch.physics.drop_height_m = 0;
   batch.d_parameters = calloc(n, sizeof(*batch.d_parameters));
   int error = batch.d_parameters != NULL ? make_robots(canary) : MO_ERR_NO_MEMORY;

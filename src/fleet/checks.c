@@ -68,7 +68,7 @@ static uint32_t first_difference(const struct mo_vote *a, const double *losses,
 static void cut(struct mo_lease *lease, uint32_t first, uint32_t n)
 {
   const uint32_t row = mo_content_cut(&lease->content, first, n), rows = lease->content.n_rows;
-  lease->steps = (uint64_t)rows * lease->content.physics.n_steps;
+  lease->steps = (uint64_t)rows * lease->content.physics.scheme.n_steps;
   for (uint32_t i = 0; i < lease->n_votes; i++) {
     struct mo_vote *vote = &lease->votes[i];
     memmove(vote->losses, vote->losses + row, rows * sizeof(*vote->losses));

@@ -31,7 +31,7 @@ struct mo_lease *mo_lease_create(struct mo_taken *taken, struct mo_wire_lease *c
   parcel->taken = taken;
   lease->parcel = parcel;
   lease->content = *content;
-  lease->steps = (uint64_t)content->n_rows * content->physics.n_steps;
+  lease->steps = (uint64_t)content->n_rows * content->physics.scheme.n_steps;
   if (content->n_parameters > 0)
     lease->steps *= GRADIENT_COST;
   return lease;

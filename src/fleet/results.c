@@ -40,9 +40,9 @@ static int check(struct mo_fleet *fleet, const struct mo_session *session,
       return mo_fail(message, MO_ERR_FORMAT, "result %u: the sum has %u parameters, got %u", i,
                      lease->content.n_parameters, result->n_parameters);
     for (uint32_t row = 0; row < result->n_rows; row++)
-      if (result->diverged_steps[row] > lease->content.physics.n_steps)
+      if (result->diverged_steps[row] > lease->content.physics.scheme.n_steps)
         return mo_fail(message, MO_ERR_FORMAT, "result %u, row %u: diverged in step %u of %u", i,
-                       row, result->diverged_steps[row], lease->content.physics.n_steps);
+                       row, result->diverged_steps[row], lease->content.physics.scheme.n_steps);
   }
   return MO_OK;
 }

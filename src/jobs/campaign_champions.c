@@ -154,7 +154,7 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
       .job = {.priority = -1, .submitted_by = asked->submitted_by},
       .record = asked->record,
       .record_stride = asked->stride};
-  const uint32_t steps = request.physics.n_steps;
+  const uint32_t steps = request.physics.scheme.n_steps;
   int error = MO_OK;
   if (n == 0) /* a study can leave an empty population */
     return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not 0",

@@ -15,7 +15,7 @@ bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision)
 {
   const double cost = (double)n_designs * NETWORK_SPRINGS + (double)springs;
-  return cost * n_environments * physics->n_steps * (precision == MO_FLOAT64 ? 2 : 1) <=
+  return cost * n_environments * physics->scheme.n_steps * (precision == MO_FLOAT64 ? 2 : 1) <=
          INTERACTIVE_COST;
 }
 

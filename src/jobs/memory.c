@@ -77,7 +77,7 @@ void mo_memory_add_learning(const struct mo_jobs *jobs, uint32_t batch,
   if (back_end == MO_ON_DEVICE)
     return;
   need->own += (blocks < 2 * n ? blocks : 2 * n) * SLOT_BYTES;
-  need->scratch = (blocks < n ? blocks : n) * scratch(jobs, physics->n_steps);
+  need->scratch = (blocks < n ? blocks : n) * scratch(jobs, physics->scheme.n_steps);
 }
 
 static uint64_t alone(const struct mo_need *need)

@@ -95,7 +95,7 @@ static size_t shorten(struct mo_verification *verification, size_t n)
   uint64_t steps = 0;
   for (size_t i = 0; i < n; i++) {
     const struct mo_origin_row *row = &verification->rows[i];
-    steps += (uint64_t)row->n * row->physics.n_steps;
+    steps += (uint64_t)row->n * row->physics.scheme.n_steps;
     if (i == 0 || steps <= STEPS_MAX)
       continue;
     verification->place = (struct mo_origin_place){row[-1].genotype_row, row[-1].condition};

@@ -60,15 +60,15 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
     }
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), guarded = length + 1e-8;
     const double free_rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
-    const double rest = free_rest * (1.0 + physics->actuation * tape->control.output[s]);
-    const double stiffness = physics->dt_s * physics->stiffness_n_per_m;
+    const double rest = free_rest * (1.0 + physics->constants.actuation * tape->control.output[s]);
+    const double stiffness = physics->scheme.dt_s * physics->constants.stiffness_n_per_m;
     const double pull = stiffness * (length - rest) / guarded;
     const double d_pull = across[0] * d[0] + across[1] * d[1] + across[2] * d[2];
     /* pull = dt · k · (length − rest) / (length + 1e-8) */
     const double d_length = d_pull * stiffness * (rest + 1e-8) / (guarded * guarded);
     const double d_rest = -d_pull * stiffness / guarded;
     /* rest = free_rest · (1 + actuation · activation) */
-    adjoint->d_activation[s] += d_rest * free_rest * physics->actuation;
+    adjoint->d_activation[s] += d_rest * free_rest * physics->constants.actuation;
     /* length = |d|,   d = position[a] − position[b] */
     for (int axis = 0; axis < 3; axis++) {
       const double dd = pull * across[axis] + (length > 0 ? d_length * d[axis] / length : 0);
@@ -82,7 +82,7 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
                                 struct mo_adjoint *adjoint)
 {
   const struct mo_physics *physics = r->physics;
-  const double keep = exp(-physics->drag_per_s * physics->dt_s);
+  const double keep = exp(-physics->constants.drag_per_s * physics->scheme.dt_s);
   memset(adjoint->d_impulse, 0, (size_t)r->body->n_masses * 3 * sizeof(double));
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const size_t at = 3 * (size_t)i;
@@ -91,7 +91,7 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
                             adjoint->d_position + at, adjoint->d_velocity + at);
     /* v = keep · v + impulse / mass,   v[2] −= gravity · dt */
     for (int axis = 0; axis < 3; axis++) {
-      adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / physics->mass_kg;
+      adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / physics->constants.mass_kg;
       adjoint->d_velocity[at + axis] *= keep;
     }
   }

@@ -135,7 +135,8 @@ static void strike(const struct mo_physics *physics, const double gradient[2], d
   for (int axis = 0; axis < 3; axis++)
     v[axis] -= vn * normal[axis];
   const double vt = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-  const double lost = fmin(physics->friction * fabs(vn), physics->friction_cap * vt);
+  const double lost =
+      fmin(physics->constants.friction * fabs(vn), physics->constants.friction_cap * vt);
   const double scale = vt > 0 ? 1.0 - lost / vt : 0.0;
   for (int axis = 0; axis < 3; axis++)
     v[axis] *= scale;
@@ -144,7 +145,7 @@ static void strike(const struct mo_physics *physics, const double gradient[2], d
 bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
                      double highest_m, double position_m[3], double velocity_m_per_s[3])
 {
-  const double dt = physics->dt_s;
+  const double dt = physics->scheme.dt_s;
   double *p = position_m, *v = velocity_m_per_s;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
   if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
@@ -152,9 +153,9 @@ bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
       p[axis] = next[axis];
     return false;
   }
-  const double impact = physics->impact == MO_IMPACT_EXACT
+  const double impact = physics->scheme.impact == MO_IMPACT_EXACT
                             ? mo_impact_exact(heights_m, p, v, dt)
-                            : mo_impact_bisection(heights_m, p, v, dt, physics->bisections);
+                            : mo_impact_bisection(heights_m, p, v, dt, physics->scheme.bisections);
   p[0] += impact * v[0];
   p[1] += impact * v[1];
   p[2] = mo_terrain_height(heights_m, p[0], p[1]);
@@ -192,7 +193,8 @@ static void strike_adjoint(const struct mo_physics *physics, const double g[2], 
   const double vn = v[0] * normal[0] + v[1] * normal[1] + v[2] * normal[2];
   const double u[3] = {v[0] - vn * normal[0], v[1] - vn * normal[1], v[2] - vn * normal[2]};
   const double vt = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
-  const double slowed = physics->friction * fabs(vn), cap = physics->friction_cap * vt;
+  const double slowed = physics->constants.friction * fabs(vn),
+               cap = physics->constants.friction_cap * vt;
   double du[3] = {0, 0, 0}, dn[3] = {0, 0, 0}, dvn = 0;
   if (vt > 0) {
     const double scale = 1.0 - fmin(slowed, cap) / vt;
@@ -202,7 +204,7 @@ static void strike_adjoint(const struct mo_physics *physics, const double g[2], 
     if (slowed < cap) {
       /* scale = 1 − friction |vn| / vt; with the cap it is the constant 1 − friction_cap */
       const double d_scale = u[0] * dw[0] + u[1] * dw[1] + u[2] * dw[2];
-      dvn -= d_scale * copysign(physics->friction, vn) / vt;
+      dvn -= d_scale * copysign(physics->constants.friction, vn) / vt;
       /* vt = |u| */
       const double d_vt = d_scale * slowed / (vt * vt);
       for (int k = 0; k < 3; k++)
@@ -250,7 +252,7 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
                              const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3])
 {
-  const double dt = physics->dt_s;
+  const double dt = physics->scheme.dt_s;
   const double *p = position_m, *v = velocity_m_per_s;
   double *dp = d_position, *dv = d_velocity;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
@@ -261,9 +263,9 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
     return;
   }
   /* Repeat the forward step: impact at `hit`, velocity `slid` after it, end of the step `end`. */
-  const double impact = physics->impact == MO_IMPACT_EXACT
+  const double impact = physics->scheme.impact == MO_IMPACT_EXACT
                             ? mo_impact_exact(heights_m, p, v, dt)
-                            : mo_impact_bisection(heights_m, p, v, dt, physics->bisections);
+                            : mo_impact_bisection(heights_m, p, v, dt, physics->scheme.bisections);
   const double rest = dt - impact;
   double hit[3] = {p[0] + impact * v[0], p[1] + impact * v[1], 0}, slid[3] = {v[0], v[1], v[2]},
          g[2], end[3];
@@ -313,6 +315,6 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
   double ground[2];
   const bool lies = !(p[2] > mo_terrain_height(heights_m, p[0], p[1]));
   mo_terrain_gradient(heights_m, p[0], p[1], ground);
-  if (physics->impact == MO_IMPACT_EXACT)
+  if (physics->scheme.impact == MO_IMPACT_EXACT)
     impact_adjoint(impact, dt, lies ? ground : NULL, g, v, d_impact, dp, dv);
 }

@@ -31,7 +31,7 @@ struct gradient {
 
 static uint32_t segments(const struct gradient *g)
 {
-  const uint32_t n = g->reference.physics->n_steps;
+  const uint32_t n = g->reference.physics->scheme.n_steps;
   return n / g->segment + (n % g->segment != 0);
 }
 
@@ -50,7 +50,7 @@ static int allocate(struct gradient *g)
   const struct mo_controller *controller = g->reference.controller;
   const size_t n = (size_t)body->n_masses * 3;
   const size_t tape = 2 * n + mo_controller_tape_doubles(controller, body->n_springs);
-  g->segment = (uint32_t)ceil(sqrt((double)g->reference.physics->n_steps));
+  g->segment = (uint32_t)ceil(sqrt((double)g->reference.physics->scheme.n_steps));
   g->n_state = 2 * n;
   const size_t states = (size_t)(segments(g) + 1) * g->n_state, tapes = g->segment * tape;
   g->memory = calloc(states + tapes + 3 * n + body->n_springs + controller->n_inputs +
@@ -158,8 +158,9 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
   mo_adjoint_start(r, outcome->com_end_m, &g->goal, 1.0, &g->adjoint);
   for (uint32_t k = segments(g); k-- > 0;) {
     const uint32_t first = k * g->segment;
-    const uint32_t n =
-        r->physics->n_steps - first < g->segment ? r->physics->n_steps - first : g->segment;
+    const uint32_t n = r->physics->scheme.n_steps - first < g->segment
+                           ? r->physics->scheme.n_steps - first
+                           : g->segment;
     replay(g, first, n);
     for (uint32_t s = n; s-- > 0;) {
       g->counts.steps++;

@@ -8,18 +8,15 @@
 struct mo_physics mo_default_physics(void)
 {
   return (struct mo_physics){
-      .dt_s = 0.004,
-      .n_steps = 1000,
-      .stiffness_n_per_m = 15000.0,
-      .mass_kg = 1.0,
-      .drag_per_s = 15.0,
-      .gravity_m_per_s2 = 9.8,
-      .actuation = 0.2,
-      .friction = 0.9,
-      .friction_cap = 0.95,
+      .scheme = {.dt_s = 0.004, .n_steps = 1000, .impact = MO_IMPACT_EXACT, .bisections = 8},
+      .constants = {.stiffness_n_per_m = 15000.0,
+                    .mass_kg = 1.0,
+                    .drag_per_s = 15.0,
+                    .gravity_m_per_s2 = 9.8,
+                    .actuation = 0.2,
+                    .friction = 0.9,
+                    .friction_cap = 0.95},
       .drop_height_m = 0.0,
-      .impact = MO_IMPACT_EXACT,
-      .bisections = 8,
   };
 }
 
@@ -33,7 +30,7 @@ static void read_impact(struct mo_json *json, void *value)
   if (!mo_json_string(json, &name))
     return;
   if (mo_json_is(name, "exact")) {
-    physics->impact = MO_IMPACT_EXACT;
+    physics->scheme.impact = MO_IMPACT_EXACT;
     return;
   }
   uint32_t n = 0;
@@ -48,28 +45,28 @@ static void read_impact(struct mo_json *json, void *value)
                      BISECTIONS_MAX);
     return;
   }
-  physics->impact = MO_IMPACT_BISECTION;
-  physics->bisections = n;
+  physics->scheme.impact = MO_IMPACT_BISECTION;
+  physics->scheme.bisections = n;
 }
 
 static void write_impact(struct mo_text *text, const void *value)
 {
   const struct mo_physics *physics = value;
-  if (physics->impact == MO_IMPACT_EXACT)
+  if (physics->scheme.impact == MO_IMPACT_EXACT)
     mo_text_add(text, "\"exact\"");
   else
-    mo_text_format(text, "\"bisection%u\"", physics->bisections);
+    mo_text_format(text, "\"bisection%u\"", physics->scheme.bisections);
 }
 
 static int check_impact(const char *name, const void *value, struct mo_message *message)
 {
   const struct mo_physics *physics = value;
-  if (physics->impact != MO_IMPACT_EXACT && physics->impact != MO_IMPACT_BISECTION)
+  if (physics->scheme.impact != MO_IMPACT_EXACT && physics->scheme.impact != MO_IMPACT_BISECTION)
     return mo_fail(message, MO_ERR_INVALID, "%s must be %d (exact) or %d (bisection), got %d", name,
-                   (int)MO_IMPACT_EXACT, (int)MO_IMPACT_BISECTION, (int)physics->impact);
-  if (physics->bisections < 1 || physics->bisections > BISECTIONS_MAX)
+                   (int)MO_IMPACT_EXACT, (int)MO_IMPACT_BISECTION, (int)physics->scheme.impact);
+  if (physics->scheme.bisections < 1 || physics->scheme.bisections > BISECTIONS_MAX)
     return mo_fail(message, MO_ERR_RANGE, "bisections must be 1 to %d, got %u", BISECTIONS_MAX,
-                   physics->bisections);
+                   physics->scheme.bisections);
   return MO_OK;
 }
 
@@ -77,28 +74,28 @@ static int check_impact(const char *name, const void *value, struct mo_message *
 static const struct mo_field_own impact = {read_impact, write_impact, check_impact};
 static const char *const impact_words[] = {"exact", "bisection", NULL};
 static const struct mo_field impact_rows[] = {
-    {"impact", MO_FIELD_WORD, 0, AT(impact), .words = impact_words},
-    {"bisections", MO_FIELD_COUNT, 0, AT(bisections), .min = 1, .max = BISECTIONS_MAX},
+    {"impact", MO_FIELD_WORD, 0, AT(scheme.impact), .words = impact_words},
+    {"bisections", MO_FIELD_COUNT, 0, AT(scheme.bisections), .min = 1, .max = BISECTIONS_MAX},
 };
 static const struct mo_fields impact_members = MO_FIELDS(impact_rows);
 static const struct mo_field rows[] = {
-    {"dt_s", MO_FIELD_NUMBER, 0, AT(dt_s), .min = 1e-7, .max = 0.1, .unit = "s",
+    {"dt_s", MO_FIELD_NUMBER, 0, AT(scheme.dt_s), .min = 1e-7, .max = 0.1, .unit = "s",
      .help = "time step"},
-    {"n_steps", MO_FIELD_COUNT, 0, AT(n_steps), .min = 1, .max = MO_STEPS_MAX, .unit = "steps",
-     .help = "length of a rollout"},
-    {"stiffness_n_per_m", MO_FIELD_NUMBER, 0, AT(stiffness_n_per_m), .min = 0, .max = 1e9,
+    {"n_steps", MO_FIELD_COUNT, 0, AT(scheme.n_steps), .min = 1, .max = MO_STEPS_MAX,
+     .unit = "steps", .help = "length of a rollout"},
+    {"stiffness_n_per_m", MO_FIELD_NUMBER, 0, AT(constants.stiffness_n_per_m), .min = 0, .max = 1e9,
      .unit = "N/m", .help = "stiffness of every spring"},
-    {"mass_kg", MO_FIELD_NUMBER, 0, AT(mass_kg), .min = 1e-6, .max = 1e6, .unit = "kg",
+    {"mass_kg", MO_FIELD_NUMBER, 0, AT(constants.mass_kg), .min = 1e-6, .max = 1e6, .unit = "kg",
      .help = "mass of every node"},
-    {"drag_per_s", MO_FIELD_NUMBER, 0, AT(drag_per_s), .min = 0, .max = 1e4, .unit = "1/s",
-     .help = "velocities are scaled by exp(-drag dt) in each step"},
-    {"gravity_m_per_s2", MO_FIELD_NUMBER, 0, AT(gravity_m_per_s2), .min = 0, .max = 1000,
+    {"drag_per_s", MO_FIELD_NUMBER, 0, AT(constants.drag_per_s), .min = 0, .max = 1e4,
+     .unit = "1/s", .help = "velocities are scaled by exp(-drag dt) in each step"},
+    {"gravity_m_per_s2", MO_FIELD_NUMBER, 0, AT(constants.gravity_m_per_s2), .min = 0, .max = 1000,
      .unit = "m/s^2", .help = "acceleration downward"},
-    {"actuation", MO_FIELD_NUMBER, 0, AT(actuation), .min = 0, .max = 0.9, .unit = "",
+    {"actuation", MO_FIELD_NUMBER, 0, AT(constants.actuation), .min = 0, .max = 0.9, .unit = "",
      .help = "largest relative change of a rest length"},
-    {"friction", MO_FIELD_NUMBER, 0, AT(friction), .min = 0, .max = 1000, .unit = "",
+    {"friction", MO_FIELD_NUMBER, 0, AT(constants.friction), .min = 0, .max = 1000, .unit = "",
      .help = "tangential speed lost per normal speed in a contact"},
-    {"friction_cap", MO_FIELD_NUMBER, 0, AT(friction_cap), .min = 0, .max = 1, .unit = "",
+    {"friction_cap", MO_FIELD_NUMBER, 0, AT(constants.friction_cap), .min = 0, .max = 1, .unit = "",
      .help = "largest share of the tangential speed lost in a contact"},
     {"drop_height_m", MO_FIELD_NUMBER, 0, AT(drop_height_m), .min = 0, .max = 1000, .unit = "m",
      .help = "extra height of the body at the start"},

@@ -8,7 +8,7 @@ const char *const mo_channel_words[] = {"com", "masses", "actuation", "contacts"
 
 uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride)
 {
-  return stride > 0 ? physics->n_steps / stride + 1 : 0;
+  return stride > 0 ? physics->scheme.n_steps / stride + 1 : 0;
 }
 
 uint32_t mo_channel_numbers(enum mo_channel channel, uint32_t n_masses, uint32_t n_springs)

@@ -41,7 +41,7 @@ static void control(const struct mo_reference *r, uint32_t step)
 {
   struct mo_controller_tape *tape = &r->tape->control;
   sense_light(r, tape->input);
-  const double t = step * r->physics->dt_s;
+  const double t = step * r->physics->scheme.dt_s;
   for (int k = 0; k < MO_CPG_INPUTS; k++)
     tape->input[r->controller->n_masses + (uint32_t)k] =
         sin(MO_CPG_RAD_PER_S * t + 2.0 * M_PI * k / MO_CPG_INPUTS);
@@ -62,9 +62,9 @@ static void pull_springs(struct mo_reference *r)
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
     double rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
     if (r->controller != NULL)
-      rest *= 1.0 + physics->actuation * r->tape->control.output[s];
-    const double pull =
-        physics->dt_s * physics->stiffness_n_per_m * (length - rest) / (length + 1e-8);
+      rest *= 1.0 + physics->constants.actuation * r->tape->control.output[s];
+    const double pull = physics->scheme.dt_s * physics->constants.stiffness_n_per_m *
+                        (length - rest) / (length + 1e-8);
     for (int axis = 0; axis < 3; axis++) {
       r->impulse_n_s[a + axis] -= pull * d[axis];
       r->impulse_n_s[b + axis] += pull * d[axis];
@@ -75,12 +75,12 @@ static void pull_springs(struct mo_reference *r)
 static void move_masses(struct mo_reference *r)
 {
   const struct mo_physics *physics = r->physics;
-  const double keep = exp(-physics->drag_per_s * physics->dt_s);
+  const double keep = exp(-physics->constants.drag_per_s * physics->scheme.dt_s);
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     double *v = r->velocity_m_per_s + 3 * (size_t)i;
     for (int axis = 0; axis < 3; axis++)
-      v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / physics->mass_kg;
-    v[2] -= physics->gravity_m_per_s2 * physics->dt_s;
+      v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / physics->constants.mass_kg;
+    v[2] -= physics->constants.gravity_m_per_s2 * physics->scheme.dt_s;
     memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
     r->contacts[i] = mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m,
                                      r->position_m + 3 * (size_t)i, v);
@@ -158,7 +158,7 @@ void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint3
   *outcome = (struct mo_outcome){0};
   mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
   visit(context, 0);
-  for (uint32_t step = 0; step < r->physics->n_steps; step++) {
+  for (uint32_t step = 0; step < r->physics->scheme.n_steps; step++) {
     if (outcome->diverged_step == 0 && !mo_reference_step(r, step))
       outcome->diverged_step = (int32_t)step + 1;
     visit(context, step + 1);

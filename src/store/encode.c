@@ -27,8 +27,8 @@ size_t mo_encode_physics(const struct mo_physics *physics, enum mo_precision pre
   const uint32_t tail[] = {(uint32_t)precision, (uint32_t)sensor};
   struct mo_physics encoded = *physics;
   mo_fields_clear_minus(&mo_physics_fields, &encoded);
-  if (encoded.impact == MO_IMPACT_EXACT)
-    encoded.bisections = 0;
+  if (encoded.scheme.impact == MO_IMPACT_EXACT)
+    encoded.scheme.bisections = 0;
   const unsigned version = mo_physics_version(&encoded);
   const size_t size = mo_fields_packed_bytes(&mo_physics_fields, version);
   bytes[0] = (uint8_t)version;
@@ -49,8 +49,8 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   memcpy(tail, bytes + size - TAIL_BYTES, TAIL_BYTES);
   if (tail[0] > MO_FLOAT64 || tail[1] > MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_CORRUPT;
-  if (physics->impact == MO_IMPACT_EXACT)
-    physics->bisections = mo_default_physics().bisections;
+  if (physics->scheme.impact == MO_IMPACT_EXACT)
+    physics->scheme.bisections = mo_default_physics().scheme.bisections;
   *precision = (enum mo_precision)tail[0];
   *sensor = (enum mo_sensor)tail[1];
   return MO_OK;

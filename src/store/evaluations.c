@@ -297,7 +297,7 @@ static int load_trajectory(struct mo_connection *reader, const void *any, void *
     error = mo_column_physics(row, 3, &physics, &precision, &sensor);
   if (error != MO_OK)
     return error;
-  trajectory->dt_s = physics.dt_s;
+  trajectory->dt_s = physics.scheme.dt_s;
   trajectory->n_frames = mo_column_u32(row, 1);
   trajectory->n_masses = mo_column_u32(row, 2);
   for (int i = 0; i < MO_CHANNELS; i++)

@@ -25,7 +25,8 @@ static void check_accepted(const struct mo_evaluation_request *request)
       FUZZ_PROMISE(mo_environment_check(&request->environments[k], NULL) == MO_OK);
   }
   FUZZ_PROMISE(mo_physics_check(&request->physics, NULL) == MO_OK);
-  FUZZ_PROMISE(request->record_stride >= 1 && request->record_stride <= request->physics.n_steps);
+  FUZZ_PROMISE(request->record_stride >= 1 &&
+               request->record_stride <= request->physics.scheme.n_steps);
   FUZZ_PROMISE(request->controller != NULL && strlen(request->controller) <= MO_NAME_BYTES_MAX + 7);
   FUZZ_PROMISE(request->job.label == NULL || strlen(request->job.label) <= MO_LABEL_BYTES_MAX);
 }

@@ -428,7 +428,7 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
                          uint64_t memory_bytes)
 {
   mo_cuda_gradient_state *s = &device->gradient;
-  const uint32_t n_steps = call->physics.n_steps;
+  const uint32_t n_steps = call->physics.scheme.n_steps;
   uint64_t budget = 0;
   if (!mo_gradient_can_be_held(&plan, n_steps, share_of(device->total_bytes))) {
     snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device",

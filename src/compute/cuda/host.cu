@@ -94,22 +94,23 @@ int mo_cuda_wait(mo_device *device, const volatile int *cancel)
 
 int mo_cuda_generators(mo_device *device, const mo_physics *physics)
 {
-  if (device->generators_dt_s == physics->dt_s && device->generators_steps >= physics->n_steps)
+  if (device->generators_dt_s == physics->scheme.dt_s &&
+      device->generators_steps >= physics->scheme.n_steps)
     return MO_OK;
-  const size_t bytes = (size_t)physics->n_steps * MO_CPG_INPUTS * sizeof(float);
+  const size_t bytes = (size_t)physics->scheme.n_steps * MO_CPG_INPUTS * sizeof(float);
   device->generators_steps = 0;
   int status = mo_cuda_reserve_pinned(device, &device->staged_generators, bytes);
   if (status != MO_OK)
     return status;
   float *out = (float *)device->staged_generators.memory;
-  for (uint32_t step = 0; step < physics->n_steps; step++)
+  for (uint32_t step = 0; step < physics->scheme.n_steps; step++)
     for (int k = 0; k < MO_CPG_INPUTS; k++)
-      *out++ =
-          (float)sin(MO_CPG_RAD_PER_S * (step * physics->dt_s) + 2.0 * M_PI * k / MO_CPG_INPUTS);
+      *out++ = (float)sin(MO_CPG_RAD_PER_S * (step * physics->scheme.dt_s) +
+                          2.0 * M_PI * k / MO_CPG_INPUTS);
   status = mo_cuda_upload(device, &device->generators, device->staged_generators.memory, bytes);
   if (status == MO_OK) {
-    device->generators_dt_s = physics->dt_s;
-    device->generators_steps = physics->n_steps;
+    device->generators_dt_s = physics->scheme.dt_s;
+    device->generators_steps = physics->scheme.n_steps;
   }
   return status;
 }

@@ -96,7 +96,7 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.physics = lane_physics_of(&score->physics);
   s.drop_height_m = score->physics.drop_height_m;
   s.n_groups = plan.n_groups;
-  s.n_steps = score->physics.n_steps;
+  s.n_steps = score->physics.scheme.n_steps;
   s.max_places = places;
   return s;
 }

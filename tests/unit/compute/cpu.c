@@ -275,7 +275,8 @@ static void blocks_are_what_was_asked_for(void)
   for (int i = 0; i < 4; i++) {
     fill_block(blocks + i, genotype, brain, 100);
     blocks[i].precision = i & 1 ? MO_FLOAT64 : MO_FLOAT32;
-    blocks[i].physics.stiffness_n_per_m = i & 2 ? 1e6 : 15000; /* the stiff ones diverge */
+    blocks[i].physics.constants.stiffness_n_per_m =
+        i & 2 ? 1e6 : 15000; /* the stiff ones diverge */
   }
   CHECK_INT(mo_compute_run(compute, blocks, 4), MO_OK);
   uint64_t diverged = 0;

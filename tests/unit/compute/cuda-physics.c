@@ -65,7 +65,7 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
 {
   static double moved[STRIKES], differ[STRIKES];
   struct mo_physics physics = mo_default_physics();
-  physics.impact = impact;
+  physics.scheme.impact = impact;
   const struct lane_physics lane = lane_physics_of(&physics);
   int n = 0, crossing = 0;
   mo_random_init(&dice, 11, MO_PURPOSE_CHECK, 0, impact);
@@ -189,7 +189,8 @@ static double loss64(const struct mo_physics *p, double wanted, const double *d,
                      const double *across)
 {
   const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-  return p->dt_s * p->stiffness_n_per_m / p->mass_kg * (length - wanted) / (length + 1e-8) *
+  return p->scheme.dt_s * p->constants.stiffness_n_per_m / p->constants.mass_kg *
+         (length - wanted) / (length + 1e-8) *
          (across[0] * d[0] + across[1] * d[1] + across[2] * d[2]);
 }
 

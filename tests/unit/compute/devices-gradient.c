@@ -37,7 +37,7 @@ static struct gradient differentiate_with(struct mo_gradient_state *state,
                                     .cancel = cancel,
                                     .d_parameters = gradient.d_parameters,
                                     .outcomes = gradient.outcomes};
-  batch.physics.n_steps = ROBOT_STEPS;
+  batch.physics.scheme.n_steps = ROBOT_STEPS;
   gradient.status = mo_compute_gradient(state, &batch);
   gradient.computed_on = batch.computed_on;
   gradient.counts = batch.counts;

@@ -62,7 +62,7 @@ static void submit(struct submitter *submitter)
     i++;
   world.used[i] = true;
   world.blocks[i] = (struct mo_block){.n_environments = 1 + mo_random_below(&world.random, 16)};
-  world.blocks[i].physics.n_steps = 1000;
+  world.blocks[i].physics.scheme.n_steps = 1000;
   submitter->inside++;
   mo_fair_push(&world.fair, &submitter->share, &world.blocks[i]);
 }

@@ -113,7 +113,7 @@ static struct mo_gradient_batch make_batch(uint32_t n, uint32_t n_steps, int res
                                     .tag = 7,
                                     .d_parameters = d_parameters[result],
                                     .outcomes = outcomes[result]};
-  batch.physics.n_steps = n_steps;
+  batch.physics.scheme.n_steps = n_steps;
   return batch;
 }
 
@@ -586,7 +586,7 @@ static void one_state_takes_any_controller(void)
   }
   CHECK(same_results(34));
   struct mo_gradient_batch stiff = make_batch(34, 60, 0);
-  stiff.physics.stiffness_n_per_m = 1e6;
+  stiff.physics.constants.stiffness_n_per_m = 1e6;
   CHECK_INT(mo_compute_gradient(state, &stiff), MO_OK);
   uint64_t diverged = 0;
   size_t not_zero = 0;

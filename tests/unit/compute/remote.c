@@ -170,7 +170,7 @@ static void workers_keep_the_rest(void)
 static void one_physics_at_a_time(void)
 {
   struct world world = open_world();
-  blocks[2].physics.friction = 0.5;
+  blocks[2].physics.constants.friction = 0.5;
   submit(&world, 0, 4);
   for (int n = 0; n < 3; n++) {
     struct mo_taken *taken = mo_compute_take(world.compute, MO_ON_CPU, steps_of(BODIES));

@@ -194,7 +194,7 @@ static void *learn(void *argument)
                                     .share = learner->share,
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
-  batch.physics.n_steps = GRADIENT_STEPS;
+  batch.physics.scheme.n_steps = GRADIENT_STEPS;
   learner->status =
       d_parameters == NULL ? MO_ERR_NO_MEMORY : mo_gradient_state_create(learner->compute, &state);
   while (learner->status == MO_OK && !atomic_load(&learner->stop))

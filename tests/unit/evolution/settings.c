@@ -88,7 +88,7 @@ static void refused(void)
       {FEW, FIELD(s.learning.gradient.adjoint_rule), MO_ADJOINT_RESTART, MO_OK, ""},
       {BOTH, FIELD(s.sensor), 2, MO_ERR_INVALID, "\"inverse_square\", got number 2"},
       {BOTH, FIELD(s.learning.schedule.peak), -1, MO_ERR_RANGE, "peak must be above 0"},
-      {ZERO, FIELD(s.physics.dt_s), 1, MO_ERR_RANGE, "dt_s must be at least 1e-07"},
+      {ZERO, FIELD(s.physics.scheme.dt_s), 1, MO_ERR_RANGE, "dt_s must be at least 1e-07"},
   };
   struct mo_message message;
   for (size_t i = 0; i < COUNT(cases); i++) {

@@ -109,7 +109,8 @@ static inline struct mo_taken *fake_take(struct mo_compute *context, enum mo_bac
   taken->shown.controller = fake->controller;
   taken->shown.identity = (const void *)fake->controller;
   for (uint64_t rest = steps; block != NULL; block = TAILQ_FIRST(&fake->queue)) {
-    const uint64_t cost = (uint64_t)block->block.n_environments * block->block.physics.n_steps;
+    const uint64_t cost =
+        (uint64_t)block->block.n_environments * block->block.physics.scheme.n_steps;
     if (taken->shown.n_blocks > 0 && cost > rest)
       break;
     rest -= cost < rest ? cost : rest;
@@ -230,7 +231,7 @@ static inline uint64_t fake_waiting(struct mo_compute *context, enum mo_back_end
   return back_end != MO_ON_CPU || first == NULL
              ? 0
              : (uint64_t)fake->n_waiting * first->block.n_environments *
-                   first->block.physics.n_steps;
+                   first->block.physics.scheme.n_steps;
 }
 
 static inline void fake_wake(void *context, uint64_t session)

@@ -21,7 +21,7 @@ static inline struct mo_wire_lease lease_of(struct mo_workspace workspace, uint6
   lease.environments = calloc(n_environments, sizeof(*lease.environments));
   lease.blocks = calloc(n_blocks, sizeof(*lease.blocks));
   make_check(lease.environments && lease.blocks ? MO_OK : MO_ERR_NO_MEMORY, "a lease");
-  lease.physics.impact = number % 2 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+  lease.physics.scheme.impact = number % 2 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
   mo_sha256_of(&number, sizeof(number), &lease.controller);
   for (uint32_t e = 0; e < n_environments; e++)
     mo_environment_training(number, 0, e, &lease.environments[e]);

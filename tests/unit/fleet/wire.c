@@ -88,8 +88,9 @@ static void round_trip(void)
   const struct mo_wire_lease *got = &leases.items[3];
   CHECK(got->id.epoch == 7 && got->id.number == 3 && got->back_end == MO_ON_DEVICE);
   CHECK(mo_sha256_equal(&got->controller, &sent.controller));
-  CHECK(got->physics.n_steps == 103 && got->physics.impact == MO_IMPACT_BISECTION &&
-        got->physics.friction_cap == 0.95 && got->physics.stiffness_n_per_m == 15000.0);
+  CHECK(got->physics.scheme.n_steps == 103 && got->physics.scheme.impact == MO_IMPACT_BISECTION &&
+        got->physics.constants.friction_cap == 0.95 &&
+        got->physics.constants.stiffness_n_per_m == 15000.0);
   CHECK(got->n_rows == sent.n_rows && SAME(got->environments, sent.environments, 7));
   CHECK(SAME(got->blocks, sent.blocks, 4));
   got = &leases.items[2];

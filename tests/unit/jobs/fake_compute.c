@@ -98,8 +98,8 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
   h = mix(h, genotype, MO_DEFAULT_WORDS * sizeof(*genotype));
   const int talent = (int)(h >> 20 & 7);
   h = mix(h, environment, sizeof(*environment));
-  h = mix(h, &physics->dt_s, sizeof(physics->dt_s));
-  h = mix(h, &physics->n_steps, sizeof(physics->n_steps));
+  h = mix(h, &physics->scheme.dt_s, sizeof(physics->scheme.dt_s));
+  h = mix(h, &physics->scheme.n_steps, sizeof(physics->scheme.n_steps));
   h = mix(h, &kind, sizeof(kind));
   const bool diverges = h % 31 == 0;
   if (controller != NULL)
@@ -108,7 +108,7 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
     outcome.loss = NAN;
   } else if (diverges) {
     outcome.loss = INFINITY;
-    outcome.diverged_step = (int32_t)(1 + (h >> 20) % physics->n_steps);
+    outcome.diverged_step = (int32_t)(1 + (h >> 20) % physics->scheme.n_steps);
   } else {
     outcome.loss = ldexp((double)(h >> 11), -53 - talent) + atomic_load(&fake_plan.skew);
   }

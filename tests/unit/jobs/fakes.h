@@ -168,7 +168,7 @@ static inline struct mo_campaign_request campaign(enum mo_campaign_mode mode)
     settings->parent_steps = PARENT_STEPS;
     settings->child_steps = CHILD_STEPS;
   }
-  settings->physics.n_steps = 20;
+  settings->physics.scheme.n_steps = 20;
   snprintf(request.record.environment_set, sizeof(request.record.environment_set), "paper-test");
   return request;
 }

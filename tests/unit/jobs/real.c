@@ -93,7 +93,7 @@ static void evaluates(void)
     struct mo_trajectory *trajectory = NULL;
     service.n_workers = workers[round];
     REQUIRE_OK(service_reopen());
-    request.physics.n_steps = STEPS;
+    request.physics.scheme.n_steps = STEPS;
     request.verify = round > 0; /* computed again, in other company */
     request.record = round == 2 ? MO_RECORD_COM : 0;
     request.record_stride = 50;
@@ -134,7 +134,7 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   char digits[MO_SHA256_DIGITS + 1];
   settings->population = 6;
   settings->generations = 2;
-  settings->physics.n_steps = 30;
+  settings->physics.scheme.n_steps = 30;
   if (mode != MO_ZERO_SHOT)
     settings->parent_steps = settings->child_steps = 1;
   settings->learning.gradient.adjoint_bound = BOUND;

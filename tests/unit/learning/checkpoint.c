@@ -9,7 +9,7 @@
 static struct mo_training *begin(enum mo_training_kind kind)
 {
   struct mo_training_settings settings = small_settings(kind);
-  settings.physics.impact = MO_IMPACT_BISECTION;
+  settings.physics.scheme.impact = MO_IMPACT_BISECTION;
   settings.sensor = MO_SENSOR_INVERSE_SQUARE;
   return kind == MO_TRAINING_FINETUNE ? finetuning(&settings, 4, 1.0F)
                                       : make_training(&settings, NULL, NULL, 0);
@@ -87,18 +87,18 @@ static void settings_kept(void)
       .sensor = MO_SENSOR_INVERSE_SQUARE,
       .held_out_designs = 12,
       .held_out_environments = 13};
-  s.physics = (struct mo_physics){.dt_s = 0.003,
-                                  .n_steps = 77,
-                                  .stiffness_n_per_m = 1e4,
-                                  .mass_kg = 1.25,
-                                  .drag_per_s = 14,
-                                  .gravity_m_per_s2 = 9,
-                                  .actuation = 0.15,
-                                  .friction = 0.8,
-                                  .friction_cap = 0.9,
+  s.physics = (struct mo_physics){.scheme.dt_s = 0.003,
+                                  .scheme.n_steps = 77,
+                                  .constants.stiffness_n_per_m = 1e4,
+                                  .constants.mass_kg = 1.25,
+                                  .constants.drag_per_s = 14,
+                                  .constants.gravity_m_per_s2 = 9,
+                                  .constants.actuation = 0.15,
+                                  .constants.friction = 0.8,
+                                  .constants.friction_cap = 0.9,
                                   .drop_height_m = 0.5,
-                                  .impact = MO_IMPACT_BISECTION,
-                                  .bisections = 9};
+                                  .scheme.impact = MO_IMPACT_BISECTION,
+                                  .scheme.bisections = 9};
   const struct mo_training *training = decoded(encoded(make_training(&s, NULL, NULL, 0)));
   CHECK(same_settings(mo_training_settings_of(training), &s));
   struct mo_controller *exported = NULL;

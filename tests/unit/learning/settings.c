@@ -36,8 +36,8 @@ static void presets(void)
       CHECK(s.learning.gradient.adjoint_bound == all[kind][preset].bound &&
             s.learning.gradient.adjoint_rule == all[kind][preset].rule &&
             s.learning.gradient.restart_weight == 3);
-      CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 &&
-            s.physics.impact == MO_IMPACT_EXACT);
+      CHECK(s.physics.scheme.n_steps == 1000 && s.physics.scheme.dt_s == 0.004 &&
+            s.physics.scheme.impact == MO_IMPACT_EXACT);
       CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
             s.held_out_environments == 8);
     }
@@ -110,7 +110,7 @@ static void refused_settings(void)
       {FIELD(s.held_out_environments), 0, MO_OK, ""},
       {FIELD(s.learning.schedule.peak), -1e-3, MO_ERR_RANGE,
        "schedule.peak must be above 0 and at most 1, got -0.001"},
-      {FIELD(s.physics.dt_s), 1, MO_ERR_RANGE,
+      {FIELD(s.physics.scheme.dt_s), 1, MO_ERR_RANGE,
        "physics.dt_s must be at least 1e-07 and at most 0.1, got 1"},
   };
   struct mo_message message;

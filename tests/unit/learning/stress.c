@@ -149,14 +149,14 @@ static void start(const struct stress *s, enum mo_sensor sensor, double bound, u
   settings.held_out_designs = 0;
   settings.learning.gradient.adjoint_bound = bound;
   settings.learning.schedule = (struct mo_schedule){MO_SCHEDULE_CONSTANT, 1e-2, 1e-2, 1, 1, 1, 0};
-  settings.physics.n_steps = n_steps;
-  settings.physics.stiffness_n_per_m *= s->stiffness_factor;
-  settings.physics.dt_s = s->reverser ? whole_parts(s->dt_s) : s->dt_s;
+  settings.physics.scheme.n_steps = n_steps;
+  settings.physics.constants.stiffness_n_per_m *= s->stiffness_factor;
+  settings.physics.scheme.dt_s = s->reverser ? whole_parts(s->dt_s) : s->dt_s;
   settings.physics.drop_height_m = s->drop_m;
   for (size_t i = 0; i < run->start->n_parameters; i++)
     run->start->parameters[i] *= (float)s->weight_factor;
   if (s->reverser)
-    make_reverser(run->start, settings.physics.dt_s);
+    make_reverser(run->start, settings.physics.scheme.dt_s);
   run->gradient = make_zeros(run->start->n_parameters, sizeof(double));
   run->training = make_training(&settings, run->start, run->designs[0], ROBOTS);
 }
@@ -227,7 +227,7 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state,
   REQUIRE(mo_compute_gradient(state, &batch) == MO_OK);
   uint64_t diverged = 0;
   for (uint32_t i = 0; i < ROBOTS; i++) {
-    CHECK(is_told_truly(run->outcomes + i, settings->physics.n_steps));
+    CHECK(is_told_truly(run->outcomes + i, settings->physics.scheme.n_steps));
     diverged += run->outcomes[i].diverged_step > 0;
   }
   CHECK_INT(batch.counts.robots, ROBOTS);
@@ -283,7 +283,7 @@ static void score(struct mo_compute *compute, struct training_run *run, struct t
   CHECK_INT(mo_compute_run(compute, blocks, SCORED), MO_OK);
   for (uint32_t i = 0; i < SCORED; i++)
     for (uint32_t e = 0; e < 2; e++) {
-      CHECK(is_told_truly(blocks[i].outcomes + e, settings->physics.n_steps));
+      CHECK(is_told_truly(blocks[i].outcomes + e, settings->physics.scheme.n_steps));
       tally->scores++;
       tally->scores_diverged += blocks[i].outcomes[e].diverged_step > 0;
     }

@@ -27,7 +27,7 @@ static struct mo_training *begin(void)
   struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_FINETUNE);
   settings.n_steps = STEPS;
   settings.batch = BATCH;
-  settings.physics.n_steps = 80;
+  settings.physics.scheme.n_steps = 80;
   settings.learning.schedule = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE];
   settings.learning.schedule.warmup_steps = 2;
   return finetuning(&settings, DESIGNS, 1.0F);

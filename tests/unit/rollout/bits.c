@@ -60,9 +60,9 @@ static const struct mo_body *body_number(uint32_t number)
 static struct mo_physics physics_number(uint32_t number)
 {
   struct mo_physics physics = physics_of(STEPS);
-  physics.impact = number % 2 == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+  physics.scheme.impact = number % 2 == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
   if (number == 3)
-    physics.stiffness_n_per_m = 22500;
+    physics.constants.stiffness_n_per_m = 22500;
   return physics;
 }
 

@@ -155,7 +155,7 @@ static void strike_flat(void)
   mo_contact_move(&physics, heights_m, 0.25, s, u);
   CHECK(u[0] == 0 && u[1] == 0 && u[2] == 0 && s[2] == 0.25);
   /* No friction. */
-  physics.friction = 0;
+  physics.constants.friction = 0;
   double a[3] = {2.5, 2.5, 0.25}, b[3] = {3, 0, -2};
   mo_contact_move(&physics, heights_m, 0.25, a, b);
   CHECK_NEAR(b[0], 3, 0);
@@ -201,7 +201,7 @@ static void never_below(void)
     if (trial % 50 == 0)
       for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
         heights_m[k] = uniform(0, trial % 3 ? 0.5 : 5);
-    physics.impact = trial % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    physics.scheme.impact = trial % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     double p[3] = {uniform(-1, 6), uniform(-1, 6), 0},
            v[3] = {uniform(-30, 30), uniform(-30, 30), uniform(-30, 5)};
     p[2] = mo_terrain_height(heights_m, p[0], p[1]) + (trial % 5 ? uniform(0, 0.05) : 0);

@@ -269,7 +269,7 @@ static uint64_t move(const struct second_setup *setup, double highest, num p[3],
 {
   const struct mo_physics *physics = setup->physics;
   const double *heights = setup->environment->terrain_heights_m;
-  const double dt = physics->dt_s;
+  const double dt = physics->scheme.dt_s;
   const num next[3] = {add(p[0], scaled(v[0], dt)), add(p[1], scaled(v[1], dt)),
                        add(p[2], scaled(v[2], dt))};
   if (val(next[2]) >= highest ||
@@ -278,9 +278,9 @@ static uint64_t move(const struct second_setup *setup, double highest, num p[3],
       p[k] = next[k];
     return 0;
   }
-  const num impact = physics->impact == MO_IMPACT_EXACT
+  const num impact = physics->scheme.impact == MO_IMPACT_EXACT
                          ? exact_impact(heights, p, v, dt)
-                         : bisected_impact(heights, p, v, dt, physics->bisections);
+                         : bisected_impact(heights, p, v, dt, physics->scheme.bisections);
   num g[2];
   int cell, end_cell;
   p[0] = add(p[0], mul(impact, v[0]));
@@ -293,10 +293,12 @@ static uint64_t move(const struct second_setup *setup, double highest, num p[3],
   for (int k = 0; k < 3; k++)
     v[k] = sub(v[k], mul(vn, normal[k]));
   const double still = sqrt(val(v[0]) * val(v[0]) + val(v[1]) * val(v[1]) + val(v[2]) * val(v[2]));
-  const double slowed = physics->friction * fabs(val(vn)), cap = physics->friction_cap * still;
+  const double slowed = physics->constants.friction * fabs(val(vn)),
+               cap = physics->constants.friction_cap * still;
   num scale = con(0);
   if (still > 0 && slowed < cap)
-    scale = sub(con(1), div_(scaled(vn, val(vn) < 0 ? -physics->friction : physics->friction),
+    scale = sub(con(1), div_(scaled(vn, val(vn) < 0 ? -physics->constants.friction
+                                                    : physics->constants.friction),
                              root(square_sum(v))));
   else if (still > 0)
     scale = con(1.0 - cap / still);
@@ -346,7 +348,7 @@ static void sense_all(struct second *s, uint32_t step)
   mean = div_(mean, con(body->n_masses));
   for (uint32_t i = 0; i < body->n_masses; i++)
     s->input[body->mass_lattice[i]] = sub(s->input[body->mass_lattice[i]], mean);
-  const double t = step * s->setup->physics->dt_s;
+  const double t = step * s->setup->physics->scheme.dt_s;
   for (int k = 0; k < 5; k++)
     s->input[s->n_inputs - 5 + (uint32_t)k] = con(sin(10.0 * t + 2.0 * M_PI * k / 5));
 }
@@ -403,10 +405,11 @@ static void pull_all(struct second *s)
     const num *a = s->p + 3 * body->spring_a[k], *b = s->p + 3 * body->spring_b[k];
     const num d[3] = {sub(a[0], b[0]), sub(a[1], b[1]), sub(a[2], b[2])};
     const num length = root(square_sum(d));
-    const num stretch = add(con(1), scaled(s->activation[k], physics->actuation));
+    const num stretch = add(con(1), scaled(s->activation[k], physics->constants.actuation));
     const num rest = scaled(stretch, body->spring_diagonal[k] ? 0.1 * M_SQRT2 : 0.1);
-    const num pull = div_(scaled(sub(length, rest), physics->dt_s * physics->stiffness_n_per_m),
-                          add(length, con(1e-8)));
+    const num pull =
+        div_(scaled(sub(length, rest), physics->scheme.dt_s * physics->constants.stiffness_n_per_m),
+             add(length, con(1e-8)));
     for (int axis = 0; axis < 3; axis++) {
       num *ja = s->impulse + 3 * body->spring_a[k] + axis,
           *jb = s->impulse + 3 * body->spring_b[k] + axis;
@@ -419,12 +422,13 @@ static void pull_all(struct second *s)
 static void move_all(struct second *s)
 {
   const struct mo_physics *physics = s->setup->physics;
-  const double keep = exp(-physics->drag_per_s * physics->dt_s);
+  const double keep = exp(-physics->constants.drag_per_s * physics->scheme.dt_s);
   for (uint32_t i = 0; i < s->setup->body->n_masses; i++) {
     num *v = s->v + 3 * i;
     for (int axis = 0; axis < 3; axis++)
-      v[axis] = add(scaled(v[axis], keep), div_(s->impulse[3 * i + axis], con(physics->mass_kg)));
-    v[2] = sub(v[2], con(physics->gravity_m_per_s2 * physics->dt_s));
+      v[axis] = add(scaled(v[axis], keep),
+                    div_(s->impulse[3 * i + axis], con(physics->constants.mass_kg)));
+    v[2] = sub(v[2], con(physics->constants.gravity_m_per_s2 * physics->scheme.dt_s));
     (void)move(s->setup, s->highest, s->p + 3 * i, v);
   }
 }
@@ -496,10 +500,10 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   place_body(&s);
   const num start = add(distance_to_light(&s), con(1e-8));
   uint32_t reported = 0;
-  for (uint32_t step = 0; step <= setup->physics->n_steps; step++) {
+  for (uint32_t step = 0; step <= setup->physics->scheme.n_steps; step++) {
     while (reported < n && at[reported] == step)
       losses[reported++] = div_(distance_to_light(&s), start);
-    if (step == setup->physics->n_steps)
+    if (step == setup->physics->scheme.n_steps)
       break;
     sense_all(&s, step);
     control_all(&s);

@@ -177,7 +177,7 @@ static void lanes_keep_to_themselves(void)
   enum { STRIDE = 25 };
   EACH_KERNEL(isa, precision)
   for (int impact = MO_IMPACT_EXACT; impact <= MO_IMPACT_BISECTION; impact++) {
-    physics.impact = (enum mo_impact)impact;
+    physics.scheme.impact = (enum mo_impact)impact;
     struct mo_body *body = body_number(1, 10);
     struct mo_outcome alone[MO_PAPER_TEST_COUNT], outcomes[MO_BLOCK_LANES];
     static struct path paths[MO_PAPER_TEST_COUNT], path[MO_BLOCK_LANES];
@@ -255,7 +255,7 @@ static void close_to_reference(void)
 {
   struct mo_physics physics = physics_of(100);
   for (int variant = 0; variant < 4; variant++) {
-    physics.impact = variant & 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+    physics.scheme.impact = variant & 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
     controller->sensor = variant & 2 ? MO_SENSOR_INVERSE_SQUARE : MO_SENSOR_INVERSE_SQRT;
     for (uint64_t number = 0; number < 4; number++) {
       struct mo_body *body = body_number(number, 1 + 12 * (uint32_t)number);
@@ -398,7 +398,7 @@ static void passive_bodies(void)
 static void divergence_stays_in_its_lane(void)
 {
   struct mo_physics physics = physics_of(400);
-  physics.stiffness_n_per_m = 22500; /* the others follow later, or not at all */
+  physics.constants.stiffness_n_per_m = 22500; /* the others follow later, or not at all */
   EACH_KERNEL(isa, precision)
   {
     struct mo_body *body = body_number(2, 60);
@@ -430,7 +430,7 @@ static void divergence_stays_in_its_lane(void)
       CHECK(SAME(&alone, &outcomes[l], 1));
       /* It stays where a life that ends a step earlier ends: at the last finite state. */
       struct mo_physics shorter = physics;
-      shorter.n_steps = (uint32_t)outcomes[l].diverged_step - 1;
+      shorter.scheme.n_steps = (uint32_t)outcomes[l].diverged_step - 1;
       if (outcomes[l].diverged_step <= 1)
         continue;
       run_block(isa, precision, body, &l, 1, &shorter, NULL, &alone);
@@ -461,7 +461,7 @@ static void no_mass_below_the_terrain(void)
   float *mass = make_zeros((size_t)N * 201 * body->n_masses * 3, sizeof(float));
   EACH_KERNEL(isa, precision)
   {
-    physics.impact = precision == MO_FLOAT64 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+    physics.scheme.impact = precision == MO_FLOAT64 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
     struct mo_recording recordings[N];
     struct mo_outcome outcomes[N];
     int lanes[N];

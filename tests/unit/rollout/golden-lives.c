@@ -36,8 +36,8 @@ static void compare(int isa, enum mo_precision precision, int mode)
   const bool exact = isa < 0, rough = precision == MO_FLOAT32;
   double mean = 0, golden_mean = 0;
   struct mo_physics physics = mo_default_physics();
-  double *com = make_zeros((physics.n_steps + 1) * 3, sizeof(double));
-  physics.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+  double *com = make_zeros((physics.scheme.n_steps + 1) * 3, sizeof(double));
+  physics.scheme.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
   printf("# %s %s %s\n", exact ? "reference" : mo_isa_name((enum mo_isa)isa),
          rough ? "float32" : "float64", mode == 0 ? "exact" : "bisection8");
   for (size_t i = 0; i < n; i++) {

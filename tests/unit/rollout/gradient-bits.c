@@ -67,9 +67,9 @@ static void run_block(enum mo_isa isa, int block, uint64_t *h, struct mo_gradien
   struct mo_outcome outcomes[ROBOTS];
   const uint32_t n = block == 1 ? 7 : ROBOTS;
   struct mo_physics physics = physics_of(STEPS);
-  physics.impact = block % 2 == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+  physics.scheme.impact = block % 2 == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
   if (block == 3)
-    physics.stiffness_n_per_m = 25000; /* unstable for large bodies */
+    physics.constants.stiffness_n_per_m = 25000; /* unstable for large bodies */
   run(isa, block < 2 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE, 41 + (uint64_t)block,
       robots, n, &physics, block == 2 ? 0 : MO_ADJOINT_BOUND, h, outcomes, counts);
   for (uint32_t i = 0; i < n; i++) {
@@ -116,8 +116,8 @@ static uint32_t run_rare(enum mo_isa isa, int life, uint64_t *h)
   struct mo_physics physics = physics_of(life == 1 ? 420 : 200);
   uint32_t n_finite = 0;
   physics.drop_height_m = life == 1 ? 10 : 0;
-  physics.drag_per_s = 0.5;
-  physics.friction = 0.3;
+  physics.constants.drag_per_s = 0.5;
+  physics.constants.friction = 0.3;
   for (uint32_t i = 0; i < N; i++) {
     steep[i] = *robots[i].environment;
     mo_terrain_random(41, 9, i, life == 2 ? 0.05 : 0.4, steep[i].terrain_heights_m);

@@ -81,7 +81,7 @@ static inline struct gradient_case make_gradient_case(uint32_t k)
                             .sigma_m = sigmas[k % 7]};
   mo_environment_training(77, 3, k, &c.environment); /* for its light */
   mo_terrain_random(77, 4, k, c.sigma_m, c.environment.terrain_heights_m);
-  c.physics.impact = k / 2 % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+  c.physics.scheme.impact = k / 2 % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
   c.theta = make_zeros(c.controller->n_parameters, sizeof(double));
   for (size_t i = 0; i < c.controller->n_parameters; i++)
     c.theta[i] = (double)c.controller->parameters[i];

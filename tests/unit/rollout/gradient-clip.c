@@ -87,10 +87,10 @@ static bool go(struct watch *w)
 {
   const struct gradient_case *c = w->c;
   struct mo_reference r;
-  if (c->physics.n_steps > STEPS_MAX ||
+  if (c->physics.scheme.n_steps > STEPS_MAX ||
       mo_reference_init(&r, c->body, c->controller, &c->environment, &c->physics) < 0)
     return false;
-  for (uint32_t step = 0; step <= c->physics.n_steps; step++) {
+  for (uint32_t step = 0; step <= c->physics.scheme.n_steps; step++) {
     for (uint32_t i = 0; i < c->body->n_masses; i++)
       for (uint32_t axis = 0; axis < 2; axis++)
         w->com_m[step][axis] += r.position_m[3 * i + axis] / c->body->n_masses;
@@ -129,7 +129,7 @@ static double *prepare(struct gradient_case *c, uint32_t n_steps, struct watch *
 {
   struct mo_gradient_counts counts = {0};
   *c = make_gradient_case(3);
-  c->physics.n_steps = n_steps;
+  c->physics.scheme.n_steps = n_steps;
   double *gradient = make_zeros(c->controller->n_parameters, sizeof(double));
   make_check(run(c, 0, 0, w, gradient, &counts), "gradient");
   return gradient;
@@ -237,7 +237,7 @@ static void zeroes_what_is_not_finite(void)
 static void adds_up(void)
 {
   struct gradient_case c = make_gradient_case(1);
-  c.physics.n_steps = 37; /* not a square: the last segment is shorter */
+  c.physics.scheme.n_steps = 37; /* not a square: the last segment is shorter */
   const size_t n = c.controller->n_parameters;
   double *once = make_zeros(2 * n, sizeof(double)), *twice = once + n;
   struct mo_gradient_options options = mo_default_gradient_options();
@@ -293,7 +293,7 @@ static void refuses(void)
       {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, 1e7},
       {c.controller, 2, 1, MO_ERR_INVALID, MO_ADJOINT_RESTART, (double)NAN},
   };
-  c.physics.n_steps = 3;
+  c.physics.scheme.n_steps = 3;
   for (size_t k = 0; k < COUNT(faults); k++) {
     const struct mo_gradient_options options = {.adjoint_bound = faults[k].bound,
                                                 .weight = faults[k].weight,
@@ -314,7 +314,7 @@ static void memory(void)
 {
   struct gradient_case c = make_gradient_case(0);
   CHECK_INT(c.body->n_masses, MO_DEFAULT_MASSES);
-  c.physics.stiffness_n_per_m *= 4;
+  c.physics.constants.stiffness_n_per_m *= 4;
   double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
   const struct mo_gradient_options options = mo_default_gradient_options();
   struct mo_outcome outcome = {.loss = -7};

@@ -45,7 +45,7 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
   struct mo_physics physics = c->physics;
   struct mo_outcome outcome;
   struct mo_gradient_counts counts = {0};
-  physics.n_steps = steps;
+  physics.scheme.n_steps = steps;
   memset(gradient, 0, c->controller->n_parameters * sizeof(double));
   const int r = mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options,
                                       &outcome, gradient, &counts);
@@ -84,13 +84,13 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
     struct gradient_case c = make_gradient_case(k);
     const struct second_parameters d = make_directions(&c, k);
     double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
-    c.physics.n_steps = at[n_at - 1];
+    c.physics.scheme.n_steps = at[n_at - 1];
     const struct second_setup setup = {c.body, &c.environment, &c.physics, c.controller->sensor};
     struct dual losses[4];
     REQUIRE(dual_rollout(&setup, &d, at, n_at, losses) == 0);
     printf("# %4u %6u %7u %7.2f %-14s %-9s |", k, c.body->n_masses, c.body->n_springs, c.sigma_m,
            mo_sensor_name(c.controller->sensor),
-           c.physics.impact == MO_IMPACT_EXACT ? "exact" : "bisection");
+           c.physics.scheme.impact == MO_IMPACT_EXACT ? "exact" : "bisection");
     for (uint32_t a = 0; a < n_at; a++) {
       uint32_t zeros = 0;
       const double worst = compare(&c, &d, at[a], &losses[a], gradient, &zeros);
@@ -173,8 +173,8 @@ static void contact(void)
   for (uint32_t k = 0; k < 20000; k++) {
     struct mo_physics physics = mo_default_physics();
     struct mass m = {.physics = &physics};
-    physics.impact = k % 4 == 0 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
-    physics.dt_s = k % 3 == 0 ? 0.1 : 0.004; /* long enough to cross cells */
+    physics.scheme.impact = k % 4 == 0 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+    physics.scheme.dt_s = k % 3 == 0 ? 0.1 : 0.004; /* long enough to cross cells */
     mo_terrain_random(77, 5, k % 50, 0.1, m.environment.terrain_heights_m);
     for (int i = 0; i < 3; i++) {
       m.p[i] = -0.5 + 6 * mo_random_uniform(&random);
@@ -184,7 +184,7 @@ static void contact(void)
     }
     m.v[2] = -2 * fabs(m.v[2]);
     m.p[2] = mo_terrain_height(m.environment.terrain_heights_m, m.p[0], m.p[1]) +
-             0.5 * physics.dt_s * fabs(m.v[2]) * mo_random_uniform(&random);
+             0.5 * physics.scheme.dt_s * fabs(m.v[2]) * mo_random_uniform(&random);
     const uint64_t branch = step_back(&m, &error);
     worst = fmax(worst, error);
     struck += branch != 0;
@@ -217,12 +217,12 @@ static void lying(void)
       m.p[i] = 0.5 + 4 * mo_random_uniform(&random);
       m.v[i] = mo_random_normal(&random);
       m.back_p[i] = 2 * mo_random_uniform(&random) - 1;
-      m.back_v[i] = physics.dt_s * (2 * mo_random_uniform(&random) - 1);
+      m.back_v[i] = physics.scheme.dt_s * (2 * mo_random_uniform(&random) - 1);
     }
     mo_terrain_gradient(heights_m, m.p[0], m.p[1], slope);
     m.p[2] = mo_terrain_height(heights_m, m.p[0], m.p[1]) - 1e-12;
     m.v[2] = slope[0] * m.v[0] + slope[1] * m.v[1] + 1e-5 * mo_random_uniform(&random);
-    const double impact_s = mo_impact_exact(heights_m, m.p, m.v, physics.dt_s);
+    const double impact_s = mo_impact_exact(heights_m, m.p, m.v, physics.scheme.dt_s);
     bool same_cell = step_back(&m, &error) != 0 && impact_s > 0;
     for (int i = 0; i < 2; i++) /* dual.c lets go of the ground at the border of a cell */
       same_cell =

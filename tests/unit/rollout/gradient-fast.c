@@ -191,7 +191,7 @@ static void agrees_on_few_steps(void)
 {
   struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1),
                     bisection = physics_of(40), forty_steps = physics_of(40);
-  bisection.impact = MO_IMPACT_BISECTION;
+  bisection.scheme.impact = MO_IMPACT_BISECTION;
   enum { CLIP = MO_ADJOINT_CLIP, RESTART = MO_ADJOINT_RESTART };
   const double bound = MO_ADJOINT_BOUND;
   const struct mo_physics *short_life = &chunk_and_part;
@@ -345,7 +345,7 @@ static void diverged_robots_contribute_nothing(void)
 {
   enum { N = 10 };
   struct mo_physics physics = physics_of(50);
-  physics.stiffness_n_per_m *= 2.5;
+  physics.constants.stiffness_n_per_m *= 2.5;
   const struct mo_gradient_options options = mo_default_gradient_options();
   struct mo_robot list[2][N];
   for (uint32_t i = 0; i < N; i++)
@@ -357,7 +357,7 @@ static void diverged_robots_contribute_nothing(void)
     struct result b = block(shipped, isa, list[1], N, &physics, &options, 100000, NULL);
     CHECK_INT(a.counts.diverged_robots, N / 2);
     CHECK_INT(b.counts.diverged_robots, N / 2);
-    CHECK_INT(a.counts.steps, N / 2 * physics.n_steps);
+    CHECK_INT(a.counts.steps, N / 2 * physics.scheme.n_steps);
     CHECK_INT(a.counts.zeroed_robots, 0);
     bool other = false;
     for (uint32_t i = 0; i < N; i++) {
@@ -424,8 +424,8 @@ static void explosion_is_zeroed(const struct explosion *e, const struct mo_contr
   CHECK_INT(a.counts.zeroed_robots, 1);
   CHECK_INT(b.counts.zeroed_robots, 0);
   CHECK_INT(a.counts.robots, e->n_all);
-  CHECK(a.counts.steps > e->n_calm * physics.n_steps);
-  CHECK_INT(b.counts.steps, e->n_calm * physics.n_steps);
+  CHECK(a.counts.steps > e->n_calm * physics.scheme.n_steps);
+  CHECK_INT(b.counts.steps, e->n_calm * physics.scheme.n_steps);
   CHECK(largest(b.d, controller->n_parameters) > 0);
   CHECK(SAME(a.d, b.d, controller->n_parameters));
   for (uint32_t i = 0; i < e->n_all; i++)
@@ -489,7 +489,8 @@ static void pauses_and_ends(void)
                               &counts),
             MO_OK);
   const uint32_t calls = stop.calls;
-  CHECK(calls >= 2 * physics.n_steps / pause.interval); /* forth and back, and segments again */
+  CHECK(calls >=
+        2 * physics.scheme.n_steps / pause.interval); /* forth and back, and segments again */
   for (uint32_t after = 1; after <= calls; after += 3) {
     stop = (struct stop){.after = after};
     counts = (struct mo_gradient_counts){0};

@@ -74,7 +74,8 @@ static void shift(struct both *b, uint32_t m)
 static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
 {
   const struct gradient_case *c = b->c;
-  const double *heights_m = c->environment.terrain_heights_m, dt = c->physics.dt_s, bear_m = 0.04;
+  const double *heights_m = c->environment.terrain_heights_m, dt = c->physics.scheme.dt_s,
+               bear_m = 0.04;
   const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
   const uint32_t n = c->body->n_masses;
   for (uint32_t m = 0; m < n; m++) {
@@ -145,7 +146,7 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
 {
   const struct mo_reference *r = &b->reference;
   const double *heights_m = r->environment->terrain_heights_m;
-  const double keep = exp(-r->physics->drag_per_s * r->physics->dt_s);
+  const double keep = exp(-r->physics->constants.drag_per_s * r->physics->scheme.dt_s);
   const size_t at = 3 * (size_t)m;
   double here[3];
   for (int n = -1; n < NEAR_TRIES; n++) { /* the first time at the state itself */

@@ -55,7 +55,7 @@ static void never_below_ground(void)
       for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
         environment.terrain_heights_m[k] *= 5;
     struct mo_physics physics = mo_default_physics();
-    physics.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    physics.scheme.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     struct mo_reference r;
     REQUIRE(mo_reference_init(&r, body, i % 3 ? bootstrap : NULL, &environment, &physics) == MO_OK);
     for (uint32_t step = 0; step < 500; step++) {
@@ -84,16 +84,17 @@ static struct energy measure(const struct mo_reference *r)
   struct energy e = {0};
   const double *x = r->position_m, *v = r->velocity_m_per_s;
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
-    e.kinetic += 0.5 * r->physics->mass_kg *
+    e.kinetic += 0.5 * r->physics->constants.mass_kg *
                  (v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] + v[3 * i + 2] * v[3 * i + 2]);
-    e.weight += r->physics->mass_kg * r->physics->gravity_m_per_s2 * x[3 * i + 2];
+    e.weight +=
+        r->physics->constants.mass_kg * r->physics->constants.gravity_m_per_s2 * x[3 * i + 2];
   }
   for (uint32_t s = 0; s < r->body->n_springs; s++) {
     const double *a = x + 3 * r->body->spring_a[s], *b = x + 3 * r->body->spring_b[s];
     const double length = sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
                                (a[2] - b[2]) * (a[2] - b[2]));
     const double rest = r->body->spring_diagonal[s] ? MO_VOXEL_M * sqrt(2) : MO_VOXEL_M;
-    e.spring += 0.5 * r->physics->stiffness_n_per_m * (length - rest) * (length - rest);
+    e.spring += 0.5 * r->physics->constants.stiffness_n_per_m * (length - rest) * (length - rest);
   }
   return e;
 }
@@ -110,7 +111,7 @@ static double energy_gain(const struct mo_body *body, const struct mo_environmen
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     floor_m = fmin(floor_m, environment->terrain_heights_m[k]);
   const double scale = start - floor_m * 9.8 * body->n_masses;
-  for (uint32_t step = 0; step < physics->n_steps; step++) {
+  for (uint32_t step = 0; step < physics->scheme.n_steps; step++) {
     CHECK(mo_reference_step(&r, step));
     const struct energy e = measure(&r);
     highest = fmax(highest, (e.kinetic + e.weight + e.spring - start) / scale);
@@ -129,7 +130,7 @@ static void no_energy_gain(void)
   for (uint64_t i = 0; i < BODIES; i++) {
     const struct mo_environment environment = environment_of(78, i);
     struct mo_physics physics = mo_default_physics();
-    physics.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    physics.scheme.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     physics.drop_height_m = i % 3 ? 0 : 0.5;
     double moves;
     highest = fmax(highest, energy_gain(random_body(1000 + i), &environment, &physics, &moves));
@@ -265,7 +266,7 @@ static void no_energy_of_overhangs(void)
   static const double slopes[] = {-1.0, -0.4, 0.4, 0.56, 1.0};
   struct mo_workspace_memory *memory = make_workspace_memory();
   struct mo_physics physics = physics_of(300);
-  physics.actuation = 0;
+  physics.constants.actuation = 0;
   double highest = -INFINITY, rise_m = -INFINITY, moves;
   for (int axis = 0; axis < 2; axis++)
     for (int s = 0; s < 5; s++) {
@@ -337,8 +338,8 @@ static void translation(void)
 static void divergence(void)
 {
   struct mo_physics physics = mo_default_physics();
-  physics.stiffness_n_per_m *= 100;
-  physics.n_steps = 200;
+  physics.constants.stiffness_n_per_m *= 100;
+  physics.scheme.n_steps = 200;
   struct mo_environment environment = environment_of(80, 0);
   double *com = make_zeros(201 * 3, sizeof(double));
   for (uint64_t i = 0; i < 20; i++) {
@@ -384,7 +385,7 @@ static void extremes(void)
   CHECK(outcome.diverged_step == 0 && outcome.loss < 1);
   printf("# 144 voxels: loss %.4f\n", outcome.loss);
   physics.drop_height_m = 10;
-  physics.n_steps = 6000;
+  physics.scheme.n_steps = 6000;
   outcome = outcome_of(body, NULL, &environment, &physics, NULL);
   CHECK_INT(outcome.diverged_step, 0);
   CHECK_NEAR(outcome.com_start_m[2], 10 + 0.2 + mo_terrain_highest(environment.terrain_heights_m),

@@ -33,7 +33,7 @@ static void million_springs(void)
   struct mo_controller *controller = make_controller(size, MO_SENSOR_INVERSE_SQRT);
   for (uint32_t i = 0; i < controller->n_springs; i++)
     controller->bias[3][i] = i % 2 ? 1.0F : -1.0F;
-  physics.n_steps = 2;
+  physics.scheme.n_steps = 2;
   CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, &passive), MO_OK);
   CHECK_INT(mo_rollout_reference(body, controller, &environment, &physics, NULL, &driven), MO_OK);
   CHECK_INT(driven.diverged_step, 0);

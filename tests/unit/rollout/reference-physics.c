@@ -46,7 +46,7 @@ static struct scene *make_scene(struct mo_workspace workspace, struct mo_physics
 static void free_fall(void)
 {
   struct scene *s = make_scene(MO_DEFAULT_WORKSPACE, mo_default_physics(), NULL);
-  s->physics.drag_per_s = 0;
+  s->physics.constants.drag_per_s = 0;
   CHECK_INT(s->body->n_masses, 245);
   CHECK_INT(s->body->n_springs, 1648);
   double start[245][3];
@@ -70,7 +70,7 @@ static void free_fall(void)
 static void drag_decay(void)
 {
   struct scene *s = make_scene(one, mo_default_physics(), NULL);
-  s->physics.gravity_m_per_s2 = 0;
+  s->physics.constants.gravity_m_per_s2 = 0;
   const double v0[3] = {1, -2, 3}, e = exp(-15 * 0.004);
   double start[24];
   memcpy(start, s->r.position_m, sizeof(start));
@@ -84,7 +84,7 @@ static void drag_decay(void)
                  1e-12);
     }
   }
-  s->physics.gravity_m_per_s2 = 9.8;
+  s->physics.constants.gravity_m_per_s2 = 9.8;
   for (uint32_t n = 0; n < 800; n++)
     REQUIRE(mo_reference_step(&s->r, n));
   for (int i = 0; i < 8; i++)
@@ -100,10 +100,10 @@ static void drag_decay(void)
 static void breathing(double drag_per_s, double stiffness_n_per_m)
 {
   struct scene *s = make_scene(one, mo_default_physics(), NULL);
-  s->physics.gravity_m_per_s2 = 0;
-  s->physics.drag_per_s = drag_per_s;
-  s->physics.stiffness_n_per_m = stiffness_n_per_m;
-  const double dt = s->physics.dt_s, e = exp(-drag_per_s * dt), q0 = 1e-3, guard = 1e-8;
+  s->physics.constants.gravity_m_per_s2 = 0;
+  s->physics.constants.drag_per_s = drag_per_s;
+  s->physics.constants.stiffness_n_per_m = stiffness_n_per_m;
+  const double dt = s->physics.scheme.dt_s, e = exp(-drag_per_s * dt), q0 = 1e-3, guard = 1e-8;
   const double w =
       dt * dt * stiffness_n_per_m * (2 * (1 - guard / 0.1) + 4 * (1 - guard / (0.1 * sqrt(2))));
   const double phi = acos((1 + e - w) / (2 * sqrt(e)));
@@ -147,10 +147,10 @@ static void momentum(void)
   mo_controller_randomize(controller, 1);
   for (uint32_t i = 0; i < controller->n_springs; i++)
     controller->bias[3][i] = i % 3 ? 1.0F : -1.0F;
-  physics.gravity_m_per_s2 = 0;
-  physics.drag_per_s = 0;
-  physics.dt_s = 0.002;
-  physics.mass_kg = 1.7;
+  physics.constants.gravity_m_per_s2 = 0;
+  physics.constants.drag_per_s = 0;
+  physics.scheme.dt_s = 0.002;
+  physics.constants.mass_kg = 1.7;
   struct scene *s = make_scene(workspace, physics, controller);
   struct mo_random random = dice(2, 0, 0);
   const uint32_t n = s->body->n_masses;
@@ -184,8 +184,8 @@ static void momentum(void)
 static double disturbance_after(struct mo_workspace workspace, double dt_s, uint32_t steps)
 {
   struct scene *s = make_scene(workspace, mo_default_physics(), NULL);
-  s->physics.dt_s = dt_s;
-  s->physics.gravity_m_per_s2 = 0;
+  s->physics.scheme.dt_s = dt_s;
+  s->physics.constants.gravity_m_per_s2 = 0;
   double *start = make_zeros(3 * (size_t)s->body->n_masses, sizeof(double));
   struct mo_random random = dice(3, 0, 0);
   double largest = 0;
@@ -226,7 +226,7 @@ static void stability(void)
 static void rest(void)
 {
   struct scene *s = make_scene((struct mo_workspace){2, 2, 2}, mo_default_physics(), NULL);
-  s->physics.gravity_m_per_s2 = 0;
+  s->physics.constants.gravity_m_per_s2 = 0;
   double start[81];
   memcpy(start, s->r.position_m, sizeof(start));
   for (uint32_t n = 0; n < 1000; n++)
@@ -275,7 +275,7 @@ static void actuation(void)
 {
   struct mo_controller *controller = make_controller(one, MO_SENSOR_INVERSE_SQRT);
   struct mo_physics physics = mo_default_physics();
-  physics.gravity_m_per_s2 = 0;
+  physics.constants.gravity_m_per_s2 = 0;
   for (uint32_t k = 0; k < controller->n_springs; k++) {
     struct scene *s = make_scene(one, physics, controller);
     const double a = k % 2 ? tanh(0.5) : -tanh(0.25),
@@ -312,21 +312,21 @@ static void settings(void)
   CHECK_INT(mo_recording_frames(&p, 1001), 1);
   CHECK_INT(mo_recording_frames(&p, 0), 0);
   static const struct field_case fields[] = {
-      {FIELD(p.dt_s), 0, MO_ERR_RANGE, "dt_s must be"},
-      {FIELD(p.dt_s), 0.2, MO_ERR_RANGE, "dt_s must be"},
-      {FIELD(p.stiffness_n_per_m), -1, MO_ERR_RANGE, "stiffness_n_per_m must be"},
-      {FIELD(p.mass_kg), 0, MO_ERR_RANGE, "mass_kg must be"},
-      {FIELD(p.drag_per_s), -1e-9, MO_ERR_RANGE, "drag_per_s must be"},
-      {FIELD(p.gravity_m_per_s2), 1001, MO_ERR_RANGE, "gravity_m_per_s2 must be"},
-      {FIELD(p.actuation), 1, MO_ERR_RANGE, "actuation must be"},
-      {FIELD(p.friction), -0.1, MO_ERR_RANGE, "friction must be"},
-      {FIELD(p.friction_cap), 1.01, MO_ERR_RANGE, "friction_cap must be"},
+      {FIELD(p.scheme.dt_s), 0, MO_ERR_RANGE, "dt_s must be"},
+      {FIELD(p.scheme.dt_s), 0.2, MO_ERR_RANGE, "dt_s must be"},
+      {FIELD(p.constants.stiffness_n_per_m), -1, MO_ERR_RANGE, "stiffness_n_per_m must be"},
+      {FIELD(p.constants.mass_kg), 0, MO_ERR_RANGE, "mass_kg must be"},
+      {FIELD(p.constants.drag_per_s), -1e-9, MO_ERR_RANGE, "drag_per_s must be"},
+      {FIELD(p.constants.gravity_m_per_s2), 1001, MO_ERR_RANGE, "gravity_m_per_s2 must be"},
+      {FIELD(p.constants.actuation), 1, MO_ERR_RANGE, "actuation must be"},
+      {FIELD(p.constants.friction), -0.1, MO_ERR_RANGE, "friction must be"},
+      {FIELD(p.constants.friction_cap), 1.01, MO_ERR_RANGE, "friction_cap must be"},
       {FIELD(p.drop_height_m), -1, MO_ERR_RANGE, "drop_height_m must be"},
-      {FIELD(p.n_steps), 0, MO_ERR_RANGE, "n_steps"},
-      {FIELD(p.n_steps), MO_STEPS_MAX + 1, MO_ERR_RANGE, "n_steps"},
-      {FIELD(p.bisections), 0, MO_ERR_RANGE, "bisections"},
-      {FIELD(p.bisections), 53, MO_ERR_RANGE, "bisections"},
-      {FIELD(p.impact), 2, MO_ERR_INVALID, "impact"},
+      {FIELD(p.scheme.n_steps), 0, MO_ERR_RANGE, "n_steps"},
+      {FIELD(p.scheme.n_steps), MO_STEPS_MAX + 1, MO_ERR_RANGE, "n_steps"},
+      {FIELD(p.scheme.bisections), 0, MO_ERR_RANGE, "bisections"},
+      {FIELD(p.scheme.bisections), 53, MO_ERR_RANGE, "bisections"},
+      {FIELD(p.scheme.impact), 2, MO_ERR_INVALID, "impact"},
   };
   for (size_t i = 0; i < COUNT(fields); i++) {
     const double values[] = {fields[i].value, NAN, INFINITY};

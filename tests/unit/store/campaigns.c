@@ -35,8 +35,8 @@ static void encodes_every_setting(void)
   struct mo_campaign_settings *settings = &back.settings;
   struct mo_text text;
   record.settings.collapse_share = -0.0;
-  record.settings.physics.impact = MO_IMPACT_BISECTION;
-  record.settings.physics.bisections = 3;
+  record.settings.physics.scheme.impact = MO_IMPACT_BISECTION;
+  record.settings.physics.scheme.bisections = 3;
   write_settings(&record, &text);
   REQUIRE(text.data != NULL);
   CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));

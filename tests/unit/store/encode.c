@@ -8,10 +8,11 @@
 /* The plain encoding of version 1, written by hand. */
 static size_t by_hand(const struct mo_physics *p, uint32_t bisections, uint8_t *bytes)
 {
-  const double numbers[] = {p->dt_s,       p->stiffness_n_per_m, p->mass_kg,
-                            p->drag_per_s, p->gravity_m_per_s2,  p->actuation,
-                            p->friction,   p->friction_cap,      p->drop_height_m};
-  const uint32_t words[] = {p->n_steps, (uint32_t)p->impact, bisections, MO_FLOAT64,
+  const double numbers[] = {
+      p->scheme.dt_s,          p->constants.stiffness_n_per_m, p->constants.mass_kg,
+      p->constants.drag_per_s, p->constants.gravity_m_per_s2,  p->constants.actuation,
+      p->constants.friction,   p->constants.friction_cap,      p->drop_height_m};
+  const uint32_t words[] = {p->scheme.n_steps, (uint32_t)p->scheme.impact, bisections, MO_FLOAT64,
                             MO_SENSOR_INVERSE_SQUARE};
   bytes[0] = 1;
   memcpy(bytes + 1, numbers, sizeof(numbers));
@@ -25,19 +26,20 @@ static void encodes_physics(void)
   uint8_t bytes[MO_PHYSICS_BYTES_MAX], expected[MO_PHYSICS_BYTES_MAX];
   enum mo_precision precision;
   enum mo_sensor sensor;
-  physics.stiffness_n_per_m = 11;
-  physics.mass_kg = 12;
-  physics.drag_per_s = 13;
+  physics.constants.stiffness_n_per_m = 11;
+  physics.constants.mass_kg = 12;
+  physics.constants.drag_per_s = 13;
   for (int is_exact = 0; is_exact < 2; is_exact++) {
-    physics.impact = is_exact ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
-    physics.bisections = is_exact ? 8 : 21;
+    physics.scheme.impact = is_exact ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    physics.scheme.bisections = is_exact ? 8 : 21;
     const size_t size = by_hand(&physics, is_exact ? 0 : 21, expected);
     REQUIRE(size == 93 &&
             mo_encode_physics(&physics, MO_FLOAT64, MO_SENSOR_INVERSE_SQUARE, bytes) == size);
     CHECK(memcmp(bytes, expected, size) == 0);
     REQUIRE_OK(mo_decode_physics(bytes, size, &found, &precision, &sensor));
-    CHECK(found.bisections == physics.bisections && found.impact == physics.impact &&
-          found.n_steps == 1000 && found.drag_per_s == 13 && found.drop_height_m == 0);
+    CHECK(found.scheme.bisections == physics.scheme.bisections &&
+          found.scheme.impact == physics.scheme.impact && found.scheme.n_steps == 1000 &&
+          found.constants.drag_per_s == 13 && found.drop_height_m == 0);
     CHECK(precision == MO_FLOAT64 && sensor == MO_SENSOR_INVERSE_SQUARE);
   }
 }
@@ -68,7 +70,7 @@ static void hashes(void)
   struct mo_environment environment = {.light_xy_m = {-0.0, 2}, .terrain_heights_m = {0.5, -0.0}};
   struct mo_sha256 hash;
   physics.drop_height_m = -0.0;
-  physics.bisections = 9;
+  physics.scheme.bisections = 9;
   mo_physics_hash(&physics, MO_FLOAT32, MO_SENSOR_INVERSE_SQRT, &hash);
   CHECK_TEXT(MO_SHA256_HEX(&hash),
              "b91aae0860adacfc0d9697aca4034ab2b9cc25df772552e7b316eaf374bb11c8");
