@@ -6,19 +6,19 @@
 #include "rollout/fast.h"
 
 /* The physics of one vector of lanes of a block: positions, velocities and what else has lanes are
- * arrays of the run's reals, from the first of these lanes on. `shared` is a struct lane_physics.
- */
+ * arrays of the run's reals, from the first of these lanes on. `constants`: a struct lane_block. */
 struct mo_block_physics {
   uint32_t n_lanes;
   /* Light at the masses less the body's mean. lights: (3, lanes). */
   void (*sense_light)(enum mo_sensor kind, uint32_t n_masses, const void *positions,
                       const void *lights, void *sensors);
   /* n springs. activations: (n, lanes). */
-  void (*pull_springs)(const void *shared, uint32_t n, const uint32_t *ends, const void *rests,
-                       const void *activations, const void *positions, void *velocities);
+  void (*pull_springs)(const void *constants, uint32_t first_lane, uint32_t n, const uint32_t *ends,
+                       const void *rests, const void *activations, const void *positions,
+                       void *velocities);
   /* Moves all masses by a step; returns the lanes whose state is no longer finite or sane.
    * used_lanes: those that count; tops: no terrain of the lane is above it. */
-  uint32_t (*move)(const struct mo_fast_run *run, const void *shared, uint32_t first_lane,
+  uint32_t (*move)(const struct mo_fast_run *run, const void *constants, uint32_t first_lane,
                    uint32_t used_lanes, const void *tops, const void *positions,
                    void *next_positions, void *velocities);
 };
