@@ -6,6 +6,7 @@
 #include "api/job_json.h"
 #include "jobs/trainings.h"
 #include "rollout/physics.h"
+#include "world/environment.h"
 
 #define HELD_OUT_DESIGNS_MAX 1000
 #define HELD_OUT_PLACES_MAX  64
@@ -130,9 +131,7 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
   mo_text_add(&text, "],\"environments\":[");
   for (uint32_t k = 0; k < n_environments; k++) {
     mo_text_object(&text);
-    mo_member_numbers(&text, "light_xy_m", environments[k].light_xy_m, 2);
-    mo_member_numbers(&text, "terrain_heights_m", environments[k].terrain_heights_m,
-                      MO_TERRAIN_HEIGHTS);
+    mo_fields_write(&text, &mo_environment_fields, &environments[k]);
     mo_text_add(&text, "}");
   }
   mo_text_add(&text, "]");

@@ -10,6 +10,7 @@
 #include "http/field.h"
 #include "jobs/evaluations.h"
 #include "store/store.h"
+#include "world/environment.h"
 
 #define SIGMA_MAX_M    10.0
 #define LABEL_MAX      (MO_LABEL_BYTES_MAX / 4) /* characters */
@@ -64,65 +65,14 @@ void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, v
 
 /* ---- environments ---- */
 
-/* Reads an array of exactly n numbers within ±limit. */
-static bool read_numbers(struct mo_json *json, double limit, size_t n, double *numbers)
-{
-  unsigned depth = json->depth, before = json->faults->n;
-  size_t given = 0;
-  if (!mo_json_array(json))
-    return false;
-  while (mo_json_item(json)) {
-    if (given < n)
-      mo_json_bounded(json, -limit, limit, &numbers[given]);
-    else
-      mo_json_skip(json);
-    given++;
-  }
-  if (!json->stop && given != n)
-    mo_json_fault_at(json, depth, "", "%zu numbers are given; exactly %zu are expected", given, n);
-  return !json->stop && json->faults->n == before;
-}
-
 /* Losses are divided by the distance to the light at the start. */
-static void read_light(struct mo_json *json, double light_xy_m[2])
+static void check_light(struct mo_json *json, unsigned depth, const double light_xy_m[2])
 {
-  unsigned depth = json->depth;
-  if (read_numbers(json, MO_LIGHT_LIMIT_M, 2, light_xy_m) &&
-      hypot(light_xy_m[0] - MO_WORLD_CENTRE_M, light_xy_m[1] - MO_WORLD_CENTRE_M) < MO_VOXEL_M)
+  if (hypot(light_xy_m[0] - MO_WORLD_CENTRE_M, light_xy_m[1] - MO_WORLD_CENTRE_M) < MO_VOXEL_M)
     mo_json_fault_at(json, depth, "",
                      "the light is within a voxel of (2.5, 2.5), where robots start, and their "
                      "losses would be divided by next to nothing: it must be at least %g m away",
                      MO_VOXEL_M);
-}
-
-/* Says whether the array that is next begins with an array. */
-static bool is_nested(const struct mo_json *json)
-{
-  struct mo_faults faults = {0}; /* the reading reports them */
-  struct mo_json ahead = *json;
-  ahead.faults = &faults;
-  return mo_json_peek(&ahead) == MO_JSON_ARRAY && mo_json_array(&ahead) && mo_json_item(&ahead) &&
-         mo_json_peek(&ahead) == MO_JSON_ARRAY;
-}
-
-/* Reads the heights of a terrain: all in one array, or in rows as a scene has them. */
-static void read_heights(struct mo_json *json, double *heights)
-{
-  const unsigned depth = json->depth;
-  size_t n = 0;
-  if (!is_nested(json)) {
-    read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_HEIGHTS, heights);
-    return;
-  }
-  mo_json_array(json);
-  for (; mo_json_item(json); n++)
-    if (n < MO_TERRAIN_SIDE)
-      read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_SIDE, heights + MO_TERRAIN_SIDE * n);
-    else
-      mo_json_skip(json);
-  if (!json->stop && n != MO_TERRAIN_SIDE)
-    mo_json_fault_at(json, depth, "", "%zu rows are given; exactly %d are expected", n,
-                     MO_TERRAIN_SIDE);
 }
 
 static void read_environment(struct mo_json *json, struct mo_environment *environment)
@@ -132,15 +82,17 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
   double sigma_m = 0;
   int64_t seed = 0;
   struct mo_json_slice key;
+  *environment = mo_environment_defaults;
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "light_xy_m")) {
-      light = true;
-      read_light(json, environment->light_xy_m);
-    } else if (mo_json_is(key, "terrain_heights_m")) {
-      heights = true;
-      read_heights(json, environment->terrain_heights_m);
+    const unsigned faults = json->faults->n, within = json->depth;
+    if (mo_fields_read_member(json, key, &mo_environment_fields, environment)) {
+      const bool is_light = mo_json_is(key, "light_xy_m");
+      light |= is_light;
+      heights |= mo_json_is(key, "terrain_heights_m");
+      if (is_light && !json->stop && json->faults->n == faults)
+        check_light(json, within, environment->light_xy_m);
     } else if (mo_json_is(key, "terrain_sigma_m")) {
       has_sigma = true;
       mo_json_bounded(json, 0, SIGMA_MAX_M, &sigma_m);

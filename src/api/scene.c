@@ -8,6 +8,7 @@
 #include "api/handlers.h"
 #include "api/job_json.h"
 #include "rollout/physics.h"
+#include "world/environment.h"
 
 /* ---- arrays ---- */
 
@@ -191,25 +192,38 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 
 /* ---- whole scenes ---- */
 
+/* Writes numbers in rows as an array of float32. */
+static void write_table(struct mo_text *text, struct mo_text *arrays, const struct mo_field *field,
+                        const struct mo_environment *environment)
+{
+  const uint32_t side = field->side;
+  const double *from = mo_environment_numbers(environment, field);
+  float numbers[sizeof(*environment) / sizeof(double)] = {0};
+  for (uint32_t i = 0; i < field->n; i++)
+    numbers[i] = (float)from[i];
+  mo_scene_write_array(
+      text, arrays,
+      &(struct mo_scene_array){field->name, "float32", numbers, 4, {field->n / side, side}, 2});
+}
+
 static void write_environment(struct mo_text *text, struct mo_text *arrays,
                               const struct mo_environment *environment)
 {
   struct mo_sha256 hash;
-  float heights[MO_TERRAIN_HEIGHTS];
   if (arrays == NULL) {
     mo_environment_write(text, environment);
     return;
   }
-  for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
-    heights[i] = (float)environment->terrain_heights_m[i];
   mo_environment_hash(environment, &hash);
   mo_text_object(text);
   mo_member_hash(text, "sha256", &hash);
-  mo_member_numbers(text, "light_xy_m", environment->light_xy_m, 2);
-  mo_scene_write_array(
-      text, arrays,
-      &(struct mo_scene_array){
-          "terrain_heights_m", "float32", heights, 4, {MO_TERRAIN_SIDE, MO_TERRAIN_SIDE}, 2});
+  for (size_t i = 0; i < mo_environment_fields.n; i++) {
+    const struct mo_fields field = {&mo_environment_fields.rows[i], 1};
+    if (field.rows->side > 0)
+      write_table(text, arrays, field.rows, environment);
+    else
+      mo_fields_write(text, &field, environment);
+  }
   mo_text_add(text, "}");
 }
 

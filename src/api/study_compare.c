@@ -9,6 +9,7 @@
 
 #include "api/requests.h"
 #include "store/fields.h"
+#include "world/environment.h"
 
 #define VALUE_SHOWN 88 /* bytes of a value in a message */
 
@@ -65,27 +66,46 @@ static struct mo_campaign_record in_numbers(const struct mo_campaign_record *rec
 
 /* ---- environments ---- */
 
+/* Shows numbers as JSON; one number without brackets. */
+static void show(const double *numbers, uint32_t n, char text[VALUE_SHOWN])
+{
+  size_t at = (size_t)snprintf(text, VALUE_SHOWN, "%s", n > 1 ? "[" : "");
+  for (uint32_t i = 0; i < n && at < VALUE_SHOWN; i++)
+    at += (size_t)snprintf(text + at, VALUE_SHOWN - at, "%s%.12g", i > 0 ? ", " : "", numbers[i]);
+  if (n > 1 && at < VALUE_SHOWN)
+    snprintf(text + at, VALUE_SHOWN - at, "]");
+}
+
+/* Of a table only the first number that differs is shown: those of a terrain that is drawn all
+ * do. */
+static void compare_numbers(struct comparison *comparison, const struct mo_field *field,
+                            uint32_t place, const double *given, const double *known)
+{
+  const uint32_t n = field->type == MO_FIELD_NUMBERS ? field->n : 1;
+  char pointer[64], a[VALUE_SHOWN], b[VALUE_SHOWN];
+  uint32_t i = 0;
+  while (i < n && given[i] == known[i])
+    i++;
+  if (i == n)
+    return;
+  const uint32_t first = field->side > 0 ? i : 0, shown = field->side > 0 ? 1 : n;
+  const int at = snprintf(pointer, sizeof(pointer), "/environments/%u/%s", place, field->name);
+  if (field->side > 0)
+    snprintf(pointer + at, sizeof(pointer) - (size_t)at, "/%u", i);
+  show(given + first, shown, a);
+  show(known + first, shown, b);
+  add(comparison, pointer, a, b);
+}
+
 static void compare_environment(struct comparison *comparison, uint32_t place,
                                 const struct mo_environment *given,
                                 const struct mo_environment *known)
 {
-  char pointer[64], a[64], b[64];
-  if (given->light_xy_m[0] != known->light_xy_m[0] ||
-      given->light_xy_m[1] != known->light_xy_m[1]) {
-    snprintf(pointer, sizeof(pointer), "/environments/%u/light_xy_m", (unsigned)place);
-    snprintf(a, sizeof(a), "[%.12g, %.12g]", given->light_xy_m[0], given->light_xy_m[1]);
-    snprintf(b, sizeof(b), "[%.12g, %.12g]", known->light_xy_m[0], known->light_xy_m[1]);
-    add(comparison, pointer, a, b);
+  for (size_t i = 0; i < mo_environment_fields.n; i++) {
+    const struct mo_field *field = &mo_environment_fields.rows[i];
+    compare_numbers(comparison, field, place, mo_environment_numbers(given, field),
+                    mo_environment_numbers(known, field));
   }
-  for (unsigned i = 0; i < MO_TERRAIN_HEIGHTS; i++)
-    if (given->terrain_heights_m[i] != known->terrain_heights_m[i]) {
-      snprintf(pointer, sizeof(pointer), "/environments/%u/terrain_heights_m/%u", (unsigned)place,
-               i);
-      snprintf(a, sizeof(a), "%.12g", given->terrain_heights_m[i]);
-      snprintf(b, sizeof(b), "%.12g", known->terrain_heights_m[i]);
-      add(comparison, pointer, a, b);
-      return; /* the others of a terrain that is drawn differ, too */
-    }
 }
 
 static void compare_environments(struct comparison *comparison, const struct mo_parts *parts,

@@ -128,6 +128,51 @@ static void read_text(struct mo_json *json, const struct mo_field *field, char *
   }
 }
 
+static void read_array(struct mo_json *json, const struct mo_field *field, uint32_t n,
+                       double *numbers)
+{
+  const unsigned depth = json->depth;
+  uint32_t given = 0;
+  if (!mo_json_array(json))
+    return;
+  for (; mo_json_item(json); given++)
+    if (given < n)
+      mo_json_bounded(json, field->min, field->max, &numbers[given]);
+    else
+      mo_json_skip(json);
+  if (!json->stop && given != n)
+    mo_json_fault_at(json, depth, "", "%u numbers are given; exactly %u are expected", given, n);
+}
+
+/* Says whether the array that is next begins with an array. */
+static bool is_nested(const struct mo_json *json)
+{
+  struct mo_faults faults = {0}; /* the reading reports them */
+  struct mo_json ahead = *json;
+  ahead.faults = &faults;
+  return mo_json_peek(&ahead) == MO_JSON_ARRAY && mo_json_array(&ahead) && mo_json_item(&ahead) &&
+         mo_json_peek(&ahead) == MO_JSON_ARRAY;
+}
+
+static void read_numbers(struct mo_json *json, const struct mo_field *field, double *numbers)
+{
+  const unsigned depth = json->depth;
+  uint32_t n = 0;
+  if (field->side == 0 || !is_nested(json)) {
+    read_array(json, field, field->n, numbers);
+    return;
+  }
+  const uint32_t rows = field->n / field->side;
+  mo_json_array(json);
+  for (; mo_json_item(json); n++)
+    if (n < rows)
+      read_array(json, field, field->side, numbers + (size_t)field->side * n);
+    else
+      mo_json_skip(json);
+  if (!json->stop && n != rows)
+    mo_json_fault_at(json, depth, "", "%u rows are given; exactly %u are expected", n, rows);
+}
+
 static bool read_null(struct mo_json *json, const struct mo_field *field, void *value)
 {
   if (!(field->flags & MO_FIELD_NULL) || field->type == MO_FIELD_WORD ||
@@ -151,6 +196,7 @@ static void read_value(struct mo_json *json, const struct mo_field *field, void 
   case MO_FIELD_NUMBER: read_number(json, field, value); break;
   case MO_FIELD_FLAG: mo_json_bool(json, value); break;
   case MO_FIELD_WORD: read_word(json, field, value); break;
+  case MO_FIELD_NUMBERS: read_numbers(json, field, value); break;
   case MO_FIELD_TEXT: read_text(json, field, value); break;
   case MO_FIELD_GROUP:
     if (field->flags & MO_FIELD_NULL)
@@ -240,6 +286,16 @@ static bool is_null(const struct mo_field *field, const void *value)
   }
 }
 
+static void write_numbers(struct mo_text *text, const struct mo_field *field, const double *numbers)
+{
+  mo_text_add(text, "[");
+  for (uint32_t i = 0; i < field->n; i++) {
+    mo_text_next(text);
+    mo_text_json_number(text, numbers[i]);
+  }
+  mo_text_add(text, "]");
+}
+
 static void write_value(struct mo_text *text, const struct mo_field *field, const void *value)
 {
   if (is_null(field, value)) {
@@ -257,6 +313,7 @@ static void write_value(struct mo_text *text, const struct mo_field *field, cons
   case MO_FIELD_WORD:
     mo_text_format(text, "\"%s\"", mo_word(field->words, *(const unsigned *)value));
     break;
+  case MO_FIELD_NUMBERS: write_numbers(text, field, value); break;
   case MO_FIELD_TEXT: mo_text_json_string(text, value, strlen(value)); break;
   case MO_FIELD_GROUP: mo_fields_write_object(text, field->group, value); break;
   case MO_FIELD_OWN: field->own->write(text, value); break;
@@ -330,6 +387,18 @@ static int check_number(const struct mo_field *field, const char *path, double v
   return MO_OK;
 }
 
+static int check_numbers(const struct mo_field *field, const char *path, const double *numbers,
+                         struct mo_message *message)
+{
+  int error = MO_OK;
+  for (uint32_t i = 0; i < field->n && error == MO_OK; i++) {
+    char place[2 * PATH_BYTES];
+    snprintf(place, sizeof(place), "%s[%u]", path, i);
+    error = check_number(field, place, numbers[i], message);
+  }
+  return error;
+}
+
 static int check_word(const struct mo_field *field, const char *path, int value,
                       struct mo_message *message)
 {
@@ -356,6 +425,7 @@ int mo_fields_check(const struct mo_fields *fields, const char *above, const voi
       error = check_number(field, path, (double)count_at(field, value), message);
       break;
     case MO_FIELD_NUMBER: error = check_number(field, path, *(const double *)value, message); break;
+    case MO_FIELD_NUMBERS: error = check_numbers(field, path, value, message); break;
     case MO_FIELD_WORD: error = check_word(field, path, *(const int *)value, message); break;
     case MO_FIELD_INLINE:
     case MO_FIELD_GROUP: error = mo_fields_check(field->group, path, value, message); break;

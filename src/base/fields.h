@@ -19,15 +19,16 @@
 #define MO_SEED_MAX INT64_C(9007199254740991) /* 2^53 − 1: exact in every JSON reader */
 
 enum mo_field_type {
-  MO_FIELD_COUNT,  /* uint32_t */
-  MO_FIELD_SEED,   /* uint64_t, at most MO_SEED_MAX */
-  MO_FIELD_NUMBER, /* double, finite */
-  MO_FIELD_FLAG,   /* bool */
-  MO_FIELD_WORD,   /* an enumeration: one of `words`, by its index */
-  MO_FIELD_TEXT,   /* char[max + 1]: min to max printable ASCII characters */
-  MO_FIELD_GROUP,  /* an object: the rows of `group`, for the struct at `offset` */
-  MO_FIELD_INLINE, /* the rows of `group` without an object around them; it has no name */
-  MO_FIELD_OWN     /* anything else, by the functions of `own` */
+  MO_FIELD_COUNT,   /* uint32_t */
+  MO_FIELD_SEED,    /* uint64_t, at most MO_SEED_MAX */
+  MO_FIELD_NUMBER,  /* double, finite */
+  MO_FIELD_FLAG,    /* bool */
+  MO_FIELD_WORD,    /* an enumeration: one of `words`, by its index */
+  MO_FIELD_NUMBERS, /* double[n], finite: an array of exactly n; with `side`, or one of rows */
+  MO_FIELD_TEXT,    /* char[max + 1]: min to max printable ASCII characters */
+  MO_FIELD_GROUP,   /* an object: the rows of `group`, for the struct at `offset` */
+  MO_FIELD_INLINE,  /* the rows of `group` without an object around them; it has no name */
+  MO_FIELD_OWN      /* anything else, by the functions of `own` */
 };
 
 enum mo_field_flag {
@@ -56,6 +57,7 @@ struct mo_field {
   unsigned flags; /* of enum mo_field_flag */
   size_t offset;
   double min, max;               /* of counts, numbers, and characters of a text */
+  uint32_t n, side;              /* of several numbers; side: of a row of a table, or 0 */
   const char *const *words;      /* of a word; NULL after the last */
   const struct mo_fields *group; /* of a group, inline or not; of an own type: its members */
   const struct mo_field_own *own;
@@ -75,7 +77,8 @@ struct mo_fields {
   }
 
 /* Reads the value of member `key` into `settings`. False: no row has this name. An invalid value
- * adds a fault and leaves the setting unchanged. */
+ * adds a fault and leaves the setting unchanged, but for those of several numbers that are valid.
+ */
 bool mo_fields_read_member(struct mo_json *json, struct mo_json_slice key,
                            const struct mo_fields *fields, void *settings);
 /* Reads one object. An unknown member adds a fault that lists the rows. */

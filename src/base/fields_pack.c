@@ -7,17 +7,24 @@
 _Static_assert(sizeof(uint64_t) == sizeof(double) && sizeof(enum mo_field_type) == sizeof(uint32_t),
                "values have the width that width_of returns");
 
-/* Returns the bytes of a packed value; 0: the row has members, or no packed form. */
+/* Returns the bytes of a packed value, or of each of several; 0: the row has members, or no packed
+ * form. */
 static size_t width_of(const struct mo_field *row)
 {
   switch (row->type) {
   case MO_FIELD_NUMBER:
+  case MO_FIELD_NUMBERS:
   case MO_FIELD_SEED: return sizeof(double);
   case MO_FIELD_COUNT:
   case MO_FIELD_WORD: return sizeof(uint32_t);
   case MO_FIELD_FLAG: return sizeof(bool);
   default: return 0;
   }
+}
+
+static size_t bytes_of(const struct mo_field *row)
+{
+  return width_of(row) * (row->type == MO_FIELD_NUMBERS ? row->n : 1);
 }
 
 static const size_t widths[] = {sizeof(double), sizeof(uint32_t), sizeof(bool)}; /* in this order */
@@ -28,7 +35,7 @@ size_t mo_fields_packed_bytes(const struct mo_fields *fields, unsigned version)
   size_t size = 0;
   for (const struct mo_field *row = fields->rows; row < fields->rows + fields->n; row++)
     if (row->since <= version)
-      size += row->group != NULL ? mo_fields_packed_bytes(row->group, version) : width_of(row);
+      size += row->group != NULL ? mo_fields_packed_bytes(row->group, version) : bytes_of(row);
   return size;
 }
 
@@ -44,8 +51,8 @@ static uint8_t *pack_width(const struct mo_fields *fields, unsigned version, siz
     if (row->group != NULL) {
       to = pack_width(row->group, version, width, settings + row->offset, to);
     } else if (width_of(row) == width) {
-      memcpy(to, settings + row->offset, width);
-      to += width;
+      memcpy(to, settings + row->offset, bytes_of(row));
+      to += bytes_of(row);
     }
   }
   return to;
@@ -83,8 +90,8 @@ static const uint8_t *unpack_width(const struct mo_fields *fields, unsigned vers
     } else if (width_of(row) == width) {
       if (!is_value(row, from))
         return NULL;
-      memcpy(settings + row->offset, from, width);
-      from += width;
+      memcpy(settings + row->offset, from, bytes_of(row));
+      from += bytes_of(row);
     }
   }
   return from;
@@ -102,20 +109,32 @@ void mo_fields_clear_minus(const struct mo_fields *fields, void *settings)
 {
   for (const struct mo_field *row = fields->rows; row < fields->rows + fields->n; row++) {
     void *value = (char *)settings + row->offset;
+    const uint32_t n = row->type == MO_FIELD_NUMBER    ? 1
+                       : row->type == MO_FIELD_NUMBERS ? row->n
+                                                       : 0;
     if (row->group != NULL)
       mo_fields_clear_minus(row->group, value);
-    else if (row->type == MO_FIELD_NUMBER)
-      *(double *)value += 0.0; /* −0 + 0 is 0 */
+    for (uint32_t i = 0; i < n; i++)
+      ((double *)value)[i] += 0.0; /* −0 + 0 is 0 */
   }
 }
 
 /* ---- comparing ---- */
+
+static bool are_equal(const double *a, const double *b, uint32_t n)
+{
+  for (uint32_t i = 0; i < n; i++)
+    if (a[i] != b[i])
+      return false;
+  return true;
+}
 
 static bool is_equal(const struct mo_field *row, const void *first, const void *second)
 {
   const void *a = (const char *)first + row->offset, *b = (const char *)second + row->offset;
   switch (row->type) {
   case MO_FIELD_NUMBER: return *(const double *)a == *(const double *)b;
+  case MO_FIELD_NUMBERS: return are_equal(a, b, row->n);
   case MO_FIELD_SEED: return *(const uint64_t *)a == *(const uint64_t *)b;
   case MO_FIELD_COUNT:
   case MO_FIELD_WORD: return *(const uint32_t *)a == *(const uint32_t *)b;
@@ -138,7 +157,7 @@ unsigned mo_fields_version(const struct mo_fields *fields, const void *settings,
   unsigned version = 1;
   for (const struct mo_field *row = fields->rows; row < fields->rows + fields->n; row++) {
     unsigned needed = row->since;
-    if (is_equal(row, settings, defaults))
+    if ((row->group == NULL && needed <= version) || is_equal(row, settings, defaults))
       continue;
     if (row->group != NULL) {
       const unsigned within = mo_fields_version(row->group, (const char *)settings + row->offset,

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "store/hash.h"
+#include "world/environment.h"
 
 /* ---- values, and members of an object ---- */
 
@@ -102,8 +103,7 @@ void mo_environment_write(struct mo_text *text, const struct mo_environment *env
   mo_environment_hash(environment, &hash);
   mo_text_object(text);
   mo_member_hash(text, "sha256", &hash);
-  mo_member_numbers(text, "light_xy_m", environment->light_xy_m, 2);
-  mo_member_numbers(text, "terrain_heights_m", environment->terrain_heights_m, MO_TERRAIN_HEIGHTS);
+  mo_fields_write(text, &mo_environment_fields, environment);
   mo_text_add(text, "}");
 }
 

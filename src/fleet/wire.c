@@ -11,6 +11,7 @@
 
 #include "rollout/gradient_options.h"
 #include "rollout/physics.h"
+#include "world/environment.h"
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "messages are little-endian");
 
@@ -30,14 +31,14 @@ struct result {
   double busy_s, wall_s;
 };
 _Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 64 &&
-                   sizeof(struct result) == 40 && sizeof(struct mo_gradient_counts) == 56 &&
-                   sizeof(struct mo_environment) == 66 * 8,
+                   sizeof(struct result) == 40 && sizeof(struct mo_gradient_counts) == 56,
                "without padding");
 
 #define ON_DEVICE          1u /* flags */
 #define GRADIENT           2u
 #define PHYSICS_SHIFT      8  /* of the version of the packed physics, less 1, in a byte */
 #define GRADIENT_SHIFT     16 /* of the version of the packed options, likewise */
+#define ENVIRONMENT_SHIFT  24 /* of the version of the packed environments, likewise */
 #define DONE_WITH_GRADIENT 3u /* state */
 
 static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
@@ -160,12 +161,23 @@ static size_t gradient_bytes(const struct mo_wire_lease *lease)
          sizeof(lease->n_parameters);
 }
 
+static unsigned environment_version(const struct mo_wire_lease *lease)
+{
+  unsigned version = 1;
+  for (uint32_t e = 0; e < lease->n_environments; e++) {
+    const unsigned needed = mo_environment_version(&lease->environments[e]);
+    version = needed > version ? needed : version;
+  }
+  return version;
+}
+
 static size_t lease_bytes(const struct mo_wire_lease *lease, struct mo_workspace workspace)
 {
   return sizeof(struct lease) +
          mo_fields_packed_bytes(&mo_physics_fields, mo_physics_version(&lease->physics)) +
          sizeof(uint32_t) + (lease->n_parameters > 0 ? gradient_bytes(lease) : 0) +
-         lease->n_environments * sizeof(struct mo_environment) +
+         lease->n_environments *
+             mo_fields_packed_bytes(&mo_environment_fields, environment_version(lease)) +
          lease->n_blocks * (genotype_bytes(workspace) + 1) + lease->n_rows * sizeof(uint16_t);
 }
 
@@ -174,10 +186,12 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
 {
   const uint32_t zero = 0;
   const unsigned physics = mo_physics_version(&lease->physics), gradient = gradient_version(lease);
+  const unsigned environment = environment_version(lease);
   const struct lease head = {
       .id = lease->id,
       .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) | (physics - 1) << PHYSICS_SHIFT |
-               (lease->n_parameters > 0 ? GRADIENT | (gradient - 1) << GRADIENT_SHIFT : 0),
+               (lease->n_parameters > 0 ? GRADIENT | (gradient - 1) << GRADIENT_SHIFT : 0) |
+               (environment - 1) << ENVIRONMENT_SHIFT,
       .n_environments = lease->n_environments,
       .n_blocks = lease->n_blocks,
       .n_rows = lease->n_rows,
@@ -189,7 +203,8 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
     put_packed(codec, &mo_gradient_packed_fields, gradient, &lease->gradient);
     put(codec, &lease->n_parameters, sizeof(lease->n_parameters));
   }
-  put(codec, lease->environments, lease->n_environments * sizeof(struct mo_environment));
+  for (uint32_t e = 0; e < lease->n_environments; e++)
+    put_packed(codec, &mo_environment_fields, environment, &lease->environments[e]);
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     const struct mo_wire_block *block = &lease->blocks[b];
     const uint8_t n = (uint8_t)block->n_environments;
@@ -308,8 +323,9 @@ static int get_gradient(struct codec *codec, struct mo_wire_lease *lease, unsign
   return MO_OK;
 }
 
-static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i,
-                    struct mo_message *message)
+/* environment: the version of the packed environments. */
+static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *environment,
+                    uint32_t i, struct mo_message *message)
 {
   struct lease head;
   struct mo_message why = {""};
@@ -318,6 +334,7 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
     return cut_off(message, "lease", i);
   const unsigned physics = 1 + (head.flags >> PHYSICS_SHIFT & UINT8_MAX);
   const unsigned gradient = 1 + (head.flags >> GRADIENT_SHIFT & UINT8_MAX);
+  *environment = 1 + (head.flags >> ENVIRONMENT_SHIFT);
   lease->physics = mo_default_physics();
   int error = get_packed(codec, &mo_physics_fields, physics, &lease->physics, i, message);
   if (error != MO_OK)
@@ -330,7 +347,7 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
   lease->n_environments = head.n_environments;
   lease->n_blocks = head.n_blocks;
   lease->n_rows = head.n_rows;
-  if ((head.flags & UINT8_MAX) > (ON_DEVICE | GRADIENT) || head.flags > 0xffffff || zero != 0 ||
+  if ((head.flags & UINT8_MAX) > (ON_DEVICE | GRADIENT) || zero != 0 ||
       (gradient != 1 && (head.flags & GRADIENT) == 0) ||
       mo_physics_version(&lease->physics) != physics)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
@@ -342,25 +359,37 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, uint32_t i
   return head.flags & GRADIENT ? get_gradient(codec, lease, gradient, i, message) : MO_OK;
 }
 
+static int get_environments(struct codec *codec, struct mo_wire_lease *lease, unsigned version,
+                            uint32_t i, struct mo_message *message)
+{
+  int error = MO_OK;
+  for (uint32_t e = 0; e < lease->n_environments && error == MO_OK; e++) {
+    struct mo_environment *environment = &lease->environments[e];
+    uint32_t where = 0;
+    *environment = mo_environment_defaults;
+    error = get_packed(codec, &mo_environment_fields, version, environment, i, message);
+    if (error == MO_OK && mo_environment_check(environment, &where) != MO_OK)
+      error = mo_fail(message, MO_ERR_FORMAT,
+                      "lease %u, environment %u: number %u is not finite or beyond its limit", i, e,
+                      where);
+  }
+  if (error == MO_OK && environment_version(lease) != version)
+    error = mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
+  return error;
+}
+
 static int get_lease(struct codec *codec, struct mo_workspace workspace,
                      struct mo_wire_lease *lease, uint32_t i, struct mo_message *message)
 {
-  int error = get_head(codec, lease, i, message);
+  unsigned environment = 1;
+  int error = get_head(codec, lease, &environment, i, message);
   if (error != MO_OK)
     return error;
   lease->environments = malloc(lease->n_environments * sizeof(*lease->environments));
   lease->blocks = malloc(lease->n_blocks * sizeof(*lease->blocks));
   if (lease->environments == NULL || lease->blocks == NULL)
     return MO_ERR_NO_MEMORY;
-  if (!get(codec, lease->environments, lease->n_environments * sizeof(*lease->environments)))
-    return cut_off(message, "lease", i);
-  for (uint32_t e = 0; e < lease->n_environments; e++) {
-    uint32_t where = 0;
-    if (mo_environment_check(&lease->environments[e], &where) != MO_OK)
-      return mo_fail(message, MO_ERR_FORMAT,
-                     "lease %u, environment %u: number %u is not finite or beyond its limit", i, e,
-                     where);
-  }
+  error = get_environments(codec, lease, environment, i, message);
   uint32_t rows = 0;
   for (uint32_t b = 0; b < lease->n_blocks && error == MO_OK; b++) {
     error = get_block(codec, workspace, lease, i, b, message);

@@ -11,13 +11,16 @@
  *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
  *              SHA-256 of the weights (zeros: passive bodies); physics; u32 0; for a gradient its
  *              options; environments (66 f64 each); blocks
- *   flags      1: on a device; 2: a gradient; second byte: the version of the physics, minus 1
+ *   flags      1: on a device; 2: a gradient; second, third and fourth byte: the versions of the
+ *              packed physics, options and environments, minus 1
  *   physics    packed; in version 1: 9 f64; u32 steps, impact, bisections
  *   options    f64 bound of the adjoint, weight, weight of restarts; u32 rule, parameters
  *   block      genotype (⌈voxels / 8⌉ bytes); u8 n; n × u16 environment
  *   result     u64 epoch; u64 number; u32 state; u32 rows; f64 processor seconds; f64 elapsed
  *              seconds; rows × f64 loss; rows × u32 step of divergence; in state 3 (done with a
  *              gradient): u64 parameters; counts (6 u64, f64); parameters × f64 sum
+ *
+ * Physics, options and environments are packed by their rows (base/fields.h); version 1 is shown.
  *
  * A decoder accepts exactly what an encoder writes: every size is bounded, there is nothing
  * after the last item, and values pass the checks of the API. */

@@ -4,19 +4,29 @@
 #include <string.h>
 
 #include "rollout/physics.h"
+#include "world/environment.h"
 
-_Static_assert(sizeof(struct mo_environment) == 8 * (2 + MO_TERRAIN_HEIGHTS),
-               "nothing but doubles");
-
-void mo_encode_environment(const struct mo_environment *environment,
-                           uint8_t bytes[MO_ENVIRONMENT_BYTES])
+size_t mo_encode_environment(const struct mo_environment *environment,
+                             uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX])
 {
+  const unsigned version = mo_environment_version(environment);
   struct mo_environment encoded = *environment;
-  for (int i = 0; i < 2; i++)
-    encoded.light_xy_m[i] += 0.0; /* −0 + 0 is 0 */
-  for (int i = 0; i < MO_TERRAIN_HEIGHTS; i++)
-    encoded.terrain_heights_m[i] += 0.0;
-  memcpy(bytes, &encoded, sizeof(encoded));
+  mo_fields_clear_minus(&mo_environment_fields, &encoded);
+  mo_fields_pack(&mo_environment_fields, version, &encoded, bytes);
+  return mo_fields_packed_bytes(&mo_environment_fields, version);
+}
+
+int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment)
+{
+  unsigned version = 1;
+  while (mo_fields_packed_bytes(&mo_environment_fields, version) < size && version < UINT8_MAX)
+    version++;
+  *environment = mo_environment_defaults;
+  return bytes != NULL && mo_fields_packed_bytes(&mo_environment_fields, version) == size &&
+                 mo_fields_unpack(&mo_environment_fields, version, bytes, environment) &&
+                 mo_environment_version(environment) == version
+             ? MO_OK
+             : MO_ERR_CORRUPT;
 }
 
 #define TAIL_BYTES (2 * sizeof(uint32_t)) /* precision, sensor */

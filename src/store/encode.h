@@ -8,14 +8,16 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endian");
 
-#define MO_ENVIRONMENT_BYTES sizeof(struct mo_environment)
-#define MO_PHYSICS_BYTES_MAX (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
-#define MO_BITS_BYTES        18
+#define MO_ENVIRONMENT_BYTES_MAX sizeof(struct mo_environment)
+#define MO_PHYSICS_BYTES_MAX     (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
+#define MO_BITS_BYTES            18
 
-/* Writes −0 as 0, so that equal environments have one row and are computed once. The bytes of an
- * environment are those of its struct. */
-void mo_encode_environment(const struct mo_environment *environment,
-                           uint8_t bytes[MO_ENVIRONMENT_BYTES]);
+/* Returns the bytes that it wrote: the packed form (world/environment.h); each version has another
+ * size. Writes −0 as 0, so that equal environments have one row and are computed once. */
+size_t mo_encode_environment(const struct mo_environment *environment,
+                             uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX]);
+/* MO_ERR_CORRUPT: no such encoding. */
+int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment);
 
 /* Returns the bytes that it wrote: the version of the packed form (rollout/physics.h) in a byte,
  * the packed form, then precision and sensor in 32 bits. Equal values have one encoding: −0 is

@@ -12,7 +12,6 @@ void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precisi
 
 void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash)
 {
-  uint8_t bytes[MO_ENVIRONMENT_BYTES];
-  mo_encode_environment(environment, bytes);
-  mo_sha256_of(bytes, sizeof(bytes), hash);
+  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX];
+  mo_sha256_of(bytes, mo_encode_environment(environment, bytes), hash);
 }

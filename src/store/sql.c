@@ -287,15 +287,13 @@ int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
                           struct mo_environment *environment)
 {
   const void *bytes = sqlite3_column_blob(statement, data);
+  const size_t size = (size_t)sqlite3_column_bytes(statement, data);
   struct mo_sha256 hash, found;
-  if (bytes == NULL || (size_t)sqlite3_column_bytes(statement, data) != MO_ENVIRONMENT_BYTES ||
+  if (mo_decode_environment(bytes, size, environment) != MO_OK ||
       mo_column_hash(statement, sha256, &hash) != MO_OK)
     return MO_ERR_CORRUPT;
-  mo_sha256_of(bytes, MO_ENVIRONMENT_BYTES, &found);
-  if (!mo_sha256_equal(&hash, &found))
-    return MO_ERR_CORRUPT;
-  memcpy(environment, bytes, sizeof(*environment));
-  return MO_OK;
+  mo_sha256_of(bytes, size, &found);
+  return mo_sha256_equal(&hash, &found) ? MO_OK : MO_ERR_CORRUPT;
 }
 
 int mo_environment_get(struct mo_connection *connection, int64_t id,

@@ -11,7 +11,8 @@
  * the ring of 2.0 m, then for that of 1.5 m (Fisher-Yates from the top); index 1 + i gives the
  * heights of environment i. */
 #include <morpho/random.h>
-#include <morpho/world.h>
+
+#include "world/environment.h"
 
 #define RING         5
 #define SIGMA_TOP_M  0.1
@@ -60,6 +61,7 @@ static void draw_environment(uint64_t seed, enum mo_purpose light, enum mo_purpo
                              uint32_t step, uint64_t index, struct mo_environment *environment)
 {
   struct mo_random random;
+  *environment = mo_environment_defaults;
   mo_random_init(&random, seed, light, step, index);
   const double sigma_m = draw_light(&random, environment->light_xy_m);
   mo_random_init(&random, seed, terrain, step, index);
@@ -116,6 +118,7 @@ void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_
       int place = ring * RING + i;
       struct mo_environment *environment = &environments[place];
       int angle = 2 * i + ring; /* in units of 36° */
+      *environment = mo_environment_defaults;
       environment->light_xy_m[0] = MO_WORLD_CENTRE_M + radius_m[ring] * cosine[angle];
       environment->light_xy_m[1] = MO_WORLD_CENTRE_M + radius_m[ring] * sine[angle];
       struct mo_random random;

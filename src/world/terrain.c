@@ -68,16 +68,3 @@ double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS])
       highest = heights_m[k];
   return highest;
 }
-
-int mo_environment_check(const struct mo_environment *environment, uint32_t *where)
-{
-  for (uint32_t k = 0; k < 2 + MO_TERRAIN_HEIGHTS; k++) {
-    const double value = k < 2 ? environment->light_xy_m[k] : environment->terrain_heights_m[k - 2];
-    if (fabs(value) <= (k < 2 ? MO_LIGHT_LIMIT_M : MO_HEIGHT_LIMIT_M))
-      continue;
-    if (where != NULL)
-      *where = k;
-    return isfinite(value) ? MO_ERR_RANGE : MO_ERR_INVALID;
-  }
-  return MO_OK;
-}

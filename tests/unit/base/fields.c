@@ -269,7 +269,7 @@ struct packed {
   uint32_t count;
   enum color color;
   uint64_t seed;
-  double rate;
+  double rate, table[4];
   struct part part;
   double added;   /* in version 2 */
   uint32_t steps; /* in version 3, in a part of its own */
@@ -289,19 +289,59 @@ static const struct mo_field packed_rows[] = {
     {"count", MO_FIELD_COUNT, 0, offsetof(struct packed, count)},
     {"part", MO_FIELD_GROUP, 0, offsetof(struct packed, part), .group = &part},
     {"rate", MO_FIELD_NUMBER, 0, offsetof(struct packed, rate)},
+    {"table", MO_FIELD_NUMBERS, 0, offsetof(struct packed, table), .n = 4, .side = 2, .min = -9,
+     .max = 9},
     {"added", MO_FIELD_NUMBER, 0, offsetof(struct packed, added), .since = 2},
     {"color", MO_FIELD_WORD, 0, offsetof(struct packed, color), .words = colors},
     {"seed", MO_FIELD_SEED, 0, offsetof(struct packed, seed)},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &steps},
 };
 static const struct mo_fields packed_fields = MO_FIELDS(packed_rows);
-static const struct packed plain = {true, 2, GREEN, 5, 0.5, {1.5, 3}, 7, 9};
+static const struct packed plain = {true, 2, GREEN, 5, 0.5, {1, 2, 3, 4}, {1.5, 3}, 7, 9};
+
+/* Numbers in rows may be given in rows. */
+static void reads_numbers(void)
+{
+  static const struct {
+    const char *text, *fault;
+  } given[] = {{"[1,-2,3,4.5]", NULL},
+               {"[[1,-2],[3,4.5]]", NULL},
+               {"[1,-2,3]", "/table: 3 numbers are given; exactly 4 are expected"},
+               {"[[1,-2],[3,4.5],[]]", "/table: 3 rows are given; exactly 2 are expected"},
+               {"[[1,-2],[3]]", "/table/1: 1 numbers are given; exactly 2 are expected"},
+               {"[1,-2,3,9.5]", "/table/3: "},
+               {"3", "/table: "}};
+  for (size_t i = 0; i < COUNT(given); i++) {
+    struct packed got = plain;
+    struct mo_message message = {""};
+    struct mo_text text = {0};
+    mo_text_format(&text, "{\"table\":%s}", given[i].text);
+    const int error = mo_fields_parse(text.data, text.size, &packed_fields, &got, &message);
+    CHECK_INT(error, given[i].fault == NULL ? MO_OK : MO_ERR_FORMAT);
+    if (given[i].fault != NULL)
+      CHECK(strncmp(message.text, given[i].fault, strlen(given[i].fault)) == 0);
+    else
+      CHECK(got.table[0] == 1 && got.table[1] == -2 && got.table[2] == 3 && got.table[3] == 4.5);
+    mo_text_free(&text);
+    mo_fields_write(&text, &(struct mo_fields){&packed_rows[4], 1}, &got);
+    CHECK(error != MO_OK || strcmp(text.data, "\"table\":[1,-2,3,4.5]") == 0);
+    mo_text_free(&text);
+  }
+  struct packed bad = plain;
+  struct mo_message message = {""};
+  bad.table[2] = INFINITY;
+  CHECK_INT(mo_fields_check(&(struct mo_fields){&packed_rows[4], 1}, "", &bad, &message),
+            MO_ERR_INVALID);
+  CHECK_SAYS(message, "table[2] must be at least -9 and at most 9");
+}
 
 /* Eight bytes first, then four, then one. */
 static void packs(void)
 {
-  const uint8_t expected[] = {0, 0, 0, 0, 0, 0, 0xf8, 0x3f, 0, 0, 0, 0, 0, 0, 0xe0, 0x3f, 5, 0, 0,
-                              0, 0, 0, 0, 0, 2, 0,    0,    0, 3, 0, 0, 0, 1, 0,    0,    0, 1};
+  const uint8_t expected[] = {
+      0, 0, 0, 0, 0, 0, 0xf8, 0x3f, 0, 0, 0, 0, 0, 0, 0xe0, 0x3f, 0, 0, 0, 0, 0, 0, 0xf0, 0x3f,
+      0, 0, 0, 0, 0, 0, 0,    0x40, 0, 0, 0, 0, 0, 0, 8,    0x40, 0, 0, 0, 0, 0, 0, 0x10, 0x40,
+      5, 0, 0, 0, 0, 0, 0,    0,    2, 0, 0, 0, 3, 0, 0,    0,    1, 0, 0, 0, 1};
   uint8_t bytes[sizeof(struct packed)], bad[sizeof(bytes)];
   struct packed got = {.added = -1, .steps = 4};
   REQUIRE(mo_fields_packed_bytes(&packed_fields, 1) == sizeof(expected));
@@ -328,10 +368,10 @@ static void packs_added_rows(void)
   CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 1);
   changed.added = 0;
   CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 2);
-  CHECK_INT(mo_fields_packed_bytes(&packed_fields, 2), 45);
+  CHECK_INT(mo_fields_packed_bytes(&packed_fields, 2), 77);
   changed.steps = 1;
   CHECK_INT(mo_fields_version(&packed_fields, &changed, &plain), 3);
-  CHECK_INT(mo_fields_packed_bytes(&packed_fields, 3), 49);
+  CHECK_INT(mo_fields_packed_bytes(&packed_fields, 3), 81);
   mo_fields_pack(&packed_fields, 3, &changed, bytes);
   REQUIRE(mo_fields_unpack(&packed_fields, 3, bytes, &got));
   CHECK(mo_fields_equal(&packed_fields, &got, &changed));
@@ -340,8 +380,8 @@ static void packs_added_rows(void)
 /* Each value counts; only the sign of 0 does not. */
 static void equals(void)
 {
-  struct packed others[8];
-  for (int i = 0; i < 8; i++)
+  struct packed others[9];
+  for (int i = 0; i < 9; i++)
     others[i] = plain;
   others[0].on = false;
   others[1].count++;
@@ -351,14 +391,17 @@ static void equals(void)
   others[5].part.size = -1.5;
   others[6].added++;
   others[7].steps++;
-  for (int i = 0; i < 8; i++)
+  others[8].table[3]++;
+  for (int i = 0; i < 9; i++)
     CHECK(!mo_fields_equal(&packed_fields, &others[i], &plain));
   struct packed zero = plain, minus = plain;
   zero.part.size = 0.0;
   minus.part.size = -0.0;
+  zero.table[3] = 0.0;
+  minus.table[3] = -0.0;
   CHECK(mo_fields_equal(&packed_fields, &zero, &minus));
   mo_fields_clear_minus(&packed_fields, &minus);
-  CHECK(!signbit(minus.part.size) && minus.rate == plain.rate);
+  CHECK(!signbit(minus.part.size) && !signbit(minus.table[3]) && minus.rate == plain.rate);
 }
 
 static const struct check_case cases[] = {
@@ -369,6 +412,7 @@ static const struct check_case cases[] = {
     {"checks bounds", checks_bounds},
     {"texts, and groups that are absent", texts_and_absent_groups},
     {"arrays of counts", counts},
+    {"several numbers", reads_numbers},
     {"packs in a fixed order", packs},
     {"packs added rows when they differ", packs_added_rows},
     {"equality", equals},

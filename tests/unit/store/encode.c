@@ -44,6 +44,21 @@ static void encodes_physics(void)
   }
 }
 
+static void encodes_environments(void)
+{
+  struct mo_environment environment = {.light_xy_m = {4, -0.0}, .terrain_heights_m = {0.5}}, found;
+  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX];
+  environment.terrain_heights_m[MO_TERRAIN_HEIGHTS - 1] = -7;
+  const size_t size = mo_encode_environment(&environment, bytes);
+  REQUIRE(size == 66 * sizeof(double));
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.light_xy_m[0] == 4 && !signbit(found.light_xy_m[1]) &&
+        memcmp(found.terrain_heights_m, environment.terrain_heights_m,
+               sizeof(found.terrain_heights_m)) == 0);
+  CHECK_INT(mo_decode_environment(bytes, size - 8, &found), MO_ERR_CORRUPT);
+  CHECK_INT(mo_decode_environment(NULL, 0, &found), MO_ERR_CORRUPT);
+}
+
 static void refuses_other_bytes(void)
 {
   const struct mo_physics physics = mo_default_physics();
@@ -81,6 +96,7 @@ static void hashes(void)
 
 static const struct check_case cases[] = {
     {"encodes physics", encodes_physics},
+    {"encodes environments", encodes_environments},
     {"refuses other bytes", refuses_other_bytes},
     {"hashes", hashes},
 };
