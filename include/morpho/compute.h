@@ -92,7 +92,7 @@ void mo_compute_free(struct mo_compute *compute);
 /* Gives the calling thread batch scheduling and the workers' niceness; threads that it starts later
  * inherit both. For a thread that computes but is not a worker. Call it at most once per thread; it
  * cannot be undone. */
-void mo_compute_settle(const struct mo_compute *compute);
+void mo_compute_lower_priority(const struct mo_compute *compute);
 
 /* Copies nothing: `controller` (nullable: passive bodies) must outlive the result. */
 int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,

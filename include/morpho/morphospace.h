@@ -143,8 +143,8 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form); /* 1 o
 uint64_t mo_form_set_count(const struct mo_form_set *set);
 size_t mo_form_set_bytes(const struct mo_form_set *set); /* memory held */
 size_t
-mo_form_set_reckon(struct mo_workspace workspace,
-                   uint64_t n); /* bytes that a set of n forms needs, at most while it grows */
+mo_form_set_estimate(struct mo_workspace workspace,
+                     uint64_t n); /* bytes that a set of n forms needs, at most while it grows */
 
 /* A stream of random bodies, no two with the same canonical form: draw i is mo_genotype_random of
  * (seed, BODY, 0, i); draws whose form occurred before are skipped. MO_ERR_EXHAUSTED after 2^20

@@ -27,7 +27,7 @@ static void *keep(void *context)
     struct mo_block *block = mo_fair_take(fair, &charge, is_for_keeper, devices);
     if (block != NULL) {
       const bool is_cancelled = devices->stopping || mo_block_is_cancelled(block);
-      mo_fair_settle(fair, &charge, 0, false);
+      mo_fair_correct(fair, &charge, 0, false);
       pthread_mutex_unlock(&fair->mutex);
       mo_chunk_end_block(devices, block, is_cancelled ? MO_ERR_CANCELLED : MO_CHUNK_TO_WORKERS,
                          NULL);

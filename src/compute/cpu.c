@@ -257,7 +257,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
   read_meter(&run);
   if (charge != NULL) {
     MO_GUARD(&compute->fair.mutex);
-    mo_fair_settle(&compute->fair, charge, 1e-9 * (double)run.total_ns, block->status == MO_OK);
+    mo_fair_correct(&compute->fair, charge, 1e-9 * (double)run.total_ns, block->status == MO_OK);
   } else {
     atomic_fetch_add(&run.share->blocks_done, 1);
   }
@@ -269,7 +269,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
 
 /* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores.
  * Results do not depend on either, so a kernel that refuses is not an error. */
-void mo_compute_settle(const struct mo_compute *compute)
+void mo_compute_lower_priority(const struct mo_compute *compute)
 {
   const struct sched_param none = {0};
   (void)pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
@@ -291,7 +291,7 @@ static void *work(void *argument)
 {
   struct worker *worker = argument;
   struct mo_compute *compute = worker->compute;
-  mo_compute_settle(compute);
+  mo_compute_lower_priority(compute);
   pthread_mutex_lock(&compute->fair.mutex);
   for (;;) {
     struct mo_block *block = NULL;

@@ -391,7 +391,7 @@ static void drain(struct mo_caller *caller)
   struct mo_chunk *chunk = &caller->chunk;
   while ((devices->stopping || atomic_load(&devices->n_working) == 0) &&
          mo_chunk_take(caller->unit, chunk)) {
-    mo_fair_settle(&devices->fair, &chunk->charge, 0, false);
+    mo_fair_correct(&devices->fair, &chunk->charge, 0, false);
     chunk->n_active = 0;
     hand_back(devices, chunk);
   }
@@ -467,7 +467,7 @@ static void run_chunk(struct mo_caller *caller)
   mo_unit_account(unit);
   caller->state = MO_CALLER_DELIVERS;
   count(unit, chunk);
-  mo_fair_settle(&devices->fair, &chunk->charge, 1e-9 * (double)took_ns, status == MO_OK);
+  mo_fair_correct(&devices->fair, &chunk->charge, 1e-9 * (double)took_ns, status == MO_OK);
   atomic_fetch_add(&chunk->charge.share->busy_ns, took_ns);
   if (status == MO_ERR_DEVICE)
     lose(caller);
@@ -515,7 +515,7 @@ void *mo_caller_run(void *context)
     drop_copies(caller);
   }
   if (caller->state == MO_CALLER_READY) {
-    mo_fair_settle(&devices->fair, &caller->chunk.charge, 0, false);
+    mo_fair_correct(&devices->fair, &caller->chunk.charge, 0, false);
     hand_back(devices, &caller->chunk);
     caller->state = MO_CALLER_IDLE;
   }

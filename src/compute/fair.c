@@ -172,8 +172,8 @@ void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
   atomic_fetch_add(&fair->waiting, charge->n_blocks);
 }
 
-void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,
-                    bool whole)
+void mo_fair_correct(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,
+                     bool whole)
 {
   struct mo_compute_share *share = charge->share;
   share->virtual_s += (seconds - charge->estimate_s) / share->weight;

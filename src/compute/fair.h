@@ -129,7 +129,7 @@ void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
 double mo_fair_units(const struct mo_block *block);
 /* Corrects a charge to the measured worker seconds. `whole`: the block was computed to its end, so
  * its cost updates the estimates. */
-void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,
-                    bool whole);
+void mo_fair_correct(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,
+                     bool whole);
 
 #endif

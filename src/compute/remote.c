@@ -276,7 +276,7 @@ void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *shown,
   uint32_t row = 0;
   (void)compute;
   pthread_mutex_lock(&taken->fair->mutex);
-  mo_fair_settle(taken->fair, &taken->charge, result->busy_s, result->status == MO_OK);
+  mo_fair_correct(taken->fair, &taken->charge, result->busy_s, result->status == MO_OK);
   atomic_fetch_add(&taken->charge.share->busy_ns, (uint64_t)(1e9 * result->busy_s));
   if (taken->shard != NULL) {
     mo_offer_return(taken->offer, taken->shard, result->status != MO_OK, sum);

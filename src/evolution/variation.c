@@ -108,15 +108,15 @@ static int try_child(struct nursery *nursery, int made)
   return made < 0 ? made : mo_seen_add(nursery->seen, next_child(nursery));
 }
 
-static void bear(struct nursery *nursery, enum mo_operator op, uint32_t first, uint32_t second,
-                 uint32_t attempts)
+static void record_birth(struct nursery *nursery, enum mo_operator op, uint32_t first,
+                         uint32_t second, uint32_t attempts)
 {
   nursery->births[nursery->n++] =
       (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
 }
 
 /* Makes one mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */
-static int bear_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
+static int make_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
 {
   const struct mo_campaign_settings *settings = nursery->settings;
   double rate = settings->mutation_rate > 0.0
@@ -133,7 +133,7 @@ static int bear_mutant(struct nursery *nursery, uint32_t place, struct mo_random
     if (r < 0)
       return r;
     if (r == 1) {
-      bear(nursery, MO_BORN_MUTATION, place, MO_NO_PARENT, attempts);
+      record_birth(nursery, MO_BORN_MUTATION, place, MO_NO_PARENT, attempts);
       nursery->counts.mutants++;
       return 1;
     }
@@ -152,17 +152,17 @@ static struct mo_random mutation_stream(const struct nursery *nursery)
 
 /* These three functions return 1 when they are done, 0 when the morphospace is exhausted. */
 
-static int bear_mutants(struct nursery *nursery, const uint32_t *places, uint32_t n)
+static int make_mutants(struct nursery *nursery, const uint32_t *places, uint32_t n)
 {
   int r = 1;
   for (uint32_t i = 0; i < n && r == 1; i++) {
     struct mo_random random = mutation_stream(nursery);
-    r = bear_mutant(nursery, places[i], &random);
+    r = make_mutant(nursery, places[i], &random);
   }
   return r;
 }
 
-static int bear_recombinants(struct nursery *nursery)
+static int make_recombinants(struct nursery *nursery)
 {
   const struct mo_campaign_settings *settings = nursery->settings;
   const uint32_t g = nursery->n_group;
@@ -183,7 +183,7 @@ static int bear_recombinants(struct nursery *nursery)
     if (r < 0)
       return r;
     if (r == 1) {
-      bear(nursery, MO_BORN_CROSSOVER, a, b, attempts);
+      record_birth(nursery, MO_BORN_CROSSOVER, a, b, attempts);
       nursery->counts.recombinants++;
       attempts = 0;
     }
@@ -191,13 +191,13 @@ static int bear_recombinants(struct nursery *nursery)
   return 1;
 }
 
-static int bear_fallbacks(struct nursery *nursery)
+static int make_fallbacks(struct nursery *nursery)
 {
   int r = 1;
   while (nursery->n < nursery->settings->population && r == 1) {
     struct mo_random random = mutation_stream(nursery);
     const uint32_t place = nursery->group[mo_random_below(&random, nursery->n_group)];
-    r = bear_mutant(nursery, place, &random);
+    r = make_mutant(nursery, place, &random);
     nursery->counts.fallbacks += r == 1;
   }
   return r;
@@ -224,7 +224,7 @@ void mo_variation_parents(uint64_t seed, uint32_t generation, uint32_t n, uint32
   shuffle(places, n, k, &random);
 }
 
-static int bear_all(struct nursery *nursery, uint32_t *places, uint32_t n_parents)
+static int make_all(struct nursery *nursery, uint32_t *places, uint32_t n_parents)
 {
   const struct mo_campaign_settings *settings = nursery->settings;
   const uint32_t share = (uint32_t)(settings->mutation_share * n_parents + 0.5);
@@ -237,11 +237,11 @@ static int bear_all(struct nursery *nursery, uint32_t *places, uint32_t n_parent
   nursery->group = lonely ? places : places + n_mutate;
   nursery->n_group = lonely ? n_parents : n_parents - n_mutate;
   n_mutate = n_mutate < settings->population ? n_mutate : settings->population;
-  int r = bear_mutants(nursery, places, n_mutate);
+  int r = make_mutants(nursery, places, n_mutate);
   if (r == 1)
-    r = bear_recombinants(nursery);
+    r = make_recombinants(nursery);
   if (r == 1)
-    r = bear_fallbacks(nursery);
+    r = make_fallbacks(nursery);
   return r;
 }
 
@@ -263,7 +263,7 @@ int mo_variation(const struct mo_campaign_settings *settings, uint32_t generatio
     uint32_t *places = malloc(n_parents * sizeof(*places));
     if (places == NULL)
       return MO_ERR_NO_MEMORY;
-    r = bear_all(&nursery, places, n_parents);
+    r = make_all(&nursery, places, n_parents);
     free(places);
   }
   if (r < 0)

@@ -26,7 +26,7 @@ static int begin(struct mo_campaign_run *run)
 }
 
 /* Makes the survivors the population. A commit may still read the rows that they come from. */
-static int move_on(struct mo_campaign_run *run)
+static int advance_generation(struct mo_campaign_run *run)
 {
   struct mo_campaign_rows *committed = run->rows;
   run->rows = run->other_rows;
@@ -59,7 +59,7 @@ static const struct phase generation[] = {
     {mo_campaign_select},
     {mo_campaign_succeed, .after_commit = true},
     {mo_campaign_commit, MO_PHASE_SAVE},
-    {move_on},
+    {advance_generation},
 };
 #define N_PHASES (sizeof(generation) / sizeof(generation[0]))
 
@@ -192,7 +192,7 @@ static void clean_up(void *context)
   mo_compute_controller_free(run->scores.frozen);
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
-  mo_study_batch_free(run->told);
+  mo_study_batch_free(run->batch);
   mo_exclusion_release(run);
   free(run->environments);
   mo_campaign_free_rows(run);

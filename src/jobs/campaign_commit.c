@@ -108,8 +108,8 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
   return MO_OK;
 }
 
-static void tell_generation(const struct mo_campaign_run *run,
-                            const struct mo_campaign_generation *row, char text[480])
+static void format_generation(const struct mo_campaign_run *run,
+                              const struct mo_campaign_generation *row, char text[480])
 {
   const double left = run->runner->live.seconds_left; /* only this thread changes it */
   snprintf(text, 480,
@@ -176,9 +176,9 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .sizes = rows->sizes + run->n_parents,
       .child_scores = rows->scores + run->n_parents,
       .children_cut = rows->cut + run->n_parents,
-      .measures = run->told != NULL ? run->told->measures : NULL,
-      .n_measures = run->told != NULL ? run->told->n_measures : 0,
-      .is_study = run->told != NULL,
+      .measures = run->batch != NULL ? run->batch->measures : NULL,
+      .n_measures = run->batch != NULL ? run->batch->n_measures : 0,
+      .is_study = run->batch != NULL,
       .parent_numbers = rows->numbers,
       .parent_scores = rows->scores,
       .n_parents = run->n_parents,
@@ -198,7 +198,7 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
   run->times.generation_s = row->seconds - run->times.prepared_s;
   run->times.generation_rollouts = row->rollouts;
   mo_campaign_advance(run, 0, 0);
-  tell_generation(run, row, writing->generation_data);
+  format_generation(run, row, writing->generation_data);
   if (row->collapse) {
     snprintf(writing->collapse_data, sizeof(writing->collapse_data),
              "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}",

@@ -168,7 +168,7 @@ static void *open_or_draw(void *context)
 {
   struct mo_exclusion *exclusion = context;
   mo_thread_tag = exclusion->first; /* a fault counts as that campaign's, even after it has left */
-  mo_compute_settle(exclusion->jobs->compute);
+  mo_compute_lower_priority(exclusion->jobs->compute);
   int error = open_file(exclusion, &exclusion->forms);
   if (error != MO_OK) {
     if (error != MO_ERR_NOT_FOUND)

@@ -37,7 +37,7 @@ static int write_fault(void *context)
                                          fault->field, fault->detail);
 }
 
-static int tell(const struct reading *reading, const char *field, const char *detail)
+static int report(const struct reading *reading, const char *field, const char *detail)
 {
   struct fault fault = {reading, field, detail};
   if (reading->run == NULL)
@@ -83,7 +83,7 @@ static int read_pretraining(const struct reading *reading, struct mo_lineage_par
   for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]) && error == MO_OK; i++) {
     is_whole = is_whole && fields[i].is_read;
     if (!fields[i].is_read)
-      error = tell(reading, fields[i].field, fields[i].detail);
+      error = report(reading, fields[i].field, fields[i].detail);
   }
   part->n_bodies = !is_whole ? 0
                    : steps <= MO_TRAINING_STEPS_MAX && batch <= MO_TRAINING_BATCH_MAX
@@ -103,8 +103,8 @@ static int add_part(const struct reading *reading)
     error = read_pretraining(reading, &part);
   else if (kind != NULL && strcmp(kind, "finetune") != 0)
     error =
-        tell(reading, "morphod.kind",
-             "the kind is neither pretrain nor finetune: what it was trained on is not excluded");
+        report(reading, "morphod.kind",
+               "the kind is neither pretrain nor finetune: what it was trained on is not excluded");
   if (error != MO_OK || part.n_bodies == 0)
     return error;
   for (uint32_t i = 0; i < lineage->n_parts; i++)
@@ -134,20 +134,20 @@ static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
   if (mo_sha256_from_hex(parent, strlen(parent), sha256) == MO_OK)
     return MO_OK;
   int error =
-      tell(reading, "morphod.parent",
-           "the parent is neither random nor the hash of a file: what it was trained on is not "
-           "excluded");
+      report(reading, "morphod.parent",
+             "the parent is neither random nor the hash of a file: what it was trained on is not "
+             "excluded");
   return error != MO_OK ? error : MO_ERR_NOT_FOUND;
 }
 
-static int tell_of_length(const struct reading *reading)
+static int report_length(const struct reading *reading)
 {
   char text[128];
   snprintf(text, sizeof(text),
            "the lineage is longer than the %d controllers that are read: what the parent was "
            "trained on is not excluded",
            CONTROLLERS_MAX);
-  return tell(reading, "morphod.parent", text);
+  return report(reading, "morphod.parent", text);
 }
 
 int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
@@ -160,7 +160,7 @@ int mo_lineage_read(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
   lineage->n_parts = 0;
   for (int i = 0; error == MO_OK; i++) {
     if (i == CONTROLLERS_MAX) {
-      error = tell_of_length(&reading);
+      error = report_length(&reading);
       break;
     }
     reading.sha256 = next;

@@ -66,7 +66,7 @@ static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
 /* Begins the next wave of a child that is inside none, or cuts it short. Returns whether it is
  * done.
  */
-static bool go_on(struct mo_campaign_run *run, uint32_t place)
+static bool advance_child(struct mo_campaign_run *run, uint32_t place)
 {
   const uint32_t wave = next_wave(run, place);
   if (wave == run->race.plan.n_waves)
@@ -84,7 +84,7 @@ static void start(struct mo_campaign_run *run)
 {
   plan(run);
   for (uint32_t i = n_parents_scored(run); i < run->scores.n; i++)
-    run->scores.n_done += go_on(run, i);
+    run->scores.n_done += advance_child(run, i);
 }
 
 void mo_race_begin(struct mo_campaign_run *run)
@@ -108,7 +108,7 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done)
       start(run);
     return is_done;
   }
-  return is_done || (race->parents_left == 0 && go_on(run, place));
+  return is_done || (race->parents_left == 0 && advance_child(run, place));
 }
 
 bool mo_race_pays(const struct mo_campaign_run *run)

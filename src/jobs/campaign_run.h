@@ -52,7 +52,7 @@ struct mo_campaign_run {
   /* The candidates (campaign_vary.c, campaign_select.c). */
   struct mo_exclusion *exclusion;
   struct mo_seen *seen;
-  struct mo_study_batch *told; /* of a study */
+  struct mo_study_batch *batch; /* of a study */
   uint32_t n_parents, n_children, n_survivors;
   /* A commit may still read other_rows (mo_campaign_wait_for_commit). */
   struct mo_campaign_rows *rows, *other_rows, all_rows[2];

@@ -56,8 +56,8 @@ static int allocate(struct mo_campaign_run *run)
 }
 
 /* Takes the saved losses of a candidate, among them those that an earlier process found stored. */
-static void know(struct mo_campaign_scores *scores, uint32_t place,
-                 const struct mo_campaign_loss *loss)
+static void take_saved(struct mo_campaign_scores *scores, uint32_t place,
+                       const struct mo_campaign_loss *loss)
 {
   if (place >= scores->n || scores->scoring.grid.left[place] == 0)
     return;
@@ -69,8 +69,8 @@ static void know(struct mo_campaign_scores *scores, uint32_t place,
 }
 
 /* Takes the stored losses of a candidate, which need not be all. */
-static void know_some(struct mo_campaign_scores *scores, uint32_t place,
-                      const struct mo_campaign_loss *known)
+static void take_stored(struct mo_campaign_scores *scores, uint32_t place,
+                        const struct mo_campaign_loss *known)
 {
   struct mo_campaign_loss *loss = &scores->losses[place];
   loss->stored = known->stored;
@@ -89,7 +89,7 @@ static int read_saved(struct mo_campaign_run *run)
   size_t n = 0;
   int error = mo_store_campaign_losses(run->jobs->store, run->id, run->generation, &saved, &n);
   for (size_t i = 0; i < n && error == MO_OK; i++)
-    know(&run->scores, saved[i].place, &saved[i]);
+    take_saved(&run->scores, saved[i].place, &saved[i]);
   free(saved);
   return error;
 }
@@ -119,7 +119,7 @@ static void look_up(void *context, size_t first, size_t end)
   if (found < 0)
     looking->error = (int)found;
   for (int64_t i = 0; i < found; i++)
-    know_some(&run->scores, looking->places[first + known[i].place], &known[i]);
+    take_stored(&run->scores, looking->places[first + known[i].place], &known[i]);
   pthread_mutex_unlock(&looking->mutex);
   free(known);
 }

@@ -15,23 +15,24 @@ static int by_number(const void *a, const void *b)
 int mo_campaign_select(struct mo_campaign_run *run)
 {
   const uint32_t n = run->n_parents + run->n_children;
-  const struct mo_study_batch *told = run->told != NULL && run->told->selects ? run->told : NULL;
+  const struct mo_study_batch *chosen =
+      run->batch != NULL && run->batch->selects ? run->batch : NULL;
   struct mo_campaign_settings settings = *run->settings;
   struct mo_candidate *candidates = calloc((size_t)n + 1, sizeof(*candidates));
   uint32_t *places = calloc((size_t)n + 1, sizeof(*places)), n_kept = 0;
   int error = candidates == NULL || places == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  if (told != NULL)
-    qsort(told->survivors, told->n_survivors, sizeof(*told->survivors), by_number);
+  if (chosen != NULL)
+    qsort(chosen->survivors, chosen->n_survivors, sizeof(*chosen->survivors), by_number);
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    if (told != NULL && i < run->n_parents &&
-        bsearch(&run->rows->numbers[i], told->survivors, told->n_survivors,
-                sizeof(*told->survivors), by_number) == NULL)
+    if (chosen != NULL && i < run->n_parents &&
+        bsearch(&run->rows->numbers[i], chosen->survivors, chosen->n_survivors,
+                sizeof(*chosen->survivors), by_number) == NULL)
       continue;
     candidates[n_kept] =
         (struct mo_candidate){run->rows->scores[i], run->rows->numbers[i], run->rows->born[i]};
     places[n_kept++] = i;
   }
-  if (told != NULL) {
+  if (chosen != NULL) {
     settings.selection.kind = MO_SELECT_TRUNCATION; /* of all: it only ranks them */
     settings.population = n_kept;
   }

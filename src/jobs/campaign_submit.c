@@ -36,8 +36,8 @@ static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *li
       apart = part->n_bodies;
     key = ((key ^ part->seed) * UINT64_C(0x100000001b3) ^ part->n_bodies) * UINT64_C(0x100000001b3);
   }
-  need->shared = mo_form_set_reckon(workspace, total) +
-                 (apart > 0 ? mo_form_set_reckon(all, apart) : 0) +
+  need->shared = mo_form_set_estimate(workspace, total) +
+                 (apart > 0 ? mo_form_set_estimate(all, apart) : 0) +
                  (n < DRAWING_THREADS ? n : DRAWING_THREADS) * DRAWING_BYTES;
   need->shared_key = key;
 }
@@ -55,7 +55,8 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
     return error;
   *need = (struct mo_need){.own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES};
   if (mo_modes[settings->mode].makes_children)
-    need->own += mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)));
+    need->own +=
+        mo_form_set_estimate(settings->workspace, n * (settings->generations + UINT64_C(1)));
   if (!mo_modes[settings->mode].learns) {
     need->own += n * SCORED_BYTES;
   } else {

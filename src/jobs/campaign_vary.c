@@ -75,7 +75,7 @@ struct describing {
   atomic_int error;
 };
 
-static void describe_some(void *context, size_t first, size_t end)
+static void describe_range(void *context, size_t first, size_t end)
 {
   struct describing *describing = context;
   struct mo_campaign_run *run = describing->run;
@@ -102,18 +102,18 @@ static void describe_some(void *context, size_t first, size_t end)
 static int describe_children(struct mo_campaign_run *run)
 {
   struct describing describing = {.run = run};
-  mo_parallel(1 + run->n_children / CHILDREN_PER_THREAD, run->n_children, describe_some,
+  mo_parallel(1 + run->n_children / CHILDREN_PER_THREAD, run->n_children, describe_range,
               &describing);
   return atomic_load(&describing.error);
 }
 
 /* Reads the pending batch of a study, whose client makes the children. */
-static int read_told(struct mo_campaign_run *run, uint32_t *n)
+static int read_batch(struct mo_campaign_run *run, uint32_t *n)
 {
-  int error = mo_store_study_batch(run->jobs->store, run->id, &run->told);
+  int error = mo_store_study_batch(run->jobs->store, run->id, &run->batch);
   if (error != MO_OK)
     return mo_runner_fail_unreadable(run->runner, error);
-  const struct mo_study_batch *batch = run->told;
+  const struct mo_study_batch *batch = run->batch;
   if (batch->number != run->generation || batch->n_children > run->settings->population)
     return MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < batch->n_children && error == MO_OK; i++) {
@@ -140,7 +140,7 @@ int mo_campaign_vary(struct mo_campaign_run *run)
   run->variation = (struct mo_variation_counts){.mutants = 0};
   run->n_children = 0;
   if (is_study)
-    error = read_told(run, &n);
+    error = read_batch(run, &n);
   else if (run->generation == 0)
     error = make_first(run, &n);
   else

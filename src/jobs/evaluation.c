@@ -214,7 +214,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
 
 /* ---- after a save ---- */
 
-static void settle_update(struct mo_evaluations *all, struct mo_active *active,
+static void finish_update(struct mo_evaluations *all, struct mo_active *active,
                           const struct mo_job_update *update)
 {
   switch (update->step) {
@@ -247,7 +247,7 @@ static void settle_update(struct mo_evaluations *all, struct mo_active *active,
   }
 }
 
-static void decide(struct mo_evaluations *all, int status)
+static void finish_updates(struct mo_evaluations *all, int status)
 {
   struct mo_pending *saving = &all->saving;
   while (saving->rollouts != NULL) {
@@ -263,7 +263,7 @@ static void decide(struct mo_evaluations *all, int status)
     const struct mo_job_update *update = &saving->save.updates[i];
     struct mo_active *active = update->owner;
     if (status == MO_OK)
-      settle_update(all, active, update);
+      finish_update(all, active, update);
     else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)
       active->failing = mo_pending_update(all, active, update->step, update->error,
                                           update->error_text) != NULL; /* without the results */
@@ -285,7 +285,7 @@ static void end_save(struct mo_evaluations *all, int status)
     break;
   case MO_ERR_IO:
   case MO_ERR_CANCELLED: all->broken = true; break;
-  default: decide(all, status); break;
+  default: finish_updates(all, status); break;
   }
 }
 
@@ -379,7 +379,7 @@ static void visit_again(struct mo_evaluations *all)
 
 /* Claims jobs and launches blocks, interactive jobs first. Returns whether more can be done at
  * once. */
-static bool go_on(struct mo_evaluations *all, bool look)
+static bool launch_more(struct mo_evaluations *all, bool look)
 {
   bool more = false;
   if (look) {
@@ -468,7 +468,7 @@ static void *serve(void *context)
       if (wind_down(all, &parked))
         break;
     } else if (!all->broken && !atomic_load(&all->jobs->no_space)) {
-      more = go_on(all, inbox.look);
+      more = launch_more(all, inbox.look);
     }
     due = mo_saver_run(all, inbox.stopping);
     next = sweep(all);

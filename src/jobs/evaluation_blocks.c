@@ -289,7 +289,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
 }
 
 /* Returns whether an interactive job waits for scores that a block computes. */
-static bool somebody_waits(const struct mo_evaluations *all)
+static bool has_waiting_job(const struct mo_evaluations *all)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
     if (active->priority == MO_INTERACTIVE && active->has_deferred && !active->detached)
@@ -324,7 +324,7 @@ void mo_active_take_back(struct mo_evaluations *all, struct mo_flight *finished)
     error = finish_design(all, active, finished->design);
   if (error != MO_OK && error != MO_ERR_CANCELLED)
     mo_active_fail(all, active, error, text);
-  if (is_interactive || somebody_waits(all))
+  if (is_interactive || has_waiting_job(all))
     all->pending.urgent = true;
   free_flight(all, flight);
 }

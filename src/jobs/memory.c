@@ -32,7 +32,7 @@
 
 /* ---- the limit ---- */
 
-static uint64_t room(const struct mo_jobs *jobs)
+static uint64_t available(const struct mo_jobs *jobs)
 {
   const uint64_t most = jobs->config.max_memory;
   return most > SERVICE_BYTES ? most - SERVICE_BYTES : 0;
@@ -46,7 +46,7 @@ void mo_memory_init(struct mo_jobs *jobs)
   jobs->memory.n_workers = stats.n_workers > 0 ? stats.n_workers : 1;
   if (jobs->config.max_memory >
       0) { /* the gradients of all workers take at most half of the limit, if possible */
-    share = room(jobs) / 2 / jobs->memory.n_workers;
+    share = available(jobs) / 2 / jobs->memory.n_workers;
     share = share > SCRATCH_BYTES + 8 * MIB ? share - SCRATCH_BYTES : 8 * MIB;
     tape = share < tape ? share : tape;
     mo_compute_set_gradient_bytes(jobs->compute, tape);
@@ -80,7 +80,7 @@ void mo_memory_add_learning(const struct mo_jobs *jobs, uint32_t batch,
   need->scratch = (blocks < n ? blocks : n) * scratch(jobs, physics->scheme.n_steps);
 }
 
-static uint64_t alone(const struct mo_need *need)
+static uint64_t need_alone(const struct mo_need *need)
 {
   return need->own + need->shared + need->scratch;
 }
@@ -93,18 +93,18 @@ static unsigned mib(uint64_t bytes)
 int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
                     struct mo_message *message)
 {
-  if (jobs->config.max_memory == 0 || alone(need) <= room(jobs))
+  if (jobs->config.max_memory == 0 || need_alone(need) <= available(jobs))
     return MO_OK;
   if (need->shared == 0)
     return mo_fail(
         message, MO_ERR_LIMIT,
         "this needs %u MiB of memory and jobs can have %u MiB: ask for less, or raise max_memory",
-        mib(alone(need)), mib(room(jobs)));
+        mib(need_alone(need)), mib(available(jobs)));
   return mo_fail(
       message, MO_ERR_LIMIT,
       "this needs %u MiB of memory, %u MiB of them for the bodies of the controller's pretraining, "
       "and jobs can have %u MiB: submit with exclude_pretraining false, or raise max_memory",
-      mib(alone(need)), mib(need->shared), mib(room(jobs)));
+      mib(need_alone(need)), mib(need->shared), mib(available(jobs)));
 }
 
 /* ---- accounting, under the mutex ---- */
@@ -172,27 +172,27 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
     }
   if (jobs->config.max_memory == 0)
     return true;
-  if (alone(need) > room(jobs)) {
+  if (need_alone(need) > available(jobs)) {
     snprintf(reason, sizeof(asker->reason),
              "it needs %u MiB of memory and jobs can have %u MiB: raise max_memory, or cancel it",
-             mib(alone(need)), mib(room(jobs)));
+             mib(need_alone(need)), mib(available(jobs)));
     return false;
   }
   for (const struct mo_memory_user *other = memory->waiting; other != NULL && other != asker;
        other = other->next)
-    if (other->overtaken >= OVERTAKEN_MAX && alone(&other->need) <= room(jobs)) {
+    if (other->overtaken >= OVERTAKEN_MAX && need_alone(&other->need) <= available(jobs)) {
       snprintf(reason, sizeof(asker->reason), "job %lld waits for memory longer, and starts first",
                (long long)other->id);
       return false;
     }
-  if (in_use_with(memory, need) <= room(jobs))
+  if (in_use_with(memory, need) <= available(jobs))
     return true;
   const uint64_t used = in_use_with(memory, &none),
-                 left = used < room(jobs) ? room(jobs) - used : 0;
+                 left = used < available(jobs) ? available(jobs) - used : 0;
   snprintf(reason, sizeof(asker->reason),
            "it needs %u MiB of memory more and %u MiB are free of the %u MiB that jobs can have: "
            "it starts when others end",
-           mib(in_use_with(memory, need) - used), (unsigned)(left / MIB), mib(room(jobs)));
+           mib(in_use_with(memory, need) - used), (unsigned)(left / MIB), mib(available(jobs)));
   return false;
 }
 

@@ -148,12 +148,12 @@ void mo_runner_warn(const struct mo_runner *runner, int error, const char *text)
 /* ---- writes that wait for space ---- */
 
 /* Returns whether the error can pass without a request. */
-static bool is_passing(const struct mo_runner *runner, int error)
+static bool is_temporary(const struct mo_runner *runner, int error)
 {
   return mo_is_shortage(error) && !(error == MO_ERR_NO_MEMORY && runner->is_short);
 }
 
-static const char *passing_text(int error)
+static const char *temporary_text(int error)
 {
   switch (error) {
   case MO_ERR_NO_SPACE:
@@ -173,9 +173,9 @@ int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), voi
   enum mo_phase phase = MO_PHASE_WAIT;
   char reason[160];
   int error;
-  while (is_passing(runner, error = write(context))) {
+  while (is_temporary(runner, error = write(context))) {
     if (phase == MO_PHASE_WAIT) {
-      snprintf(reason, sizeof(reason), passing_text(error), what);
+      snprintf(reason, sizeof(reason), temporary_text(error), what);
       phase = mo_runner_set_waiting(runner, true, MO_PHASE_WAIT, reason);
       mo_runner_warn(runner, error, reason);
     }
@@ -238,7 +238,7 @@ static void fail(struct mo_runner *runner, int error)
   (void)mo_runner_persist(runner, write_failure, runner, "the note of an error");
 }
 
-bool mo_runner_settle(struct mo_runner *runner, int error, void *run)
+bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run)
 {
   const struct mo_kind *kind = runner->runners->kind;
   switch (error) {

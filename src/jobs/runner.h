@@ -128,7 +128,7 @@ int mo_runner_persist(struct mo_runner *runner, int (*write)(void *context), voi
 /* Ends an attempt with `error`; `run` is for the kind's `save`. MO_ERR_CANCELLED: a request
  * arrived. MO_ERR_NO_MEMORY: the runner waits, then repeats the attempt. Returns whether the
  * attempt failed. */
-bool mo_runner_settle(struct mo_runner *runner, int error, void *run);
+bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run);
 
 /* ---- runners.c ---- */
 int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, uint32_t n);

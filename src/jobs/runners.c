@@ -90,7 +90,7 @@ static bool attempt(struct mo_runner *runner)
   }
   int error = mo_share_open(runner->jobs, runner->id, kind->kind, &runner->share);
   error = error == MO_OK ? kind->run(runner, run) : mo_runner_fail_unreadable(runner, error);
-  bool failed = mo_runner_settle(runner, error, run);
+  bool failed = mo_runner_end_attempt(runner, error, run);
   kind->clean_up(run);
   mo_share_close(runner->jobs, runner->id);
   free(run);

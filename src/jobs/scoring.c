@@ -257,7 +257,7 @@ static int fill(struct run *run)
   return launched;
 }
 
-static int take_back(struct run *run, struct mo_flight *flight)
+static int take_one(struct run *run, struct mo_flight *flight)
 {
   struct mo_scoring *scoring = run->scoring;
   bool is_done;
@@ -271,17 +271,17 @@ static int take_back(struct run *run, struct mo_flight *flight)
 }
 
 /* A device, or a machine far away, returns many blocks at once. */
-static bool come_in_crowds(const struct run *run)
+static bool arrive_in_bursts(const struct run *run)
 {
   const enum mo_back_end back_end = run->scoring->grid.block.back_end;
   return back_end == MO_ON_DEVICE || mo_compute_remote_wanted(run->window.compute, back_end) > 0;
 }
 
-/* Returns whether results wait to be saved. In crowds, as they come in fractions of a second, they
- * wait for a second: a generation that takes less is saved only by its commit. */
+/* Returns whether results wait to be saved. Bursts, which arrive in fractions of a second, wait for
+ * a second: a generation that takes less is saved only by its commit. */
 static bool saves_later(const struct run *run)
 {
-  return run->unsaved_us != 0 && come_in_crowds(run) &&
+  return run->unsaved_us != 0 && arrive_in_bursts(run) &&
          mo_clock_us() < run->unsaved_us + SAVED_AFTER_US;
 }
 
@@ -303,7 +303,7 @@ static int take_all(struct run *run)
   pthread_mutex_unlock(&run->mutex);
   while (flight != NULL) {
     struct mo_flight *next = flight->next;
-    const int taken = take_back(run, flight);
+    const int taken = take_one(run, flight);
     if (error == MO_OK || error == MO_ERR_CANCELLED)
       error = taken != MO_OK ? taken : error;
     flight = next;
@@ -312,7 +312,7 @@ static int take_all(struct run *run)
 }
 
 /* Saves the results that arrived. */
-static int save_what_came(struct run *run)
+static int save_arrived(struct run *run)
 {
   const struct mo_scoring *scoring = run->scoring;
   if (scoring->save == NULL || *scoring->n_unsaved == 0)
@@ -345,7 +345,7 @@ static int compute(struct run *run)
     if (run->window.n_flights == 0)
       return error;
     if (error == MO_OK)
-      error = save_what_came(run);
+      error = save_arrived(run);
     taken = take_all(run);
     if (error == MO_OK)
       error = taken;

@@ -97,8 +97,9 @@ struct mo_scoring {
   void *context;
   /* Takes the outcomes of a block without error. is_done: the design has no cell left. */
   void (*take)(void *context, const struct mo_flight *flight, bool is_done);
-  /* Saves what was taken; nullable. Called when blocks have come; where they come in crowds, from
-   * devices and other machines, after a second. What is left at the end is the caller's to save. */
+  /* Saves what was taken; nullable. Called when blocks have arrived; where they arrive in
+   * bursts, from devices and other machines, after a second. What is left at the end is the
+   * caller's to save. */
   int (*save)(void *context);
   const uint32_t *n_unsaved;
   void (*show)(void *context, double rollouts_per_s); /* nullable; 0: unknown */

@@ -439,8 +439,9 @@ static struct mo_need estimate(const struct mo_jobs *jobs, const struct mo_train
   struct mo_need need = {0};
   mo_memory_add_learning(jobs, settings->batch, &settings->physics, back_end, &need);
   if (settings->kind == MO_TRAINING_PRETRAIN)
-    need.own += hands * settings->batch * DRAWN_BYTES +
-                mo_form_set_reckon(MO_DEFAULT_WORKSPACE, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
+    need.own +=
+        hands * settings->batch * DRAWN_BYTES +
+        mo_form_set_estimate(MO_DEFAULT_WORKSPACE, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
   else
     need.own += record->n_designs * MO_DESIGN_BYTES + hands * settings->batch * MO_ROBOT_BYTES;
   return need;

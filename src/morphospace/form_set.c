@@ -272,7 +272,7 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
 /* Each table has a 256th part of the forms, and some more: four standard deviations. A fifth comes
  * on top: all tables grow at about the same time, and the heap cannot use the holes of the old
  * tables until all have grown. */
-size_t mo_form_set_reckon(struct mo_workspace workspace, uint64_t n)
+size_t mo_form_set_estimate(struct mo_workspace workspace, uint64_t n)
 {
   const double forms = (double)n / MO_FORM_SEGMENTS;
   const size_t form_bytes = (mo_workspace_voxels(workspace) + 7) / 8;

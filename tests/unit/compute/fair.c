@@ -94,7 +94,7 @@ static void run_until(double end_s)
       break;
     world.now_s = world.workers[first].end_s;
     struct submitter *submitter = (struct submitter *)world.workers[first].charge.share;
-    mo_fair_settle(&world.fair, &world.workers[first].charge, world.workers[first].cost_s, true);
+    mo_fair_correct(&world.fair, &world.workers[first].charge, world.workers[first].cost_s, true);
     submitter->got_s += world.workers[first].cost_s;
     submitter->inside--;
     world.used[world.workers[first].block - world.blocks] = false;
@@ -257,7 +257,7 @@ static void first_in_first_out_and_removal(void)
     struct mo_block *block = mo_fair_take(&world.fair, &charge, NULL, NULL);
     REQUIRE(block != NULL && charge.share == &c->share);
     CHECK_INT(block->tag, i);
-    mo_fair_settle(&world.fair, &charge, 0, false);
+    mo_fair_correct(&world.fair, &charge, 0, false);
   }
   CHECK(mo_fair_take(&world.fair, &charge, NULL, NULL) == NULL);
   mo_fair_remove(&world.fair, &c->share);

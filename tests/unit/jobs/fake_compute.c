@@ -404,7 +404,7 @@ NOTHING(mo_compute_end_blocks, struct mo_compute *compute)
 ONLY(int, MO_OK, mo_compute_gradient_lay_out, struct mo_gradient_state *state,
      const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics)
 NOTHING(mo_compute_gradient_forget, struct mo_gradient_state *state)
-NOTHING(mo_compute_settle, const struct mo_compute *compute)
+NOTHING(mo_compute_lower_priority, const struct mo_compute *compute)
 ONLY(uint32_t, 0, mo_compute_devices, const struct mo_compute *compute)
 ONLY(uint32_t, 0, mo_compute_devices_working, const struct mo_compute *compute)
 ONLY(uint32_t, 0, mo_compute_remote_wanted, const struct mo_compute *compute,

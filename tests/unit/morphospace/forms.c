@@ -108,8 +108,8 @@ static void set_is_small(void)
       double bytes = (double)mo_form_set_bytes(set) / (double)(i + 1);
       worst = bytes > worst ? bytes : worst;
       if (i % 1000 == 0) { /* known beforehand */
-        double reckoned = (double)mo_form_set_reckon(home, i + 1) / (double)(i + 1);
-        CHECK(reckoned >= bytes && reckoned < 2.0 * bytes);
+        double estimated = (double)mo_form_set_estimate(home, i + 1) / (double)(i + 1);
+        CHECK(estimated >= bytes && estimated < 2.0 * bytes);
       }
     }
   }

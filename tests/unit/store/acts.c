@@ -213,7 +213,7 @@ void life_apply(struct life *life, struct act *act, uint32_t parts)
   }
   if (life_do(life, life->promised, &done, &error) != parts)
     life_found(life, "act %d as promised: error %d", (int)act->kind, error);
-  life_settle(life->promised);
+  life_wait_for_writer(life->promised);
   switch (act->kind) {
   case ACT_REQUEUE:
     for (int k = 0; k < KINDS; k++)
@@ -509,7 +509,7 @@ static uint32_t do_save(struct life *life, struct mo_store *of, const struct act
   return saving.acknowledged;
 }
 
-void life_settle(struct mo_store *of)
+void life_wait_for_writer(struct mo_store *of)
 {
   struct saving saving = {.all_queued = true};
   struct mo_save save = {.done = wait_for_all, .context = &saving};

@@ -144,7 +144,7 @@ struct act life_choose(struct life *life);
 uint32_t life_do(struct life *life, struct mo_store *of, const struct act *act, int *error);
 /* Waits until the writer has done what it does between commits: then the same seed gives the same
  * order of changes. */
-void life_settle(struct mo_store *of);
+void life_wait_for_writer(struct mo_store *of);
 /* Promises `parts` of an act, which keeps the others. */
 void life_apply(struct life *life, struct act *act, uint32_t parts);
 

@@ -255,7 +255,7 @@ static void works_short_of(enum shortage what, bool is_long)
       failed += error != MO_OK;
     }
     CHECK_INT(act.parts, 0);
-    life_settle(life.store);
+    life_wait_for_writer(life.store);
     CHECK(life_matches(&life, text));
   }
   printf("# %ld acts failed%s\n", failed, text);

@@ -73,7 +73,7 @@ static bool act_once(struct life *life, struct act act)
   life->in_doubt = true;
   life->acts[act.kind]++;
   uint32_t done = life_do(life, life->store, &act, &error);
-  life_settle(life->store);
+  life_wait_for_writer(life->store);
   life_apply(life, &life->doing, done);
   life->in_doubt = life->doing.parts > 0;
   if (error != MO_OK && !disk_has_stopped(life->disk) && !disk_has_failed(life->disk))
