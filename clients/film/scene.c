@@ -42,7 +42,7 @@ static const void *array(const struct reader *reader, const json_t *described, c
     refuse("an array is not of the expected shape");
   if (offset < 0 || offset % 4 != 0 || (size_t)offset > reader->size ||
       bytes > reader->size - (size_t)offset)
-    refuse("an array lies outside of it");
+    refuse("an array lies outside the scene");
   return reader->arrays + offset;
 }
 
@@ -172,7 +172,7 @@ static void *joined(const void *list, uint32_t n, const void *more, uint32_t n_m
 void scene_append(struct scene *scene, const struct scene *other)
 {
   if (scene->n_rollouts > 0 && scene->frame_s != other->frame_s)
-    refuse("others have other times between their frames");
+    refuse("scenes have different times between frames");
   for (uint32_t i = 0; i < other->n_rollouts; i++) {
     other->rollouts[i].body += scene->n_bodies;
     other->rollouts[i].world += scene->n_worlds;

@@ -17,10 +17,10 @@
 
 /* ---- generations ---- */
 
-/* What is shown of a generation. */
+/* The numbers shown for a generation. */
 static const struct measure {
   const char *place;      /* in a row of the API; of shares of survivors, the counts */
-  const char *name;       /* of its curve; NULL: it has none */
+  const char *name;       /* of its curve; NULL: no curve */
   const char *head, *tag; /* in the table, and in a line */
   int width, digits;
   const char *unit; /* " %": a share */
@@ -72,7 +72,7 @@ static void load(struct live *live)
 
 /* ---- sparklines ---- */
 
-/* Returns the mean of the finite values; NaN: none. */
+/* Returns the mean of the finite values, or NaN. */
 static double group_mean(const double *values, size_t n)
 {
   double sum = 0;
@@ -240,11 +240,11 @@ static void write_view(const struct live *live, FILE *file, int columns, int row
   free(text);
   view_words(file, columns, live->job, CAMPAIGN_NOW_WORDS);
   view_words(file, columns, live->job,
-             ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the campaign goes on.]");
+             ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the campaign continues.]");
 }
 
-/* Prints a line for each generation up to `until` that was not printed yet. Only the time of the
- * last one is known: that of its event (nullable). */
+/* Prints a line for each generation up to `until` that was not printed yet. at: time of the last
+ * one, from its event (nullable); the times of the others are not known. */
 static void print_generations(struct campaign *campaign, int64_t until, const json_t *at)
 {
   char line[400], words[256], count[32];

@@ -1,5 +1,5 @@
-/* cmd_bundle.c: campaigns as files: out of a server, checked, and into another one; export: any
- * list, curve or phylogeny in a file. */
+/* cmd_bundle.c: bundle export, verify and import: campaigns as files. export: any list, curve or
+ * phylogeny as a file. */
 #include <inttypes.h>
 #include <string.h>
 
@@ -9,7 +9,7 @@
 #define BUNDLE_BYTES_MAX ((size_t)4 << 30)
 #define RECOMPUTE_MAX    1000
 
-/* ---- out ---- */
+/* ---- export ---- */
 
 void run_bundle_export(struct ctl *ctl)
 {
@@ -23,18 +23,18 @@ void run_bundle_export(struct ctl *ctl)
   for (size_t i = 0; filters[i] != NULL; i++)
     ways += option_is_set(ctl, filters[i]);
   if (option_is_set(ctl, "recordings"))
-    path = path_to("%s&recordings=true", path); /* behind what says which campaigns */
+    path = path_to("%s&recordings=true", path); /* after the choice of campaigns */
   if (ways == 0)
-    fail(STATUS_USAGE, "which campaigns? Give their ids, --label, --experiment or "
+    fail(STATUS_USAGE, "give campaign ids, --label, --experiment or "
                        "--group");
   if (ways > 1)
     fail(STATUS_USAGE, "give either ids, --label, --experiment or --group");
   save_reply(ctl, path, BUNDLE_TYPE, ctl->operands[0]);
 }
 
-/* ---- in ---- */
+/* ---- import ---- */
 
-/* Makes the request that computes the stored scores of the best designs again. NULL: the campaign
+/* Makes the request that recomputes the stored scores of the best designs. NULL: the campaign
  * learns. */
 static json_t *recompute_request(struct ctl *ctl, const char *id, int64_t n)
 {
@@ -61,7 +61,7 @@ static json_t *recompute_request(struct ctl *ctl, const char *id, int64_t n)
       json_object_get(json_object_get(campaign, "settings"), "physics"), "verify", 1));
 }
 
-/* Computes scores of a campaign again, and compares them with those that it brought. */
+/* Recomputes scores of a campaign, and compares them with the imported ones. */
 static void recompute(struct ctl *ctl, const char *id, int64_t n)
 {
   const json_t *request = recompute_request(ctl, id, n), *item;
@@ -140,8 +140,8 @@ void run_bundle_verify(struct ctl *ctl)
 
 /* ---- any list ---- */
 
-/* Returns the form that the end of a file's name says, csv if it has no end. Ends the program for
- * the end of another form, such as .parquet. */
+/* Returns the format for the suffix of a file name, or csv without a suffix. Ends the program for
+ * an unknown suffix, such as .parquet. */
 static const char *form_of(const char *output)
 {
   static const struct {
@@ -153,7 +153,7 @@ static const char *form_of(const char *output)
       return ends[i].form;
   if (end != NULL)
     fail(STATUS_USAGE,
-         "--output: %s is not the end of a form that is exported: .csv, .ndjson, .jsonl or .nwk; "
+         "--output: %s is not a known suffix: .csv, .ndjson, .jsonl or .nwk; "
          "for another name give --format",
          end);
   return "csv";

@@ -101,7 +101,7 @@ void run_campaign_champions(struct ctl *ctl)
   if (!records && (option_is_set(ctl, "record-stride") || option_is_set(ctl, "record")))
     fail(STATUS_USAGE, "--record and --record-stride are for --output and --film");
   if (records && generation >= 0)
-    fail(STATUS_USAGE, "the newest generation is recorded: --output and --film go "
+    fail(STATUS_USAGE, "--output and --film record the newest generation, so they go "
                        "without --generation");
   film_check(ctl);
   print_items(ctl,
@@ -170,6 +170,6 @@ void run_campaign_export(struct ctl *ctl)
   if (population != NULL)
     export_population(ctl, id, population);
   if (n_given == 0)
-    fail(STATUS_USAGE, "what is to be exported? --curve, --population, --phylogeny, "
+    fail(STATUS_USAGE, "nothing to export: give --curve, --population, --phylogeny, "
                        "--newick, --learning or --replicates FILE");
 }

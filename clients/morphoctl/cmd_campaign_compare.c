@@ -1,7 +1,7 @@
 /* cmd_campaign_compare.c: campaign compare: compares campaigns by their best scores at the newest
- * generation that all have. A campaign with its replicates is one side; their spread gives the
- * interval. Scores of different physics or environments do not compare, so these are refused; other
- * settings that differ are named. */
+ * generation that all have reached. A campaign with its replicates is one side; their spread gives
+ * the interval. Scores of different physics or environments do not compare, so these are refused;
+ * other settings that differ are named. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -13,7 +13,7 @@ enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };
 
 struct side {
   json_t *json;          /* what is printed about it */
-  const json_t *members; /* the campaigns that count */
+  const json_t *members; /* the campaigns that are compared */
   double scores[REPLICATES_MAX];
   size_t n;
 };
@@ -24,7 +24,7 @@ static bool ended_early(const json_t *campaign)
   return strcmp(state, "cancelled") == 0 || strcmp(state, "failed") == 0;
 }
 
-/* Returns whether another side has the same group: then each is the one campaign that was named. */
+/* Returns whether another side has the same group. Then each side is only the named campaign. */
 static bool shares_group(const struct ctl *ctl, const json_t *const campaigns[], size_t n)
 {
   for (size_t i = 0; i < ctl->n_operands; i++)
@@ -86,7 +86,7 @@ static void find_differences(json_t *found, const char *place, const json_t *a, 
   }
 }
 
-/* Returns what decides a campaign's scores, but its seed: members for find_differences. */
+/* Returns the settings that scores depend on, except the seed: members for find_differences. */
 static json_t *conditions_of(struct ctl *ctl, const json_t *campaign)
 {
   json_t *settings = keep(json_copy(json_object_get(campaign, "settings"))), *worlds = json_array();
@@ -112,8 +112,8 @@ static const char *short_text(const json_t *value)
   return strlen(text) <= 40 ? text : keep(format_text("%.37s...", text));
 }
 
-/* Adds to a side the settings in which it differs from the first. Ends the program where their
- * scores do not compare. */
+/* Adds to a side the settings in which it differs from the first. Ends the program if their scores
+ * cannot be compared. */
 static void add_differences(struct side *side, const json_t *first, const json_t *own,
                             const char *a, const char *b)
 {
@@ -151,7 +151,7 @@ static void print_settings_that_differ(const struct ctl *ctl, const struct side 
 
 /* ---- scores ---- */
 
-/* Lowers *newest to the newest generation that all of a side have. */
+/* Lowers *newest to the newest generation that all campaigns of a side have reached. */
 static void find_newest(const struct side *side, int64_t *newest)
 {
   const json_t *one;
@@ -179,7 +179,7 @@ static void read_scores(struct ctl *ctl, struct side *side, int64_t generation)
   }
 }
 
-/* Adds to a side how it compares with the first. */
+/* Adds to a side its comparison with the first. */
 static void compare(const struct side *first, struct side *side)
 {
   const struct interval found = compare_means(first->scores, first->n, side->scores, side->n);

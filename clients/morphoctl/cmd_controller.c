@@ -50,7 +50,7 @@ void run_controller_get(struct ctl *ctl)
 {
   const char *output = option_text(ctl, "output", NULL);
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
+    fail(STATUS_USAGE, "a controller is not written to a terminal: give --output FILE");
   save_reply(ctl, controller_path(ctl, "/file"), "application/octet-stream",
              output != NULL ? output : path_to("%s.safetensors", ctl->operands[0]));
 }
@@ -70,7 +70,7 @@ void run_controller_put(struct ctl *ctl)
                      &code));
   tell(ctl, controller,
        code == 201 ? "controller {name} stored: sha256:{sha256}"
-                   : "controller {name} now stands for this file: sha256:{sha256}");
+                   : "controller {name} now points to this file: sha256:{sha256}");
 }
 
 void run_controller_delete(struct ctl *ctl)

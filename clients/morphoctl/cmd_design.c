@@ -1,5 +1,5 @@
 /* cmd_design.c: design show, list, draw; random, mutate, cross, canonical: bodies that the server
- * makes. Each of these is a JSON design on a line of its own, for other commands to read. */
+ * makes. Each is printed as a JSON design on one line, for other commands to read. */
 #include <string.h>
 
 #include "commands.h"
@@ -93,7 +93,7 @@ void run_design_draw(struct ctl *ctl)
 
 /* ---- bodies that the server makes ---- */
 
-/* Prints the bodies; those that are not there are reported on standard error. as: "voxels" or
+/* Prints the bodies; missing ones are reported on standard error. as: "voxels" or
  * "id". */
 static void print_bodies(const struct ctl *ctl, const json_t *reply, const char *as)
 {
@@ -118,7 +118,7 @@ static void print_bodies(const struct ctl *ctl, const json_t *reply, const char 
   }
 }
 
-/* Sends the options and what `request` has, and prints the reply. */
+/* Sends the options and the members of `request`, and prints the reply. */
 static void make(struct ctl *ctl, const char *path, json_t *request, const char *as)
 {
   request_fill(ctl, request);
@@ -136,7 +136,7 @@ static void fill_pairs(json_t *request, size_t n)
   json_t *pairs = json_array();
   json_object_set_new(request, "pairs", pairs);
   if (n < 2 || n % 2 != 0)
-    fail(STATUS_USAGE, "%zu designs are given; pairs of designs are expected", n);
+    fail(STATUS_USAGE, "got %zu designs, expected pairs of designs", n);
   for (size_t i = 0; i + 1 < n; i += 2)
     json_array_append_new(pairs, json_pack("[I, I]", (json_int_t)i, (json_int_t)i + 1));
 }

@@ -91,8 +91,7 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
     print_results(ctl, evaluation, designs, by_score, top);
 }
 
-/* Adds the results that are whole scores to an evaluation of so many designs that it comes without
- * results. */
+/* Adds the complete scores to an evaluation that is too large to come with its results. */
 static void add_whole_results(struct ctl *ctl, json_t *evaluation)
 {
   if (strcmp(text_of(evaluation, "state"), "succeeded") == 0)
@@ -121,9 +120,9 @@ void run_eval(struct ctl *ctl)
   const int64_t top = option_number(ctl, is_top ? "best" : "top", 1, RANDOM_BODIES_MAX, 0);
   json_t *request = keep(json_object());
   if (output != NULL && !wait)
-    fail(STATUS_USAGE, "--output needs the result: it goes with --wait");
+    fail(STATUS_USAGE, "--output needs the result: give --wait");
   if (option_is_set(ctl, "film") && !wait)
-    fail(STATUS_USAGE, "--film needs the result: it goes with --wait");
+    fail(STATUS_USAGE, "--film needs the result: give --wait");
   film_check(ctl);
   request_fill(ctl, request);
   fill_record(ctl, request);
@@ -162,7 +161,7 @@ void run_eval(struct ctl *ctl)
 
 /* ---- verify ---- */
 
-/* Adds what an earlier evaluation requested. */
+/* Adds the settings of an earlier evaluation. */
 static void add_evaluation(struct ctl *ctl, struct designs *designs, json_t *request,
                            const char *id)
 {
@@ -170,8 +169,8 @@ static void add_evaluation(struct ctl *ctl, struct designs *designs, json_t *req
   const bool named = json_is_string(json_object_get(evaluation, "environments"));
   expect_success("job", evaluation);
   if (!named && !option_is_set(ctl, "environments"))
-    fail(STATUS_USAGE,
-         "evaluation %s has environments of its own: give them again with --environments", id);
+    fail(STATUS_USAGE, "evaluation %s has custom environments: give them again with --environments",
+         id);
   designs_add_genotypes(designs, json_object_get(evaluation, "results"));
   json_object_set_new(
       request, "controller",
@@ -215,7 +214,7 @@ void run_verify(struct ctl *ctl)
   if (!ctl->json && !ctl->quiet)
     printf("%zu the same, %zu different, %zu not stored\n", agree, differ, absent);
   if (differ > 0)
-    fail(STATUS_NEGATIVE, "%zu stored scores have other bits than their recomputation", differ);
+    fail(STATUS_NEGATIVE, "%zu stored scores differ from the recomputed ones", differ);
   if (agree == 0)
     fail(STATUS_NEGATIVE, "nothing is stored to compare with");
 }

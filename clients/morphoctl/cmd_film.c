@@ -1,8 +1,8 @@
 /* cmd_film.c: "film" and "picture", and --film of other commands: robots drawn without a display.
  *
- * The rollouts come from the server as scenes: of a request that is stored nowhere, or of what an
- * evaluation recorded. A film is a folder of PNG
- * files, a Y4M stream, or whatever ffmpeg, if it is installed, makes of such a stream. */
+ * The rollouts come from the server as scenes: computed for the request and not stored, or recorded
+ * by an evaluation. A film is a folder of PNG files, a Y4M stream, or any format into which ffmpeg,
+ * if it is installed, converts such a stream. */
 #include <errno.h>
 #include <inttypes.h>
 #include <math.h>
@@ -127,7 +127,7 @@ static void read_look(struct ctl *ctl, struct film *film)
 static void lay_out(struct film *film)
 {
   if (film->scene.n_rollouts > ROBOTS_MAX || !(duration_s(film) <= DURATION_MAX_S))
-    fail(STATUS_ERROR, "the server sent more than was asked for");
+    fail(STATUS_ERROR, "the server sent more than was requested");
   /* Views side by side, about as wide as the picture. */
   const uint32_t n = film->scene.n_rollouts;
   const uint32_t columns = n <= 1 ? 1 : n <= 4 ? 2 : n <= 9 ? 3 : 4;
@@ -184,7 +184,7 @@ static void save_png(const struct film *film, const char *path)
 static bool put_y4m(const struct film *film, FILE *file)
 {
   const size_t n = (size_t)film->width * film->height;
-  /* ITU-R BT.601, as players take a stream that does not say. */
+  /* ITU-R BT.601, the default of players. */
   static const double weights[3][4] = {
       {16, 65.481, 128.553, 24.966}, {128, -37.797, -74.203, 112}, {128, 112, -93.786, -18.214}};
   fputs("FRAME\n", file);
@@ -213,13 +213,13 @@ static bool ends_with(const char *name, const char *end)
   return length > strlen(end) && strcasecmp(name + length - strlen(end), end) == 0;
 }
 
-/* Whether ffmpeg makes the film, by the end of the name. */
+/* Returns whether ffmpeg makes the film, by the suffix of its name. */
 static bool needs_ffmpeg(const char *output)
 {
   return strcmp(output, "-") != 0 && !is_folder(output) && !ends_with(output, ".y4m");
 }
 
-/* Opens what takes the stream: standard output, a file, or ffmpeg. */
+/* Opens the target of the stream: standard output, a file, or ffmpeg. */
 static FILE *open_stream(const char *output, pid_t *ffmpeg)
 {
   int ends[2];
@@ -236,7 +236,7 @@ static FILE *open_stream(const char *output, pid_t *ffmpeg)
     dup2(ends[0], STDIN_FILENO);
     close(ends[0]);
     close(ends[1]);
-    /* The name is that of a file, whatever it begins with. */
+    /* Always a file, even if the name starts with a dash. */
     execlp("ffmpeg", "ffmpeg", "-loglevel", "error", "-y", "-f", "yuv4mpegpipe", "-i", "-",
            "-pix_fmt", "yuv420p", path_to("file:%s", output), (char *)NULL);
     _exit(127);

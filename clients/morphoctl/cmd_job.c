@@ -170,8 +170,9 @@ static bool asks(struct ctl *ctl)
                "[, {campaign.generations:,} generations|, {training.steps:,} steps"
                "|, {n_designs:,} designs]");
   if (!isatty(STDIN_FILENO))
-    fail(STATUS_USAGE, "nobody is there to ask: --yes deletes without a question");
-  fputs("Results, recordings, curves and phylogeny go for good; designs, scores and controllers "
+    fail(STATUS_USAGE, "standard input is not a terminal: use --yes to confirm");
+  fputs("Results, recordings, curves and phylogeny are deleted permanently; designs, scores and "
+        "controllers "
         "stay.\nDelete? [y/N] ",
         stderr);
   return fgets(answer, sizeof(answer), stdin) != NULL &&

@@ -50,7 +50,7 @@ void run_scores_export(struct ctl *ctl)
   static const char *const filters[] = {"controller", "class", "since", NULL};
   struct saving saving = {.ctl = ctl, .path = ctl->n_operands > 0 ? ctl->operands[0] : "-"};
   if (strcmp(saving.path, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "the file is not for terminals: name one, or use a pipe");
+    fail(STATUS_USAGE, "scores are not written to a terminal: name a file, or use a pipe");
   catch_interrupts(NULL);
   transport_download(ctl, path_with(ctl, "/v1/scores", filters), SCORES_TYPE, save_piece, &saving);
   show_bytes(ctl, NULL, 0);
@@ -106,7 +106,7 @@ static int send_block(struct sending *sending, const char *block, size_t size)
                                                 .body_bytes = size},
                               NULL, &entered);
   if (status != STATUS_OK)
-    return complain(status, "%s: the block at byte %" PRIu64 " was not entered", sending->name,
+    return complain(status, "%s: the block at byte %" PRIu64 " was not imported", sending->name,
                     sending->at);
   for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
     add_number(sending->sum, entered, counts[i]);
@@ -156,7 +156,7 @@ void run_scores_import(struct ctl *ctl)
   print_differences(ctl, json_object_get(sending.sum, "differences"));
   if (sending.at > 0) /* what was entered stays, whatever followed */
     tell(ctl, sending.sum,
-         "{new:,} rollouts are new, {known:,} were here[, {different>0:,} are stored with other "
+         "{new:,} rollouts are new, {known:,} were known[, {different>0:,} are stored with other "
          "bits and were left out], from store {source.store} on {source.host}");
   leave(status == STATUS_OK && number_of(sending.sum, "different") > 0 ? STATUS_NEGATIVE : status);
 }

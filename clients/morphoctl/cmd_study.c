@@ -117,7 +117,7 @@ static void fill_batch(struct ctl *ctl, json_t *request)
   if (batch < 0) {
     const json_t *campaign = get_json(ctl, "/v1/campaigns/%s", ctl->operands[0]);
     if (!json_is_object(json_object_get(campaign, "study")))
-      fail(STATUS_NEGATIVE, "campaign %s is no study", ctl->operands[0]);
+      fail(STATUS_NEGATIVE, "campaign %s is not a study", ctl->operands[0]);
     batch = number_of(json_object_get(campaign, "study"), "next_batch");
   }
   json_object_set_new(request, "batch", json_integer(batch));

@@ -24,10 +24,10 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
   const char *population = option_text(ctl, "population", NULL);
   const bool listed = ctl->n_operands > 1 || random != NULL;
   if (!finetune && (listed || population != NULL))
-    fail(STATUS_USAGE, "a pretraining draws bodies of its own: designs, --random and --population "
+    fail(STATUS_USAGE, "pretrain draws its own bodies: designs, --random and --population "
                        "are for train start finetune");
   if (finetune && listed == (population != NULL))
-    fail(STATUS_USAGE, "a finetuning learns on designs (files, --random N) or on a --population: "
+    fail(STATUS_USAGE, "finetune learns on designs (files, --random N) or on a --population: "
                        "give one of the two");
   if (best > 0 && population == NULL)
     fail(STATUS_USAGE, "--best is for --population");
@@ -70,7 +70,7 @@ static void export_controller(struct ctl *ctl, const char *id)
   const char *output = option_text(ctl, "output", NULL);
   const int64_t step = option_number(ctl, "step", 1, 1000000, 0);
   if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
-    fail(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
+    fail(STATUS_USAGE, "a controller is not written to a terminal: give --output FILE");
   const char *path =
       path_to("/v1/trainings/%s/controller%s", id, step > 0 ? path_to("?step=%" PRId64, step) : "");
   struct reply reply;

@@ -69,7 +69,7 @@ static int show_event(void *context, const char *type, const char *data)
   if (strcmp(type, "reset") == 0) {
     watch->reset = true;
     if (!ctl->quiet)
-      complain(0, "some events are no longer kept");
+      complain(0, "some events were missed, since the server no longer keeps them");
     return 0;
   }
   json_t *event = json_loads(data, 0, NULL);

@@ -42,7 +42,7 @@ struct live_kind;
 typedef void command_function(struct ctl *ctl);
 
 struct command {
-  const char *name;     /* "job list" */
+  const char *name;     /* such as "job list" */
   const char *operands; /* "ID [DESIGN]...", or "": how many there may be, too */
   const char *summary;  /* one line */
   command_function *run;
@@ -65,7 +65,7 @@ struct ctl {
   const char *token;  /* NULL: none */
   bool json;          /* plain JSON of the API on standard output */
   bool quiet;         /* no progress, no notes */
-  bool terminal;      /* standard output is one that obeys escapes */
+  bool terminal;      /* standard output is a terminal that supports escapes */
   bool color;         /* on standard output */
   bool progress;      /* standard error is a terminal */
   bool utf8;          /* the locale can show box characters */
@@ -77,11 +77,11 @@ extern const struct command commands[];
 extern const size_t n_commands;
 extern const struct option_spec common_options[];
 
-/* ---- memory.c: memory, and the end of the program. An error ends it where it is found: it has
- * nothing to lose, and the system takes its memory back ---- */
+/* ---- memory.c: memory, and exit. The program exits where an error is found: it has no state to
+ * lose, and the system frees its memory ---- */
 
 void *need(void *memory); /* returns what was allocated, or opened in memory; else ends */
-/* The same, for what stays until the end. Keeps it reachable, so that it is no leak. */
+/* The same for memory that is used until exit. Keeps it reachable, so that it is not a leak. */
 void *keep(void *memory);
 char *format_text(const char *format, ...)
     __attribute__((format(printf, 1, 2))); /* as asprintf: malloc */
@@ -95,7 +95,7 @@ bool progress_begin(void);
 void progress_end(void);
 /* Ends the program with a status, once standard output is written. */
 _Noreturn void leave(int status);
-/* Complains, and ends the program. */
+/* Prints a message as complain does, and exits. */
 _Noreturn void fail(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 /* True after SIGINT or SIGTERM, once catch_interrupts was called. Commands call it before they wait
@@ -116,11 +116,11 @@ void options_print_completion(FILE *file, const struct ctl *ctl); /* for bash */
 bool option_is_set(const struct ctl *ctl, const char *name);
 const char *option_text(const struct ctl *ctl, const char *name,
                         const char *otherwise); /* the last value given */
-/* Returns a value that is one of the words (base/words.h), and the alternative if the option was
+/* Returns a value that is one of the words (base/words.h), or the alternative if the option was
  * not given. */
 const char *option_word(const struct ctl *ctl, const char *name, const char *const *words,
                         const char *otherwise);
-/* Returns a whole number within bounds, and the alternative if the option was not given. */
+/* Returns a whole number within bounds, or the alternative if the option was not given. */
 int64_t option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
                       int64_t otherwise);
 

@@ -42,7 +42,7 @@ char *read_input(const char *path, size_t limit, size_t *length)
   return text;
 }
 
-/* Finds the digits of the id in a robot's notation, and K; −1: an id alone. NULL: it is neither. */
+/* Finds the digits of the id of a robot (ID@K), and K, or −1 for an id without K. NULL: neither. */
 static const char *find_id(const char *text, size_t length, int *orientation)
 {
   *orientation = -1;
@@ -122,8 +122,8 @@ static bool are_adjacent(const int a[3], const int b[3])
   return abs(a[0] - b[0]) + abs(a[1] - b[1]) + abs(a[2] - b[2]) == 1;
 }
 
-/* Whether these rows, which are no body in one piece as cells, can be a robot of EvoGym with three
- * columns: materials up to 4, of which the highest row has at least one. */
+/* Returns whether these rows, which as cells are not in one piece, can be a robot of EvoGym with
+ * three columns: materials up to 4, with at least one in the highest row. */
 static bool can_be_robot(const json_t *rows)
 {
   const size_t n = json_array_size(rows);

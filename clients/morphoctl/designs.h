@@ -6,7 +6,7 @@
  * - [[x,y,z], …]: the cells of one design. It is refused if they are not in one piece, and could
  *   be rows of materials of EvoGym
  * - 144 digits 0 and 1, optionally after a g: the voxels of one design
- * - 36 hexadecimal digits, optionally after a d: an id; with @0 to @7 behind them: a robot, which
+ * - 36 hexadecimal digits, optionally after a d: an id; followed by @0 to @7: a robot, which
  *   is the design in one orientation
  * - # to the end of the line: ignored */
 #ifndef MORPHOCTL_DESIGNS_H
@@ -16,7 +16,7 @@
 
 #include "ctl.h"
 
-#define DESIGNS_MAX       10000   /* of a request, but for evaluations */
+#define DESIGNS_MAX       10000   /* of a request, except evaluations */
 #define LARGE_MAX         1000000 /* of an evaluation */
 #define RANDOM_BODIES_MAX 1000000 /* of one seed */
 #define WORKSPACE_X       6
@@ -32,7 +32,7 @@ struct designs {
 };
 
 struct designs no_designs(void);
-/* Adds the designs in `text`. source: its name in messages. A fault in it ends the program. */
+/* Adds the designs in `text`. source: its name in messages. Exits if it is invalid. */
 void designs_add_text(struct designs *designs, const char *source, const char *text, size_t length);
 /* Adds the designs of an operand: "-" is standard input; else a file; else the text itself if it is
  * a body or an id. */

@@ -8,7 +8,7 @@
 #define SSE_BYTES_MAX (1 << 20)
 
 struct sse {
-  char *text; /* what came of the next event */
+  char *text; /* the part received of the next event */
   size_t n_bytes;
   char last_id[32]; /* id of the last complete event, where to continue; "" none yet */
 };
@@ -23,8 +23,8 @@ struct follow {
   struct ctl *ctl;
   const char *job; /* NULL: all jobs */
   int64_t after;   /* start after this event; −1: with the next event */
-  /* Receives each event. The event `reset` has no event's body: it says that some events are no
-   * longer kept. Non-zero ends the following. */
+  /* Receives each event. The event `reset` has a different body: some events are no longer
+   * kept. Non-zero ends the following. */
   int (*event)(void *context, const char *type, const char *data);
   /* Called after the events of each sign of life, an event or a heartbeat (at least every 15 s).
    * Nullable; true ends the following. */

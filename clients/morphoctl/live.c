@@ -148,9 +148,10 @@ static void watch(struct live *live)
   catch_interrupts(
       live->ctl->quiet
           ? NULL
-          : keep(format_text("The %s goes on. To watch it again: morphoctl %s watch %s; to set it "
-                             "aside: morphoctl %s pause %s; to stop it: morphoctl %s cancel %s",
-                             live->kind->noun, command, id, command, id, command, id)));
+          : keep(format_text(
+                "The %s continues. To watch it again: morphoctl %s watch %s; to pause it: "
+                "morphoctl %s pause %s; to stop it: morphoctl %s cancel %s",
+                live->kind->noun, command, id, command, id, command, id)));
   /* The newest event, as reported by a page that starts beyond it. */
   const json_t *page =
       get_json(live->ctl, "/v1/events?format=json&limit=1&after=999999999999999999");

@@ -9,8 +9,8 @@
 
 struct live;
 
-/* What differs between kinds of jobs. Functions get the `struct live` with which their own begins,
- * and end the program when something is wrong. */
+/* What differs between kinds of jobs. Functions get the `struct live` that their own structure
+ * starts with, and exit on an error. */
 struct live_kind {
   size_t size;                     /* of its own structure */
   const char *noun, *command;      /* "training", "train" */
@@ -20,7 +20,7 @@ struct live_kind {
   void (*print)(struct live *live);
   void (*write)(const struct live *live, FILE *file, int columns, int rows); /* draws the view */
   void (*begin)(struct live *live); /* prints what is known at first */
-  /* Takes an event; *draw: the view is to be redrawn at once. False: goes on, even if the job has
+  /* Takes an event; *draw: the view is to be redrawn at once. False: continue, even if the job has
    * ended. `reset` says that events were missed; the job was fetched again. */
   bool (*event)(struct live *live, const char *type, json_t *event, bool *draw);
   /* Prints what changed when the state was fetched without an event. */

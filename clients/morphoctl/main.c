@@ -24,7 +24,7 @@ static void take_line(struct ctl *ctl, const char *path, char *line, const char 
   const bool named = words[1] != NULL && words[1][0] != '#';
   const char *name = named ? words[0] : "admin", *token = named ? words[2] : words[0];
   if (token == NULL || token[0] == '#')
-    fail(STATUS_USAGE, "%s: a line is not NAME RIGHT TOKEN, nor a token only", path);
+    fail(STATUS_USAGE, "%s: a line is neither NAME RIGHT TOKEN nor a token", path);
   if (wanted != NULL ? strcmp(name, wanted) != 0 : first[0] != 0 && strcmp(name, first) == 0)
     return;
   if (wanted == NULL && first[0] != 0)

@@ -14,11 +14,11 @@ const struct option_spec common_options[] = {
     {"token-file", 0, "FILE",
      "File with the bearer token, or with lines of NAME RIGHT TOKEN as morphod reads them "
      "(default: the token in $MORPHOD_TOKEN)."},
-    {"token-name", 0, "NAME", "Whose token of the file is used, where it has those of several."},
+    {"token-name", 0, "NAME", "Name of the token to use, if the file has several."},
     {"json", 'j', NULL, "Print the API's JSON instead of tables."},
-    {"quiet", 'q', NULL, "No progress and no remarks."},
+    {"quiet", 'q', NULL, "No progress and no notes."},
     {"retry", 0, "SECONDS",
-     "How long a failing connection is tried again (default: 2, and 60 once the server has "
+     "How long to retry a failing connection (default: 2, and 60 once the server has "
      "answered)."},
     {"help", 'h', NULL, "Print this text."},
     {NULL, 0, NULL, NULL},
@@ -69,7 +69,7 @@ void options_print_help(FILE *file, const struct ctl *ctl, const struct command 
     return;
   }
   fputs("Usage: morphoctl COMMAND [OPTION]... [OPERAND]...\n"
-        "Scores voxel robots and looks after the work of a morphod server.\n\nCommands:\n",
+        "Scores voxel robots and manages the jobs of a morphod server.\n\nCommands:\n",
         file);
   for (size_t i = 0; i < ctl->n_commands; i++)
     fprintf(file, "  %-18s %s\n", ctl->commands[i].name, ctl->commands[i].summary);
@@ -309,7 +309,7 @@ void options_parse(struct ctl *ctl, int argc, const char *const *argv)
   }
   if (is_option(words[1]))
     fail(STATUS_USAGE,
-         "%s is not an option of every command: the options of a command stand after it", words[1]);
+         "%s is not an option of every command: put the options of a command after it", words[1]);
   ctl->command = find_command(ctl, n, words, &used);
   if (ctl->command == NULL)
     refuse_command(ctl, n, words);

@@ -280,11 +280,11 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
   if (!wait || json_object_get(evaluation, "results") != NULL ||
       (is_final(state) && strcmp(state, "succeeded") != 0))
     return evaluation;
-  catch_interrupts(ctl->quiet
-                       ? NULL
-                       : keep(format_text("The evaluation goes on: morphoctl job show %s; to stop "
-                                          "it: morphoctl job cancel %s",
-                                          id, id)));
+  catch_interrupts(
+      ctl->quiet ? NULL
+                 : keep(format_text("The evaluation continues: morphoctl job show %s; to stop "
+                                    "it: morphoctl job cancel %s",
+                                    id, id)));
   wait_for(ctl, id);
   return get_json(ctl, "/v1/evaluations/%s", id);
 }

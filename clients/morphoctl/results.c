@@ -29,8 +29,8 @@ struct ranked *rank_results(const json_t *results, bool by_score)
   return order;
 }
 
-/* Returns a copy of a result with what the table shows besides: number, name, note, and of a score
- * that is not a lower bound the best and the worst loss. */
+/* Returns a copy of a result with the other columns of the table: number, name, note and, unless
+ * the score is a lower bound, the best and the worst loss. */
 static json_t *result_row(const json_t *result, size_t number, const char *name)
 {
   const json_t *losses = json_object_get(result, "losses"), *best = NULL, *worst = NULL, *loss,

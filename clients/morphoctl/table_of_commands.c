@@ -11,20 +11,21 @@
   "precision", 0, "float32|float64", "Precision of the simulation (default: float32).", "precision"
 #define PHYSICS                                                                                    \
   "physics", 'p', "KEY=VALUE",                                                                     \
-      "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."
+      "One physics setting, e.g. dt_s=0.002 or impact=bisection8; can be repeated."
 #define ENVIRONMENTS                                                                               \
   "environments", 'e', "FILE",                                                                     \
       "paper-test (default), or a JSON file with a list of environments; - is standard input."
 #define WEIGHT                                                                                     \
-  "weight", 0, "X", "Part of the cores beside other batch work, 0.001 to 1000 (default: 1).",      \
-      "weight", FIELD_REAL
+  "weight", 0, "X",                                                                                \
+      "Share of the cores relative to other batch jobs, 0.001 to 1000 (default: 1).", "weight",    \
+      FIELD_REAL
 #define DEVICE                                                                                     \
   "device", 0, "auto|cpu|cuda",                                                                    \
       "Where to run: CPU, GPU, or GPU if available and worthwhile (default: auto).", "device"
 #define KEY(job)                                                                                   \
   "idempotency-key", 0, "KEY",                                                                     \
-      "Repeating the same request with the same key gives the same " job " (default: a new key)."
-/* Options of films: how they are drawn; of a film of an evaluation. */
+      "A repeated request with the same key returns the same " job " (default: a new key)."
+/* Options of films: how they are drawn; and of the film of an evaluation. */
 #define LOOK                                                                                       \
   {"size", 0, "WxH", "Pixels of the film or picture (default: 960x540)."},                         \
       {"light", 0, NULL, "Draw on a bright background (default: dark)."},                          \
@@ -39,11 +40,11 @@
   }
 #define FILM                                                                                       \
   {"film", 0, "FILE",                                                                              \
-   "Then draw what was recorded of up to 16 designs, the best where there are more: film.mp4 (or " \
+   "Then draw the recordings of up to 16 designs, the best if there are more: film.mp4 (or "       \
    "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
       {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
       LOOK, RATE
-/* What to do about designs that are no bodies. */
+/* How to treat invalid designs. */
 #define RULES(place)                                                                               \
   {"on-fault", 0, "refuse|skip",                                                                   \
    "How to treat an invalid design: refuse the request, or skip the design (default: refuse).",    \
@@ -54,12 +55,12 @@
         place "repair"                                                                             \
   }
 #define LABEL      "label", 'l', "TEXT", "A label to find the job by.", "label"
-#define EXPERIMENT "experiment", 0, "NAME", "What the job belongs to, with others.", "experiment"
-/* Options of both commands that start a job of hours. */
+#define EXPERIMENT "experiment", 0, "NAME", "Experiment that the job belongs to.", "experiment"
+/* Options of both commands that start long jobs. */
 #define OF_LONG_JOBS(job, command)                                                                 \
   {"priority", 0, "interactive|batch", "Default: batch.", "priority"}, {WEIGHT}, {DEVICE},         \
       {LABEL}, {EXPERIMENT},                                                                       \
-      {"watch", 'w', NULL, "Watch it to its end, as " command " watch does."},                     \
+      {"watch", 'w', NULL, "Watch it until it ends, as " command " watch does."},                  \
   {                                                                                                \
     KEY(job)                                                                                       \
   }
@@ -67,15 +68,14 @@
 #define STATE(jobs)                                                                                \
   "state", 0, "STATE",                                                                             \
       "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
-#define LABELED                                                                                    \
-  "label", 'l', "TEXT", "Only those with this label; with * at its end: that begin so."
+#define LABELED       "label", 'l', "TEXT", "Only those with this label; a final * matches any."
 #define OF_EXPERIMENT "experiment", 0, "NAME", "Only those of this experiment."
 #define FILTERED                                                                                   \
   {LABELED}, {OF_EXPERIMENT},                                                                      \
   {                                                                                                \
     "archived", 0, "true|all", "true: only archived jobs; all: archived and others."               \
   }
-#define OF_USER   "submitted-by", 0, "NAME", "Only those submitted with the token of this name."
+#define OF_USER   "submitted-by", 0, "NAME", "Only those submitted with this token."
 #define NEWEST    "limit", 'n', "N", "At most so many, newest first (default: 50)."
 #define UNLIMITED "all", 'a', NULL, "No limit."
 
@@ -86,15 +86,15 @@ static const struct option_spec eval_options[] = {
     {PRECISION},
     RULES(""),
     {"random", 0, "N",
-     "Score N random bodies (besides those given); up to 10,000, and 1,000,000 if none is given."},
+     "Score N random bodies in addition to the given ones: up to 10,000, or 1,000,000 alone."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
-    {"first", 0, "N", "Begin with this body of the seed's 1,000,000 (default: 0)."},
+    {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
     {"record", 0, "LIST",
      "What to record, separated by commas: com (the center of mass), masses, actuation (of each "
      "spring), contacts (with the ground)."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {"output", 'o', "FOLDER",
-     "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
+     "Folder for recorded trajectories, as NumPy files, and evaluation.json."},
     FILM,
     {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch.",
      "priority"},
@@ -107,7 +107,7 @@ static const struct option_spec eval_options[] = {
     {"sort", 0, "input|score", "Order of the table (default: input; with --best: score)."},
     {"top", 0, "N", "Only the N best of the table (default with --best K: K)."},
     {"best", 0, "K",
-     "Compute whole scores of the K best only; the others are cut short, and get lower bounds.",
+     "Compute complete scores only for the K best; the others are cut short and get lower bounds.",
      "best", FIELD_WHOLE},
     {KEY("evaluation")},
     {NULL}};
@@ -120,8 +120,8 @@ static const struct option_spec verify_options[] = {
     {NULL}};
 static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
-     "id: as the designs came (default); score: best first, those with a score on the paper's test "
-     "set, a row per orientation."},
+     "id: in the order of arrival (default); score: designs with a score on the paper's test set, "
+     "best first, a row per orientation."},
     {"order", 0, "ascending|descending", "descending: the newest or the worst first."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"limit", 'n', "N", "At most so many (default: 100)."},
@@ -131,12 +131,13 @@ static const struct option_spec bundle_export_options[] = {
     {LABELED},
     {OF_EXPERIMENT},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
-    {"recordings", 0, NULL, "Also what evaluations recorded of the designs."},
+    {"recordings", 0, NULL, "Also recordings of the designs by evaluations."},
     {NULL}};
 static const struct option_spec scores_export_options[] = {
     {"controller", 'c', "NAME", "Only scores of this controller."},
-    {"class", 0, "TEXT", "Only scores of this class, the fingerprint that designs show."},
-    {"since", 0, "TIME", "Only scores computed then or later, in UTC: 2026-11-21T11:34:04Z."},
+    {"class", 0, "TEXT", "Only scores of this class, the fingerprint that design show prints."},
+    {"since", 0, "TIME",
+     "Only scores computed at this time or later, in UTC: 2026-11-21T11:34:04Z."},
     {NULL}};
 static const struct option_spec bundle_import_options[] = {
     {"recompute", 0, "N",
@@ -144,18 +145,19 @@ static const struct option_spec bundle_import_options[] = {
      "3 if one differs."},
     {NULL}};
 static const struct option_spec export_options[] = {
-    {"output", 'o', "FILE", "Where to put it (default: -, standard output)."},
+    {"output", 'o', "FILE", "Output file (default: -, standard output)."},
     {"format", 'f', "csv|ndjson|newick|columns",
-     "The form (default: by the end of FILE: .csv, .ndjson, .jsonl or .nwk; csv for standard "
-     "output or a name without an end; other ends need --format). newick is for phylogenies."},
+     "The format (default: by the suffix of FILE: .csv, .ndjson, .jsonl or .nwk; csv for standard "
+     "output or a name without a suffix; other suffixes need --format). newick is for "
+     "phylogenies."},
     {NULL}};
 #define WALKERS                                                                                    \
   {CONTROLLER}, {ENVIRONMENTS},                                                                    \
       {"environment", 0, "N", "Which of the environments, from 0 (default: 0)."}, {PHYSICS},       \
-      {"random", 0, "N", "Draw N random bodies (besides those given)."},                           \
+      {"random", 0, "N", "Draw N random bodies in addition to the given ones."},                   \
       {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},                              \
   {                                                                                                \
-    "output", 'o', "FILE", "Where to put it."                                                      \
+    "output", 'o', "FILE", "Output file."                                                          \
   }
 static const struct option_spec film_options[] = {WALKERS, LOOK, RATE, {NULL}};
 static const struct option_spec picture_options[] = {
@@ -167,7 +169,7 @@ static const struct option_spec picture_options[] = {
 static const struct option_spec random_options[] = {
     {"count", 'n', "N", "How many, up to 10,000 (default: 1).", "count", FIELD_WHOLE},
     {SEED},
-    {"first", 0, "N", "Begin with this body of the seed's 1,000,000 (default: 0).", "first",
+    {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0).", "first",
      FIELD_WHOLE},
     {NULL}};
 static const struct option_spec mutate_options[] = {
@@ -184,12 +186,12 @@ static const struct option_spec job_text_options[] = {{"remove", 0, NULL, "Delet
                                                       {NULL}};
 static const struct option_spec job_delete_options[] = {{"yes", 'y', NULL, "Do not ask."}, {NULL}};
 static const struct option_spec usage_options[] = {
-    {"by", 0, "label|experiment|submitted_by|kind", "What the sums are by (default: label)."},
+    {"by", 0, "label|experiment|submitted_by|kind", "How to group the sums (default: label)."},
     {NULL}};
-static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "The results, too."},
-                                                      {NULL}};
+static const struct option_spec job_show_options[] = {
+    {"results", 'r', NULL, "Also show the results."}, {NULL}};
 static const struct option_spec watch_options[] = {
-    {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."}, {NULL}};
+    {"after", 0, "EVENT", "Start after this event; 0: with the oldest one kept."}, {NULL}};
 static const struct option_spec wait_options[] = {
     {"run", 0, "COMMAND",
      "Then run this with sh. MORPHOD_JOBS has the ids; MORPHOD_STATE is succeeded, or the state of "
@@ -206,7 +208,7 @@ static const struct option_spec train_start_options[] = {
      "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: "
      "default).",
      "controller"},
-    {"random", 0, "N", "finetune: N random bodies (besides those given)."},
+    {"random", 0, "N", "finetune: N random bodies in addition to the given ones."},
     {"random-seed", 0, "SEED", "Seed of these bodies (default: 1)."},
     {"population", 0, "JOB",
      "finetune: the designs of an evaluation that has succeeded, or the newest population of a "
@@ -218,16 +220,16 @@ static const struct option_spec train_start_options[] = {
      "below."},
     TRAINING_OPTIONS{PHYSICS},
     {"validate-every", 0, "STEPS",
-     "Score the held-out set every so many steps; 0: never (default: 50).",
-     "validation.every_steps", FIELD_WHOLE},
+     "Score the held-out set every STEPS steps; 0: never (default: 50).", "validation.every_steps",
+     FIELD_WHOLE},
     {"validation-designs", 0, "N", "Designs of the held-out set (default: 64).",
      "validation.designs", FIELD_WHOLE},
     {"validation-environments", 0, "N", "Environments of the held-out set (default: 8).",
      "validation.environments", FIELD_WHOLE},
-    {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: by time alone (default: 0).",
+    {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: only by time (default: 0).",
      "checkpoint.every_steps", FIELD_WHOLE},
     {"checkpoint-seconds", 0, "N",
-     "Save the state every N seconds; 0: by steps alone (default: 60).", "checkpoint.every_s",
+     "Save the state every N seconds; 0: only by steps (default: 60).", "checkpoint.every_s",
      FIELD_WHOLE},
     {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3).",
      "checkpoint.keep", FIELD_WHOLE},
@@ -237,13 +239,14 @@ static const struct option_spec train_list_options[] = {
     {STATE("trainings")}, FILTERED, {OF_USER}, {NEWEST}, {UNLIMITED}, {NULL}};
 static const struct option_spec train_export_options[] = {
     {"output", 'o', "FILE",
-     "Where to put the controller (default: training-ID-step-N.safetensors; -: standard output)."},
+     "File of the controller (default: training-ID-step-N.safetensors; -: standard output)."},
     {"step", 0, "N",
      "The controller of the checkpoint of this step (default: the result, or the newest "
      "checkpoint)."},
     {"curve", 0, "FILE",
-     "The curve as CSV, a line per step; -: standard output. Alone: no controller."},
-    {"validations", 0, "FILE", "The validations as CSV; -: standard output. Alone: no controller."},
+     "The curve as CSV, a line per step; -: standard output. Without --output, no controller."},
+    {"validations", 0, "FILE",
+     "The validations as CSV; -: standard output. Without --output, no controller."},
     {NULL}};
 static const struct option_spec train_prune_options[] = {
     {"step", 0, "N", "Only the checkpoint of this step."}, {NULL}};
@@ -255,7 +258,7 @@ static const struct option_spec train_compare_options[] = {
     {NULL}};
 static const struct option_spec campaign_start_options[] = {
     {"preset", 0, "paper|workstation|demo",
-     "8192, 512 (default) or 64 designs, and as many generations as suit them.", "preset"},
+     "8192, 512 (default) or 64 designs, with a suitable number of generations.", "preset"},
     {"replicates", 'r', "N", "Start N campaigns with seeds from SEED on, 1 to 100 (default: 1).",
      "replicates", FIELD_WHOLE},
     {"controller", 'c', "NAME",
@@ -265,14 +268,14 @@ static const struct option_spec campaign_start_options[] = {
     {ENVIRONMENTS},
     RULES("initial."),
     {"from", 0, "CAMPAIGN",
-     "Begin with the newest population of another campaign; designs that do not fit the workspace "
-     "are left out, and counted."},
+     "Start with the newest population of another campaign; designs that do not fit the workspace "
+     "are left out and counted."},
     {"if-exists", 0, "create|return",
      "Of a study: create another one (default), or return the one that has not ended and has "
      "exactly this label. It must have the settings given here.",
      "if_exists"},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
-    {"no-exclusions", 0, NULL, "Let bodies be born that the controller was pretrained on."},
+    {"no-exclusions", 0, NULL, "Allow bodies that the controller was pretrained on."},
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine, finetune-cosine, paper-pretrain, paper-finetune (default of "
      "few-shot), paper-simultaneous (default of simultaneous); or restarts, cosine or constant, "
@@ -282,7 +285,7 @@ static const struct option_spec campaign_start_options[] = {
                      "learning.checkpoint_every_s", FIELD_WHOLE},
     {PHYSICS},
     {"name", 0, "NAME",
-     "Name of the controller that a learning campaign makes (default: campaign- and the id).",
+     "Name of the controller that a learning campaign produces (default: campaign- and the id).",
      "name"},
     OF_LONG_JOBS("campaign", "campaign"),
     {NULL}};
@@ -318,19 +321,19 @@ static const struct option_spec campaign_export_options[] = {
 static const struct option_spec study_ask_options[] = {
     {"random", 0, NULL, "Random bodies; else mutants and recombinants, once designs are born."},
     {"parents", 0, "LIST",
-     "Numbers of the designs that vary, with commas (default: all that live)."},
+     "Numbers of the designs to vary, separated by commas (default: all living ones)."},
     {NULL}};
 static const struct option_spec study_tell_options[] = {
     {"batch", 0, "N", "Number of the batch (default: the next one)."},
     {"survivors", 0, "LIST",
-     "Numbers of the living designs that live on, with commas (default: the study selects)."},
+     "Numbers of the designs that survive, separated by commas (default: the study selects)."},
     {"sampler", 0, "FILE", "State of the sampler, up to 16 MiB, which study sampler returns."},
     RULES(""),
     {NULL}};
 static const struct option_spec study_sampler_options[] = {
-    {"output", 'o', "FILE", "Where to put it (default: standard output)."}, {NULL}};
+    {"output", 'o', "FILE", "Output file (default: standard output)."}, {NULL}};
 static const struct option_spec controller_get_options[] = {
-    {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."},
+    {"output", 'o', "FILE", "Output file (default: NAME.safetensors; -: standard output)."},
     {NULL}};
 static const struct option_spec fleet_options[] = {
     {"all", 'a', NULL, "Also the newest sessions that have ended."}, {NULL}};
@@ -338,7 +341,7 @@ static const struct option_spec fleet_options[] = {
 static const struct option_spec fleet_drain_options[] = {
     {"older", 0, NULL, "All workers of an older version than the server's."},
     {"version", 0, "VERSION", "All workers of this version."},
-    {"within", 0, "SECONDS", "How long each is waited for (default: 60)."},
+    {"within", 0, "SECONDS", "How long to wait for each (default: 60)."},
     {NULL}};
 static const struct option_spec fleet_verify_options[] = {
     {"repair", 0, NULL, "Replace the losses that differ."}, {NULL}};
@@ -394,13 +397,15 @@ const struct command commands[] = {
      film_options},
     {"picture", "[DESIGN]...", "Draw up to 16 robots as they walk, without a display.", run_picture,
      "--output is a PNG file, or - for standard output.", picture_options},
-    {"dashboard", "", "Print the address of the server's pages, with the token.", run_dashboard,
+    {"dashboard", "", "Print the address of the server's pages, including the token.",
+     run_dashboard,
      "For a server on a unix socket, also the tunnel to type on the machine with the browser."},
     {"design random", "", "Print random bodies, one JSON design per line.", run_design_random,
-     "Distinct ones; the same seed gives the same bodies.", random_options},
+     "All are distinct; the same seed gives the same bodies.", random_options},
     {"design mutate", "[DESIGN]...", "Print mutants of designs, one JSON design per line.",
      run_design_made,
-     "Each differs from all designs given and from all others; the same seed gives the same.",
+     "Each differs from all given designs and all other mutants; the same seed gives the same "
+     "ones.",
      mutate_options},
     {"design cross", "[DESIGN]...", "Print children of pairs of designs, one per line.",
      run_design_made,
@@ -413,99 +418,101 @@ const struct command commands[] = {
     {"job list", "", "List jobs, newest first.", run_job_list, NULL, job_list_options},
     {"job show", "ID", "Show a job.", run_job_show, NULL, job_show_options},
     {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores that are stored already stay."},
-    {"job pause", "ID...", "Set jobs aside.", run_job_change},
-    {"job resume", "ID...", "Go on with paused jobs.", run_job_change,
-     "Also with trainings and campaigns that have failed."},
+    {"job pause", "ID...", "Pause jobs.", run_job_change},
+    {"job resume", "ID...", "Resume paused jobs.", run_job_change,
+     "Also trainings and campaigns that have failed."},
     {"job prune", "ID...", "Delete the recordings of evaluations that have ended.", run_job_prune,
-     "Scores stay. The oldest recordings go by themselves when all of them take more than the "
-     "server keeps (max_recordings)."},
-    {"job weight", "ID X", "Give a job another part of the cores.", run_job_weight,
-     "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
-     "once, also while the job runs."},
+     "Scores stay. The server deletes the oldest recordings by itself when all of them exceed its "
+     "limit (max_recordings)."},
+    {"job weight", "ID X", "Change a job's share of the cores.", run_job_weight,
+     "0.001 to 1000; a job with twice the weight of another gets twice the time. It takes "
+     "effect at once, even while the job runs."},
     {"job label", "ID [TEXT]", "Set a job's label; without TEXT, print it.", run_job_text, NULL,
      job_text_options},
     {"job experiment", "ID [NAME]", "Set the experiment of a job; without NAME, print it.",
      run_job_text, NULL, job_text_options},
     {"job note", "ID [TEXT]", "Set a job's note; without TEXT, print it.", run_job_text,
-     "Plain text of up to 1,000 characters. Rules of retention leave jobs with a note alone.",
+     "Plain text of up to 1,000 characters. Retention rules keep jobs that have a note.",
      job_text_options},
     {"job archive", "ID...", "Hide jobs from lists.", run_job_archive, "Nothing else changes."},
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
-    {"job delete", "ID...", "Delete jobs that have ended, for good.", run_job_delete,
-     "Says what goes, and asks. Designs, scores and controllers stay. What another job needs is "
-     "not deleted: exit status 3. Delete the first replicate of a group last.",
+    {"job delete", "ID...", "Permanently delete jobs that have ended.", run_job_delete,
+     "Says what will be deleted, and asks. Designs, scores and controllers stay. A job that "
+     "another "
+     "one needs is not deleted: exit status 3. Delete the first replicate of a group last.",
      job_delete_options},
     {"usage", "", "Show how much time of cores and devices jobs have used.", run_usage,
-     "Deleted jobs count, too.", usage_options},
+     "Deleted jobs are included.", usage_options},
     {"watch", "[JOB]", "Follow a job to its end, or all events.", run_watch,
-     "With --json one event per line. After a break the stream goes on where it was. Exit status "
+     "With --json one event per line. After a lost connection it continues where it stopped. Exit "
+     "status "
      "of a job: 0 if it succeeded, 3 if not.",
      watch_options},
     {"wait", "JOB...", "Wait until jobs have ended.", run_wait,
-     "Also over restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
-     "cancelled or is not there, 1 if the command of --run failed, 4 if the server stayed away for "
+     "Waits through restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
+     "cancelled or does not exist, 1 if the command of --run failed, 4 if the server stayed away "
+     "for "
      "an hour, or as long as --retry says. A paused job has not ended.",
      wait_options},
-    {"train start", "pretrain|finetune [DESIGN]...", "Let a controller learn.", run_train_start,
+    {"train start", "pretrain|finetune [DESIGN]...", "Train a controller.", run_train_start,
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
      "bodies. finetune: a controller, on the designs given (as those of eval), on random ones, or "
-     "on a population. The training is a job of the server, which goes on without morphoctl, and "
-     "after a crash where it was.",
+     "on a population. The training is a job of the server, which continues without morphoctl, "
+     "and after a crash.",
      train_start_options, &training_kind},
     {"train list", "", "List trainings, newest first.", run_train_list, NULL, train_list_options},
     {"train show", "ID", "Show a training with its curve.", run_live_show, NULL, NULL,
      &training_kind},
-    {"train watch", "ID", "Watch a training learn, to its end.", run_live_watch,
+    {"train watch", "ID", "Watch a training until it ends.", run_live_watch,
      "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the "
      "training alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &training_kind},
-    {"train pause", "ID...", "Set trainings aside, with a checkpoint.", run_job_change},
-    {"train resume", "ID...", "Go on with trainings that are paused, or have failed.",
-     run_job_change},
+    {"train pause", "ID...", "Pause trainings, with a checkpoint.", run_job_change},
+    {"train resume", "ID...", "Resume trainings that are paused or have failed.", run_job_change},
     {"train cancel", "ID...", "Cancel trainings.", run_job_change,
-     "Checkpoints that are kept stay: train export gives their controllers."},
+     "Checkpoints stay: train export fetches their controllers."},
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
     {"train prune", "ID...", "Delete checkpoints that are not needed.", run_job_prune,
-     "For a finished training all of them, since its result is a controller of its own; otherwise "
-     "all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. What is deleted "
-     "cannot be exported any more.",
+     "For a finished training all of them, since its result is a separate controller; otherwise "
+     "all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. Deleted "
+     "checkpoints can no longer be exported.",
      train_prune_options},
     {"train compare", "A B", "Compare two controllers on held-out designs.", run_train_compare,
      "Scores both controllers on designs and environments that no pretraining draws, and shows the "
      "mean difference with its 95 % confidence interval (Student t), which holds for other designs "
      "in other environments. Lower scores are better.",
      train_compare_options},
-    {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...",
-     "Let a population evolve.", run_campaign_start,
+    {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...", "Evolve a population.",
+     run_campaign_start,
      "zero-shot: the controller is frozen. few-shot: it learns again in each generation. "
-     "simultaneous: it learns along. study: children come from study tell alone. DESIGNs (as "
-     "those of eval) begin the initial population, random bodies fill it up. The campaign is a job "
-     "of the server, which goes on without morphoctl, and after a crash where it was.",
+     "simultaneous: it learns along the way. study: children come only from study tell. DESIGNs "
+     "(as "
+     "those of eval) start the initial population; random bodies fill it up. The campaign is a job "
+     "of the server, which continues without morphoctl, and after a crash.",
      campaign_start_options, &campaign_kind},
     {"campaign list", "", "List campaigns, newest first.", run_campaign_list, NULL,
      campaign_list_options},
     {"campaign show", "ID", "Show a campaign with its curves.", run_live_show, NULL, NULL,
      &campaign_kind},
-    {"campaign watch", "ID", "Watch a campaign evolve, to its end.", run_live_watch,
+    {"campaign watch", "ID", "Watch a campaign until it ends.", run_live_watch,
      "On a terminal live curves and a table, else a line per generation; with --json the events. "
      "Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &campaign_kind},
-    {"campaign pause", "ID...", "Set campaigns aside.", run_job_change},
-    {"campaign resume", "ID...", "Go on with campaigns that are paused, or have failed.",
+    {"campaign pause", "ID...", "Pause campaigns.", run_job_change},
+    {"campaign resume", "ID...", "Resume campaigns that are paused or have failed.",
      run_job_change},
-    {"campaign cancel", "ID...", "Cancel campaigns.", run_job_change,
-     "Generations that are complete stay."},
-    {"campaign extend", "ID N", "Let a campaign run for N more generations.", run_campaign_extend,
-     "Also one that has ended: the result is that of a campaign that was so long from the "
-     "beginning."},
+    {"campaign cancel", "ID...", "Cancel campaigns.", run_job_change, "Complete generations stay."},
+    {"campaign extend", "ID N", "Extend a campaign by N generations.", run_campaign_extend,
+     "This works after it has ended, too: the result is the same as if the campaign had been that "
+     "long from the start."},
     {"campaign champions", "ID", "Show the best design and a sample over the ranking.",
      run_campaign_champions,
-     "In the order of how different they are from each other: the mean Hamming distance to the "
-     "other ones.",
+     "Ordered by how much they differ from each other: the mean Hamming distance to the others.",
      campaign_champions_options},
     {"campaign compare", "A B...", "Compare the best scores of campaigns.", run_campaign_compare,
-     "At the newest generation that all have: the mean over the replicates of each, and its "
+     "At the newest generation that all have reached: the mean over the replicates of each, and "
+     "its "
      "difference from the first with the 95 % confidence interval (Welch). Replicates that failed "
      "or were cancelled are left out and named. Two replicates of one group count as one campaign "
      "each. Settings that differ are named; campaigns with different physics or environments are "
@@ -514,12 +521,12 @@ const struct command commands[] = {
      run_campaign_export, NULL, campaign_export_options},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,
      "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
-     "simultaneous campaign cannot be extended or resumed after it; of one without a result "
-     "champions cannot be recorded any more. Of a campaign that has not ended nothing is deleted."},
+     "simultaneous campaign can then no longer be extended or resumed, and without a result its "
+     "champions can no longer be recorded. Nothing is deleted for a campaign that has not ended."},
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,
      "Children of its population as JSON, one per line, which study tell reads. The same question "
      "has the same answer until the next batch. campaign start study makes a study; the "
-     "other commands of campaigns are for studies, too.",
+     "other campaign commands work for studies, too.",
      study_ask_options},
     {"study tell", "ID [FILE]", "Tell a study its next batch, and print the scores.",
      run_study_tell,
@@ -529,59 +536,60 @@ const struct command commands[] = {
      "nothing.",
      study_tell_options},
     {"study sampler", "ID", "Fetch the state of a study's sampler.", run_study_sampler,
-     "That of the newest batch that is committed. Exit status 3 if it came without one.",
+     "It came with the newest committed batch. Exit status 3 if that batch had none.",
      study_sampler_options},
     {"study finish", "ID", "End a study.", run_study_finish, "It then accepts no more batches."},
     {"export", "LIST", "Save any list, curve or phylogeny as a table.", run_export,
-     "LIST is a path of the API behind /v1/, with its parameters: jobs, designs?sort=score, "
+     "LIST is a path of the API after /v1/, with its parameters: jobs, designs?sort=score, "
      "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",
      export_options},
     {"bundle export", "FILE [ID]...", "Save campaigns that have ended as one file.",
      run_bundle_export,
      "With their controllers, worlds, settings, designs, generations, learning curves and scores.",
      bundle_export_options},
-    {"bundle import", "FILE", "Enter the campaigns of a bundle.", run_bundle_import,
-     "All of them or, if the bundle is damaged, nothing. What is here already stays as it is.",
+    {"bundle import", "FILE", "Import the campaigns of a bundle.", run_bundle_import,
+     "All of them or, if the bundle is damaged, nothing. Campaigns that the server already has do "
+     "not change.",
      bundle_import_options},
-    {"bundle verify", "FILE", "Check a bundle, and list its content.", run_bundle_verify,
+    {"bundle verify", "FILE", "Check a bundle, and list its contents.", run_bundle_verify,
      "The server checks every hash and every line, and stores nothing."},
     {"scores export", "[FILE]", "Save stored scores as one file.", run_scores_export,
      "With what they depend on: bodies, environments, physics, weights, class, and who computed "
      "them. FILE is standard output by default.",
      scores_export_options},
-    {"scores import", "FILE", "Enter the scores of a file of another server.", run_scores_import,
-     "Block by block; - is standard input. What is stored with the same bits changes nothing; what "
-     "is stored with other bits stays, and is listed: exit status 3."},
+    {"scores import", "FILE", "Import the scores in a file from another server.", run_scores_import,
+     "Block by block; - is standard input. A score that is stored with the same bits is skipped; "
+     "one "
+     "that is stored with other bits stays and is listed: exit status 3."},
     {"controller list", "", "List controllers.", run_controller_list},
     {"controller info", "NAME", "Show a controller.", run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", run_controller_get, NULL,
      controller_get_options},
     {"controller put", "NAME FILE", "Store a safetensors file as a controller.", run_controller_put,
-     "A name that exists is pointed at the new file; scores keep the hash of the file they were "
-     "made with."},
-    {"controller delete", "NAME", "Take a name away, or delete a file.", run_controller_delete,
-     "The file of a name stays. sha256:… deletes a file to which no name, job or score refers."},
+     "An existing name is repointed to the new file; scores keep the hash of the file they were "
+     "computed with."},
+    {"controller delete", "NAME", "Remove a name, or delete a file.", run_controller_delete,
+     "The file of a name stays. sha256:… deletes a file that no name, job or score refers to."},
     {"devices", "", "Show the GPUs that compute.", run_devices, "Exit status 3 if one is lost."},
     {"fleet slurm", "", "Print a job array of Slurm that starts workers.", run_fleet_launch,
-     "It is what the installation has as workers.sbatch, with the options filled in.",
-     fleet_slurm_options},
+     "The installed workers.sbatch with the options filled in.", fleet_slurm_options},
     {"fleet systemd", "", "Print a unit of systemd that runs a worker.", run_fleet_launch,
-     "To be saved as morphod-worker@.service; the installation has it, too.",
-     fleet_systemd_options},
+     "Save it as morphod-worker@.service; the installation also has it.", fleet_systemd_options},
     {"fleet kubernetes", "", "Print a Deployment of workers for Kubernetes.", run_fleet_launch,
      NULL, fleet_kubernetes_options},
     {"fleet drain", "[ID]", "Give a worker of another machine no more work.", run_fleet_drain,
      "It finishes what it has and leaves. With --older or --version workers are drained for an "
-     "upgrade, one after the other: each ends with status 69, says which version is wanted, and is "
-     "waited for until it is back. Exit status 3 if one is back with the same version.",
+     "upgrade, one after the other: each ends with status 69 and says which version is wanted; "
+     "then this command waits until it is back. Exit status 3 if one returns with the same "
+     "version.",
      fleet_drain_options},
     {"fleet quarantine", "ID [WHY]", "Take no more results of a worker.", run_fleet_quarantine,
      "Its name is refused until fleet release, also after restarts of the server. Workers that "
      "give other bits than two others get there by themselves."},
     {"fleet release", "NAME", "Let a worker that was in quarantine join again.", run_fleet_release},
-    {"fleet verify", "NAME@HOST", "Compute again what a worker gave.", run_fleet_verify,
-     "The server computes the stored losses of this origin by itself, and those that differ are "
-     "listed. Exit status 3 if some do, unless they are repaired.",
+    {"fleet verify", "NAME@HOST", "Recompute the results of a worker.", run_fleet_verify,
+     "The server recomputes the stored losses of this origin, and those that differ are listed. "
+     "Exit status 3 if some do, unless they are repaired.",
      fleet_verify_options},
     {"fleet", "", "Show the workers of other machines.", run_fleet, NULL, fleet_options},
     {"status", "", "Show whether the server is ready and what it does.", run_status},

@@ -187,7 +187,7 @@ static void write_view(const struct live *live, FILE *file, int columns, int row
              live->ctl->utf8 ? PLOT_MARK_UTF8 " validation " VALIDATION_WORDS("validation.")
                              : PLOT_MARK_ASCII " validation " VALIDATION_WORDS("validation."));
   view_words(file, columns, live->job,
-             ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the training goes on.]");
+             ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the training continues.]");
 }
 
 /* Updates known values from an event: events have only the numbers that changed. */

@@ -363,11 +363,11 @@ def test_scores(start, ctl, tmp_path):
     entered = json.loads(out)
     assert status == 0 and entered["new"] > 0 == entered["known"], err
     status, out, _ = ctl("scores import", path, **there)
-    assert status == 0 and f"0 rollouts are new, {entered['new']:,} were here, from store" in out
+    assert status == 0 and f"0 rollouts are new, {entered['new']:,} were known, from store" in out
     data = path.read_bytes()
     for broken, words in ((data[:-1], "ends early, in the block at byte"), (b"", "ends early"),
                           (data[:5], "ends early"), (b"x" * 20, "no block of scores begins at"),
-                          (data[:60] + b"x" + data[61:], "block at byte 0 was not entered")):
+                          (data[:60] + b"x" + data[61:], "block at byte 0 was not imported")):
         path.write_bytes(broken)
         status, _, err = ctl("scores import", path, **there)
         assert status in (2, 6) and words in err, (words, err)
@@ -375,7 +375,7 @@ def test_scores(start, ctl, tmp_path):
     status, out, _ = ctl("scores import", path, **there)
     assert status == 3 and "1 are stored with other bits" in out and " 0.5 " in out
     assert ctl("scores export", path, "--since", "2120-01-01T00:00:00Z")[0] == 0
-    assert "0 rollouts are new, 0 were here" in ctl("scores import", path, **there)[1]
+    assert "0 rollouts are new, 0 were known" in ctl("scores import", path, **there)[1]
     assert ctl("scores export", path, "--controller", "nobody")[0] == 3
     assert ctl("scores export", tmp_path / "no" / "folder")[0] == 1
     assert ctl("scores import", tmp_path / "none")[0] == 2

@@ -156,7 +156,7 @@ def test_watching_a_training_on_a_terminal(service, ctl):
     job = ctl("train start pretrain --steps 100000 --batch 2 --physics n_steps=20 "
               "--checkpoint-steps 50 --validation-designs 2")[1].strip()
     view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"),
-                               "The training goes on.")
+                               "The training continues.")
     assert re.search(
         r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of "
         r"step \d+", view), view
@@ -323,7 +323,7 @@ def test_wrong_campaigns(ctl):
                                  "start", "zero-shot", "--from", "0"
                              ], "id of a job"), (["extend", "1", "none"], "further generations"), ([
                                  "export", "1"
-                             ], "what is to be exported"), ([
+                             ], "nothing to export"), ([
                                  "champions", "1", "-o", "x", "--generation", "0"
                              ], "newest")):
         status, _, err = ctl("campaign", *arguments)
@@ -336,7 +336,7 @@ def test_watching_a_campaign_on_a_terminal(service, ctl):
     job = ctl(f"campaign start zero-shot {SMALL} -n 100000 -q")[1].strip()
     view = watch_on_a_terminal(service, "campaign", job,
                                ("voxels", "Ctrl-C leaves", " left", "running  generation "),
-                               "The campaign goes on.")
+                               "The campaign continues.")
     assert re.search(r"zero-shot  running  generation [\d,]+ of 100,000   campaign",
                      view) and re.search(r"diversity +0\.\d{4}  ", view), view
     assert service.request("GET", f"/v1/campaigns/{job}").json()["state"] == "running"
