@@ -380,7 +380,7 @@ def test_actions(m):
     job.weigh(3)
     job.resume()
     assert job.state in ("queued", "running") and job.data["weight"] == 3
-    with pytest.raises(morphod.WaitError, match="it goes on"):
+    with pytest.raises(morphod.WaitError, match="it continues"):
         job.wait(timeout_s=1)
     job.cancel()
     with pytest.raises(morphod.JobError, match="was cancelled") as caught:
@@ -410,7 +410,7 @@ def test_a_training_and_its_controller(m, service, tmp_path):
     assert "halved" in m.controllers()["name"].tolist() and stored.name == "halved"
     tuned = m.finetune([DESIGN], controller="small", steps=1, batch=2, physics=SHORT)
     tuned.wait()
-    with pytest.raises(morphod.MorphodError, match="no safetensors"):
+    with pytest.raises(morphod.MorphodError, match="not a safetensors"):
         morphod.read_safetensors(b"\x00" * 7)
     assert m.controller().content == BOOTSTRAP.read_bytes()
 

@@ -195,7 +195,7 @@ def test_an_interrupt_names_the_job_that_goes_on(service, m, tmp_path, what, nou
         assert process.returncode == -signal.SIGINT or process.returncode == 1
         assert mine and before is not None
         for id in mine:
-            assert f"{noun} {id} goes on" in errors and f"morphoctl job cancel {id}" in errors
+            assert f"{noun} {id} continues" in errors and f"morphoctl job cancel {id}" in errors
         assert "httpcore" not in errors and errors.count("\n") < 25, errors
     finally:
         for id in mine:

@@ -25,7 +25,7 @@ WAIT_S = 50
 _BACKOFF_S = 0.1
 _BACKOFF_MAX_S = 5.0
 _RESTART_ATTEMPTS = 6
-"""Attempts of some five seconds."""
+"""These attempts take about five seconds."""
 
 
 def given(**values: Any) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def given(**values: Any) -> dict[str, Any]:
 
 
 def without_none(value: Any) -> Any:
-    """A request without members that are None: they are absent. In a list None stays."""
+    """A request without the members that are None. In a list, None stays."""
     if isinstance(value, Mapping):
         return {name: without_none(item) for name, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):
@@ -50,7 +50,7 @@ def plain(value: Any) -> Any:
         return dict(value)
     if isinstance(value, (Sequence, Set)):
         return list(value)
-    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r:.80} is no JSON")
+    raise TypeError(f"{type(value).__name__} cannot be sent: {value!r:.80} is not JSON")
 
 
 def encoded(value: Mapping[str, Any]) -> bytes:
@@ -115,7 +115,7 @@ class Request:
 
     @classmethod
     def submit(cls, path: str, value: Mapping[str, Any], wait_s: int = 0) -> Request:
-        """A POST of JSON that makes a job. A key of its own makes it safe to repeat."""
+        """A POST of JSON that makes a job. A unique key makes it safe to repeat."""
         request = cls.post(path, without_none(value))
         request.headers["Idempotency-Key"] = uuid.uuid4().hex
         return request.waiting(wait_s)
@@ -164,7 +164,7 @@ def refusal(status: int, content: bytes) -> ApiError:
 
 
 def undecodable(error: Exception) -> MorphodError:
-    """The exception for a reply whose content coding is wrong."""
+    """The exception for a reply with a wrong content coding."""
     return MorphodError(f"the reply cannot be decoded: {printable(error)}; is this a morphod "
                         "service?")
 
@@ -180,7 +180,7 @@ class Retries:
         self.is_reported = False
 
     def report(self, problem: str, answered: bool) -> None:
-        """Says once on standard error that requests are repeated: at once where the service has
+        """Reports once on standard error that requests are repeated: at once if the service has
         never answered, else when the attempts take longer than a restart."""
         if not self.is_reported and (not answered or self.attempt >= _RESTART_ATTEMPTS):
             self.is_reported = True
@@ -194,7 +194,7 @@ class Retries:
         if status is None:
             repeat = self.request.repeatable
         else:
-            # Of these nothing was accepted, so that they can be repeated whatever they are.
+            # The service accepted nothing, so any request can be repeated.
             repeat = status in (429, 503, 507)
         seconds: float = min(_BACKOFF_S * 2.0**self.attempt, _BACKOFF_MAX_S)
         seconds *= random.uniform(0.5, 1)

@@ -38,9 +38,9 @@ Repair = Literal["largest"]
 """How a body that is not in one piece is repaired: its largest piece stays."""
 
 OnFault = Literal["refuse", "skip"]
-"""What something that is no body does to the others: they are refused, or it is left out."""
+"""What an invalid body does to a list: all are refused, or it is skipped."""
 
-_EMPTY = "a body needs at least one voxel, and this one has none"
+_EMPTY = "a body needs at least one voxel, but this one is empty"
 _BRACKETS = "a list of bodies is expected: put this one in brackets"
 _TWO_WAYS = ('Body.evogym(it) reads rows of EvoGym, and {"cells": it} reads cells [x, y, z]')
 

@@ -1,4 +1,4 @@
-"""Whether results are of the bodies that were asked for."""
+"""Checks that results are for the requested bodies."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 @reading()
 def check_results(evaluation: str, rows: Sequence[Mapping[str, Any]],
                   designs: Sequence[Mapping[str, str]]) -> None:
-    """Compares the results of an evaluation with the designs of its request, but for those that
-    were named by an id, repaired or skipped. Raises `MorphodError`."""
+    """Compares the results of an evaluation with the designs of its request, except those
+    that were named by an id, repaired or skipped. Raises `MorphodError`."""
     asked = [design.get("voxels") for design in designs]
     found = [None if row["repaired"] or row["fault"] else row["genotype"] for row in rows]
     if len(found) != len(asked):
         raise MorphodError(f"evaluation {evaluation} has {len(found)} results, not the "
-                           f"{len(asked)} that were asked for")
+                           f"{len(asked)} that were requested")
     known = [place for place, (one, other) in enumerate(zip(asked, found)) if one and other]
     if not known:
         return
@@ -31,8 +31,8 @@ def check_results(evaluation: str, rows: Sequence[Mapping[str, Any]],
                      for texts in (asked, found))
     wrong = np.flatnonzero((first != second).any(axis=(1, 2, 3)))
     if wrong.size:
-        raise MorphodError(f"result {known[wrong[0]]} of evaluation {evaluation} is of another "
-                           "body than was asked for")
+        raise MorphodError(f"result {known[wrong[0]]} of evaluation {evaluation} is for "
+                           "another body than the requested one")
 
 
 def _at_corner(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:

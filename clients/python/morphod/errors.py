@@ -31,7 +31,7 @@ class UnreachableError(MorphodError, ConnectionError):
 
 
 class JobError(MorphodError):
-    """A job failed, or was cancelled, while somebody waited for its result.
+    """A job failed, or was cancelled, while the caller waited for its result.
 
     `job` is the job as the service last reported it; `job["error"]` says why.
     """
@@ -46,7 +46,7 @@ class JobError(MorphodError):
 
 
 class WaitError(MorphodError, TimeoutError):
-    """The time given for a wait is over; the job goes on."""
+    """The time for a wait is over; the job continues."""
 
 
 class ApiError(MorphodError):
@@ -78,7 +78,7 @@ class ApiError(MorphodError):
 
 
 class InvalidError(ApiError):
-    """A request that the service does not take as it is (400, 413, 415 or 422)."""
+    """The request is invalid (400, 413, 415 or 422)."""
 
 
 class AccessError(ApiError):
@@ -86,7 +86,7 @@ class AccessError(ApiError):
 
 
 class NotFoundError(ApiError):
-    """There is no such thing (404)."""
+    """The requested thing does not exist (404)."""
 
 
 class ConflictError(ApiError):
@@ -120,7 +120,7 @@ def api_error(status: int, problem: Mapping[str, Any]) -> ApiError:
 
 @contextlib.contextmanager
 def reading() -> Iterator[None]:
-    """Around what reads a reply: one of another form ends with a `MorphodError`."""
+    """Wraps code that reads a reply: a reply of another form raises a `MorphodError`."""
     try:
         yield
     except MorphodError:
@@ -128,6 +128,6 @@ def reading() -> Iterator[None]:
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError,
             ValueError) as error:
         raise MorphodError(
-            "the reply has another form than this version of the package reads "
+            "this version of the package cannot read the reply "
             f"({type(error).__name__}: {printable(error)[:200]}): is this a morphod service?"
         ) from error

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _FIXED = 5  # the material of grounds and walls
-_SIDE_MAX = 1000  # of an object; a larger one is no robot
+_SIDE_MAX = 1000  # of an object; a robot is smaller
 
 
 def is_pair(body: Any) -> bool:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _SIDES = ("X_Voxels", "Y_Voxels", "Z_Voxels")
 _ASCII_ZERO = 48
-_SIDE_MAX = 1000  # of a file's box; what is larger is no robot
+_SIDE_MAX = 1000  # of a file's box; a robot is smaller
 _NAMES_MAX = 3  # in a sentence of what was left out
 
 

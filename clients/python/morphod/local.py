@@ -57,7 +57,7 @@ class LocalClient(Client):
         atexit.register(self.close)
 
     def __reduce__(self) -> Any:
-        """A copy, or a client in another process, is one of the same service, which goes on."""
+        """A copy, or a client in another process, belongs to the same service, which continues."""
         address = self._connection.address
         return Client, (address.url if address.unix is None else f"unix:{address.unix}", )
 
@@ -94,8 +94,8 @@ class LocalClient(Client):
         shutil.rmtree(self._base, ignore_errors=True)
 
     def close(self) -> None:
-        """Closes the connections and stops the service. What it stored in a `state_dir` of its own
-        stays; a temporary one is deleted. In a forked child the service goes on: it is that of the
+        """Closes the connections and stops the service. A `state_dir` that was given stays; a
+        temporary one is deleted. In a forked child the service continues: it belongs to the
         parent."""
         if os.getpid() != self._pid:
             return
@@ -152,10 +152,10 @@ def _binary(given: str | os.PathLike[str] | None) -> str:
 
 def local(state_dir: str | os.PathLike[str] | None = None, *,
           binary: str | os.PathLike[str] | None = None, **settings: object) -> LocalClient:
-    """Starts a service on this machine, and gives its client.
+    """Starts a service on this machine, and returns a client of it.
 
     Without `state_dir` everything that it stores is deleted at the end; with it a later `local`
-    goes on where this one ended, campaigns included. `binary` is the program, otherwise
+    continues where this one ended, campaigns included. `binary` is the program, otherwise
     $MORPHOD_BINARY or `morphod` on the path. `settings` are those of docs/configuration.md, such
     as `workers=4`. Use it in a `with` statement, or call `close`::
 

@@ -95,14 +95,14 @@ class Plan:
 
     @property
     def names(self) -> list[str]:
-        """The measures by name; functions have theirs, but for those without a plain one."""
+        """The measures by name. Functions have theirs, except those without a plain name."""
         given = [getattr(measure, "__name__", "") if callable(measure) else measure
                  for measure in self.measures or ()]
         return [name if name.isidentifier() and name not in given[:place] else f"measure_{place}"
                 for place, name in enumerate(given)]
 
     def values(self, bodies: Sequence[Body | None]) -> NDArray[np.float64]:
-        """The measures (n, measures) of bodies; 0 for a path, and for what is no body."""
+        """The measures (n, measures) of bodies; 0 for a path, and for an invalid body."""
         measures = self.measures or ()
         table = np.zeros((len(bodies), len(measures)))
         for column, measure in enumerate(measures):

@@ -28,7 +28,7 @@ class Result:
     "canonical" because there was none; None: it was given. `lost` has what the conversion and the
     repair of the body left out. `fault` is None, or why there was no body to score: then `id`,
     `robot` and `genotype` are empty, and the score is NaN. `lower_bound` says that the score is
-    one, because the design cannot be among the `best` that were asked for.
+    one, because the design cannot be among the `best` that were requested.
     """
 
     @reading()

@@ -47,9 +47,9 @@ def read_envelope(data: bytes) -> dict[str, Any]:
     try:
         header = json.loads(data[4:4 + length])
     except ValueError:
-        raise MorphodError("the bytes are no scene: the header is not JSON") from None
+        raise MorphodError("not a scene: the header is not JSON") from None
     if not isinstance(header, dict):
-        raise MorphodError("the bytes are no scene: the header is not an object")
+        raise MorphodError("not a scene: the header is not an object")
     read: dict[str, Any] = _with_arrays(header, data, 4 + length)
     return read
 
@@ -58,7 +58,7 @@ def read_envelope(data: bytes) -> dict[str, Any]:
 def read_npy(data: bytes) -> NDArray[Any]:
     """The array of a .npy file. It is a view of the bytes, and cannot be written."""
     if data[:8] != b"\x93NUMPY\x01\x00":
-        raise MorphodError("the bytes are no array of NumPy of version 1")
+        raise MorphodError("not a NumPy array file of version 1")
     start = 10 + int.from_bytes(data[8:10], "little")
     header = ast.literal_eval(data[10:start].decode("latin-1"))
     return np.frombuffer(data, header["descr"], offset=start).reshape(header["shape"])

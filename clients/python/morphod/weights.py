@@ -23,7 +23,7 @@ def read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, st
     """The tensors of a safetensors file by name, and its metadata. Raises `MorphodError`."""
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > _HEADER_MAX or len(data) < 8 + length:
-        raise MorphodError("this is no safetensors file: it ends before its header does")
+        raise MorphodError("this is not a safetensors file: it ends before its header does")
     try:
         header = json.loads(data[8:8 + length])
         metadata = header.pop("__metadata__", {})
@@ -34,7 +34,7 @@ def read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, st
             tensors[name] = np.frombuffer(data[8 + length + begin:8 + length + end],
                                           kind).reshape(entry["shape"])
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise MorphodError(f"this is no safetensors file: {error}") from None
+        raise MorphodError(f"this is not a safetensors file: {error}") from None
     return tensors, metadata
 
 

@@ -38,7 +38,7 @@ _DESIGNS_MAX = 10000
 _LARGE_MAX = 1000000
 _RANDOM_BODIES_MAX = 1000000
 _LOOK_UP_S = 5.0
-"""How long an interrupt looks for the job that goes on."""
+"""How long an interrupt looks for the job that continues."""
 
 
 class AsyncClient:
@@ -47,9 +47,9 @@ class AsyncClient:
     `server` is `http://host:port`, `https://…` or `unix:/path`; without it $MORPHOD_SERVER, then
     http://127.0.0.1:8765. `token` is needed where the service asks for one; without it
     $MORPHOD_TOKEN. While the service is away (a restart, an upgrade), busy or full, requests are
-    repeated for `retry_s` seconds; submissions carry a key, so that none is made twice.
+    repeated for `retry_s` seconds; submissions carry a key, so that none is accepted twice.
 
-    Refusals are exceptions of `morphod.ApiError`, which has the faults that the service named.
+    Refused requests raise `morphod.ApiError`, which has the faults that the service named.
     """
 
     def __init__(self, server: str | None = None, token: str | None = None, *,
@@ -85,15 +85,15 @@ class AsyncClient:
                        verify: bool = False, best: int | None = None,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
-        """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). Of more
-        than 10,000 the service skips and repairs none, ids need an orientation, nothing is
-        recorded, and the results come in pages, by `table()`. See `evaluate_random`, too, which
-        sends no bodies.
+        """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). With
+        more than 10,000, no body is skipped or repaired, ids need an orientation, nothing is
+        recorded, and `table()` reads the results in pages. To score random bodies without sending
+        them, see `evaluate_random`.
 
         `wait=False` returns at once; the evaluation is durable then. `record` takes "com" and
         "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
         `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
-        piece. `on_fault="skip"` leaves out what is no body; its result has a `fault`, and NaN.
+        piece. `on_fault="skip"` skips invalid bodies; their results have a `fault` and NaN.
         `best=10` computes the whole scores of the ten best only; the others are cut short, and have
         lower bounds. An id alone is scored in the orientation with the best stored score, or else
         in the canonical one; `Result.orientation` says which.
@@ -127,7 +127,7 @@ class AsyncClient:
         return evaluation
 
     async def _interrupted(self, request: Request) -> KeyboardInterrupt:
-        """The interrupt of a submission, with its job: its key finds what was accepted."""
+        """The exception for an interrupted submission. The key finds the job, if there is one."""
         connection = copy.copy(self._connection)
         connection.retry_s, request.timeout_s = 0.0, _LOOK_UP_S
         request.headers.pop("Prefer", None)
@@ -135,8 +135,8 @@ class AsyncClient:
             found = AsyncEvaluation(connection, await connection.json(request))
             return interrupted(found)
         except MorphodError:
-            return KeyboardInterrupt("if the evaluation was accepted it goes on: client.jobs() or "
-                                     "morphoctl job list shows it")
+            return KeyboardInterrupt("if the evaluation was accepted, it continues: client.jobs() "
+                                     "or morphoctl job list shows it")
         finally:
             await connection.close()
 
@@ -153,7 +153,7 @@ class AsyncClient:
         them first; until then it is queued.
 
         The results of more than 10,000 are read in pages, by `table()`; `table(whole=True)` reads
-        only those that are no lower bounds.
+        only those that are not lower bounds.
         """
         value: dict[str, Any] = {
             "random": {"count": count, "seed": seed, "first": first},
@@ -172,7 +172,7 @@ class AsyncClient:
         return evaluation
 
     async def evaluation(self, id: str | int) -> AsyncEvaluation:
-        """The evaluation of an id."""
+        """Returns the evaluation with an id."""
         data = await self._connection.json(Request.get(f"/v1/evaluations/{id}"))
         return AsyncEvaluation(self._connection, data)
 
@@ -182,7 +182,7 @@ class AsyncClient:
                        record_stride: int = 10, physics: Mapping[str, Any] | None = None,
                        precision: Literal["float32", "float64"] = "float32",
                        repair: Repair | None = None) -> Scene:
-        """Up to 64 rollouts that are stored nowhere, with what they recorded: for viewers and
+        """Computes up to 64 rollouts and their recordings without storing them, for viewers and
         editors. The losses are those of an evaluation, bit for bit."""
         request = Request.post("/v1/rollouts", without_none({
             "designs": designs_of(bodies), "environments": environments, "controller": controller,
@@ -215,7 +215,7 @@ class AsyncClient:
         """Distinct random bodies (count, 6, 6, 4), as trainings draw them, none a rotation or
         reflection of another; nothing is stored. A seed (1 by default) has 1,000,000 bodies, always
         the same; these are `first`, `first + 1`, … of them. Two seeds have bodies in common: for
-        more bodies, go on with `first`."""
+        more bodies, continue with `first`."""
         if count < 1 or first < 0 or first + count > _RANDOM_BODIES_MAX:
             raise ValueError(f"a seed has the bodies 0 to {_RANDOM_BODIES_MAX - 1}, not {first} to "
                              f"{first + count - 1}; count is at least 1")
@@ -236,7 +236,7 @@ class AsyncClient:
     async def cross(self, bodies: Iterable[BodyLike] | NDArray[Any],
                     others: Iterable[BodyLike] | NDArray[Any]) -> NDArray[np.bool_]:
         """The children (n, 6, 6, 4) of n bodies and n others: the voxels that exactly one parent
-        has, the largest piece of them. Equal parents have none: their child is empty."""
+        has, the largest piece of them. The child of equal parents is empty."""
         first, second = designs_of(bodies), designs_of(others)
         if len(first) != len(second):
             raise ValueError(f"{len(first)} bodies cannot be crossed with {len(second)}")
@@ -262,7 +262,7 @@ class AsyncClient:
         with reading():
             items: list[dict[str, Any]] = made["items"]
             if not all(isinstance(item, dict) for item in items):
-                raise TypeError("a body of the list is no object")
+                raise TypeError("a body of the list is not an object")
             return items
 
     def objective(self, measures: Sequence[Any] | None = None, *,
@@ -353,7 +353,7 @@ class AsyncClient:
                                    state=state, group=group, archived=archived)])
 
     async def get_campaign(self, id: str | int) -> AsyncCampaign:
-        """The campaign of an id."""
+        """Returns the campaign with an id."""
         data = await self._connection.json(Request.get(f"/v1/campaigns/{id}"))
         return AsyncCampaign(self._connection, data)
 
@@ -383,8 +383,8 @@ class AsyncClient:
         return target
 
     async def import_bundle(self, path: str | os.PathLike[str]) -> AsyncCampaigns:
-        """Enters the campaigns of a bundle; those that are here already stay as they are. A bundle
-        that is damaged is refused with `InvalidError`, and nothing of it is stored."""
+        """Imports the campaigns of a bundle; those that the service already has do not change. A
+        damaged bundle is refused with `InvalidError`, and nothing of it is stored."""
         entered = await self._connection.json(self._bundle_request(path, "enter"))
         with reading():
             ids = [str(row["campaign"]) for row in entered["items"]]
@@ -420,8 +420,8 @@ class AsyncClient:
         return target
 
     async def import_scores(self, path: str | os.PathLike[str]) -> Entered:
-        """Enters the scores of a file, block by block. Those that are here already change nothing,
-        so an import that was interrupted is repeated. A block that is damaged is refused with
+        """Imports the scores of a file, block by block. Scores that the service already has change
+        nothing, so an interrupted import can be repeated. A damaged block is refused with
         `InvalidError`, and nothing of it is stored."""
         entered, is_last = Entered(), False
         for block in blocks(path):
@@ -462,7 +462,7 @@ class AsyncClient:
         return AsyncTraining(self._connection, data)
 
     async def training(self, id: str | int) -> AsyncTraining:
-        """The training of an id."""
+        """Returns the training with an id."""
         data = await self._connection.json(Request.get(f"/v1/trainings/{id}"))
         return AsyncTraining(self._connection, data)
 
@@ -524,8 +524,8 @@ class AsyncClient:
         """Saves a list, a curve or a phylogeny in a file, as fast as the disk takes it:
         `export("campaigns/7/phylogeny", "born.csv")`, `export("jobs", "jobs.ndjson", label="B")`.
 
-        `what` is a path of the contract behind /v1/, `params` its parameters. The end of the file's
-        name gives the format: .csv, .ndjson or .jsonl, .nwk; `format` overrides it.
+        `what` is a path of the contract behind /v1/, `params` its parameters. The suffix of the
+        file gives the format: .csv, .ndjson or .jsonl, .nwk; `format` overrides it.
         """
         target = pathlib.Path(path)
         ends = {".csv": "csv", ".ndjson": "ndjson", ".jsonl": "ndjson", ".nwk": "newick"}
@@ -539,9 +539,9 @@ class AsyncClient:
 
     async def events(self, after: str | int | None = None, job: str | int | None = None
                      ) -> AsyncIterator[dict[str, Any]]:
-        """Events as they happen, of one job or of all, from behind the event `after`; without it
-        from now on. A restart of the service loses none: where they are no longer kept, one of the
-        type "reset" comes."""
+        """Events of one job or of all as they happen, starting after the event `after`, or now. A
+        restart of the service loses none. If events are no longer kept, one of the type "reset"
+        takes their place."""
         if after is None:
             page = await self._connection.json(Request.get("/v1/events", format="json", limit=1))
             with reading():
@@ -558,7 +558,7 @@ class AsyncClient:
 
     async def request(self, method: str, path: str, value: Mapping[str, Any] | None = None,
                       **params: Any) -> Any:
-        """Any request of the contract that has no method of its own; the JSON of its reply."""
+        """Sends any request of the contract, and returns the JSON of its reply."""
         if value is None and method == "GET":
             return await self._connection.json(Request.get(path, **params))
         request = Request.post(path, value)
@@ -571,18 +571,18 @@ class AsyncClient:
 class AsyncObjective:
     """An objective for optimizers: solutions in, numbers out.
 
-    Called with many solutions it scores them in one evaluation and gives an array (n,); with one
-    solution a number. With `measures` it gives two arrays, the objective (n,) and the measures
+    Called with many solutions it scores them in one evaluation and returns an array (n,); with one
+    solution, a number. With `measures` it returns two arrays, the objective (n,) and the measures
     (n, measures), as pyribs takes them: `scheduler.tell(*objective(scheduler.ask()))`.
 
     A solution is a vector of 144 finite numbers or an array [x, y, z], a voxel where a value is
     above 0.5 whatever the shape, or another form that `Body.of` takes; `decode` turns others into
     one of these. The largest piece counts; a solution without a voxel, and one that diverges, gets
-    the loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures, gives
-    them with the other sign.
+    the loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures,
+    returns them with the opposite sign.
 
-    Measures are "voxels", "footprint", "height", "path_length_m" (mean way of the center of mass
-    over the environments), or functions of a `Body`.
+    Measures are "voxels", "footprint", "height", "path_length_m" (mean path length of the center of
+    mass over the environments), or functions of a `Body`.
     """
 
     def __init__(self, client: AsyncClient, measures: Sequence[Any] | None,

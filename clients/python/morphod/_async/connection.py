@@ -16,17 +16,17 @@ from .._wire import Address, Reply, Request, Retries, refusal, undecodable
 from ..errors import MorphodError, UnreachableError, printable, reading
 
 _REOPEN_S = 0.1
-"""Between two streams of events."""
+"""Pause between two streams of events."""
 
 _inherited: list[httpx.AsyncClient] = []
-"""Those of the process that this one was forked from, which nobody may close or use here."""
+"""Clients of the process that this one was forked from. Do not close or use them here."""
 
 
 class AsyncConnection:
     """Keeps connections open between requests. Close it when it is no longer needed.
 
     Each process and each event loop has its own: a forked child never reads the replies of its
-    parent. A copy, and what is unpickled, connects again.
+    parent. A copy or an unpickled one opens its own connections.
     """
 
     def __init__(self, server: str | None, token: str | None, retry_s: float) -> None:
@@ -59,7 +59,7 @@ class AsyncConnection:
             headers = {"Authorization": f"Bearer {token}"} if token else {}
             unix = self.address.unix
             transport = httpx.AsyncHTTPTransport(uds=unix) if unix is not None else None
-            # No proxy from the environment between a laboratory and its own machine.
+            # Ignore proxies of the environment: the service is usually in the same laboratory.
             client = httpx.AsyncClient(base_url=self.address.url, headers=headers,
                                        transport=transport, trust_env=False)
             client = self._clients.setdefault(loop, client)
@@ -105,7 +105,7 @@ class AsyncConnection:
                                 "running?")
 
     async def save(self, request: Request, path: pathlib.Path) -> None:
-        """Writes a long reply into a file. It takes the place of `path` when it is whole."""
+        """Writes a long reply to a file, which replaces `path` once it is complete."""
         retries = Retries(request, self.retry_s)
         part = path.with_name(path.name + ".part")
         while True:
@@ -115,7 +115,7 @@ class AsyncConnection:
                         request.method, request.path, params=request.params,
                         headers=request.headers, timeout=request.timeout_s) as response:
                     if response.status_code < 400:
-                        # A write to the page cache is shorter than a change of threads.
+                        # Writing to the page cache takes less time than switching threads.
                         with open(part, "wb") as file:  # noqa: ASYNC230
                             async for piece in response.aiter_bytes():
                                 file.write(piece)
@@ -136,15 +136,15 @@ class AsyncConnection:
             await anyio.sleep(delay)
 
     async def json(self, request: Request) -> dict[str, Any]:
-        """The JSON of a reply, an object."""
+        """Returns the JSON object of a reply."""
         value = (await self.send(request)).json()
         if not isinstance(value, dict):
-            raise MorphodError(f"the reply is no object of JSON, but a {type(value).__name__}: is "
+            raise MorphodError(f"the reply is not a JSON object but a {type(value).__name__}: is "
                                "this a morphod service?")
         return value
 
     async def pages(self, path: str, limit: int = 1000, **params: Any) -> AsyncIterator[Any]:
-        """The items of a list, page after page."""
+        """Yields the items of a list, page by page."""
         cursor = None
         seen = set()
         while True:
@@ -152,9 +152,9 @@ class AsyncConnection:
             with reading():
                 items, cursor = list(page["items"]), page["next_cursor"]
                 if not all(isinstance(item, dict) for item in items):
-                    raise TypeError("an item of the list is no object")
+                    raise TypeError("an item of the list is not an object")
                 if cursor in seen:
-                    raise ValueError(f"the list goes round: its cursor {cursor!r} comes twice")
+                    raise ValueError(f"the list does not end: its cursor {cursor!r} repeats")
                 seen.add(cursor)
             for item in items:
                 yield item
@@ -162,8 +162,8 @@ class AsyncConnection:
                 return
 
     async def events(self, after: str | None, job: str | None) -> AsyncIterator[dict[str, Any]]:
-        """Events, one after the other; goes on behind the last one when the connection breaks.
-        Where events were lost, one of the type "reset" comes."""
+        """Yields events; after a broken connection it continues after the last one. If events were
+        lost, one of the type "reset" takes their place."""
         retries = None
         while True:
             request = Request.get("/v1/events", accept="text/event-stream", after=after, job=job)
@@ -181,7 +181,7 @@ class AsyncConnection:
                         if delay is None:
                             raise refusal(response.status_code, content)
                     elif "text/event-stream" not in response.headers.get("Content-Type", ""):
-                        raise MorphodError("the reply is no stream of events: is this a morphod "
+                        raise MorphodError("the reply is not a stream of events: is this a morphod "
                                            "service?")
                     else:
                         kind, delay = "", _REOPEN_S

@@ -35,8 +35,8 @@ _ELEMENTS = {"float32-le": "<f4", "int8": "i1", "uint8": "u1"}
 
 
 def interrupted(*jobs: AsyncJob) -> KeyboardInterrupt:
-    """What an interrupt says of the jobs that go on."""
-    words = "; ".join(f"{job.noun} {job.id} goes on: {job.finder}({job.id!r}).cancel(), or "
+    """Makes the exception for an interrupt; it names the jobs that continue."""
+    words = "; ".join(f"{job.noun} {job.id} continues: {job.finder}({job.id!r}).cancel(), or "
                       f"morphoctl job cancel {job.id}, ends it" for job in jobs if not job.ended)
     return KeyboardInterrupt(*([words] if words else []))
 
@@ -86,7 +86,7 @@ class AsyncJob:
     @property
     @reading()
     def note(self) -> str | None:
-        """What somebody said of it."""
+        """A remark by a user."""
         note: str | None = self.data["note"]
         return note
 
@@ -121,7 +121,7 @@ class AsyncJob:
 
     async def wait(self, timeout_s: float | None = None) -> None:
         """Waits until the job has succeeded. Raises `JobError` where it failed or was cancelled,
-        and `WaitError` when the time is over; the job goes on then. A restart of the service in
+        and `WaitError` when the time is over; the job then continues. A restart of the service in
         between changes nothing."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         try:
@@ -130,7 +130,7 @@ class AsyncJob:
                 left = WAIT_S if deadline is None else min(WAIT_S, int(deadline - asked))
                 if deadline is not None and asked >= deadline:
                     raise WaitError(
-                        f"job {self.id} is {self.state} after {timeout_s} s; it goes on")
+                        f"job {self.id} is {self.state} after {timeout_s} s; it continues")
                 self.data = await self._connection.json(
                     Request.get(f"{self._list}/{self.id}", wait_s=max(left, 1)))
                 if not self.ended and time.monotonic() - asked < AT_ONCE_S:
@@ -182,15 +182,15 @@ class AsyncJob:
         await self.refresh()
 
     async def pause(self) -> None:
-        """Pauses it; `resume` lets it go on to the same bits."""
+        """Pauses it; after `resume` it ends with the same bits."""
         await self._act("pause")
 
     async def resume(self) -> None:
-        """Lets a paused or failed job go on."""
+        """Resumes a paused or failed job."""
         await self._act("resume")
 
     async def cancel(self) -> None:
-        """Ends it for good. What a campaign or training has committed stays."""
+        """Cancels it permanently. What a campaign or training has committed stays."""
         await self._act("cancel")
 
     async def weigh(self, weight: float) -> None:
@@ -205,9 +205,9 @@ class AsyncJob:
         await self.refresh()
 
     async def delete(self) -> dict[str, Any]:
-        """Deletes it for good, once it has ended, with all that only it has: results, recordings,
-        curves, phylogeny. Returns what `stays`, and why. Raises `ApiError` (409) where another job
-        needs it."""
+        """Deletes it permanently, once it has ended, with everything that belongs only to it:
+        results, recordings, curves, phylogeny. Returns what `stays`, and why. Raises `ApiError`
+        (409) if another job needs it."""
         reply: dict[str, Any] = await self._connection.json(
             Request("DELETE", f"/v1/jobs/{self.id}"))
         return reply
@@ -295,7 +295,7 @@ class AsyncEvaluation(AsyncJob):
 
     async def table(self, *, whole: bool = False) -> pd.DataFrame:
         """The results of any number of designs, read in pages: number (of the design, from 0), then
-        as `frame`. `whole`: with `best`, only those that are no lower bounds, the best first."""
+        as `frame`. `whole`: with `best`, only those that are not lower bounds, best first."""
         if not self.ended:
             raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
         self._require_success()
@@ -339,7 +339,7 @@ class AsyncEvaluation(AsyncJob):
             return None
         try:
             table: str = self.frame()._repr_html_()
-        except MorphodError:  # there is no pandas
+        except MorphodError:  # pandas is not installed
             return None
         return f"<p>evaluation {self.id}</p>{table}"
 
@@ -533,7 +533,7 @@ class AsyncCampaign(AsyncJob):
         return Phylogeny(reply.content)
 
     async def extend(self, generations: int) -> None:
-        """Adds generations; one that has succeeded goes on."""
+        """Adds generations; a campaign that has succeeded continues."""
         request = Request.submit(f"/v1/campaigns/{self.id}/extend", {"generations": generations})
         self.data = await self._connection.json(request)
 

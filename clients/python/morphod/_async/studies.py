@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class AsyncStudy(AsyncCampaign):
-    """A campaign whose children you make, batch by batch; everything else is as of a campaign.
+    """A campaign for which you make the children, batch by batch; otherwise as any campaign.
 
     The service commits a batch as a whole, with its scores and the state of your sampler, so that
     either side may die at any moment. Leaving a `with` block finishes the study; leaving it by an
@@ -126,9 +126,9 @@ class AsyncStudy(AsyncCampaign):
         return batch
 
     async def restore(self) -> tuple[bytes, Batch] | None:
-        """What a search needs to go on where it died: the state of the sampler that the newest
-        batch came with, and that batch with its scores, which the sampler does not know yet. None:
-        there was no batch yet, so the search begins."""
+        """Returns what a search needs to continue where it stopped: the sampler state that came
+        with the newest batch, and that batch with its scores, which the sampler does not know yet.
+        None: there was no batch yet, so the search begins."""
         batch = await self.last()
         if batch is None:
             return None
@@ -158,12 +158,12 @@ class AsyncStudy(AsyncCampaign):
         of this study."""
         plan = Plan(measures, decode, worst, measures is not None if maximize is None else maximize)
         if plan.needs_path:
-            raise ValueError("a study records no paths: path_length_m is no measure of one")
+            raise ValueError("a study records no paths, so path_length_m cannot be a measure")
         return AsyncStudyObjective(self, plan, operator)
 
 
 class AsyncStudyObjective:
-    """An objective whose calls are batches of a study; see `Objective`.
+    """An objective that makes each call a batch of a study; see `Objective`.
 
     `objective(solutions, sampler_state=…)` sends them and returns what the optimizer needs.
     `objective.last` is the batch of the newest call.
@@ -187,7 +187,7 @@ class AsyncStudyObjective:
         return self._plan.write(bodies, self._there(bodies), None, single)
 
     def again(self, batch: Batch) -> Any:
-        """What a call gave whose batch `AsyncStudy.restore` has found."""
+        """What the call returned that made a batch found by `AsyncStudy.restore`."""
         self.last = batch
         bodies: list[Body | None] = list(batch.bodies)
         return self._plan.write(bodies, self._there(bodies), None, False)
