@@ -17,7 +17,7 @@ const VIEWS = {
   machines: { name: 'Machines', module: './views/machines.js' },
 };
 
-/** Loads a view and all that it imports at once; the page has the list. */
+/** Loads a view and all its imports at once; the page has the list. */
 function load(module) {
   /** @type {HTMLMetaElement} */
   const names = document.querySelector(`meta[name="${module}"]`);
@@ -28,21 +28,21 @@ function load(module) {
   return import(module).catch(async () => {
     await getJson('healthz'); // fails with what is the matter where the service is down
     throw new ApiError(404, {
-      detail: 'The service has another version of this page by now: reload the page.',
+      detail: 'The service has a newer version of this page: reload it.',
     });
   });
 }
 
-/** What views use of the page. */
+/** The services of the page that views use. */
 export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */
   theme: 'dark',
-  /** The newest events that are news, oldest first. */
+  /** The newest notable events, oldest first. */
   recent: [],
   /** Called with the theme after each change. */
   themeListeners: new Set(),
-  /** The contract: bounds and defaults of the forms. Loaded once, when first asked for. */
+  /** The contract: bounds and defaults of the forms. Loaded once, when first needed. */
   contract() {
     this.contractLoad ??= getJson('openapi.json');
     return this.contractLoad;
@@ -52,7 +52,7 @@ export const app = {
     const query = new URLSearchParams(parameters).toString();
     location.hash = `#/${path}${query ? `?${query}` : ''}`;
   },
-  /** Changes the parameters of the present view's link without leaving the view. */
+  /** Changes the parameters of the current view's link without leaving the view. */
   keep(parameters) {
     const [path, query] = location.hash.slice(2).split('?');
     const all = new URLSearchParams(query);
@@ -63,11 +63,11 @@ export const app = {
     const text = all.toString();
     history.replaceState(history.state, '', `#/${path}${text ? `?${text}` : ''}`);
   },
-  /** What the view kept with this entry of the history; {}: it is a new one. */
+  /** The state that the view saved with this history entry; {} for a new entry. */
   remembered() {
     return history.state ?? {};
   },
-  /** Keeps things for when a person comes back to this entry of the history. */
+  /** Saves state for a return to this history entry. */
   remember(things) {
     history.replaceState({ ...history.state, ...things }, '');
   },
@@ -77,7 +77,7 @@ export const app = {
   },
 };
 
-/** A place on the page is kept once it has stayed for this time: browsers limit how often. */
+/** Save the scroll position after this pause: browsers limit how often it may be saved. */
 const SCROLL_MS = 150;
 const THEME_KEY = 'morphod-theme';
 
@@ -109,8 +109,8 @@ function brand() {
 }
 
 /**
- * Asks for a token, in one dialog, until the service accepts one; `retry` follows. Who closes the
- * dialog finds a button on the page.
+ * Asks for a token, in one dialog, until the service accepts one, then calls `retry`. If the dialog
+ * is closed, a button on the page opens it again.
  */
 function askForToken(retry) {
   const input = h('input', {
@@ -143,7 +143,7 @@ function askForToken(retry) {
   dialog.showModal();
 }
 
-/** Whether the page's token is still good, as far as is known. */
+/** Whether the page's token is still valid, as far as is known. */
 async function works() {
   try {
     return Boolean((await whoAmI()).name);
@@ -152,7 +152,7 @@ async function works() {
   }
 }
 
-/** Takes the token of a link. One that still works is replaced only if the person says so. */
+/** Uses the token of a link. Asks before it replaces a token that still works. */
 async function takeToken() {
   const token = tokenOfAddress();
   const before = getToken();
@@ -160,7 +160,7 @@ async function takeToken() {
   if (before && await works()) {
     const { confirmDialog } = await import('./views/share.js');
     const sure = await confirmDialog('Use the token of this link?',
-      `This page has a token${callerName() && `, ${callerName()}`}. The link brings another one.`,
+      `This page has a token${callerName() && `, ${callerName()}`}. The link has a different one.`,
       'Use the other token');
     if (!sure) return;
   }
@@ -210,13 +210,13 @@ class Frame {
       return;
     }
     this.wasDown = true;
-    this.banner.textContent = 'The service cannot be reached. What is shown may be old; ' +
-      'the page tries again by itself.';
+    this.banner.textContent = 'The service cannot be reached. The page may be out of date; ' +
+      'it retries automatically.';
     clearInterval(this.probe);
     this.probe = setInterval(() => getJson('healthz').catch(() => {}), 1500);
   }
 
-  /** Shows the view that the address names. isMove: a person came here from another view. */
+  /** Shows the view that the address names. isMove: the user came from another view. */
   async route({ isMove = false } = {}) {
     const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
     const [key, ...rest] = path.split('/').map(decoded);
@@ -292,14 +292,14 @@ class Frame {
     fill(this.main, h('h1', {}, title), children);
   }
 
-  /** The heading of a view that a person came to takes the focus: screen readers read it. */
+  /** Focuses the heading of a new view, so that screen readers read it. */
   #arrive() {
     const heading = this.main.querySelector('h1');
     heading?.setAttribute('tabindex', '-1');
     heading?.focus({ preventScroll: true });
   }
 
-  /** Begins to follow the events, once. Views load behind that, so that they miss no change. */
+  /** Starts to follow events, once. Views load after that, so that they miss no change. */
   #followEvents() {
     this.following ??= app.events.start().then((last) => {
       app.events.upTo(last).then((events) => {
@@ -310,7 +310,7 @@ class Frame {
     return this.following;
   }
 
-  /** Asks whom the service takes the caller for, once, and says what the page leaves out. */
+  /** Asks the service once who the caller is, and says what the page leaves out. */
   #identify() {
     this.identified ??= whoAmI().then(() => {
       this.caller.textContent = callerName();

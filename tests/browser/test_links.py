@@ -14,8 +14,8 @@ from test_live import TOAST, go, module
 
 HEADING = "document.querySelector('main h1')?.textContent"
 BROKEN = {
-    "stage?designs=zzz": "zzz is no design", "stage?environment=77": "a number from 0 to 9",
-    "stage?designs=" + "88" + "0" * 34 + ",12": "12 is no design",
+    "stage?designs=zzz": "zzz is not a design", "stage?environment=77": "a number from 0 to 9",
+    "stage?designs=" + "88" + "0" * 34 + ",12": "12 is not a design",
     "stage?world=moon": "campaign-N or evaluation-N", "stage?speed=7": "one of 2, 1, 0.5",
     "stage?show=bones": "a list of skin", "stage?view=1_2": "a camera as six numbers",
     "stage?time=soon": "a number of seconds", "stage?follow=9": "the place of a robot",

@@ -297,7 +297,7 @@ def test_recordings_of_an_evaluation(service, browser):
 def test_commands_to_copy_are_safe_to_paste(service, browser):
     """What an address brings is one word of a shell, or is not taken at all."""
     browser.open("stage?designs=$(touch%20x)")
-    assert "$(touch x) is no design" in browser.texts("main .error")[0]
+    assert "$(touch x) is not a design" in browser.texts("main .error")[0]
     assert browser.texts("main button, pre, canvas") == []
     browser.open("stage?controller=a';b;'")
     browser.click("Commands")

@@ -81,7 +81,7 @@ export function toWebm(frames, { width, height, rate, codec }) {
     { type: 'video/webm' });
 }
 
-// Debian's compiler of types does not know WebCodecs yet.
+// Debian's TypeScript does not know WebCodecs yet.
 const { VideoEncoder, VideoFrame } = /** @type {any} */ (window);
 
 const CODECS = [['vp09.00.40.08', 'V_VP9'], ['vp8', 'V_VP8']];
@@ -95,7 +95,7 @@ const CODECS = [['vp09.00.40.08', 'V_VP9'], ['vp8', 'V_VP8']];
  */
 export async function record(canvas, draw, { durationS, rate = 50, onprogress = () => {} }) {
   draw(0);
-  // Encoders want even sizes.
+  // Encoders need even sizes.
   const [width, height] = [canvas.width & ~1, canvas.height & ~1];
   let chosen = null;
   for (const [codec, name] of CODECS) {

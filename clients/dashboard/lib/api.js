@@ -1,11 +1,11 @@
 /**
- * Talks with the daemon that served this page. All addresses are relative, so that the page works
- * below any path; the token goes in a header alone.
+ * Requests to the daemon that served this page. All addresses are relative, so that the page works
+ * below any path; the token is only sent in a header.
  */
 
 const TOKEN_KEY = 'morphod-token';
 
-/** A refusal of the daemon, or a connection that failed (status 0). */
+/** The daemon refused a request, or the connection failed (status 0). */
 export class ApiError extends Error {
   constructor(status, problem, retryAfterS) {
     super(problem.detail ?? problem.title ?? `The service answered with ${status}.`);
@@ -19,13 +19,13 @@ export class ApiError extends Error {
   }
 }
 
-/** A link that names what is not there, or not as it must be: the page shows nothing else. */
+/** A link with a missing or invalid target. The page shows only this error. */
 export class LinkError extends Error {}
 
 let memoryToken = null;
 
 /**
- * Uses the storage of the browser; undefined where that is forbidden. What it keeps then lasts as
+ * Uses the storage of the browser. Where that is forbidden, returns undefined, and values last as
  * long as the page.
  */
 export function storing(use) {
@@ -36,7 +36,7 @@ export function storing(use) {
   }
 }
 
-/** A part of an address; what is not well formed stays as it is. */
+/** Decodes a part of an address; returns a malformed part unchanged. */
 export function decoded(text) {
   try {
     return decodeURIComponent(text);
@@ -100,7 +100,7 @@ export async function request(path, options = {}) {
     setConnection(false);
     throw new ApiError(0, { detail: 'The service cannot be reached.' });
   }
-  // A proxy answers for a daemon that is down.
+  // Replies by a proxy for a daemon that is down.
   setConnection(![502, 504].includes(response.status));
   if (response.ok) return response;
   const problem = await response.json().catch(() => ({}));
@@ -117,7 +117,7 @@ export async function post(path, body, options = {}) {
   return response.status === 204 ? null : response.json();
 }
 
-/** Waits as long as Retry-After asks, at most `limit` times, and sends again. */
+/** Waits as long as Retry-After says and sends again, at most `limit` times. */
 export async function patient(send, limit = 5) {
   for (let i = 0; ; i++) {
     try {
@@ -140,22 +140,22 @@ export function withQuery(path, parameters) {
   return query ? `${path}?${query}` : path;
 }
 
-/** Makes work that is never done twice at once: calls at the same time share one. */
+/** Wraps an async function so that concurrent calls share one run. */
 export function shared(work) {
   let busy = null;
   return (...given) => (busy ??= work(...given).finally(() => { busy = null; }));
 }
 
 /**
- * A curve that grows: keeps its rows and brings those that came since. The newest row's number is
- * the cursor of what follows.
+ * A growing curve: keeps its rows and fetches the new ones. The number of the newest row is the
+ * cursor of the next page.
  */
 export class Curve {
   constructor(path) {
     this.path = path;
     this.rows = [];
     this.cursor = undefined;
-    /** Brings new rows; true if there were any. */
+    /** Fetches new rows; true if there were any. */
     this.refresh = shared((signal) => this.#refresh(signal));
   }
 

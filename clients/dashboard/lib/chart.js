@@ -23,7 +23,7 @@ import { number } from './format.js';
 
 const MARGIN = { left: 52, right: 12, top: 10, bottom: 26 };
 const LINE_PX = 1.8;
-/** Radius of a value that stands alone. */
+/** Radius of an isolated value. */
 const POINT_PX = 3;
 /** A line with more points in a pixel than these is drawn as the range of each column of pixels. */
 const DENSE = 2;
@@ -74,7 +74,7 @@ export class Chart {
    *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
    *          xRange?: [number, number], xText?: function(number): string,
    *          yText?: function(number): string}} options isWhole: false where the axis has values
-   *          between whole numbers; xRange: of the axis, whatever values there are
+   *          between whole numbers; xRange: of the axis, for any values
    */
   constructor(options) {
     this.options = { xName: 'generation', height: 220, empty: 'No values yet.',
@@ -161,7 +161,7 @@ export class Chart {
     return { x0, x1, y0: y0 === 0 ? 0 : y0 - room, y1: y1 + room };
   }
 
-  /** Draws the chart at the present size of its canvas. */
+  /** Draws the chart at the current size of its canvas. */
   draw() {
     const painting = paint(this.canvas);
     if (!painting) return;
@@ -237,7 +237,7 @@ export class Chart {
     context.lineJoin = 'round';
     context.beginPath();
     if (s.x.length > DENSE * context.canvas.width) {
-      // A stroke that goes up and down in every column would take most of the time of the chart.
+      // A stroke up and down in every column would take most of the drawing time.
       context.fillStyle = color;
       this.#envelope(context, s.x, s.y, s.y, scale);
       context.fill();

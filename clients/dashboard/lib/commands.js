@@ -1,4 +1,4 @@
-/** The same from a shell or a program: what a page shows or a form sends, as text to copy. */
+/** Equivalent commands for a shell or a program: what a page shows or a form sends, as text. */
 
 import { getToken } from './api.js';
 import { shellWord } from './format.js';

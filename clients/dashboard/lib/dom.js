@@ -53,12 +53,12 @@ export function fill(element, ...children) {
   return element;
 }
 
-/** Sets a text in place; one that is the same stays untouched, with what is selected in it. */
+/** Sets a text in place; an equal text stays untouched, and with it the selection. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Whether a person is at an element: it has the focus, or is being pressed. */
+/** Whether an element is in use: it has the focus, or is being pressed. */
 export const isInUse = (element) => element.matches(':focus-within, :active');
 
 /**
@@ -102,7 +102,7 @@ export function patch(parent, list, key, make, update = () => {}) {
 }
 const parents = new WeakMap();
 
-/** Gives a row its cells. Those that are as before stay: their listeners may use the key alone. */
+/** Updates the cells of a row. Equal cells stay, so their listeners may only use the key. */
 export function patchRow(row, cells) {
   [...cells].forEach((cell, i) => {
     const own = row.cells[i];
@@ -136,7 +136,7 @@ export function select(label, choices, value, onchange) {
     h('select', { onchange: (event) => onchange(event.target.value) }, options));
 }
 
-/** A table with its head. isRight: of a name and its place; numbers stand at the right. */
+/** A table with its head. isRight: of a name and its place; numbers are aligned to the right. */
 export function table(names, body, isRight = (name, i) => false, tag = 'table.cards') {
   return h(tag, {}, h('thead', {}, h('tr', {}, names.map((name, i) =>
     h(isRight(name, i) ? 'th.right' : 'th', { scope: 'col' }, name)))), body);
@@ -177,8 +177,7 @@ const TOAST_MS = 6000;
 let toastEnds;
 
 /**
- * Says what happened or was refused, in one line that all see and screen readers read. It lies
- * above an open dialog.
+ * Shows what happened or was refused in one line, above any dialog; screen readers read it.
  */
 export function announce(text, { isRefusal = false } = {}) {
   /** @type {any} */ // popovers are newer than the types

@@ -1,7 +1,7 @@
 /**
  * The daemon's events. One stream serves all pages of a browser: a lock chooses the page that keeps
- * the stream, and it passes the events on. Hidden pages do not stream; they go on behind the last
- * event they saw, so none is lost.
+ * the stream, and it passes the events on. Hidden pages do not stream; later they continue after
+ * the last event they saw, so none is lost.
  */
 
 import { ApiError, getJson, request, withQuery } from './api.js';
@@ -12,8 +12,8 @@ const CHANNEL = 'morphod-events';
 export const isNews = ({ type }) => type !== 'reset' && !type.endsWith('progress');
 
 /**
- * Does work soon after it is asked for, and again where it was asked for meanwhile: never twice at
- * once, and so that the last time begins after the last request. Failures wait for the next event.
+ * Runs work soon after a request, and again if another request came meanwhile: never twice at once,
+ * and the last run starts after the last request. Failures wait for the next event.
  * @param {() => Promise<any>} work
  * @param {AbortSignal} signal ends it
  */
@@ -45,12 +45,12 @@ export class Events {
     document.addEventListener('visibilitychange', () => this.#change());
   }
 
-  /** Calls `listener` with every event: {id, type, job, at, data}; type "reset": read afresh. */
+  /** Calls `listener` with every event: {id, type, job, at, data}; type "reset": reload. */
   listen(listener) {
     this.listeners.add(listener);
   }
 
-  /** Begins behind the newest event: what is read after that misses none. Returns its number. */
+  /** Starts after the newest event, so that later reads miss none. Returns its number. */
   async start() {
     const page = await getJson('v1/events?format=json&after=0&limit=1');
     this.last = Number(page.newest);
@@ -58,7 +58,7 @@ export class Events {
     return this.last;
   }
 
-  /** What is news among the `n` events up to a number, oldest first. */
+  /** The notable ones of the `n` events up to a number, oldest first. */
   async upTo(last, n = 300) {
     const query = { format: 'json', after: Math.max(0, last - n), limit: n };
     const page = await getJson(withQuery('v1/events', query));
@@ -76,7 +76,7 @@ export class Events {
   }
 
   async #run(signal) {
-    // What passed while this page was hidden or waited for the lock comes first, once.
+    // First, once: the events while this page was hidden or waited for the lock.
     const work = () => this.#stream(signal);
     if (navigator.locks) {
       this.#catchUp(signal);
@@ -95,7 +95,7 @@ export class Events {
         if (page.next_cursor === null || !page.items.length) return;
       }
     } catch {
-      // The stream, or the next visit, brings them.
+      // The stream or the next visit delivers them.
     }
   }
 

@@ -1,4 +1,4 @@
-/** Numbers and times as people read them. */
+/** Numbers and times in a readable form. */
 
 /** A number with so many significant digits, without trailing noise: 0.0136, 1.5e-5, 12,400. */
 export function number(value, digits = 3) {
@@ -60,7 +60,7 @@ export function ago(time) {
   return seconds < 5 ? 'just now' : `${duration(seconds)} ago`;
 }
 
-/** A text as one word of a shell, whatever is in it. */
+/** Any text, quoted as one word of a shell. */
 export function shellWord(text) {
   return /^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }

@@ -21,7 +21,7 @@ const SIDES = [
  * @param {string} [label] read by screen readers; without one the drawing is decoration
  */
 export function picture(genotype, label) {
-  // The painter's order: what lies behind is drawn first.
+  // Painter's algorithm: back to front.
   const cells = cellsOf(genotype).sort((a, b) => a[0] + a[1] + a[2] - (b[0] + b[1] + b[2]));
   const paths = [];
   const [low, high] = [[Infinity, Infinity], [-Infinity, -Infinity]];
@@ -40,7 +40,7 @@ export function picture(genotype, label) {
     }
   }
   if (!cells.length) [low[0], low[1], high[0], high[1]] = [0, 0, 1, 1];
-  // Small robots are not blown up to the size of large ones.
+  // Small robots are not enlarged to the size of large ones.
   const [width, height] = [Math.max(high[0] - low[0], 5), Math.max(high[1] - low[1], 4)];
   const [midX, midY] = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
   const box = [midX - width / 2 - 0.1, midY - height / 2 - 0.1, width + 0.2, height + 0.2];

@@ -7,7 +7,7 @@ import { getJson } from './api.js';
 
 const RIGHTS = ['read', 'submit', 'admin'];
 
-/** Whom the service takes the caller for; null: not known yet. */
+/** Who the caller is to the service; null: not known yet. */
 let me = null;
 
 /** Asks the service. Fails as requests do. */
@@ -16,7 +16,7 @@ export async function whoAmI() {
   return me;
 }
 
-/** Whether the page offers what needs a right. */
+/** Whether the caller has a right, so that the page offers what needs it. */
 export function may(right) {
   return !me || (me.dashboard === 'on' && RIGHTS.indexOf(me.right) >= RIGHTS.indexOf(right));
 }

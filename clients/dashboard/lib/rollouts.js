@@ -1,5 +1,5 @@
 /**
- * Brings robots to the stage: rollouts that the daemon computes and stores nowhere, and recordings.
+ * Robots for the stage: rollouts that the daemon computes without storing them, and recordings.
  */
 
 import { getJson, patient, request, withQuery } from './api.js';
@@ -22,7 +22,7 @@ async function environmentsAt(path) {
 export const environmentSet = (name) =>
   environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
 
-/** An environment as a request has it. */
+/** An environment in the form of a request. */
 export const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
 
 /** What an evaluation recorded of one of its designs in one of its environments, as a scene. */
@@ -44,11 +44,11 @@ export async function recorded(evaluation, rows, environment, signal) {
 /** What the stage shows. */
 export const CHANNELS = ['masses', 'actuation', 'contacts'];
 
-/** At most so many rollouts go into one request. */
+/** Rollouts per request, at most. */
 const ROLLOUTS_AT_ONCE = 16;
 
 /**
- * Rolls designs out in one environment and gives them as the stage takes them, in their order.
+ * Rolls designs out in one environment, and returns them for the stage in the same order.
  * @param {Object[]} designs {voxels} or {id}, as in any request
  * @param {Object} environment
  * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal}}
@@ -71,10 +71,10 @@ export async function roll(designs, environment, options = {}) {
   return robots;
 }
 
-/** The controller that rollouts have when none is named. */
+/** The controller of rollouts, unless one is named. */
 const DEFAULT_CONTROLLER = 'default';
 
-/** A named set of environments, with the physics and a controller of its own choice. */
+/** A named set of environments, with default physics and a controller. */
 export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
   return {
     set, environments: await environmentSet(set), controller, physics: undefined,
@@ -84,8 +84,8 @@ export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
 }
 
 /**
- * The world in which a campaign or an evaluation scored its designs: environments, physics, and the
- * controller, of a campaign the newest that it has.
+ * The world in which a campaign or an evaluation scored its designs: environments, physics and
+ * controller; for a campaign, its newest controller.
  */
 export async function worldOfJob(kind, job) {
   const physics = job.settings?.physics ?? job.physics;

@@ -30,7 +30,7 @@ export function isConnected(genotype) {
 }
 
 /**
- * Turns one voxel over.
+ * Flips one voxel.
  * @param {string} genotype
  * @param {number[]} cell
  */

@@ -1,4 +1,4 @@
-/** A camera that circles a point; it follows a robot, or a person turns, moves and zooms it. */
+/** A camera that circles a point; it follows a robot, or the user turns, moves and zooms it. */
 
 import { lookAt, multiply, orthographic, perspective } from './math.js';
 

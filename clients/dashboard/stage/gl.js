@@ -1,8 +1,8 @@
 /** The few things of WebGL 2 that the stage and the phylogeny need. */
 
 /**
- * A program whose uniforms are found by name. It is compiled beside the page's own work: only its
- * first use waits for that, and throws with the compiler's message.
+ * A program with uniforms that are found by name. It compiles in the background; only its first use
+ * waits for that, and throws with the compiler's message.
  */
 export class Program {
   /**
@@ -16,7 +16,7 @@ export class Program {
     this.places = null;
   }
 
-  /** Begins to compile, and does not wait. */
+  /** Starts to compile, and does not wait. */
   prepare() {
     const { gl, sources: [vertexSource, fragmentSource] } = this;
     this.handle = gl.createProgram();
@@ -51,7 +51,7 @@ export class Program {
     gl.attachShader(this.handle, shader);
   }
 
-  /** Begins to use the program. */
+  /** Makes this the current program. */
   use() {
     if (!this.places) this.#finish();
     this.gl.useProgram(this.handle);

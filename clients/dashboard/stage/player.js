@@ -10,8 +10,8 @@ export const SPEEDS = [['2', '2 ×'], ['1', '1 ×'], ['0.5', '½ ×'], ['0.25', 
 /** A frame that takes longer than this lowers the resolution, then the shadow. */
 const SLOW_FRAME_S = 0.028;
 /**
- * The ground is drawn without robots only when none came in that time: without a GPU it delays
- * them.
+ * The ground is drawn without robots only if none arrive within this time: without a GPU, drawing
+ * it delays them.
  */
 const PATIENCE_MS = 1000;
 /** A picture that stands still is drawn in full after this pause. */
@@ -80,7 +80,7 @@ export class Player {
     app.themeListeners.add(this.onTheme);
     this.resize = new ResizeObserver(() => this.#wake());
     this.resize.observe(this.canvas);
-    // Nothing holds back a canvas that is not seen: without a GPU, frames would queue for minutes.
+    // A hidden canvas is not throttled: without a GPU, frames would queue for minutes.
     this.isSeen = true;
     this.sight = new IntersectionObserver((entries) => {
       this.isSeen = entries.at(-1).isIntersecting;
@@ -220,7 +220,7 @@ export class Player {
   setRobots(robots, { keepTime = false } = {}) {
     if (!this.stage) return;
     this.stage.setRobots(robots);
-    // Until a person turns the camera, the robots walk away from it, towards their light.
+    // Until the user turns the camera, the robots walk away from it, towards their light.
     if (robots.length && !this.aimed) this.stage.aim();
     this.held = false;
     const duration = this.stage.durationS();
@@ -270,8 +270,8 @@ export class Player {
   }
 
   /**
-   * Stands still until other robots come, or until it is let go: where frames take long, drawing
-   * the old robots would delay the new ones.
+   * Stops drawing until new robots arrive or it is released: where frames take long, drawing the
+   * old robots would delay the new ones.
    */
   hold(on) {
     this.held = on && this.meanFrameS > SLOW_FRAME_S;
@@ -311,7 +311,7 @@ export class Player {
       const elapsed = Math.min((now - this.before) / 1000, 0.25);
       this.#adapt(elapsed);
       this.stage.timeS += elapsed * this.speed;
-      // At the end the last moment stays for a second.
+      // At the end, the last frame stays for a second.
       if (this.stage.timeS > duration + this.speed) this.stage.timeS = 0;
     }
     this.before = now;
@@ -323,7 +323,7 @@ export class Player {
     if (!moving) this.stillTimer = setTimeout(() => this.#drawStill(), STILL_MS);
   }
 
-  /** What stands still is drawn in full, however slow the frames before were. */
+  /** Draws a still picture in full, however slow the frames before were. */
   #drawStill() {
     const { scale, shadows } = this.stage;
     const isFull = scale === 1 && shadows;

@@ -81,7 +81,7 @@ layout(location = 0) in vec2 corner;
 uniform mat4 matrix;
 out vec3 at;
 void main() {
-  // The mesh is finer in the middle, where robots walk; beyond the map it goes on, flat in one
+  // The mesh is finer in the middle, where robots walk; beyond the map it continues, flat in one
   // axis.
   vec2 p = 2.5 + corner * (0.55 + 0.45 * abs(corner)) * 6.0;
   at = vec3(p, heightAt(p));
@@ -182,7 +182,7 @@ void main() {
 }`,
 ];
 
-/** The same faces as seen from the sun: depth alone. */
+/** The same faces as seen from the sun: only depth. */
 export const DEPTH_SHADERS = [
   `${SKIN_VERTEX}
 void main() {

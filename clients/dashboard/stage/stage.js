@@ -2,7 +2,7 @@
  * The stage: robots that walk on their terrain towards their light, drawn with WebGL 2.
  *
  * The recordings of the daemon go to the graphics processor as they are; each frame of the screen
- * sets one number, the time. So scrubbing and slow motion cost the processor nothing.
+ * sets one number, the time. Therefore scrubbing and slow motion cost the processor nothing.
  */
 
 import { Camera } from './camera.js';
@@ -13,7 +13,7 @@ import * as shaders from './shaders.js';
 /** Cells of the ground's mesh along each side, and of that in small views. */
 const GRID = 160;
 const COARSE_GRID = 56;
-/** Views that are less high than this, in pixels of the page, are small: the camera goes nearer. */
+/** Views that are lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
 
 /** Colors of robots in the order of the legend: color-blind people can distinguish them. */
@@ -155,8 +155,7 @@ function groundMesh(gl, cells) {
  * @property {number} frames
  * @property {number} frameS seconds between two frames
  * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and
- *   the
- *   64 heights of the terrain
+ *   the 64 heights of the terrain
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 where a mass touches the ground
  * @property {string} [color] as in the legend
@@ -214,7 +213,7 @@ export class Stage {
     this.noActuation = dataTexture(gl, gl.R8I, 1, 1, gl.RED_INTEGER, gl.BYTE, new Int8Array(1));
     this.noContacts = dataTexture(gl, gl.R8UI, 1, 1, gl.RED_INTEGER, gl.UNSIGNED_BYTE,
       new Uint8Array(1));
-    gl.flush(); // the compiler begins now
+    gl.flush(); // starts the compiler
   }
 
   /** Replaces the robots on the stage. @param {Robot[]} robots */
@@ -278,7 +277,7 @@ export class Stage {
     }));
   }
 
-  /** Draws the present time; or the background alone. */
+  /** Draws the current time, or only the background. */
   draw({ empty = false } = {}) {
     const { gl, canvas } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio * this.scale));
@@ -298,7 +297,7 @@ export class Stage {
     gl.flush();
   }
 
-  /** Whether the graphics processor has yet to end the picture before. */
+  /** Whether the graphics processor is still drawing the previous picture. */
   isBusy() {
     return Boolean(this.drawn) &&
       this.gl.getSyncParameter(this.drawn, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;

@@ -19,7 +19,7 @@ import { Scatter } from './scatter.js';
 import { copyButton, formDialog, saveLink, showDialog } from './share.js';
 
 const CHAMPIONS = 8;
-/** A campaign that runs is asked about itself: not each phase has events. */
+/** A running campaign is polled, since not every phase has events. */
 const POLL_MS = 2000;
 const DASH_NAMES = ['dashed', 'dotted', 'dash and dot'];
 
@@ -181,7 +181,7 @@ async function mountOne(main, id, parameters, app) {
       may('submit') && !campaign.study ? button('Extend', () => extend()) : null,
       copyButton(() => requestOf(campaign.id))));
 
-  /** A campaign that is compared with this one, and how to leave it out. */
+  /** A campaign that is compared with this one, with a button to remove it. */
   function comparedChip(other, i) {
     const rest = others.filter((one) => one !== other).join(',');
     return h('span.state', {}, h('a', { href: `#/campaigns/${other}` }, `with campaign ${other}`),
@@ -219,7 +219,7 @@ async function mountOne(main, id, parameters, app) {
       await post(`v1/campaigns/${id}/extend`, { generations: Number(input.value) });
       announce(`Extended by ${countOf(Number(input.value), 'generation')}`);
       refreshJob();
-    }, h('p.wide', {}, 'It goes on from its last generation.'),
+    }, h('p.wide', {}, 'It continues from its last generation.'),
     h('label.field', {}, h('span', {}, 'Further generations'), input));
   }
 
@@ -296,7 +296,7 @@ async function mountOne(main, id, parameters, app) {
     if (!nothing.hidden) return;
     const { items } = await get(`v1/campaigns/${id}/champions?count=${CHAMPIONS}`);
     const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
-    // The best come first; what is chosen stays, also when it is no champion any more.
+    // The best come first; a chosen design stays even when it is no longer a champion.
     const shown = [best, ...items.filter((one) => one !== best)];
     for (const design of chosen.values()) {
       if (!shown.some((one) => one.number === design.number)) shown.push(design);

@@ -12,8 +12,8 @@ export const HUES = ['--blue', '--green', '--pink', '--gray'];
 export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
 /**
- * In what two sides differ so that their scores do not compare, as morphoctl campaign compare
- * refuses it; '' if they do.
+ * The setting in which two sides differ so that their scores cannot be compared, as for morphoctl
+ * campaign compare; '' if they can.
  */
 function differenceOf(one, other) {
   const [a, b] = [one, other].map(({ campaign }) => campaign.settings.physics);
@@ -60,7 +60,7 @@ export class Comparison {
       };
     }));
     for (const side of sides) {
-      // Two replicates of one group are compared as what they are: one campaign each.
+      // Two replicates of one group are compared as separate campaigns.
       if (sides.some((other) => other !== side && other.group === side.group)) {
         [side.members, side.early] = [[side.id], []];
       }
@@ -99,7 +99,7 @@ export class Comparison {
     const differing = this.sides.map((side) => {
       const difference = differenceOf(this.sides[0], side);
       return difference && ` Campaigns ${this.ids[0]} and ${side.id} differ in ${difference}: ` +
-        'their scores do not compare.';
+        'their scores cannot be compared.';
     });
     this.note.textContent =
       `At generation ${generation}, the newest that all have; lower is better.${

@@ -18,7 +18,7 @@ import { announced, copyButton } from './share.js';
 const PAGE = 48;
 /** How many pages of 1,000 results are read of an evaluation that is too large to have a list. */
 const PAGES_MAX = 10;
-/** Orders of the leaderboard: what the list of designs is asked for. */
+/** Orders of the leaderboard, as parameters of the list of designs. */
 const ORDERS = {
   best: { sort: 'score' }, worst: { sort: 'score', order: 'descending' },
   oldest: { sort: 'id' }, newest: { sort: 'id', order: 'descending' },
@@ -34,7 +34,7 @@ export async function mount(main, [id], parameters, app) {
 class Wall {
   constructor(app) {
     this.app = app;
-    /** What the stage is given besides the designs: the controller, or the world of the scores. */
+    /** Further parameters of the stage: the controller, or the world of the scores. */
     this.options = {};
     this.chosen = new Map(app.remembered().chosen); // {id, row} by genotype
     this.element = h('div.grid.small');
@@ -141,7 +141,7 @@ async function mountBoard(main, parameters, app) {
       python: `print(m.designs(${
         given().map(([key, value]) => `${key}=${pythonOf(value)}`).join(', ')}))`,
     })))), panel, foot);
-  // A person who comes back finds as many as before.
+  // After a return to the page, show as many as before.
   await again(Math.min(1000, app.remembered().shown || PAGE));
   return {};
 }
@@ -211,7 +211,7 @@ async function mountEvaluation(main, id, app) {
       const last = knowsBest ? order[job.best - 1]?.score ?? Infinity : -Infinity;
       wall.add(order.map((one) => ({ ...one, isBest: isAmong(one, last) })));
       if (job.best !== null) {
-        note(`The best ${count(job.best)} were asked for; ${count(job.rollouts_cut)} rollouts of ` +
+        note(`The best ${count(job.best)} were requested; ${count(job.rollouts_cut)} rollouts of ` +
           'the others were not computed. A score after ≥ is a lower bound.');
       }
       if (job.n_skipped > 0) note(`${countOf(job.n_skipped, 'design')} skipped.`);
@@ -247,7 +247,7 @@ async function mountEvaluation(main, id, app) {
   };
 }
 
-/** Whether a design is one of the best that were asked for: none of them is only bounded. */
+/** Whether a design is one of the requested best, which have no mere lower bounds. */
 const isAmong = ({ score: own, lower_bound: isBound }, last) =>
   !isBound && own !== null && own <= last;
 

@@ -16,13 +16,15 @@ const FIRST = [
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1],
 ];
 
-/** Where the kept bodies, the steps back and the body itself stay while the tab is open. */
+/** Storage key of the kept bodies, the undo steps and the body, while the tab is open. */
 const SHELF_KEY = 'morphod-editor';
 const PAST_MAX = 100;
+/** Use the first random body of at least this size: smaller ones hardly walk. */
+const RANDOM_VOXELS_MIN = 6;
 const isBody = (text) => /^[01]{144}$/.test(text) && text.includes('1');
 
 /**
- * What the editor had when it was left.
+ * The state of the editor when it was left.
  * @returns {{kept: Object[], past: string[], body: ?string}}
  */
 function shelfOf() {
@@ -44,7 +46,7 @@ export async function mount(main, path, parameters, app) {
   const shelf = h('div.grid.small');
   const environments = await environmentSet('paper-test');
 
-  /** Keeps the shelf, the steps back and the body for a person who comes back. */
+  /** Saves the shelf, the undo steps and the body for a return to the editor. */
   function store() {
     past.splice(0, past.length - PAST_MAX);
     const text = JSON.stringify({ kept, past, body: genotype });
@@ -65,18 +67,18 @@ export async function mount(main, path, parameters, app) {
   }
 
   /**
-   * Shows a body that the service makes as in campaigns, unless the body changes before the reply.
+   * Shows a body that the service makes as in campaigns, unless the user changes the body first.
    */
   const make = (operator, request, whyNone = '') => announced(async () => {
     const before = genotype;
-    const { items: [{ genotype: made }] } =
-      await patient(() => post(`v1/bodies/${operator}`, request));
+    const { items } = await patient(() => post(`v1/bodies/${operator}`, request));
     if (isClosed || genotype !== before) return;
-    if (made) change(made);
+    const made = items.find(({ voxels }) => voxels >= RANDOM_VOXELS_MIN) ?? items[0];
+    if (made.genotype) change(made.genotype);
     else announce(whyNone);
   });
   const newSeed = () => Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
-  const grow = () => make('random', { seed: newSeed() });
+  const grow = () => make('random', { seed: newSeed(), count: 32 });
   const mutate = () => make('mutate', {
     designs: [{ voxels: genotype }], seed: newSeed(), repair: 'largest',
   });
@@ -168,7 +170,7 @@ export async function mount(main, path, parameters, app) {
       known.set(genotype, robot.id);
       for (const one of kept) if (one.genotype === genotype) one.id = robot.id;
       player.setRobots([robot]);
-      // It walks first: ten rollouts would delay the frame that shows it.
+      // It walks first: ten rollouts would delay its first frame.
       await new Promise(requestAnimationFrame);
       if (signal.aborted) return;
       const shownMs = Math.round(performance.now() - started);
@@ -202,7 +204,7 @@ export async function mount(main, path, parameters, app) {
   }
 
   function keep() {
-    // A campaign takes no form twice, wherever it lies and however it is turned.
+    // A campaign accepts each form once, in any position and orientation.
     const id = known.get(genotype) ?? genotype;
     if (kept.some((one) => one.id === id || one.genotype === genotype)) {
       announce('This body is kept already.');

@@ -23,9 +23,9 @@ const MORE = {
   campaign: ['controller', 'seed', 'replicates', 'selection', 'name', 'weight', 'device',
     'experiment'],
 };
-/** Names of fields where the contract's own does not say enough. */
+/** Names of fields for which the contract's name is unclear. */
 const NAMES = { name: 'Name of the new controller', label: 'Label of the job' };
-/** A study is fed by its client, which no page is. */
+/** Studies need a client that makes the children, so there is no form for them. */
 const LEFT_OUT = { mode: ['study'] };
 /** What the presets say of a campaign, by mode: the contract has it in words. */
 const PRESETS = {
@@ -54,7 +54,7 @@ export function resolve(contract, schema) {
   return result;
 }
 
-/** What an empty field stands for. */
+/** The value of an empty field. */
 function unsaid(kind, name, schema) {
   if (schema.default !== undefined) return String(schema.default);
   if (name === 'priority') return 'interactive up to 64 rollouts';
@@ -145,7 +145,7 @@ class LearnedOn {
     this.show(false);
   }
 
-  /** Shows the fields of the choice; what is hidden is not asked for. */
+  /** Shows the fields of the choice; hidden fields are not sent. */
   show(isAsked) {
     this.isAsked = isAsked;
     this.head.hidden = !isAsked;
@@ -185,7 +185,7 @@ class LearnedOn {
   }
 }
 
-/** The fields of a form, of the contract, with what the service says against each. */
+/** The fields of a form, from the contract, with the service's objections to each. */
 function fieldsOf(kind, names, contract, controllers, proposed) {
   const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
   return names.map((name) => {
@@ -238,7 +238,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
     return result;
   }
 
-  /** Does something with the request; what is refused stands at its field, or below all. */
+  /** Sends the request; shows objections at their fields, or below all fields. */
   async function attempt(work) {
     message.textContent = '';
     for (const field of fields) field.fault.textContent = '';

@@ -55,8 +55,8 @@ export function emptyText(n, diverged, otherwise) {
 const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
 
 /**
- * How far a job is: {share, text, secondsLeft}. share: null where nobody knows, undefined where
- * there is no end to come near to.
+ * Progress of a job: {share, text, secondsLeft}. share: null if unknown, undefined if the job has
+ * no planned end.
  */
 export function progressOf(job) {
   if (job.kind === 'evaluation' && job.n_waiting > 0) {
@@ -120,7 +120,7 @@ export function shortProgress(job) {
 /** A chip with the state, for a row that is made again when it differs. */
 export const stateChip = (job) => h(`span.state.${job.state}`, {}, stateOf(job));
 
-/** A bar with what it says, brought up to date in place. */
+/** A progress bar with its text, updated in place. */
 function progressMeter() {
   const bar = h('progress', { max: 1 });
   const said = h('div.muted.number');
@@ -272,22 +272,22 @@ export function comparedIn(parameters, id) {
   return ids;
 }
 
-/** Asks, naming what is lost, and deletes a job that has ended. */
+/** Asks, naming what will be lost, and deletes a job that has ended. */
 async function remove(job) {
   const what = {
     evaluation: 'its results and recordings', training: 'its curve and checkpoints',
     campaign: 'its generations, population and phylogeny, and checkpoints',
   }[job.kind];
   if (!await confirmDialog(`Delete ${titleOf(job)}?`,
-    `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id} and ${what} are lost for good. ` +
-    'Designs, scores and controllers stay.',
+    `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id} and ${what} will be deleted ` +
+    'permanently. Designs, scores and controllers stay.',
     'Delete the job')) return false;
   await request(`v1/jobs/${job.id}`, { method: 'DELETE' });
   announce(`${titleOf(job)} is deleted`);
   return true;
 }
 
-/** Changes what can be said of a job: label, experiment, note; the archive; deletion. */
+/** Edits a job: label, experiment, note; archives or deletes it. */
 function editDialog(job, changed) {
   const text = (tag, name, most) => h(tag, {
     name, maxlength: most, value: job[name] ?? '', ...(tag === 'textarea' ? { rows: 4 } : {}),
@@ -331,7 +331,7 @@ export class JobTable {
     addEventListener('resize', this.onScroll);
   }
 
-  /** Takes the jobs; the rows of those that were there stay. */
+  /** Sets the jobs; rows of jobs that were already shown stay. */
   set(jobs) {
     const before = this.rows;
     this.rows = new Map();

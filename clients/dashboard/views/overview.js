@@ -1,4 +1,4 @@
-/** The overview: is the service well, what does it do, how far is it, and what happened. */
+/** The overview: whether the service is well, what it does, its progress, and recent events. */
 
 import { LinkError, getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';

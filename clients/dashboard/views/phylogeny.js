@@ -56,7 +56,7 @@ const MANY = 100000;
 const COLOR_BY = ['score', 'age', 'descendants', 'operator', 'voxels', 'footprint'];
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
-/** A canvas with the lives of designs; it knows nothing of the page around it. */
+/** A canvas with the lives of designs; it does not depend on the rest of the page. */
 export class PhylogenyCanvas {
   /**
    * @param {number} n about so many designs: where lines lie closer than pixels, edges need no care
@@ -116,8 +116,8 @@ export class PhylogenyCanvas {
     const rows = Math.max(1, Math.ceil(n / TEXELS));
     const lives = new Float32Array(rows * TEXELS * 4);
     const looks = new Uint8Array(rows * TEXELS * 2);
-    // Scores are ranked on a scale of logarithms, since they crowd near the best. Lower bounds are
-    // no scores: the scale is without them.
+    // Scores are ranked on a scale of logarithms, since they crowd near the best. The scale ignores
+    // lower bounds.
     let [best, worst] = [Infinity, 0];
     for (let i = 0; i < n; i++) {
       if (isBound[i]) continue;
@@ -326,7 +326,7 @@ export async function mount(main, id, parameters, app) {
     offerNew();
   }
 
-  /** Generations that came since are drawn when a person asks: the picture changes as a whole. */
+  /** New generations are drawn on request, because the whole picture changes. */
   function offerNew() {
     fresh.hidden = newest <= shownTo;
     say(fresh, `${countOf(newest - shownTo, 'new generation')}: show`);

@@ -1,4 +1,4 @@
-/** Dialogs to take things away: commands to copy, pictures and films to save. */
+/** Dialogs with commands to copy, and pictures and films to save. */
 
 import { announce, button, h } from '../lib/dom.js';
 import { ApiError, request } from '../lib/api.js';
@@ -6,10 +6,10 @@ import { commandsOf } from '../lib/commands.js';
 import { requested } from '../lib/rollouts.js';
 import { percent, shellWord } from '../lib/format.js';
 
-/** Why something failed; a field of the request is named as the page names it. */
+/** Why something failed, with the page's name for a field of the request. */
 const reasonOf = ({ message }) => message.replace(/^\/(\w)/, (_, first) => first.toUpperCase());
 
-/** Does something, and says that it is done, or why not; true if it is done. */
+/** Does something, and announces success or the reason of a failure; true on success. */
 export async function announced(work, done = '') {
   try {
     await work();
@@ -40,7 +40,7 @@ export function showDialog(title, ...children) {
 
 /**
  * A dialog with a form that does something and closes: Enter sends it, the browser checks the
- * bounds of its fields, and what fails is said in it.
+ * bounds of its fields, and the dialog shows errors.
  * @param {string} title
  * @param {string} action name of the button
  * @param {() => any} work
@@ -64,7 +64,7 @@ export function formDialog(title, action, work, ...children) {
   return dialog;
 }
 
-/** Asks before something is lost; true if it is to be done. */
+/** Asks for confirmation; true if confirmed. */
 export function confirmDialog(title, text, action) {
   return new Promise((resolve) => {
     const keep = button('Keep', () => dialog.close('no'));
@@ -123,8 +123,7 @@ export function filmCommand(ids, how) {
 }
 
 /**
- * A link that saves a reply of the service: the token goes along, which a plain link would not
- * send.
+ * A link that saves a reply of the service. It sends the token, which a plain link would not.
  */
 export function saveLink(path, name, text, attributes = {}) {
   return h('a', { href: path, download: name, ...attributes, onclick: (event) => {
@@ -140,7 +139,7 @@ function save(blob, name) {
 }
 
 /**
- * Saves what the stage shows: a picture, a film, a page of its own, or a model for other programs.
+ * Saves what the stage shows: a picture, a film, a separate page, or a model for other programs.
  * @param {import('../stage/player.js').Player} player
  * @param {{name: string, film?: string}} what name of the files; film: the command that makes the
  *   film

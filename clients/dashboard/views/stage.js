@@ -1,4 +1,4 @@
-/** The stage as a page of its own: any designs, or recordings, side by side or in a race. */
+/** The stage as a page: any designs, or recordings, side by side or in a race. */
 
 import { button, h, select } from '../lib/dom.js';
 import {
@@ -12,7 +12,7 @@ import { breedButton } from './forms.js';
 import { titleOf } from './jobs.js';
 import { copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
 
-/** At most so many robots walk at once. */
+/** Robots that walk at once, at most. */
 const ROBOTS_MAX = 256;
 /** The link follows the view after this pause: browsers limit how often it may change. */
 const KEEP_MS = 300;
@@ -177,7 +177,7 @@ async function recordings(parameters) {
   const path = `v1/evaluations/${encodeURIComponent(id)}`;
   const [job, { items }] = await Promise.all([getJson(path), getJson(`${path}/environments`)]);
   if (!job.results) {
-    throw new LinkError('The evaluation has not ended; what it recorded can be shown then.');
+    throw new LinkError('The evaluation has not ended; its recordings can be shown after that.');
   }
   const rows = (parameters.get('rows') ?? '0').split(',').map(Number);
   const wrong = rows.find((row) => !job.results[row]?.id);
@@ -219,7 +219,7 @@ function designsOf(text) {
   const all = text.split(',').filter(Boolean);
   const wrong = all.find((one) => !isDesign(one));
   if (wrong) {
-    throw new LinkError(`${wrong.slice(0, 40)} is no design: a robot (ID@K), an id of 36 ` +
+    throw new LinkError(`${wrong.slice(0, 40)} is not a design: a robot (ID@K), an id of 36 ` +
       'hexadecimal digits, or 144 digits of voxels are expected.');
   }
   checkCount(all.length);

@@ -128,7 +128,7 @@ function comparison(app, controllers) {
   async function compare() {
     const [one, two] = [a, b].map((name) => controllers.find((known) => known.name === name));
     if (!two || one.sha256 === two.sha256) {
-      result.textContent = 'Both are the same controller: choose two that differ.';
+      result.textContent = 'Both are the same controller: choose two different ones.';
       return;
     }
     go.disabled = true;
@@ -155,7 +155,8 @@ function comparison(app, controllers) {
       const { n, difference, low, high, improved } = compareCrossed(losses[0], losses[1]);
       const better = high < 0 ? `${b} is better on such bodies`
         : low > 0 ? `${b} is worse on such bodies`
-        : 'which is better is not shown: more bodies and environments make the interval narrower';
+        : 'this does not show which is better: ' +
+          'more bodies and environments make the interval narrower';
       const left = designs.length - n;
       result.textContent = n < 2
         ? 'Too few bodies have a score with both controllers to say which is better.'
