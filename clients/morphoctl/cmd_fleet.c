@@ -1,4 +1,4 @@
-/* cmd_fleet.c: fleet, fleet drain, quarantine, release, verify: workers of other machines. */
+/* cmd_fleet.c: fleet, fleet drain, verify: workers of other machines. */
 #include <string.h>
 
 #include "commands.h"
@@ -47,11 +47,6 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
         "|>GPUs={n_devices:,}|>rollouts/s={rollouts_per_s:.0f}|>leases held={leases:,}"
         "|>rollouts={rollouts_done:,}|>leases "
         "lost={leases_lost:,}|since={joined_at:time}|why={why}");
-  if (json_array_size(json_object_get(fleet, "quarantine")) > 0) {
-    print_plain_line(stdout, "In quarantine:");
-    print_table(stdout, ctl, json_object_get(fleet, "quarantine"),
-                "name={name}|host={host}|token={user}|since={quarantined_at:time}|why={why}");
-  }
 }
 
 void run_fleet(struct ctl *ctl)
@@ -182,25 +177,7 @@ void run_fleet_drain(struct ctl *ctl)
       path_to("%s gets no more work", id));
 }
 
-/* ---- quarantine ---- */
-
-void run_fleet_quarantine(struct ctl *ctl)
-{
-  const char *id = job_id(ctl->operands[0]);
-  const json_t *why =
-      keep(ctl->n_operands > 1 ? json_pack("{s:s}", "why", ctl->operands[1]) : json_object());
-  act(ctl, json_request("POST", path_to("/v1/fleet/sessions/%s/quarantine", id), why),
-      path_to("%s is in quarantine", id));
-}
-
-void run_fleet_release(struct ctl *ctl)
-{
-  const char *name = ctl->operands[0];
-  act(ctl,
-      (struct request){.method = "DELETE",
-                       .path = path_to("/v1/fleet/quarantine/%s", escape(name))},
-      path_to("%s may join again", name));
-}
+/* ---- verify ---- */
 
 /* Adds what a page says to the whole: counts and what differs. */
 static void add_page(json_t *whole, const json_t *page)

@@ -583,10 +583,6 @@ const struct command commands[] = {
      "then this command waits until it is back. Exit status 3 if one returns with the same "
      "version.",
      fleet_drain_options},
-    {"fleet quarantine", "ID [WHY]", "Take no more results of a worker.", run_fleet_quarantine,
-     "Its name is refused until fleet release, also after restarts of the server. Workers that "
-     "give other bits than two others get there by themselves."},
-    {"fleet release", "NAME", "Let a worker that was in quarantine join again.", run_fleet_release},
     {"fleet verify", "NAME@HOST", "Recompute the results of a worker.", run_fleet_verify,
      "The server recomputes the stored losses of this origin, and those that differ are listed. "
      "Exit status 3 if some do, unless they are repaired.",

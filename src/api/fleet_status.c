@@ -34,7 +34,7 @@ static void write_moment(struct mo_text *text, const char *name, uint64_t then_n
   mo_text_member_time(text, name, then_ns > 0 ? mo_clock_wall_us() - ago_us : 0);
 }
 
-/* has_id: the reader may have the id, by which a session is drained or put in quarantine. */
+/* has_id: the reader may have the id, by which a session is drained. */
 static void write_session(struct mo_text *text, const struct mo_session_status *session,
                           bool has_id)
 {
@@ -91,7 +91,6 @@ static void write_counts(struct mo_text *text, const struct mo_fleet_status *sta
   mo_text_member_count(text, "n_threads", status->n_threads);
   mo_text_member_count(text, "n_devices", status->n_devices);
   mo_text_member_count(text, "n_older", status->n_older);
-  mo_text_member_count(text, "n_quarantined", status->n_quarantined);
   mo_text_member_count(text, "leases", status->leases);
   mo_text_member_count(text, "rollouts_out", status->rows_out);
   mo_text_member_number(text, "rollouts_per_s", status->rows_per_s);
@@ -105,36 +104,18 @@ static void write_counts(struct mo_text *text, const struct mo_fleet_status *sta
   mo_text_member_count(text, "audits_failed", status->audits_failed);
 }
 
-static void write_outcasts(struct mo_text *text, const struct mo_outcast *outcasts, size_t n)
-{
-  mo_text_add(text, ",\"quarantine\":[");
-  for (size_t i = 0; i < n; i++) {
-    mo_text_object(text);
-    mo_text_member(text, "name", outcasts[i].name);
-    mo_text_member(text, "host", outcasts[i].host);
-    mo_text_member(text, "user", outcasts[i].user[0] != '\0' ? outcasts[i].user : NULL);
-    mo_text_member_time(text, "quarantined_at", outcasts[i].since_us);
-    mo_text_member(text, "why", outcasts[i].why);
-    mo_text_add(text, "}");
-  }
-  mo_text_add(text, "]");
-}
-
 void mo_api_get_fleet(struct mo_request *request)
 {
   const struct mo_api *api = mo_api_of(request);
   struct mo_fleet *fleet = atomic_load(&api->fleet);
   struct mo_fleet_status status = {0};
   struct mo_session_status *sessions = NULL;
-  struct mo_outcast *outcasts = NULL;
-  size_t n = 0, n_outcasts = 0;
+  size_t n = 0;
   struct mo_text text = {0};
   int error = MO_OK;
   if (fleet != NULL) {
     mo_fleet_status(fleet, &status);
     error = mo_fleet_sessions(fleet, &sessions, &n);
-    if (error == MO_OK)
-      error = mo_fleet_outcasts(fleet, &outcasts, &n_outcasts);
   }
   mo_text_object(&text);
   mo_text_member_bool(&text, "listening", fleet != NULL);
@@ -142,12 +123,10 @@ void mo_api_get_fleet(struct mo_request *request)
   mo_text_member(&text, "compute", fleet != NULL ? api->fleet_compute : "local");
   write_classes(&text, api, &status);
   write_counts(&text, &status);
-  write_outcasts(&text, outcasts, n_outcasts);
   mo_text_add(&text, ",\"sessions\":[");
   for (size_t i = 0; i < n; i++)
     write_session(&text, &sessions[i], request->caller.right == MO_RIGHT_ADMIN);
   mo_text_add(&text, "]}");
-  free(outcasts);
   free(sessions);
   mo_reply_text(request, error, &text, "fleet");
 }
@@ -170,23 +149,4 @@ void mo_api_drain_session(struct mo_request *request)
   struct mo_fleet *fleet = mo_path_session(request, &session);
   if (fleet != NULL && mo_query_word(request, "upgrade", flags, &for_upgrade))
     reply_done(request, mo_fleet_drain(fleet, session, for_upgrade), "session");
-}
-
-void mo_api_quarantine_session(struct mo_request *request)
-{
-  char why[128] = "by an operator";
-  static const struct mo_field rows[] = {{"why", MO_FIELD_TEXT, .min = 1, .max = sizeof(why) - 1}};
-  static const struct mo_fields fields = MO_FIELDS(rows);
-  uint64_t session;
-  struct mo_fleet *fleet = mo_path_session(request, &session);
-  if (fleet != NULL && mo_read_request(request, &fields, why, NULL, NULL, "session"))
-    reply_done(request, mo_fleet_quarantine(fleet, session, why), "session");
-}
-
-void mo_api_release_worker(struct mo_request *request)
-{
-  struct mo_fleet *fleet = atomic_load(&mo_api_of(request)->fleet);
-  reply_done(request,
-             fleet != NULL ? mo_fleet_release(fleet, request->parameters[0]) : MO_ERR_NOT_FOUND,
-             "name in quarantine");
 }

@@ -92,7 +92,6 @@ static void write_fleet(struct mo_api *api, struct mo_text *text)
   mo_metric_head(text, serving, "gauge", "Workers of other machines that take work, by class.");
   mo_metric_line(text, serving, "class", "cpu", f.n_serving[MO_ON_CPU]);
   mo_metric_line(text, serving, "class", "device", f.n_serving[MO_ON_DEVICE]);
-  GAUGE("morphod_fleet_quarantined", f.n_quarantined, "Names in quarantine.");
   GAUGE("morphod_fleet_threads", f.n_threads, "Computing threads of these workers.");
   GAUGE("morphod_fleet_devices", f.n_devices, "GPUs of these workers.");
   GAUGE("morphod_fleet_leases", f.leases, "Leases that workers hold.");

@@ -113,15 +113,6 @@ static void tell(void *context, const char *type, const char *data)
                 LOG_TEXT("reason", mo_error_text(error)));
 }
 
-static int save_outcasts(void *context, const struct mo_outcast *items, size_t n)
-{
-  struct fleet *fleet = context;
-  const int error = mo_store_set_outcasts(fleet->store, items, n);
-  if (error != MO_OK)
-    log_warning("the quarantine was not stored", LOG_TEXT("reason", mo_error_text(error)));
-  return error;
-}
-
 static int name_class(void *context, enum mo_back_end back_end, const char *scores,
                       const char *gradients, const char *names[2])
 {
@@ -151,21 +142,6 @@ static void arrived(void *context)
     mo_http_tick_soon(http);
 }
 
-/* Returns what `config` points to. */
-static struct mo_outcast *read_outcasts(struct mo_store *store, struct mo_fleet_config *config,
-                                        int *error)
-{
-  struct mo_outcast *items = calloc(MO_OUTCASTS_MAX, sizeof(*items));
-  const int64_t n =
-      items != NULL ? mo_store_outcasts(store, items, MO_OUTCASTS_MAX) : MO_ERR_NO_MEMORY;
-  if (n < 0)
-    *error = (int)n;
-  else
-    config->n_outcasts = (size_t)n;
-  config->outcasts = items;
-  return items;
-}
-
 int fleet_create(const struct settings *settings, struct mo_store *store,
                  struct mo_compute *compute, struct fleet **ret, struct mo_message *message)
 {
@@ -180,7 +156,6 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
                                    .origin = origin,
                                    .wake = wake,
                                    .event = tell,
-                                   .save_outcasts = save_outcasts,
                                    .context = fleet};
   config.classes[MO_ON_CPU].scores = mo_compute_fingerprint(compute, MO_FLOAT32);
   config.classes[MO_ON_CPU].gradients = mo_compute_gradient_fingerprint(compute);
@@ -191,10 +166,8 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
   for (int i = 0; i < 2 && error == MO_OK; i++)
     if (config.classes[i].scores != NULL && !config.classes[i].is_absent)
       error = mo_fleet_canary(compute, (enum mo_back_end)i, &config.classes[i].canary);
-  struct mo_outcast *outcasts = error == MO_OK ? read_outcasts(store, &config, &error) : NULL;
   if (error == MO_OK)
     error = mo_fleet_create(&config, &fleet->fleet);
-  free(outcasts);
   if (error != MO_OK) {
     free(fleet);
     return mo_fail(message, error, "fleet: %s", mo_error_text(error));

@@ -161,9 +161,13 @@ static void job_has_failed(void *context, int64_t job, int error, const char *te
 
 static enum log_level level_of(const char *type)
 {
-  static const char *const warnings[] = {
-      "campaign.lineage_unreadable", "fleet.differs", "fleet.empty", "fleet.lost",
-      "fleet.quarantined",           "fleet.refused", "job.warning", "scores.differ"};
+  static const char *const warnings[] = {"campaign.lineage_unreadable",
+                                         "fleet.differs",
+                                         "fleet.empty",
+                                         "fleet.lost",
+                                         "fleet.refused",
+                                         "job.warning",
+                                         "scores.differ"};
   const char *what = strrchr(type, '.');
   if (what != NULL && strcmp(what, ".progress") == 0)
     return LOG_LEVEL_DEBUG;

@@ -63,7 +63,7 @@ static const struct setting rows[] = {
     ROW("proxy", SETTING_PATH, proxy, .choices = "URL", .initial = "",
         .initial_words = "https_proxy, beyond loopback", .help = "Proxy to the daemon."),
     ROW("name", SETTING_PATH, name, .choices = "NAME", .initial = "", .initial_words = "the host's",
-        .help = "Name in lists and in the origin of scores. A quarantine holds for a name."),
+        .help = "Name in lists and in the origin of scores."),
     ROW("threads", SETTING_NUMBER, threads, .max = 1024, .initial = "0",
         .initial_words = "one per processor that the process may use",
         .help = "Threads that compute."),
@@ -167,7 +167,7 @@ static void print_help(void)
         stdout);
   settings_print_rows(rows, N_ROWS, stdout);
   fputs("\nExit status: 0 left as asked; 64 usage; 69 the daemon wants another version or class;\n"
-        "71 system; 75 unreachable (--give-up); 76 wrong bits: canary or quarantine; 77 token or\n"
+        "71 system; 75 unreachable (--give-up); 76 wrong bits; 77 token or\n"
         "certificate refused; 78 configuration.\n",
         stdout);
 }
@@ -375,13 +375,11 @@ static void watch(struct process *process, const sigset_t *set)
 
 static int status_of(enum mo_worker_end end)
 {
-  static const int statuses[] = {[MO_WORKER_LEFT] = EXIT_OK,
-                                 [MO_WORKER_UNWANTED] = EXIT_UNAVAILABLE,
-                                 [MO_WORKER_QUARANTINED] = EXIT_PROTOCOL,
-                                 [MO_WORKER_DENIED] = EXIT_DENIED,
-                                 [MO_WORKER_MISPLACED] = EXIT_CONFIG,
-                                 [MO_WORKER_UNREACHABLE] = EXIT_IN_USE,
-                                 [MO_WORKER_FAILED] = EXIT_SYSTEM};
+  static const int statuses[] = {
+      [MO_WORKER_LEFT] = EXIT_OK,          [MO_WORKER_UNWANTED] = EXIT_UNAVAILABLE,
+      [MO_WORKER_REFUSED] = EXIT_PROTOCOL, [MO_WORKER_DENIED] = EXIT_DENIED,
+      [MO_WORKER_MISPLACED] = EXIT_CONFIG, [MO_WORKER_UNREACHABLE] = EXIT_IN_USE,
+      [MO_WORKER_FAILED] = EXIT_SYSTEM};
   return statuses[end];
 }
 

@@ -4,8 +4,6 @@
 
 #include <stdlib.h>
 
-#include "fleet/outcasts.h"
-
 struct mo_event {
   const char *type;
   char *data;
@@ -84,7 +82,7 @@ static bool work_waits(const struct mo_fleet *fleet, const struct mo_after *afte
   return after->is_put_back[back_end] || source->waiting(source->compute, back_end) > 0;
 }
 
-int mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
+void mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
 {
   const struct mo_fleet_config *config = &fleet->config;
   struct mo_parcel *parcel;
@@ -113,10 +111,8 @@ int mo_after_run(struct mo_fleet *fleet, struct mo_after *after)
     free(event->data);
     free(event);
   }
-  const int error = after->has_outcast ? mo_outcasts_save(fleet, NULL) : MO_OK;
   for (uint32_t i = 0; i < after->n_wakes && config->wake != NULL; i++)
     config->wake(config->context, after->wakes[i]);
   free(after->wakes);
   *after = (struct mo_after){0};
-  return error;
 }

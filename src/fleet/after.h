@@ -13,7 +13,6 @@ struct mo_after {
   uint64_t *wakes;
   uint32_t n_wakes, wakes_capacity;
   bool is_put_back[2], is_emptied[2]; /* by back end; emptied: its last session ended */
-  bool has_outcast;                   /* more: the list is to be saved */
 };
 
 /* Blocks go back to the source, or get results; rows must live until mo_after_run. */
@@ -34,7 +33,7 @@ void mo_event_member(struct mo_text *text, const char *name, const char *words, 
 /* Begins the event of a worker. why "": none. */
 void mo_event_session(struct mo_text *text, const char *name, const char *host, const char *why);
 
-/* Without the lock. Returns an error of mo_outcasts_save. */
-int mo_after_run(struct mo_fleet *fleet, struct mo_after *after);
+/* Without the lock. */
+void mo_after_run(struct mo_fleet *fleet, struct mo_after *after);
 
 #endif

@@ -27,41 +27,45 @@ static struct mo_sha256 sum_of(const struct mo_wire_result *result)
   return hash;
 }
 
-static bool add_vote(struct mo_lease *lease, const struct mo_session *session,
-                     const struct mo_wire_result *result, const struct mo_sha256 *sum)
+/* Returns the vote of a session; its arrays are the result's. */
+static struct mo_vote vote_of(const struct mo_session *session, const struct mo_wire_result *result)
 {
-  const size_t n = result->n_rows;
-  struct mo_vote *vote = &lease->votes[lease->n_votes];
-  *vote = (struct mo_vote){.losses = malloc(n * sizeof(*vote->losses)),
-                           .diverged_steps = malloc(n * sizeof(*vote->diverged_steps)),
-                           .sum = *sum};
-  if (vote->losses == NULL || vote->diverged_steps == NULL) {
-    free(vote->losses);
-    free(vote->diverged_steps);
+  struct mo_vote vote = {.session = session->id,
+                         .losses = result->losses,
+                         .diverged_steps = result->diverged_steps,
+                         .sum = sum_of(result)};
+  memcpy(vote.name, session->offer.name, sizeof(vote.name));
+  memcpy(vote.host, session->offer.host, sizeof(vote.host));
+  return vote;
+}
+
+/* Copies a vote with its arrays. */
+static bool add_vote(struct mo_lease *lease, const struct mo_vote *vote)
+{
+  const size_t n = lease->content.n_rows;
+  struct mo_vote *copy = &lease->votes[lease->n_votes];
+  double *losses = malloc(n * sizeof(*losses));
+  uint32_t *diverged_steps = malloc(n * sizeof(*diverged_steps));
+  if (losses == NULL || diverged_steps == NULL) {
+    free(losses);
+    free(diverged_steps);
     return false;
   }
-  memcpy(vote->losses, result->losses, n * sizeof(*vote->losses));
-  memcpy(vote->diverged_steps, result->diverged_steps, n * sizeof(*vote->diverged_steps));
-  if (session != NULL) {
-    vote->session = session->id;
-    memcpy(vote->user, session->offer.user, sizeof(vote->user));
-    memcpy(vote->name, session->offer.name, sizeof(vote->name));
-    memcpy(vote->host, session->offer.host, sizeof(vote->host));
-  }
+  *copy = *vote;
+  copy->losses = memcpy(losses, vote->losses, n * sizeof(*losses));
+  copy->diverged_steps = memcpy(diverged_steps, vote->diverged_steps, n * sizeof(*diverged_steps));
   lease->n_votes++;
   return true;
 }
 
 /* Returns the first row that differs, or n. Gradients that differ in their sums alone: 0. */
-static uint32_t first_difference(const struct mo_vote *a, const double *losses,
-                                 const uint32_t *diverged_steps, const struct mo_sha256 *sum,
-                                 uint32_t n)
+static uint32_t first_difference(const struct mo_vote *a, const struct mo_vote *b, uint32_t n)
 {
   uint32_t row = 0;
-  while (row < n && mo_same_bits(a->losses[row], losses[row]) &&
-         a->diverged_steps[row] == diverged_steps[row])
+  while (row < n && mo_same_bits(a->losses[row], b->losses[row]) &&
+         a->diverged_steps[row] == b->diverged_steps[row])
     row++;
-  return row == n && !mo_sha256_equal(&a->sum, sum) ? 0 : row;
+  return row == n && !mo_sha256_equal(&a->sum, &b->sum) ? 0 : row;
 }
 
 /* Keeps n blocks from the first on, and their rows of the votes. */
@@ -92,16 +96,13 @@ void mo_check_fit(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t max_s
 
 bool mo_check_suits(const struct mo_lease *lease, const struct mo_session *session, uint64_t now_ns)
 {
-  const bool is_choosy = now_ns < lease->listed_ns + CHOOSY_NS;
-  for (uint32_t i = 0; i < lease->n_votes; i++) {
-    const struct mo_vote *vote = &lease->votes[i];
-    if (vote->session == session->id)
-      return false;
-    if (is_choosy && (strcmp(vote->name, session->offer.name) == 0 ||
-                      strcmp(vote->host, session->offer.host) == 0))
-      return false;
-  }
-  return true;
+  const struct mo_vote *vote = &lease->votes[0];
+  if (lease->n_votes == 0)
+    return true;
+  if (vote->session == session->id)
+    return false;
+  return now_ns >= lease->listed_ns + CHOOSY_NS || (strcmp(vote->name, session->offer.name) != 0 &&
+                                                    strcmp(vote->host, session->offer.host) != 0);
 }
 
 /* ---- beginning ---- */
@@ -123,9 +124,12 @@ void mo_check_begin(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_se
   lease->is_audit =
       class->n_sessions >= 2 && fleet->n_checks < MO_CHECKS_MAX && is_drawn(fleet, lease, session);
   fleet->n_checks += lease->is_audit;
-  const bool is_checked = lease->n_holds > 0 || lease->is_audit;
-  const struct mo_sha256 sum = is_checked ? sum_of(result) : (struct mo_sha256){{0}};
-  if (!is_checked || !add_vote(lease, session, result, &sum)) {
+  bool is_checked = lease->n_holds > 0 || lease->is_audit;
+  if (is_checked) {
+    const struct mo_vote vote = vote_of(session, result);
+    is_checked = add_vote(lease, &vote);
+  }
+  if (!is_checked) {
     mo_lease_end(fleet, lease, after);
     return;
   }
@@ -154,10 +158,8 @@ static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t 
   mo_text_add(text, "}");
 }
 
-/* Two sessions gave different rows: the block of the first row that differs is computed once more,
- * and a shard as a whole. */
-static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row, uint64_t now_ns,
-                    struct mo_after *after)
+static void note_difference(const struct mo_fleet *fleet, const struct mo_lease *lease,
+                            const struct mo_vote *second, uint32_t row, struct mo_after *after)
 {
   struct mo_text text = {0};
   mo_text_object(&text);
@@ -166,88 +168,88 @@ static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row
   mo_text_name(&text, "results");
   mo_text_add(&text, "[");
   describe(&text, &lease->votes[0], row);
-  describe(&text, &lease->votes[1], row);
+  describe(&text, second, row);
   mo_text_add(&text, "]");
   mo_after_event(after, "fleet.differs", &text);
+}
+
+/* Refuses the session of a vote if it differs from another one. */
+static bool judge(struct mo_fleet *fleet, const struct mo_lease *lease, const struct mo_vote *vote,
+                  const struct mo_vote *other, uint64_t now_ns, struct mo_after *after)
+{
+  const uint32_t rows = lease->content.n_rows, row = first_difference(vote, other, rows);
+  char why[128];
+  count(fleet, vote->session, row < rows);
+  if (row == rows)
+    return true;
+  if (lease->content.n_parameters > 0)
+    snprintf(why, sizeof(why), "gave another gradient of %" PRIu32 " robots than another worker",
+             rows);
+  else
+    snprintf(why, sizeof(why),
+             "gave a loss of %.17g (step of divergence %" PRIu32 ") where %s %.17g (%" PRIu32 ")",
+             vote->losses[row], vote->diverged_steps[row],
+             other->session == 0 ? "this machine computed" : "another worker gave",
+             other->losses[row], other->diverged_steps[row]);
+  mo_session_refuse(fleet, vote->session, vote->name, vote->host, why, now_ns, after);
+  return false;
+}
+
+static bool can_decide(const struct mo_fleet *fleet, const struct mo_lease *lease)
+{
+  return fleet->config.source.recompute != NULL && lease->content.n_parameters == 0 &&
+         !fleet->config.classes[lease->content.back_end].is_absent;
+}
+
+/* Two sessions gave different rows: this process computes the block of the first one again. */
+static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row, uint64_t now_ns,
+                    struct mo_after *after)
+{
+  uint32_t block = 0;
   while (lease->n_holds > 0) {
     mo_lease_drop(lease, lease->holds[0].session, after);
     mo_lease_unhold(lease, 0);
   }
-  if (lease->content.n_parameters == 0) {
-    uint32_t block = 0;
-    for (uint32_t end = lease->content.blocks[0].n_environments; end <= row; block++)
-      end += lease->content.blocks[block + 1].n_environments;
-    cut(lease, block, 1);
-  }
+  for (uint32_t end = lease->content.blocks[0].n_environments; end <= row; block++)
+    end += lease->content.blocks[block + 1].n_environments;
+  cut(lease, block, 1);
   mo_lease_unlist(fleet, lease);
   mo_lease_renumber(fleet, lease);
   fleet->n_checks += !lease->is_audit;
   lease->is_audit = lease->is_disputed = true;
-  lease->is_ours = fleet->config.source.recompute != NULL && lease->content.n_parameters == 0 &&
-                   !fleet->config.classes[lease->content.back_end].is_absent;
   mo_lease_list(fleet, lease, now_ns, after);
 }
 
-/* Vote `equal` is right, of this process or of two sessions: all others are wrong. */
-static void decide(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t equal, uint64_t now_ns,
-                   struct mo_after *after)
+void mo_check_decide(struct mo_fleet *fleet, struct mo_lease *lease, double *losses,
+                     uint32_t *diverged_steps, uint64_t now_ns, struct mo_after *after)
 {
-  const struct mo_vote *right = &lease->votes[equal];
-  const uint32_t rows = lease->content.n_rows;
+  const struct mo_vote ours = {.losses = losses, .diverged_steps = diverged_steps};
+  fleet->counts.rows_twice += lease->content.n_rows;
   fleet->counts.audits++;
-  for (uint32_t i = 0; i < lease->n_votes; i++) {
-    const struct mo_vote *vote = &lease->votes[i];
-    const uint32_t row =
-        first_difference(right, vote->losses, vote->diverged_steps, &vote->sum, rows);
-    count(fleet, vote->session, row < rows);
-    if (row == rows || vote->session == 0)
-      continue;
-    char why[128];
-    fleet->counts.audits_failed++;
-    if (lease->content.n_parameters > 0)
-      snprintf(why, sizeof(why), "gave another gradient of %" PRIu32 " robots than two others",
-               rows);
-    else
-      snprintf(why, sizeof(why),
-               "gave a loss of %.17g (step of divergence %" PRIu32 ") where %s %.17g (%" PRIu32 ")",
-               vote->losses[row], vote->diverged_steps[row],
-               right->session == 0 ? "this machine computed" : "two others gave",
-               right->losses[row], right->diverged_steps[row]);
-    mo_quarantine(fleet, vote->user, vote->name, vote->host, why, now_ns, after);
-  }
+  for (uint32_t i = 0; i < lease->n_votes; i++)
+    fleet->counts.audits_failed += !judge(fleet, lease, &lease->votes[i], &ours, now_ns, after);
   mo_lease_end(fleet, lease, after);
 }
 
 void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_session *session,
                      const struct mo_wire_result *result, uint64_t now_ns, struct mo_after *after)
 {
-  const uint32_t rows = lease->content.n_rows;
-  const struct mo_sha256 sum = sum_of(result);
-  uint32_t equal = 0, row = rows;
+  const struct mo_vote *first = &lease->votes[0], second = vote_of(session, result);
+  const uint32_t rows = lease->content.n_rows, row = first_difference(first, &second, rows);
   fleet->counts.rows_twice += rows;
-  for (; equal < lease->n_votes; equal++) {
-    row =
-        first_difference(&lease->votes[equal], result->losses, result->diverged_steps, &sum, rows);
-    if (row == rows)
-      break;
+  if (row < rows)
+    note_difference(fleet, lease, &second, row, after);
+  if (row < rows && can_decide(fleet, lease)) {
+    if (add_vote(lease, &second))
+      dispute(fleet, lease, row, now_ns, after);
+    else
+      mo_lease_end(fleet, lease, after);
+    return;
   }
-  const bool agrees = equal < lease->n_votes;
-  if (agrees && !lease->is_disputed) {
-    fleet->counts.audits++;
-    count(fleet, lease->votes[0].session, false);
-    count(fleet, session->id, false);
-    mo_lease_end(fleet, lease, after);
-  } else if (!add_vote(lease, session, result, &sum)) {
-    mo_lease_end(fleet, lease, after);
-  } else if (!lease->is_disputed) {
-    dispute(fleet, lease, row, now_ns, after);
-  } else if (session == NULL) {
-    decide(fleet, lease, lease->n_votes - 1, now_ns, after);
-  } else if (agrees) {
-    decide(fleet, lease, equal, now_ns, after);
-  } else if (lease->n_votes == MO_VOTES) {
-    mo_lease_end(fleet, lease, after);
-  } else {
-    mo_lease_list(fleet, lease, now_ns, after);
-  }
+  /* The same bits, or nobody knows which are wrong. */
+  fleet->counts.audits++;
+  fleet->counts.audits_failed += row < rows;
+  (void)judge(fleet, lease, first, &second, now_ns, after);
+  (void)judge(fleet, lease, &second, first, now_ns, after);
+  mo_lease_end(fleet, lease, after);
 }

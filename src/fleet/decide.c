@@ -38,10 +38,7 @@ static void end(struct mo_fleet *fleet, int error, uint64_t now_ns, struct mo_af
   decision->lease = NULL;
   lease->is_deciding = false;
   if (error == MO_OK) {
-    const struct mo_wire_result result = {.n_rows = lease->content.n_rows,
-                                          .losses = decision->losses,
-                                          .diverged_steps = decision->diverged_steps};
-    mo_check_result(fleet, lease, NULL, &result, now_ns, after);
+    mo_check_decide(fleet, lease, decision->losses, decision->diverged_steps, now_ns, after);
     return;
   }
   decision->retry_ns = now_ns + RETRY_NS;

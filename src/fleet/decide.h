@@ -5,7 +5,7 @@
 
 #include "fleet/checks.h"
 
-/* Locked. Takes the rows of a block that is done as the last vote, and begins the next one. */
+/* Locked. Decides by the rows of a block that is done, and begins the next one. */
 void mo_decide_tick(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after);
 /* Cancels the block that is computed, and waits for its thread. */
 void mo_decide_end(struct mo_fleet *fleet);

@@ -88,7 +88,7 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
     return error;
   pthread_mutex_lock(&fleet->mutex);
   struct mo_session *session = mo_session_find(fleet, id);
-  if (session != NULL && session->state != MO_SESSION_QUARANTINED)
+  if (session != NULL && session->state != MO_SESSION_REFUSED)
     session = name_origin(fleet, session, &results, &error);
   if (error != MO_OK) {
     session = mo_session_find(fleet, id);
@@ -97,9 +97,9 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
     mo_fail(message, error, "the origin of the results was not stored");
   } else if (session == NULL) {
     error = mo_fail(message, MO_ERR_NOT_FOUND, "no such session is open: join again");
-  } else if (session->state == MO_SESSION_QUARANTINED) {
-    error = mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: %s", session->offer.name,
-                    session->why);
+  } else if (session->state == MO_SESSION_REFUSED) {
+    error = mo_fail(message, MO_ERR_CONFLICT, "the session of \"%s\" is refused: it %s",
+                    session->offer.name, session->why);
   } else {
     session->heard_ns = now_ns;
     for (uint32_t b = 0; b < 2; b++)

@@ -27,12 +27,11 @@ void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status)
   const struct mo_session *session;
   MO_GUARD(&fleet->mutex);
   *status = fleet->counts;
-  status->n_quarantined = fleet->n_quarantined;
   for (uint32_t b = 0; b < 2; b++)
     status->n_serving[b] = fleet->classes[b].n_sessions;
   TAILQ_FOREACH(session, &fleet->sessions, all)
   {
-    if (session->state == MO_SESSION_QUARANTINED)
+    if (session->state == MO_SESSION_REFUSED)
       continue;
     const uint32_t held = session->n_held[0] + session->n_held[1];
     status->n_sessions++;
@@ -83,16 +82,4 @@ int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **ret, si
     *ret_n = n;
   }
   return items != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-}
-
-int mo_fleet_outcasts(struct mo_fleet *fleet, struct mo_outcast **ret, size_t *n)
-{
-  struct mo_outcast *items = malloc(MO_OUTCASTS_MAX * sizeof(*items));
-  if (items == NULL)
-    return MO_ERR_NO_MEMORY;
-  MO_GUARD(&fleet->mutex);
-  *n = fleet->n_quarantined;
-  memcpy(items, fleet->quarantined, *n * sizeof(*items));
-  *ret = items;
-  return MO_OK;
 }

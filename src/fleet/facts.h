@@ -9,7 +9,7 @@ struct mo_session_status {
   struct mo_fleet_offer offer;
   enum mo_session_state state;
   bool is_older;                          /* its version, than this program's */
-  char why[128];                          /* it ended, or is quarantined; "": works */
+  char why[128];                          /* it ended, or is refused; "": works */
   uint64_t joined_ns, heard_ns, ended_ns; /* ended 0: open */
   uint32_t leases, rows_out;              /* held now */
   double rows_per_s;                      /* of about the last ten leases */
@@ -19,7 +19,6 @@ struct mo_session_status {
 struct mo_fleet_status {
   uint32_t n_sessions, n_threads, n_devices; /* open ones */
   uint32_t n_older;                          /* open ones of an older version */
-  uint32_t n_quarantined;                    /* names */
   uint32_t n_serving[2];                     /* by enum mo_back_end: active ones */
   uint32_t leases, rows_out;
   double rows_per_s;
@@ -29,7 +28,5 @@ struct mo_fleet_status {
 void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status);
 /* Lists open sessions and the newest 256 ended ones, open ones first (malloc). MO_ERR_NO_MEMORY. */
 int mo_fleet_sessions(struct mo_fleet *fleet, struct mo_session_status **items, size_t *n);
-/* Lists who is in quarantine, oldest first (malloc). MO_ERR_NO_MEMORY. */
-int mo_fleet_outcasts(struct mo_fleet *fleet, struct mo_outcast **items, size_t *n);
 
 #endif

@@ -6,7 +6,6 @@
 
 #include "fleet/decide.h"
 #include "fleet/give.h"
-#include "fleet/outcasts.h"
 
 #define BLOCK_STEPS 16000.0 /* until blocks were seen */
 #define REFUSED_NS  MO_S_NS /* one event of refusal in this time */
@@ -22,10 +21,7 @@ int mo_fleet_create(const struct mo_fleet_config *config, struct mo_fleet **ret)
   fleet->silence_ns =
       UINT64_C(1000000) * (config->silence_ms > 0 ? config->silence_ms : MO_FLEET_SILENCE_MS);
   fleet->next_lease = 1;
-  for (size_t i = 0; i < config->n_outcasts; i++)
-    mo_outcast_add(fleet, &config->outcasts[i]);
   pthread_mutex_init(&fleet->mutex, NULL);
-  pthread_mutex_init(&fleet->saving, NULL);
   TAILQ_INIT(&fleet->sessions);
   TAILQ_INIT(&fleet->ended);
   TAILQ_INIT(&fleet->leases);
@@ -64,7 +60,6 @@ void mo_fleet_free(struct mo_fleet *fleet)
     mo_weights_forget(LIST_FIRST(&fleet->weights));
   free_sessions(&fleet->sessions);
   free_sessions(&fleet->ended);
-  pthread_mutex_destroy(&fleet->saving);
   pthread_mutex_destroy(&fleet->mutex);
   free(fleet);
 }
@@ -148,10 +143,6 @@ static uint64_t hash_of(const char *user, const char *origin)
 static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                  struct mo_message *message)
 {
-  const struct mo_outcast *outcast = mo_outcast_find(fleet, offer->user, offer->name);
-  if (outcast != NULL)
-    return mo_fail(message, MO_ERR_CONFLICT, "\"%s\" is quarantined: %s", offer->name,
-                   outcast->why);
   if (fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
     return mo_fail(message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
   if (offer->user[0] == '\0' || fleet->n_sessions < MO_FLEET_TOKEN_MAX)
@@ -275,22 +266,4 @@ int mo_fleet_drain(struct mo_fleet *fleet, uint64_t id, bool for_upgrade)
   pthread_mutex_unlock(&fleet->mutex);
   mo_after_run(fleet, &after);
   return session != NULL ? MO_OK : MO_ERR_NOT_FOUND;
-}
-
-int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t id, const char *why)
-{
-  struct mo_after after = {0};
-  pthread_mutex_lock(&fleet->mutex);
-  struct mo_session *session = mo_session_find(fleet, id);
-  if (session != NULL)
-    mo_quarantine(fleet, session->offer.user, session->offer.name, session->offer.host, why,
-                  session->heard_ns, &after);
-  pthread_mutex_unlock(&fleet->mutex);
-  const int error = mo_after_run(fleet, &after);
-  return session != NULL ? error : MO_ERR_NOT_FOUND;
-}
-
-int mo_fleet_release(struct mo_fleet *fleet, const char *name)
-{
-  return mo_outcasts_save(fleet, name);
 }

@@ -11,22 +11,20 @@
 #define MORPHO_FLEET_FLEET_H
 
 #include "fleet/source.h"
-#include "store/outcasts.h"
 
 #define MO_FLEET_SESSIONS_MAX 4096
 #define MO_FLEET_TOKEN_MAX    2048 /* of these, by one token */
 #define MO_FLEET_NAME_BYTES   64   /* of a session or host, without NUL */
 #define MO_FLEET_SILENCE_MS   6000
-#define MO_FLEET_LEASE_S      1.0  /* time that a lease should take */
-#define MO_FLEET_LEASES       2    /* of a session and back end at one time */
-#define MO_OUTCASTS_MAX       1024 /* workers in quarantine; the oldest is forgotten */
+#define MO_FLEET_LEASE_S      1.0 /* time that a lease should take */
+#define MO_FLEET_LEASES       2   /* of a session and back end at one time */
 
 enum mo_session_state {
   MO_SESSION_ACTIVE,
-  MO_SESSION_DRAINING,    /* gets no further leases */
-  MO_SESSION_QUARANTINED, /* gave wrong bits; its later results are not taken */
-  MO_SESSION_LEFT,        /* it said so */
-  MO_SESSION_LOST         /* its connection ended, or it was silent */
+  MO_SESSION_DRAINING, /* gets no further leases */
+  MO_SESSION_REFUSED,  /* gave wrong bits; its later results are not taken */
+  MO_SESSION_LEFT,     /* it said so */
+  MO_SESSION_LOST      /* its connection ended, or it was silent */
 };
 extern const char *const mo_session_state_words[]; /* "active", …; NULL */
 
@@ -43,22 +41,17 @@ struct mo_fleet_config {
     bool is_absent;
   } classes[2];
   uint32_t silence_ms; /* 0: MO_FLEET_SILENCE_MS */
-  /* In quarantine from the start, oldest first; copied. */
-  const struct mo_outcast *outcasts;
-  size_t n_outcasts;
   /* Called without locks. name_class: a worker has an absent class, which has no name yet; returns
    * the names that it has from now on, which last; an error refuses the session. origin: the number
    * of "name@host" under which results are delivered, asked for before the first; an error refuses
    * them. wake: the session may have
    * orders or work for a request that waits. event: type such as "fleet.joined", data: a JSON
-   * object. save_outcasts: stores all that are in quarantine now; one call at a time. Each
-   * nullable. */
+   * object. Each nullable. */
   int (*name_class)(void *context, enum mo_back_end back_end, const char *scores,
                     const char *gradients, const char *names[2]);
   int (*origin)(void *context, const char *text, int64_t *number);
   void (*wake)(void *context, uint64_t session);
   void (*event)(void *context, const char *type, const char *data);
-  int (*save_outcasts)(void *context, const struct mo_outcast *items, size_t n);
   void *context;
 };
 
@@ -83,8 +76,7 @@ struct mo_fleet_offer {
   } classes[2]; /* by enum mo_back_end */
 };
 /* Opens a session. Returns its id, unguessable, 1 to 10^18. MO_ERR_UNSUPPORTED: no class that this
- * daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message), or the name is
- * quarantined; MO_ERR_LIMIT. */
+ * daemon has; MO_ERR_CONFLICT: a wrong canary (with both hashes in the message); MO_ERR_LIMIT. */
 int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer, uint64_t now_ns,
                       struct mo_message *message);
 /* Says whether a session is open and was opened with this user's token. */
@@ -95,7 +87,7 @@ int mo_fleet_leave(struct mo_fleet *fleet, uint64_t session, bool is_lost, uint6
  * message of results, or size 0; results of leases that the session does not hold are ignored.
  * `down` (malloc): a message of leases. *n_leases: how many; 0: call again after `wake`.
  * MO_ERR_NOT_FOUND: no such session (any more): the worker joins again; MO_ERR_FORMAT: nothing was
- * taken; MO_ERR_CONFLICT: quarantined. */
+ * taken; MO_ERR_CONFLICT: refused. */
 int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t session, const uint8_t *up, size_t up_size,
                       uint64_t now_ns, uint8_t **down, size_t *down_size, uint32_t *n_leases,
                       struct mo_message *message);
@@ -129,10 +121,7 @@ void mo_fleet_tick(struct mo_fleet *fleet, uint64_t now_ns);
 /* Says that work was queued while none was: the next tick wakes sessions. Takes no lock. */
 void mo_fleet_arrived(struct mo_fleet *fleet);
 
-/* For operators. MO_ERR_NOT_FOUND, and errors of save_outcasts. Quarantine holds for the session's
- * token and name until `release`, which is by name, whatever the token. */
+/* For operators. MO_ERR_NOT_FOUND. */
 int mo_fleet_drain(struct mo_fleet *fleet, uint64_t session, bool for_upgrade);
-int mo_fleet_quarantine(struct mo_fleet *fleet, uint64_t session, const char *why);
-int mo_fleet_release(struct mo_fleet *fleet, const char *name);
 
 #endif

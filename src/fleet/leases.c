@@ -168,7 +168,7 @@ void mo_lease_list(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_
     return;
   lease->is_listed = true;
   lease->listed_ns = now_ns;
-  if (lease->is_ours) {
+  if (lease->is_disputed) {
     TAILQ_INSERT_TAIL(&fleet->disputed, lease, listed);
     return;
   }
@@ -181,7 +181,8 @@ void mo_lease_unlist(struct mo_fleet *fleet, struct mo_lease *lease)
   if (!lease->is_listed)
     return;
   lease->is_listed = false;
-  TAILQ_REMOVE(lease->is_ours ? &fleet->disputed : &fleet->classes[lease->content.back_end].listed,
+  TAILQ_REMOVE(lease->is_disputed ? &fleet->disputed
+                                  : &fleet->classes[lease->content.back_end].listed,
                lease, listed);
 }
 

@@ -4,10 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/clock.h"
-#include "fleet/outcasts.h"
-
-const char *const mo_session_state_words[] = {"active", "draining", "quarantined",
+const char *const mo_session_state_words[] = {"active", "draining", "refused",
                                               "left",   "lost",     NULL};
 
 /* ---- the table ---- */
@@ -92,7 +89,7 @@ void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool
 void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_session_state state,
                     const char *why, uint64_t now_ns, struct mo_after *after)
 {
-  if (session->state != MO_SESSION_QUARANTINED) {
+  if (session->state != MO_SESSION_REFUSED) {
     struct mo_text text = {0};
     fleet->counts.lost += state == MO_SESSION_LOST;
     mo_event_session(&text, session->offer.name, session->offer.host, why);
@@ -114,31 +111,20 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
   free(oldest);
 }
 
-/* ---- quarantine ---- */
+/* ---- refusal ---- */
 
-void mo_quarantine(struct mo_fleet *fleet, const char *user, const char *name, const char *host,
-                   const char *why, uint64_t now_ns, struct mo_after *after)
+void mo_session_refuse(struct mo_fleet *fleet, uint64_t id, const char *name, const char *host,
+                       const char *why, uint64_t now_ns, struct mo_after *after)
 {
-  struct mo_outcast outcast = {.since_us = mo_clock_wall_us()};
-  if (mo_outcast_find(fleet, user, name) != NULL)
-    return;
-  snprintf(outcast.user, sizeof(outcast.user), "%s", user);
-  snprintf(outcast.name, sizeof(outcast.name), "%s", name);
-  snprintf(outcast.host, sizeof(outcast.host), "%s", host);
-  snprintf(outcast.why, sizeof(outcast.why), "%s", why);
-  mo_outcast_add(fleet, &outcast);
-  after->has_outcast = true;
+  struct mo_session *session = mo_session_find(fleet, id);
   struct mo_text text = {0};
+  if (session != NULL && session->state == MO_SESSION_REFUSED)
+    return;
   mo_event_session(&text, name, host, why);
-  mo_after_event(after, "fleet.quarantined", &text);
-  struct mo_session *session;
-  TAILQ_FOREACH(session, &fleet->sessions, all)
-  {
-    if (session->state == MO_SESSION_QUARANTINED || strcmp(session->offer.user, user) != 0 ||
-        strcmp(session->offer.name, name) != 0)
-      continue;
-    deactivate(fleet, session, MO_SESSION_QUARANTINED, why, after);
-    mo_session_release(fleet, session, false, now_ns, after);
-    mo_after_wake(after, session->id);
-  }
+  mo_after_event(after, "fleet.refused", &text);
+  if (session == NULL)
+    return;
+  deactivate(fleet, session, MO_SESSION_REFUSED, why, after);
+  mo_session_release(fleet, session, false, now_ns, after);
+  mo_after_wake(after, session->id);
 }

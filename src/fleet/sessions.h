@@ -1,4 +1,4 @@
-/* sessions.h: the table of sessions, their ends, and quarantine. All functions: locked. */
+/* sessions.h: the table of sessions, and their ends. All functions: locked. */
 #ifndef MORPHO_FLEET_SESSIONS_H
 #define MORPHO_FLEET_SESSIONS_H
 
@@ -14,12 +14,13 @@ void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool
 void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const char *why,
                       struct mo_after *after);
 /* Ends a session: its leases go back, and it moves to the ended ones (MO_SESSION_LEFT,
- * MO_SESSION_LOST). A quarantined session keeps its state, and makes no event. */
+ * MO_SESSION_LOST). A refused session keeps its state, and makes no event. */
 void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_session_state state,
                     const char *why, uint64_t now_ns, struct mo_after *after);
 
-/* Quarantines a name of a user: its open sessions give their leases back and are told. */
-void mo_quarantine(struct mo_fleet *fleet, const char *user, const char *name, const char *host,
-                   const char *why, uint64_t now_ns, struct mo_after *after);
+/* Takes nothing more of a session that gave wrong bits: its leases go back, and its worker is
+ * told. It may have ended already: name and host are for the event. */
+void mo_session_refuse(struct mo_fleet *fleet, uint64_t id, const char *name, const char *host,
+                       const char *why, uint64_t now_ns, struct mo_after *after);
 
 #endif

@@ -7,7 +7,7 @@
  *
  * A lease is work while it has its parcel: the blocks, which are delivered or put back once. When
  * they were delivered it may live on as a check, until its rows are compared: votes[0] are the rows
- * that were delivered, and further results are votes. */
+ * that were delivered, votes[1] those that differ. */
 #ifndef MORPHO_FLEET_STATE_H
 #define MORPHO_FLEET_STATE_H
 
@@ -21,7 +21,7 @@
 #include "fleet/suspects.h"
 
 #define MO_HOLDS           3 /* sessions that hold a lease at one time */
-#define MO_VOTES           5 /* results of a check, before it is given up */
+#define MO_VOTES           2 /* results of a check */
 #define MO_CHECKS_MAX      512
 #define MO_DROPPED_MAX     16 /* orders that wait for a session */
 #define MO_ENDED_MAX       256
@@ -46,7 +46,7 @@ struct mo_hold {
 
 struct mo_vote {
   uint64_t session; /* 0: this process */
-  char user[MO_FLEET_NAME_BYTES + 1], name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
+  char name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
   double *losses;
   uint32_t *diverged_steps;
   struct mo_sha256 sum; /* of a gradient: of its sum and counts; otherwise zeros */
@@ -65,8 +65,7 @@ struct mo_lease {
   bool is_kept;     /* goes back to be computed here: workers of its class cannot */
   bool is_only;     /* the same, three: its session holds no other lease */
   bool is_audit;    /* a check that waits for more results, not only for those that are coming */
-  bool is_disputed; /* its votes differ */
-  bool is_ours;     /* disputed: only this process decides it */
+  bool is_disputed; /* its votes differ, and this process decides */
   bool is_deciding; /* this process computes it now */
   bool is_listed;   /* in its class's list: another session should take it; or in `disputed` */
   uint64_t listed_ns;
@@ -139,9 +138,6 @@ struct mo_fleet {
   uint32_t n_sessions, n_ended, n_checks; /* checks: audits */
   LIST_HEAD(, mo_weights) weights;
   struct mo_suspects suspects;
-  struct mo_outcast quarantined[MO_OUTCASTS_MAX]; /* oldest first */
-  uint32_t n_quarantined;
-  pthread_mutex_t saving; /* of that list; locked before `mutex` */
   struct mo_fleet_status counts;
 };
 

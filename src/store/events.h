@@ -18,7 +18,7 @@ struct mo_event {
                      "campaign.diversity_collapse", "campaign.extended", "campaign.imported",
                      "campaign.lineage_unreadable", "controller.stored", "controller.removed",
                      "fleet.joined", "fleet.left", "fleet.lost", "fleet.refused",
-                     "fleet.older", "fleet.quarantined", "fleet.empty", "scores.imported",
+                     "fleet.older", "fleet.differs", "fleet.empty", "scores.imported",
                      "scores.differ" */
   char data[512]; /* a JSON object */
 };

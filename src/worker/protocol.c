@@ -179,9 +179,9 @@ int mo_protocol_get_orders(const char *text, size_t size, struct mo_fleet_orders
         mo_json_skip(json);
       } else if (mo_json_string(json, &word)) {
         has_state = true;
-        orders->state = mo_json_is(word, "draining")      ? MO_SESSION_DRAINING
-                        : mo_json_is(word, "quarantined") ? MO_SESSION_QUARANTINED
-                                                          : MO_SESSION_ACTIVE;
+        orders->state = mo_json_is(word, "draining")  ? MO_SESSION_DRAINING
+                        : mo_json_is(word, "refused") ? MO_SESSION_REFUSED
+                                                      : MO_SESSION_ACTIVE;
       }
     }
   return end(reading, has_state, "set of orders", message);

@@ -159,7 +159,7 @@ static bool is_good(struct mo_worker *worker, const struct mo_link_reply *reply)
   else if (reply->status == 401 || reply->status == 403)
     finish(worker, MO_WORKER_DENIED, why);
   else if (reply->status == 409)
-    finish(worker, MO_WORKER_QUARANTINED, why);
+    finish(worker, MO_WORKER_REFUSED, why);
   else if (worker->phase == JOINING && reply->status == 422)
     finish(worker, MO_WORKER_UNWANTED, why);
   else if (worker->phase == JOINING && reply->status >= 300 && reply->status < 500 &&
@@ -365,8 +365,8 @@ static void take_orders(struct mo_worker *worker, const struct mo_link_reply *re
   }
   for (uint32_t i = 0; i < orders.n_dropped; i++)
     mo_holding_drop(worker->holding, &orders.dropped[i]);
-  if (orders.state == MO_SESSION_QUARANTINED)
-    finish(worker, MO_WORKER_QUARANTINED, "the daemon has quarantined this worker");
+  if (orders.state == MO_SESSION_REFUSED)
+    finish(worker, MO_WORKER_REFUSED, "the daemon refuses this session: it gave wrong bits");
   else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining) {
     memcpy(worker->wanted, orders.wanted, sizeof(worker->wanted));
     drain(worker, DRAIN_MS,

@@ -12,11 +12,11 @@
 #include "worker/link.h"
 
 enum mo_worker_end {
-  MO_WORKER_LEFT,     /* as asked */
-  MO_WORKER_UNWANTED, /* the daemon wants another version or class, or drains it for an upgrade */
-  MO_WORKER_QUARANTINED, /* its bits are wrong: canary refused, or quarantined */
-  MO_WORKER_DENIED,      /* token or certificate */
-  MO_WORKER_MISPLACED,   /* the server is no daemon with a fleet */
+  MO_WORKER_LEFT,      /* as asked */
+  MO_WORKER_UNWANTED,  /* the daemon wants another version or class, or drains it for an upgrade */
+  MO_WORKER_REFUSED,   /* its bits are wrong: its canary or its session is refused */
+  MO_WORKER_DENIED,    /* token or certificate */
+  MO_WORKER_MISPLACED, /* the server is no daemon with a fleet */
   MO_WORKER_UNREACHABLE, /* for longer than give_up_ms */
   MO_WORKER_FAILED       /* out of memory, or no computing device left */
 };

@@ -272,29 +272,6 @@ def test_a_result_of_before_a_restart_is_ignored(start, tmp_path):
     assert free.status()["rollouts_done"] == 0
 
 
-def test_a_quarantine_outlives_the_daemon(start, tmp_path):
-    flags, state = ("--fleet-listen=127.0.0.1:0", ), tmp_path / "state"
-    free = Workers(start(*flags, state=state))
-    for name in ("one", "two", "two"):
-        session = free.join(name=name, host=f"{name}.test")
-    for name in ("one", "two"):
-        (one, *_) = [s["id"] for s in free.status()["sessions"] if s["name"] == name]
-        path = f"/v1/fleet/sessions/{one}/quarantine"
-        assert free.service.request("POST", path, {"why": f"{name} is odd"}).status == 204
-    assert free.orders(session)["state"] == "quarantined"
-    before = free.status()["quarantine"]
-    for outcasts in (before, before[:1], []):  # what was answered is kept
-        free.service.stop(signal.SIGKILL)
-        free = Workers(start(*flags, state=state))
-        assert free.status()["quarantine"] == outcasts
-        for one in outcasts:
-            refused(free, 409, f"{one['why']}", **free.offer(name="x") | {"name": one["name"]})
-        if outcasts:
-            path = f"/v1/fleet/quarantine/{outcasts[-1]['name']}"
-            assert free.service.request("DELETE", path).status == 204
-            free.join(name=outcasts[-1]["name"])
-
-
 def told(service):
     """The events of workers; they are stored a little later."""
     events = service.get("/v1/events?format=json&after=0&limit=1000")["items"]
@@ -324,32 +301,21 @@ def test_a_session_is_lost_with_its_connection(free):
 
 
 def test_orders_come_at_once(free):
-    """Drain and quarantine reach a worker that waits; a quarantine holds until it is released."""
+    """A drain reaches a worker that waits."""
     service = free.service
     session = free.join()
     number = session.rsplit("/", 1)[1]
     begun = time.monotonic()
     assert free.orders(session, wait=1) == {"state": "active", "dropped": []}
     assert 0.9 < time.monotonic() - begun < SOON_S
-    for verb, value, state in (("drain", None, "draining"),
-                               ("quarantine", {"why": "it is odd"}, "quarantined")):
-        held = free.send(free.connection(), "GET", session + "/orders", Prefer="wait=30")
-        time.sleep(0.1)
-        with soon():
-            assert service.request("POST", f"{session}/{verb}", value).status == 204
-            assert json.loads(held.getresponse().read())["state"] == state
-        held.close()
-    assert free.exchange(session)[0] == 409
-    refused(free, 409, "quarantine", **free.offer(name="other") | {"name": "node"})
+    held = free.send(free.connection(), "GET", session + "/orders", Prefer="wait=30")
+    time.sleep(0.1)
+    with soon():
+        assert service.request("POST", f"{session}/drain").status == 204
+        assert json.loads(held.getresponse().read())["state"] == "draining"
+    held.close()
     (shown, ) = [one for one in free.status()["sessions"] if one["id"] == number]
-    assert (shown["state"], shown["why"]) == ("quarantined", "it is odd")
-    (outcast, ) = free.status()["quarantine"]
-    assert (outcast["name"], outcast["host"], outcast["why"]) == ("node", "node.test", "it is odd")
-    assert free.status()["n_quarantined"] == 1 and outcast["user"] is None
-    for value in ({"why": ""}, {"why": "x" * 128}, {"what": 1}, []):
-        assert service.request("POST", f"{session}/quarantine", value).status == 422
-    assert service.request("DELETE", "/v1/fleet/quarantine/node").status == 204
-    assert service.request("DELETE", "/v1/fleet/quarantine/node").status == 404
+    assert (shown["state"], shown["why"]) == ("draining", "an operator asked for it")
     assert service.request("POST", "/v1/fleet/sessions/1/drain").status == 404
     free.join()
 
@@ -383,12 +349,7 @@ def test_morphoctl_shows_and_changes_workers(free):
     assert re.search(r"gone +node\.test +[0-9.]+ +left", ctl("fleet", "-a").stdout)
     assert json.loads(ctl("fleet", "--json").stdout)["sessions"] == free.status()["sessions"]
     assert ctl("fleet", "drain", session).stdout == f"{session} gets no more work\n"
-    assert ctl("fleet", "quarantine", session, "it is odd").returncode == 0
-    shown = ctl("fleet").stdout
-    assert re.search("quarantined .* it is odd", shown)
-    assert re.search(r"^odd one +node\.test +.*UTC +it is odd$", shown, re.M), shown
-    assert ctl("fleet", "release", "odd one").stdout == "odd one may join again\n"
-    assert ctl("fleet", "release", "odd one").returncode == 3
+    assert re.search("draining .* an operator asked for it", ctl("fleet").stdout)
     assert ctl("fleet", "drain", "x").returncode == 2 and ctl("fleet", "x").returncode == 2
 
 

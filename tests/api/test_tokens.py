@@ -26,8 +26,6 @@ ADMIN = {("POST", "/v1/bundles"), ("POST", "/v1/scores"), ("PUT", "/v1/controlle
          ("DELETE", "/v1/campaigns/{id}/checkpoints"),
          ("DELETE", "/v1/evaluations/{id}/trajectories"),
          ("POST", "/v1/fleet/sessions/{id}/drain"),
-         ("POST", "/v1/fleet/sessions/{id}/quarantine"),
-         ("DELETE", "/v1/fleet/quarantine/{name}"),
          ("POST", "/v1/fleet/verify")}
 WORK = {"designs": [DESIGN], "physics": {"n_steps": 20}}
 

@@ -277,8 +277,8 @@ def test_a_daemon_that_cannot_now_is_asked_again(daemon, launch, known, reply):
     daemon.until(lambda: daemon.results)
 
 
-def test_orders_drain_and_quarantine(daemon, launch, known):
-    for state, status, n in (("draining", 0, 1), ("quarantined", 76, 0)):
+def test_orders_drain_and_refuse(daemon, launch, known):
+    for state, status, n in (("draining", 0, 1), ("refused", 76, 0)):
         worker = launch(Worker, daemon.url)
         daemon.until(lambda: daemon.sessions)
         daemon.give(lease(known, 0))

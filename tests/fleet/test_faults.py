@@ -150,7 +150,7 @@ class Round:
             assert result[part] == what, f"{part} differ from those of an undisturbed run"
         if self.lives == 1:  # nothing was stored twice, nothing lost
             assert rollouts(daemon) == needed
-        assert events(daemon, "fleet.differs", "fleet.quarantined") == []
+        assert events(daemon, "fleet.differs", "fleet.refused") == []
         for worker in self.workers:
             assert worker.process.poll() is None, worker.log.read_text()
             worker.close()

@@ -10,15 +10,19 @@ from machines import events, fleet_address
 VALUE = {"mode": "zero-shot", "population": 1500, "generations": 10000, "physics": {"n_steps": 20},
          "exclude_pretraining": False}
 LEASES = 500  # within so many of its own a liar must be found
-QUARANTINED = 76
+REFUSED = 76
+
+
+def sessions_of(daemon, name):
+    return [one for one in daemon.json("/v1/fleet")["sessions"] if one["name"] == name]
 
 
 def session_of(daemon, name):
-    (session, ) = [one for one in daemon.json("/v1/fleet")["sessions"] if one["name"] == name]
+    (session, ) = sessions_of(daemon, name)
     return session
 
 
-def test_a_liar_is_quarantined(daemon, worker, seed):
+def test_a_liar_is_refused(daemon, worker, seed):
     with daemon("one", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
         address = fleet_address(one)
         honest = [worker(address, name) for name in ("honest-1", "honest-2")]
@@ -27,30 +31,25 @@ def test_a_liar_is_quarantined(daemon, worker, seed):
             one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 3)
             job = one.submit(VALUE | {"seed": seed}, "campaigns")
             status, log = odd.ended(120)
-        assert status == QUARANTINED and liar.flipped > 0, log
+        assert status == REFUSED and liar.flipped > 0, log
         session = session_of(one, "liar")
         print(f"found after {session['leases_done']} leases, {liar.rows} rows, {liar.flipped} lies")
-        assert session["state"] == "quarantined" and session["leases_done"] <= LEASES
+        assert session["state"] == "refused" and session["leases_done"] <= LEASES
         assert session["audits_failed"] > 0
-        (event, ) = one.until(lambda: events(one, "fleet.quarantined"))
+        (event, ) = one.until(lambda: events(one, "fleet.refused"))
         assert event["data"]["name"] == "liar" and "where this machine computed" in session["why"]
         assert len(events(one, "fleet.differs")) >= 1
-        # It does not come back, and the others go on.
-        status, log = worker(address, "liar").ended()
-        assert status == QUARANTINED and "quarantine" in log
+        # The others go on.
         before = one.json("/v1/fleet")["leases_done"]
         one.until(lambda: one.json("/v1/fleet")["leases_done"] > before + 20)
         for each in honest:
             session = session_of(one, each.name)
             assert session["state"] == "active" and session["audits_failed"] == 0
             assert session["audits"] > 0 and each.process.poll() is None
-        # Nor after a crash of the daemon.
-        one.kill()
-        one.start()
-        (outcast, ) = one.json("/v1/fleet")["quarantine"]
-        assert outcast["name"] == "liar" and "where this machine computed" in outcast["why"]
-        status, log = worker(fleet_address(one), "liar").ended()
-        assert status == QUARANTINED and "where this machine computed" in log
+        # With the bits of the others it may join again.
+        again = worker(address, "liar")
+        one.until(lambda: "active" in [s["state"] for s in sessions_of(one, "liar")])
+        assert again.stop() == 0
         one.act(job, "cancel")
 
 

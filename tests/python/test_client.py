@@ -509,9 +509,5 @@ def test_fleet(start):
     fleet.drain(session, upgrade=True)
     row = fleet.refresh().sessions.iloc[0]
     assert row["state"] == "draining" and row["why"].startswith("for an upgrade to version ")
-    fleet.quarantine(session, "for a test")
-    assert fleet.refresh().sessions.iloc[0]["why"] == "for a test"
-    assert list(fleet.in_quarantine[["name", "why"]].iloc[0]) == ["a node", "for a test"]
-    fleet.release("a node")
     with pytest.raises(morphod.NotFoundError):
-        fleet.release("a node")
+        fleet.drain("1")

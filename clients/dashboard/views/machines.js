@@ -1,15 +1,15 @@
 /** Machines: who computes what, since when, how fast, and what was lost. */
 
-import { getJson, post, request, shared } from '../lib/api.js';
+import { getJson, post, shared } from '../lib/api.js';
 import { button, h, patch, patchRow, say, table, tile } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, duration, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { announced, confirmDialog, copyButton } from './share.js';
+import { announced, copyButton } from './share.js';
 
 const REFRESH_MS = 2000;
 /** The colors of states, as jobs have them. */
-const COLORS = { active: 'running', draining: 'paused', quarantined: 'failed', left: 'succeeded',
+const COLORS = { active: 'running', draining: 'paused', refused: 'failed', left: 'succeeded',
   lost: 'failed' };
 
 export async function mount(main, path, parameters, app) {
@@ -21,13 +21,6 @@ export async function mount(main, path, parameters, app) {
   const note = h('p.muted');
   const heads = ['Machine', 'State', 'Computes with', 'Rollouts a second', 'Done', 'Now', 'Lost',
     'Since', ''];
-  const outcasts = h('tbody');
-  const outcastsPanel = h('section.panel.stack', { 'aria-label': 'Quarantine' },
-    h('h2', {}, 'Quarantine'),
-    h('p.muted', {},
-      'Workers with these names cannot join until they are released, ' +
-      'even after a restart of the service.'),
-    table(['Machine', 'Why', 'When', ''], outcasts));
   const endedPanel = h('section.panel.stack', { 'aria-label': 'Past workers' },
     h('h2', {}, 'Past workers'),
     listOf(['Machine', 'State', 'Done', 'Lost', 'Worked for', 'Ended'], ended));
@@ -38,7 +31,7 @@ export async function mount(main, path, parameters, app) {
     })))),
     tiles, note,
     h('section.panel.stack', { 'aria-label': 'At work' }, h('h2', {}, 'At work'),
-      listOf(heads, machines)), outcastsPanel, endedPanel);
+      listOf(heads, machines)), endedPanel);
 
   function listOf(names, body) {
     return h('div.scroll', {}, table(names, body, (name) => /second|Done|Lost|Now/.test(name)));
@@ -96,30 +89,11 @@ export async function mount(main, path, parameters, app) {
   }
 
   function changes(session) {
-    if (!may('admin')) return null;
+    if (!may('admin') || session.state !== 'active') return null;
     const at = `v1/fleet/sessions/${session.id}`;
-    if (session.state === 'quarantined') return null;
-    return h('div.row', {}, session.state === 'active'
-      ? button('Drain', () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
-        { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' })
-      : null,
-    button('Quarantine', async () => {
-      if (await confirmDialog(`Take no more results of ${session.name}?`,
-        'Others compute what it has. Workers of this name cannot join until the name is released.',
-        'Quarantine')) {
-        act(() => post(`${at}/quarantine`, {}), `${session.name} is in quarantine`);
-      }
-    }, { 'aria-label': `Quarantine ${session.name}` }));
-  }
-
-  function outcastRow({ name, host, user, why, quarantined_at: when }) {
-    return h('tr', {},
-      h('td.main', {}, name, h('div.muted', {}, user ? `${host}, token of ${user}` : host)),
-      h('td', {}, why),
-      h('td', { title: when }, ago(when)), h('td', {}, may('admin') ? button('Release',
-        () => act(() => request(`v1/fleet/quarantine/${encodeURIComponent(name)}`,
-          { method: 'DELETE' }), `${name} may join again`),
-        { 'aria-label': `Release ${name}` }) : null));
+    return h('div.row', {}, button('Drain',
+      () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
+      { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' }));
   }
 
   function show(fleet, threads, devices) {
@@ -153,8 +127,6 @@ export async function mount(main, path, parameters, app) {
     list(machines, [{ id: 'own' }, ...open], ({ id }) => id, (session) =>
       (session.id === 'own' ? ownRow(threads, devices, fleet) : row(session)));
     list(ended, gone.slice(0, 50), ({ id }) => id, endedRow);
-    list(outcasts, fleet.quarantine, ({ name }) => name, outcastRow);
-    outcastsPanel.hidden = fleet.quarantine.length === 0;
     endedPanel.hidden = gone.length === 0;
   }
 

@@ -4,6 +4,7 @@
 #define MORPHO_TESTS_FLEET_FAKE_H
 
 #include <jansson.h>
+#include <unistd.h>
 
 #include "../make.h"
 
@@ -41,8 +42,7 @@ struct fake {
   bool frees_done;           /* blocks, as they are delivered; otherwise they are the test's */
   uint64_t woken[256];       /* the newest */
   char event[64], data[512]; /* the newest */
-  size_t n_outcasts;         /* as last saved */
-  int save_error, origin_error;
+  int origin_error;
   struct mo_fleet *fleet;
   uint64_t now_ns;
 };
@@ -251,15 +251,6 @@ static inline void fake_event(void *context, const char *type, const char *data)
   snprintf(fake->data, sizeof(fake->data), "%s", data);
 }
 
-static inline int fake_save(void *context, const struct mo_outcast *items, size_t n)
-{
-  struct fake *fake = context;
-  if (fake->save_error == MO_OK)
-    fake->n_outcasts = n;
-  CHECK(n == 0 || items[n - 1].since_us > 0);
-  return fake->save_error;
-}
-
 static inline int fake_origin(void *context, const char *text, int64_t *number)
 {
   struct fake *fake = context;
@@ -304,10 +295,28 @@ static inline struct fake *make_fake(uint64_t seed)
                                    .origin = fake_origin,
                                    .wake = fake_wake,
                                    .event = fake_event,
-                                   .save_outcasts = fake_save,
                                    .context = fake};
   make_check(mo_fleet_create(&config, &fake->fleet), "the fleet");
   return check_keep(fake, drop_fake);
+}
+
+/* Counts open sessions that are refused, of names that begin so. */
+static inline uint32_t fake_refused(const struct fake *fake, const char *prefix)
+{
+  const struct mo_session *session;
+  uint32_t n = 0;
+  TAILQ_FOREACH(session, &fake->fleet->sessions, all)
+  n += session->state == MO_SESSION_REFUSED &&
+       strncmp(session->offer.name, prefix, strlen(prefix)) == 0;
+  return n;
+}
+
+/* Lets the thread that decides end, if there is one. */
+static inline void fake_settle(struct fake *fake)
+{
+  struct mo_decision *decision = &fake->fleet->decision;
+  while (decision->lease != NULL && !atomic_load(&decision->is_done))
+    usleep(50);
 }
 
 /* Queues n blocks of ROWS rollouts of 1000 steps; returns the first, which the caller frees when
@@ -368,6 +377,22 @@ static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lea
   result.d_parameters[0] = liar != NULL ? 0x1p-1000 : 0;
   result.counts.robots = lease->n_rows;
   return result;
+}
+
+/* A `recompute` of the source: this process decides. Without it both sessions are refused. */
+static inline int fake_recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
+                                 const uint8_t *file, size_t file_bytes, const volatile int *cancel,
+                                 double *losses, uint32_t *diverged_steps)
+{
+  struct mo_wire_result result = fake_compute(lease, NULL);
+  (void)compute;
+  (void)cancel;
+  CHECK(lease->n_blocks == 1 && file == NULL && file_bytes == 0);
+  memcpy(losses, result.losses, result.n_rows * sizeof(*losses));
+  memcpy(diverged_steps, result.diverged_steps, result.n_rows * sizeof(*diverged_steps));
+  free(result.losses);
+  free(result.diverged_steps);
+  return MO_OK;
 }
 
 /* One exchange at the fake's time: results (nullable; freed) up, leases down. */
@@ -437,7 +462,7 @@ static inline void fake_check(const struct fake *fake)
     n_active += session->state == MO_SESSION_ACTIVE;
     n_held += session->n_held[0];
     CHECK(session->n_taking[0] == 0 && session->n_held[0] <= MO_FLEET_LEASES);
-    CHECK(session->state != MO_SESSION_QUARANTINED || session->n_held[0] == 0);
+    CHECK(session->state != MO_SESSION_REFUSED || session->n_held[0] == 0);
   }
   CHECK_INT(n_held, n_holds);
   CHECK(n_sessions == fleet->n_sessions && n_active == fleet->classes[0].n_sessions);

@@ -41,42 +41,28 @@ static void refused(void)
   CHECK_INT(fake->n_origins, 0);
 }
 
-static void quarantined(void)
+/* A refused session gives back what it has; its worker joins again. */
+static void refused_and_drained(void)
 {
-  struct mo_message message = {""};
   struct mo_wire_leases leases;
-  struct mo_fleet_offer offer = fake_offer("a", "elsewhere");
   begin(MANY);
-  const uint64_t a = join("a"), again = join("a"), b = join("b");
+  const uint64_t a = join("a"), again = join("a");
   leases = exchange(a);
   CHECK(leases.n == MO_FLEET_LEASES && fake->n_taken > 0);
-  CHECK_OK(mo_fleet_quarantine(fake->fleet, again, "an operator's words"));
-  CHECK(fake->n_taken == 0 && orders_of(a).state == MO_SESSION_QUARANTINED);
-  CHECK_TEXT(fake->event, "fleet.quarantined");
-  CHECK_HAS(fake->data, "\"why\":\"an operator's words\"");
+  struct mo_after after = {0};
+  for (int i = 0; i < 2; i++) /* the second time changes nothing */
+    mo_session_refuse(fake->fleet, a, "a", "a", "gave odd bits", fake->now_ns, &after);
+  mo_after_run(fake->fleet, &after);
+  CHECK(was_woken(a) && fake->n_taken == 0 && orders_of(a).state == MO_SESSION_REFUSED);
+  CHECK(orders_of(again).state == MO_SESSION_ACTIVE);
+  CHECK_TEXT(fake->event, "fleet.refused");
+  CHECK_HAS(fake->data, "\"why\":\"gave odd bits\"");
+  CHECK_INT(fake->n_events, 3);
   mo_wire_free_leases(&leases);
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_CONFLICT);
-  CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_CONFLICT);
-  CHECK_SAYS(message, "\"a\" is quarantined: an operator's words");
-  offer.user[0] = 'u'; /* the name of another token */
-  CHECK_OK(mo_fleet_leave(fake->fleet, (uint64_t)mo_fleet_join(fake->fleet, &offer, 1, &message),
-                          false, fake->now_ns));
-  offer.user[0] = '\0';
   CHECK_OK(mo_fleet_leave(fake->fleet, a, false, fake->now_ns));
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_NOT_FOUND);
-  CHECK_INT(status().n_quarantined, 1);
-  /* The list is saved before a name is free. */
-  CHECK_INT(fake->n_outcasts, 1);
-  fake->save_error = MO_ERR_IO;
-  CHECK_INT(mo_fleet_release(fake->fleet, "a"), MO_ERR_IO);
-  CHECK_INT(mo_fleet_quarantine(fake->fleet, b, "a disk that fails"), MO_ERR_IO);
-  CHECK_INT(status().n_quarantined, 2);
-  fake->save_error = MO_OK;
-  CHECK_OK(mo_fleet_release(fake->fleet, "b"));
-  CHECK_OK(mo_fleet_release(fake->fleet, "a"));
-  CHECK_INT(fake->n_outcasts, 0);
-  CHECK_INT(mo_fleet_release(fake->fleet, "a"), MO_ERR_NOT_FOUND);
-  CHECK(mo_fleet_join(fake->fleet, &offer, 1, &message) > 0);
+  join("a");
   /* Drained: no more leases, and what it has is taken. */
   const uint64_t c = join("c");
   leases = exchange(c);
@@ -92,8 +78,8 @@ static void quarantined(void)
   struct mo_session_status *items = NULL;
   size_t n = 0;
   CHECK_OK(mo_fleet_sessions(fake->fleet, &items, &n));
-  CHECK_INT(n, 4 + 256);
-  CHECK(items[0].ended_ns == 0 && items[4].state == MO_SESSION_LOST);
+  CHECK_INT(n, 3 + 256);
+  CHECK(items[0].ended_ns == 0 && items[3].state == MO_SESSION_LOST);
   CHECK_TEXT(items[n - 1].why, "its connection ended");
   free(items);
 }
@@ -621,9 +607,6 @@ static void absent_class(void)
   name_error = MO_ERR_NO_SPACE;
   CHECK_INT(join_with_devices("a", "s-1", 1), MO_ERR_NO_SPACE);
   name_error = MO_OK;
-  const uint64_t outcast = join("b");
-  REQUIRE_OK(mo_fleet_quarantine(fake->fleet, outcast, "it lies"));
-  CHECK_INT(join_with_devices("b", "s-2", 2), MO_ERR_CONFLICT);
   CHECK(fake->fleet->config.classes[1].scores == NULL && status().n_serving[1] == 0);
   CHECK(join_with_devices("a", "s-1", 1) > 0);
   CHECK_TEXT(fake->fleet->config.classes[1].scores, "s-1");
@@ -663,7 +646,7 @@ static void without_an_origin(void)
 
 static const struct check_case cases[] = {
     {"refused", refused},
-    {"quarantined and drained", quarantined},
+    {"refused and drained", refused_and_drained},
     {"other versions", versions},
     {"sizes of leases", sizes},
     {"sessions that boast", boasters},

@@ -24,7 +24,7 @@ static void each(int (*work)(const uint64_t sessions[2]), int least)
     const int error = work(ids);
     reached = left < 0;
     left = -1;
-    CHECK(error == MO_ERR_NO_MEMORY || error == MO_OK);
+    CHECK(error == MO_ERR_NO_MEMORY || error == MO_OK || error == MO_ERR_CONFLICT);
     fake_check(fake);
     CHECK_INT(fake->n_waiting + fake->n_taken + fake->n_done, 20);
     check_drop_to(0);
@@ -50,7 +50,7 @@ static int give(const uint64_t sessions[2])
   return error;
 }
 
-/* A result, an audit of it, and a dispute. */
+/* A result, an audit of it, and a difference, after which the sessions are refused. */
 static int take(const uint64_t sessions[2])
 {
   long failing = left; /* except for what the test itself allocates */
@@ -85,6 +85,15 @@ static int take(const uint64_t sessions[2])
   return error;
 }
 
+/* The same, but this process is to decide. */
+static int take_disputed(const uint64_t sessions[2])
+{
+  fake->fleet->config.source.recompute = fake_recompute;
+  const int error = take(sessions);
+  CHECK(error != MO_ERR_CONFLICT);
+  return error;
+}
+
 static int join(const uint64_t sessions[2])
 {
   const struct mo_fleet_offer offer = fake_offer("c", "c");
@@ -103,6 +112,11 @@ static void giving(void)
 static void taking(void)
 {
   each(take, 20);
+}
+
+static void taking_disputed(void)
+{
+  each(take_disputed, 20);
 }
 
 static void joining(void)
@@ -128,5 +142,6 @@ static void creating(void)
 static const struct check_case cases[] = {{"creating", creating},
                                           {"joining", joining},
                                           {"giving leases", giving},
-                                          {"taking results", taking}};
+                                          {"taking results", taking},
+                                          {"taking disputed results", taking_disputed}};
 CHECK_MAIN(cases)

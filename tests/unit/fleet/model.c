@@ -3,7 +3,7 @@
  * Workers join, compute, leave, are lost, fall silent, hang, fail, give leases back, repeat old
  * results and send wrong ones, while work comes, stops and is cancelled. Meanwhile every block is
  * delivered or put back exactly once, every lease has an owner, the counters agree, and nobody
- * honest is quarantined. Argument "soak": 10^6 steps in place of 2 × 10^4. */
+ * honest is refused. Argument "soak": 10^6 steps in place of 2 × 10^4. */
 #include "fake.h"
 #include "messages.h"
 
@@ -68,10 +68,8 @@ static void join(struct world *world, struct worker *worker)
   struct fake *fake = world->fake;
   const struct mo_fleet_offer offer = fake_offer(worker->name, worker->host);
   int64_t id = mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
-  CHECK(id > 0 || (id == MO_ERR_CONFLICT && worker->is_liar));
-  if (id <= 0) /* it comes again as another one */
-    snprintf(worker->name, sizeof(worker->name), "liar-%u", (uint32_t)++world->refused);
-  worker->session = id > 0 ? (uint64_t)id : 0;
+  REQUIRE(id > 0);
+  worker->session = (uint64_t)id;
 }
 
 static void take_jobs(struct world *world, struct worker *worker, struct mo_wire_leases *leases)
@@ -94,9 +92,10 @@ static void read_orders(struct world *world, struct worker *worker)
 {
   struct mo_fleet_orders orders;
   int r = mo_fleet_orders(world->fake->fleet, worker->session, world->fake->now_ns, &orders);
-  if (r == MO_ERR_NOT_FOUND || orders.state == MO_SESSION_QUARANTINED) {
+  if (r == MO_ERR_NOT_FOUND || orders.state == MO_SESSION_REFUSED) {
     CHECK(r == MO_ERR_NOT_FOUND || worker->is_liar);
-    if (r != MO_ERR_NOT_FOUND)
+    world->refused += r != MO_ERR_NOT_FOUND;
+    if (r != MO_ERR_NOT_FOUND) /* it comes again */
       CHECK_OK(mo_fleet_leave(world->fake->fleet, worker->session, false, world->fake->now_ns));
     forget_session(worker);
     return;
@@ -238,13 +237,12 @@ static void check_counts(const struct world *world)
   for (size_t i = 0; i < n; i++) {
     leases += sessions[i].leases;
     rows += sessions[i].rows_out;
-    open += sessions[i].ended_ns == 0 && sessions[i].state != MO_SESSION_QUARANTINED;
+    open += sessions[i].ended_ns == 0 && sessions[i].state != MO_SESSION_REFUSED;
     CHECK(sessions[i].ended_ns == 0 || sessions[i].leases == 0);
   }
   CHECK(leases == status.leases && rows == status.rows_out && open == status.n_sessions);
   free(sessions);
-  for (uint32_t i = 0; i < fake->fleet->n_quarantined; i++)
-    CHECK(strncmp(fake->fleet->quarantined[i].name, "liar-", 5) == 0);
+  CHECK_INT(fake_refused(fake, ""), fake_refused(fake, "liar-"));
 }
 
 /* ---- the run ---- */
@@ -269,6 +267,7 @@ static void step(struct world *world)
   if (fake->now_ns - world->ticked_ns >= TICKS_NS) {
     world->ticked_ns = fake->now_ns;
     mo_fleet_tick(fake->fleet, fake->now_ns);
+    fake_settle(fake);
   }
   if (fake->n_waiting < 100 && chance(world, 20))
     for (uint32_t i = 0; i < 300; i++)
@@ -283,6 +282,7 @@ static void run(uint64_t seed, uint32_t n_liars)
   struct world *world = make_zeros(1, sizeof(*world));
   struct fake *fake = world->fake = make_fake(seed);
   fake->frees_done = true;
+  fake->fleet->config.source.recompute = fake_recompute;
   world->random = dice(seed, 1, 0);
   for (uint32_t w = 0; w < WORKERS; w++) {
     struct worker *worker = &world->workers[w];
@@ -310,16 +310,17 @@ static void run(uint64_t seed, uint32_t n_liars)
   struct mo_fleet_status status;
   mo_fleet_status(fake->fleet, &status);
   printf("# %u blocks, %u cancelled, %u failed; %llu leases, %llu again; %llu sessions, %llu lost; "
-         "%llu rows twice, %llu audits, %llu failed, %u wrong rows, %u quarantined; %llu ignored, "
+         "%llu rows twice, %llu audits, %llu failed, %u wrong rows, %llu refused; %llu ignored, "
          "%llu given back, %llu hung\n",
          fake->n_done, fake->n_cancelled, fake->n_failed, (unsigned long long)status.leases_done,
          (unsigned long long)status.leases_again, (unsigned long long)status.joined,
          (unsigned long long)status.lost, (unsigned long long)status.rows_twice,
          (unsigned long long)status.audits, (unsigned long long)status.audits_failed, fake->n_wrong,
-         fake->fleet->n_quarantined, (unsigned long long)status.results_ignored,
+         (unsigned long long)world->refused, (unsigned long long)status.results_ignored,
          (unsigned long long)world->given_back, (unsigned long long)world->hung);
   CHECK(status.leases_again > 0 && status.lost > 0 && status.audits > 0 &&
-        status.results_ignored > 0 && status.rows_twice > 0 && world->hung > 0);
+        status.results_ignored > 0 && (world->refused > 0) == (n_liars > 0) &&
+        status.rows_twice > 0 && world->hung > 0);
   for (uint32_t w = 0; w < WORKERS; w++)
     forget_session(&world->workers[w]);
 }

@@ -150,8 +150,9 @@ static void real_queues(void)
   CHECK_INT(atomic_load(&n_done), BLOCKS);
   CHECK_INT(config.source.waiting(compute, MO_ON_CPU), 0);
   CHECK(fleet->counts.lost == 1 && fleet->counts.leases_again >= 2);
-  CHECK(fleet->n_quarantined <= 1 &&
-        (fleet->n_quarantined == 0 || strcmp(fleet->quarantined[0].name, "w0") == 0));
+  const struct mo_session *session;
+  TAILQ_FOREACH(session, &fleet->sessions, all)
+  CHECK(session->state != MO_SESSION_REFUSED || strcmp(session->offer.name, "w0") == 0);
   mo_fleet_free(fleet);
   /* The same bits as here, but for what the liar gave. */
   uint32_t n_wrong = 0;

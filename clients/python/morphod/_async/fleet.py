@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import urllib.parse
 from typing import TYPE_CHECKING, Any
 
 from ..frames import frame
@@ -37,12 +36,6 @@ class AsyncFleet:
         """A table of the workers: open sessions, then the newest that have ended."""
         return frame(self.data["sessions"])
 
-    @property
-    @reading()
-    def in_quarantine(self) -> pd.DataFrame:
-        """A table of the workers that may not join, with when and why; oldest first."""
-        return frame(self.data["quarantine"])
-
     async def refresh(self) -> AsyncFleet:
         """Looks again."""
         self.data = await self._connection.json(Request.get("/v1/fleet"))
@@ -56,14 +49,3 @@ class AsyncFleet:
         """
         query = "?upgrade=true" if upgrade else ""
         await self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain{query}"))
-
-    async def quarantine(self, session: str, why: str = "by an operator") -> None:
-        """Takes no more results of a worker, and refuses its name until `release`, also after
-        restarts of the service."""
-        await self._connection.send(
-            Request.post(f"/v1/fleet/sessions/{session}/quarantine", {"why": why}))
-
-    async def release(self, name: str) -> None:
-        """Lets a name that is in quarantine join again."""
-        path = f"/v1/fleet/quarantine/{urllib.parse.quote(name, safe='')}"
-        await self._connection.send(Request.post(path, method="DELETE"))
