@@ -6,6 +6,7 @@ import pytest
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 
 from browser import Browser  # noqa: E402
+from fixtures import start  # noqa: E402, F401
 from service import DESIGN, Service, run  # noqa: E402
 
 CAMPAIGN = {
@@ -52,17 +53,3 @@ def browser(service):
     opened = Browser(service)
     yield opened
     opened.quit()
-
-
-@pytest.fixture
-def start():
-    """Starts daemons of a test's own."""
-    started = []
-
-    def launch(*flags, **options):
-        started.append(Service(*flags, **options))
-        return started[-1]
-
-    yield launch
-    for running in started:
-        running.close()

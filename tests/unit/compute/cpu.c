@@ -119,17 +119,13 @@ static void urgent_blocks_overtake(void)
   CHECK_INT(mo_compute_run(compute, &calm, 1), MO_OK);
   fill_block(&slow, genotype, brain, LONG);
   atomic_int slow_done = 0, urgent_done = 0;
-  slow.done = count_one;
-  slow.context = &slow_done;
-  REQUIRE(mo_compute_submit(compute, &slow) == MO_OK);
+  submit_counted(compute, &slow, &slow_done);
   usleep(20000);
   for (int i = 0; i < 3; i++) {
     fill_block(urgent + i, genotype, brain, 50);
     urgent[i].urgency = MO_INTERACTIVE;
     urgent[i].precision = i == 1 ? MO_FLOAT64 : MO_FLOAT32;
-    urgent[i].done = count_one;
-    urgent[i].context = &urgent_done;
-    REQUIRE(mo_compute_submit(compute, urgent + i) == MO_OK);
+    submit_counted(compute, urgent + i, &urgent_done);
   }
   CHECK(await(&urgent_done, 3));
   CHECK(atomic_load(&slow_done) == 0);
@@ -157,9 +153,7 @@ static void immediate_blocks_overtake_interactive_ones(void)
   for (int i = 0; i < N; i++) {
     fill_block(blocks + i, genotype, brain, i == PROMPT ? 50 : LONG);
     blocks[i].urgency = urgency[i];
-    blocks[i].done = count_one;
-    blocks[i].context = done + i;
-    REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
+    submit_counted(compute, blocks + i, done + i);
     usleep(20000);
   }
   CHECK(await(&done[PROMPT], 1));
@@ -185,9 +179,7 @@ static void cancelled_blocks_come_back(void)
   for (int i = 0; i < N; i++) {
     fill_block(blocks + i, genotype, brain, MO_STEPS_MAX);
     blocks[i].cancel = i == 0 ? &cancel : NULL;
-    blocks[i].done = count_one;
-    blocks[i].context = done + i;
-    REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
+    submit_counted(compute, blocks + i, done + i);
   }
   usleep(20000);
   __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);

@@ -300,9 +300,7 @@ static void ends_what_takers_put_back(void)
   struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   for (uint32_t d = 0; d < DESIGNS; d++) {
     blocks[d] = design_block(d, brain, STEPS);
-    blocks[d].done = count_one;
-    blocks[d].context = &done;
-    CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+    submit_counted(compute, &blocks[d], &done);
   }
   struct mo_taken *taken = mo_compute_take(compute, MO_ON_DEVICE, 1);
   REQUIRE(taken != NULL && taken->n_blocks == 1);
@@ -330,9 +328,7 @@ static void cancels(void)
     for (uint32_t d = 0; d < DESIGNS; d++) {
       blocks[d] = design_block(d, brain, all ? 1000000 : STEPS);
       blocks[d].cancel = &flags[d % 2];
-      blocks[d].done = count_one;
-      blocks[d].context = &done;
-      CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+      submit_counted(compute, &blocks[d], &done);
     }
     if (all) {
       usleep(50000);
@@ -361,9 +357,7 @@ static void hands_everything_back_at_the_end(void)
     REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
     for (uint32_t d = 0; d < DESIGNS; d++) {
       blocks[d] = design_block(d, brain, STEPS);
-      blocks[d].done = count_one;
-      blocks[d].context = &done;
-      CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+      submit_counted(compute, &blocks[d], &done);
     }
     usleep(4000 * k);
     /* Weights may be freed only when nothing uses them: so the back end first, which this one time

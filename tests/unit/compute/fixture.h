@@ -60,6 +60,15 @@ static inline void count_one(struct mo_block *block, void *number)
   atomic_fetch_add((atomic_int *)number, 1);
 }
 
+/* Submits a block whose end is counted. */
+static inline void submit_counted(struct mo_compute *compute, struct mo_block *block,
+                                  atomic_int *ended)
+{
+  block->done = count_one;
+  block->context = ended;
+  make_check(mo_compute_submit(compute, block), "a block");
+}
+
 static inline struct mo_compute_stats stats_of(struct mo_compute *compute)
 {
   struct mo_compute_stats stats;

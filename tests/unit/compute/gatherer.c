@@ -45,9 +45,7 @@ static void does_not_wait_for_ever(void)
   draw(0, genotype);
   for (; n < MOST && atomic_load(&n_ended) == 0; n++) {
     blocks[n] = device_block(genotype, environments);
-    blocks[n].done = count_one;
-    blocks[n].context = &n_ended;
-    REQUIRE(mo_compute_submit(compute, &blocks[n]) == MO_OK);
+    submit_counted(compute, &blocks[n], &n_ended);
     usleep(500);
   }
   printf("# the device began before block %d\n", n);
@@ -94,9 +92,7 @@ static void calls_run_side_by_side(void)
   setenv("MORPHO_FAKE_BESIDE", "2", 1);
   for (int i = 0; i < N; i++) {
     blocks[i] = device_block(genotype, environments);
-    blocks[i].done = count_one;
-    blocks[i].context = &n_ended;
-    REQUIRE(mo_compute_submit(compute, &blocks[i]) == MO_OK);
+    submit_counted(compute, &blocks[i], &n_ended);
     usleep(500);
   }
   REQUIRE(await(&n_ended, N));

@@ -241,9 +241,7 @@ static void urgent_blocks_are_charged_to_nobody(void)
   fill_block(&slow, brain, calm,
              MO_STEPS_MAX); /* runs as long as the urgent ones take, then cancelled */
   slow.cancel = &cancel;
-  slow.done = count_one;
-  slow.context = &done;
-  REQUIRE(mo_compute_submit(compute, &slow) == MO_OK);
+  submit_counted(compute, &slow, &done);
   struct mo_compute_stats stats;
   do {
     usleep(200);
@@ -252,9 +250,7 @@ static void urgent_blocks_are_charged_to_nobody(void)
   for (int i = 0; i < 4; i++) {
     fill_block(urgent + i, brain, hasty, 5 * lengths[2]);
     urgent[i].urgency = MO_INTERACTIVE;
-    urgent[i].done = count_one;
-    urgent[i].context = &done;
-    REQUIRE(mo_compute_submit(compute, urgent + i) == MO_OK);
+    submit_counted(compute, urgent + i, &done);
   }
   CHECK(await(&done, 4));
   __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
@@ -354,9 +350,7 @@ static void the_end_with_blocks_waiting(void)
     shares[i] = make_compute_share(compute, i == 0 ? -1 : 1e9);
   for (int i = 0; i < N; i++) {
     fill_block(blocks + i, brain, shares[i % 2], MO_STEPS_MAX);
-    blocks[i].done = count_one;
-    blocks[i].context = &done;
-    REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
+    submit_counted(compute, blocks + i, &done);
   }
   mo_compute_free(check_take(compute));
   CHECK_INT(atomic_load(&done), N);
