@@ -1,6 +1,6 @@
--- The schema of a new database: version 9. Versions 1 to 8 were those of morphod 0.1, whose state
--- folders are refused. A later version adds a file here (src/store/open.c applies them in order, in
--- one transaction that also sets user_version).
+-- The schema of a new database: version 14. Versions 1 to 8 were those of morphod 0.1, 9 to 13 of
+-- programs that were not released; their state folders are refused. A later version adds a file
+-- here (src/store/open.c applies them in order, in one transaction that also sets user_version).
 --
 -- Numbers whose bits matter are BLOBs of 8-byte little-endian doubles, because REAL turns NaN into
 -- NULL and −0 into 0. Times are microseconds since 1970 UTC. Hashes are the 32 bytes of a SHA-256.
@@ -10,6 +10,7 @@ CREATE TABLE meta(
   key TEXT PRIMARY KEY NOT NULL,
   value INTEGER NOT NULL
 ) STRICT, WITHOUT ROWID;
+INSERT INTO meta(key,value) VALUES('recorded bytes',0); -- the sum of evaluations.recorded_bytes
 
 -- A design: all orientations of one body. `form` is canonical.
 CREATE TABLE designs(
@@ -147,7 +148,10 @@ CREATE INDEX set_scores_best ON set_scores(ranking, score, genotype);
 -- priority: 0 batch, 1 interactive. weight: the job's share of the cores is its weight over the sum
 -- of the weights of all running jobs. back_end: what computes the job, chosen once, so that it
 -- resumes with the same bits: 0 processor, 1 devices. epoch: the opening of the store whose process
--- runs the job; updates from other epochs are refused.
+-- runs the job; updates from other epochs are refused. submitted_by: the name of the token that the
+-- submission came with; NULL: it came without one. experiment: what the job belongs to. worker_s,
+-- device_s: seconds that workers and devices have computed for it, up to its last event. State 6:
+-- being deleted, in steps of bounded size; for readers the job is gone.
 CREATE TABLE jobs(
   id INTEGER PRIMARY KEY AUTOINCREMENT,
   kind INTEGER NOT NULL,
@@ -163,7 +167,13 @@ CREATE TABLE jobs(
   started_us INTEGER NOT NULL,
   finished_us INTEGER NOT NULL,
   error INTEGER NOT NULL,
-  error_text TEXT
+  error_text TEXT,
+  submitted_by TEXT,
+  experiment TEXT,
+  note TEXT,
+  archived_us INTEGER NOT NULL DEFAULT 0, -- 0: it is not
+  worker_s REAL NOT NULL DEFAULT 0,
+  device_s REAL NOT NULL DEFAULT 0
 ) STRICT;
 CREATE INDEX jobs_by_state ON jobs(state, id);
 CREATE INDEX jobs_queued ON jobs(priority, id) WHERE state = 0;
@@ -175,7 +185,77 @@ CREATE INDEX jobs_by_label ON jobs(label, id) WHERE label IS NOT NULL;
 CREATE INDEX jobs_by_label_and_state ON jobs(label, state, id) WHERE label IS NOT NULL;
 CREATE INDEX jobs_by_label_and_kind ON jobs(label, kind, id) WHERE label IS NOT NULL;
 CREATE INDEX jobs_by_label_kind_and_state ON jobs(label, kind, state, id) WHERE label IS NOT NULL;
+-- The same of one user.
+CREATE INDEX jobs_of_user ON jobs(submitted_by, id) WHERE submitted_by IS NOT NULL;
+CREATE INDEX jobs_of_user_by_state ON jobs(submitted_by, state, id)
+  WHERE submitted_by IS NOT NULL;
+CREATE INDEX jobs_of_user_by_kind ON jobs(submitted_by, kind, id) WHERE submitted_by IS NOT NULL;
+CREATE INDEX jobs_of_user_by_kind_and_state ON jobs(submitted_by, kind, state, id)
+  WHERE submitted_by IS NOT NULL;
+CREATE INDEX jobs_of_user_by_label ON jobs(submitted_by, label, id)
+  WHERE submitted_by IS NOT NULL AND label IS NOT NULL;
+CREATE INDEX jobs_of_user_by_label_and_state ON jobs(submitted_by, label, state, id)
+  WHERE submitted_by IS NOT NULL AND label IS NOT NULL;
+CREATE INDEX jobs_of_user_by_label_and_kind ON jobs(submitted_by, label, kind, id)
+  WHERE submitted_by IS NOT NULL AND label IS NOT NULL;
+CREATE INDEX jobs_of_user_by_label_kind_and_state ON jobs(submitted_by, label, kind, state, id)
+  WHERE submitted_by IS NOT NULL AND label IS NOT NULL;
+CREATE INDEX jobs_by_experiment ON jobs(experiment, id) WHERE experiment IS NOT NULL;
+CREATE INDEX jobs_archived ON jobs(id) WHERE archived_us>0;
+-- The oldest that a rule of retention may delete.
+CREATE INDEX jobs_by_end ON jobs(kind, finished_us)
+  WHERE state>=3 AND state<6 AND archived_us=0 AND note IS NULL;
 
+-- What jobs have used is summed as they use it, so that nobody reads all jobs. Jobs of these words,
+-- deleted ones too, and what they have used, in whole microseconds: sums of integers are exact,
+-- however often a part is taken away and added again. The words are '' where a job has none.
+-- Triggers keep the table.
+CREATE TABLE usage(
+  kind INTEGER NOT NULL,
+  label TEXT NOT NULL,
+  experiment TEXT NOT NULL,
+  submitted_by TEXT NOT NULL,
+  jobs INTEGER NOT NULL,
+  worker_us INTEGER NOT NULL,
+  device_us INTEGER NOT NULL,
+  PRIMARY KEY(kind, label, experiment, submitted_by)
+) STRICT, WITHOUT ROWID;
+
+CREATE TRIGGER usage_of_new AFTER INSERT ON jobs BEGIN
+  INSERT INTO usage(kind, label, experiment, submitted_by, jobs, worker_us, device_us)
+    VALUES(new.kind, coalesce(new.label, ''), coalesce(new.experiment, ''),
+      coalesce(new.submitted_by, ''), 1, CAST(round(new.worker_s * 1e6) AS INTEGER),
+      CAST(round(new.device_s * 1e6) AS INTEGER))
+    ON CONFLICT DO UPDATE SET jobs = jobs + 1, worker_us = worker_us + excluded.worker_us,
+      device_us = device_us + excluded.device_us;
+END;
+
+-- A deleted job (state 6) counts on as it was.
+CREATE TRIGGER usage_of_changed AFTER UPDATE OF label, experiment, worker_s, device_s ON jobs
+WHEN old.state <> 6 BEGIN
+  UPDATE usage SET jobs = jobs - 1,
+    worker_us = worker_us - CAST(round(old.worker_s * 1e6) AS INTEGER),
+    device_us = device_us - CAST(round(old.device_s * 1e6) AS INTEGER)
+    WHERE kind = old.kind AND label = coalesce(old.label, '')
+      AND experiment = coalesce(old.experiment, '')
+      AND submitted_by = coalesce(old.submitted_by, '');
+  INSERT INTO usage(kind, label, experiment, submitted_by, jobs, worker_us, device_us)
+    VALUES(new.kind, coalesce(new.label, ''), coalesce(new.experiment, ''),
+      coalesce(new.submitted_by, ''), 1, CAST(round(new.worker_s * 1e6) AS INTEGER),
+      CAST(round(new.device_s * 1e6) AS INTEGER))
+    ON CONFLICT DO UPDATE SET jobs = jobs + 1, worker_us = worker_us + excluded.worker_us,
+      device_us = device_us + excluded.device_us;
+  DELETE FROM usage WHERE kind = old.kind AND label = coalesce(old.label, '')
+    AND experiment = coalesce(old.experiment, '')
+    AND submitted_by = coalesce(old.submitted_by, '') AND jobs = 0;
+END;
+
+-- recorded_bytes: of its arrays in `trajectories`. recordings_removed_us: when they were removed
+-- (0: they were not). n_skipped: how many of its n_designs were skipped. best: how many of the best
+-- designs get whole scores; 0: all. cut: rollouts of the others that were not computed; `done` has
+-- them, too. random_seed: its designs are n_designs random bodies of this seed, from number
+-- random_first on (NULL: they were listed). n_waiting: so many, the last ones, are not in
+-- job_designs yet; it starts when none waits.
 CREATE TABLE evaluations(
   job INTEGER PRIMARY KEY REFERENCES jobs(id),
   controller INTEGER NOT NULL REFERENCES controllers(id),
@@ -185,22 +265,62 @@ CREATE TABLE evaluations(
   n_designs INTEGER NOT NULL,
   n_environments INTEGER NOT NULL,
   verify INTEGER NOT NULL,
-  record INTEGER NOT NULL, -- bit 0: center of mass, bit 1: masses
+  record INTEGER NOT NULL, -- bit 0: center of mass, 1: masses, 2: actuation, 3: contacts
   record_stride INTEGER NOT NULL,
   done INTEGER NOT NULL,
   cached INTEGER NOT NULL,
   diverged INTEGER NOT NULL,
   fingerprint INTEGER REFERENCES fingerprints(id), -- its class; NULL: not started
-  workers INTEGER REFERENCES fingerprints(id) -- the class of bodies that devices leave to workers
+  workers INTEGER REFERENCES fingerprints(id), -- the class of bodies that devices leave to workers
+  recorded_bytes INTEGER NOT NULL DEFAULT 0,
+  recordings_removed_us INTEGER NOT NULL DEFAULT 0,
+  n_skipped INTEGER NOT NULL DEFAULT 0,
+  best INTEGER NOT NULL DEFAULT 0,
+  cut INTEGER NOT NULL DEFAULT 0,
+  random_seed INTEGER,
+  random_first INTEGER NOT NULL DEFAULT 0,
+  n_waiting INTEGER NOT NULL DEFAULT 0
 ) STRICT;
+-- The oldest recordings, without a look at other evaluations.
+CREATE INDEX evaluations_recorded ON evaluations(job) WHERE recorded_bytes>0;
+CREATE INDEX evaluations_waiting ON evaluations(job) WHERE n_waiting>0;
+
+-- Listed designs that wait, in groups: `bits` are genotypes as they were given, not placed, one
+-- after the other, from design `first` of the evaluation on.
+CREATE TABLE waiting_designs(
+  job INTEGER NOT NULL REFERENCES jobs(id),
+  first INTEGER NOT NULL,
+  bits BLOB NOT NULL,
+  checksum INTEGER NOT NULL,
+  PRIMARY KEY(job, first)
+) STRICT, WITHOUT ROWID;
 
 -- The designs of an evaluation or a training, in order. Of a campaign (the first of its group) the
 -- initial ones: the listed ones (campaigns.n_listed), then those of initial_campaign's population,
--- best first.
+-- best first. An evaluation has no row at a position that was skipped. counted: of a design that
+-- cannot be among the best, the environments whose losses count, as bits; NULL: all. Losses that
+-- are stored later do not change what the evaluation says.
 CREATE TABLE job_designs(
   job INTEGER NOT NULL REFERENCES jobs(id),
   position INTEGER NOT NULL,
   genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  counted INTEGER,
+  PRIMARY KEY(job, position)
+) STRICT, WITHOUT ROWID;
+
+-- Designs of a request that were skipped or repaired, or named by an id alone. position: of the
+-- design in the request (for a campaign, the first of its group: in the list of its initial
+-- designs; for a study: in its newest batch). robot: the notation of the orientation that was taken
+-- for an id alone (ID@K); NULL: the request gave one. orientation: how it was chosen (enum
+-- mo_orientation in src/store/design_notes.h).
+CREATE TABLE design_notes(
+  job INTEGER NOT NULL REFERENCES jobs(id),
+  position INTEGER NOT NULL,
+  dropped INTEGER NOT NULL, -- voxels that the repair removed
+  pointer TEXT,             -- place and text of the fault; NULL: it was not skipped
+  detail TEXT,
+  robot TEXT,
+  orientation INTEGER NOT NULL DEFAULT 0,
   PRIMARY KEY(job, position)
 ) STRICT, WITHOUT ROWID;
 
@@ -224,7 +344,10 @@ CREATE TABLE recomputed(
   PRIMARY KEY(job, position, environment)
 ) STRICT, WITHOUT ROWID;
 
--- com: doubles (frames, 3). masses: float32 (frames, n_masses, 3). Little-endian.
+-- com: doubles (frames, 3). masses: float32 (frames, n_masses, 3). Little-endian. actuation: int8
+-- (frames, springs), the controller's outputs times 127. contacts: one byte, 0 or 1, for each mass
+-- (frames, n_masses). path_m: the way of the center of mass from frame to frame, in meters; NULL:
+-- com was not recorded, or is not finite.
 CREATE TABLE trajectories(
   id INTEGER PRIMARY KEY,
   job INTEGER NOT NULL REFERENCES evaluations(job),
@@ -236,8 +359,13 @@ CREATE TABLE trajectories(
   diverged_step INTEGER NOT NULL,
   com BLOB,
   masses BLOB,
+  actuation BLOB,
+  contacts BLOB,
+  path_m REAL,
   UNIQUE(job, position, environment)
 ) STRICT;
+-- Read without the recordings beside it.
+CREATE INDEX trajectories_path ON trajectories(job, position, path_m);
 
 CREATE TABLE idempotency_keys(
   key TEXT PRIMARY KEY NOT NULL,
@@ -246,6 +374,7 @@ CREATE TABLE idempotency_keys(
   created_us INTEGER NOT NULL
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX idempotency_keys_age ON idempotency_keys(created_us);
+CREATE INDEX idempotency_keys_of_job ON idempotency_keys(job);
 
 CREATE TABLE events(
   sequence INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -255,6 +384,25 @@ CREATE TABLE events(
   data TEXT NOT NULL
 ) STRICT;
 CREATE INDEX events_of_job ON events(job, sequence);
+
+-- The class of GPUs that the service had last, or, where it had none, its workers: fingerprints of
+-- scores and gradients.
+CREATE TABLE device_class(
+  id INTEGER PRIMARY KEY CHECK(id = 1),
+  scores TEXT NOT NULL,
+  gradients TEXT NOT NULL
+) STRICT;
+
+-- Where an imported campaign, or evaluation with recordings, came from: the id of its store, and
+-- its own there. digest: so that it does not enter twice, the SHA-256 of a campaign's history as
+-- the bundle had it (docs/bundles.md), or of where an evaluation ran.
+CREATE TABLE imports(
+  job INTEGER PRIMARY KEY REFERENCES jobs(id) ON DELETE CASCADE,
+  store INTEGER NOT NULL,
+  source INTEGER NOT NULL,
+  digest BLOB NOT NULL UNIQUE CHECK(length(digest) = 32),
+  imported_us INTEGER NOT NULL
+) STRICT;
 
 -- ---- trainings and campaigns ----
 
@@ -268,6 +416,7 @@ CREATE TABLE runs(
   controller_name TEXT NOT NULL, -- as requested; '': by hash, or none
   result INTEGER REFERENCES controllers(id)
 ) STRICT;
+CREATE INDEX runs_of_controller ON runs(controller) WHERE controller IS NOT NULL;
 
 -- The file trainings/<job>/<step>.checkpoint or campaigns/<job>/<generation>-<step>.checkpoint is
 -- written before its row.
@@ -291,6 +440,7 @@ CREATE TABLE trainings(
   population INTEGER NOT NULL, -- the job whose designs are used; 0: none
   step INTEGER NOT NULL -- newest row of training_steps
 ) STRICT;
+CREATE INDEX trainings_of_population ON trainings(population) WHERE population<>0;
 
 -- Which code computed a training's gradients, so that a training that resumed under other code says
 -- so.
@@ -305,7 +455,8 @@ CREATE TABLE training_code(
 
 -- `generations` replaces that of the settings, because extensions change it. Replicates are
 -- campaigns of one group, which has the id of its first campaign; initial designs and environments
--- are stored only with that one. Designs are numbered 0, 1, … in order of birth.
+-- are stored only with that one. Designs are numbered 0, 1, … in order of birth. race_pays: 1: the
+-- children of the next generation race, because that saved time in the last one, or would have.
 CREATE TABLE campaigns(
   job INTEGER PRIMARY KEY REFERENCES runs(job),
   generations INTEGER NOT NULL,
@@ -324,13 +475,18 @@ CREATE TABLE campaigns(
   diversity_max REAL NOT NULL,
   ended INTEGER NOT NULL, -- 0 open, 1 completed, 2 exhausted
   scored_generation INTEGER NOT NULL, -- the generation of campaign_losses
-  scored INTEGER NOT NULL -- rows in campaign_losses
+  scored INTEGER NOT NULL, -- rows in campaign_losses
+  race_pays INTEGER NOT NULL DEFAULT 0
 ) STRICT;
 CREATE INDEX campaigns_of_group ON campaigns(replicates_of, job);
+CREATE INDEX campaigns_of_initial ON campaigns(initial_campaign) WHERE initial_campaign<>0;
 
 -- operator: 0 random, 1 listed, 2 inherited, 3 mutation, 4 crossover. parents: numbers; NULL: none.
 -- died: the first generation whose population lacks the design; NULL: it lives. size: springs +
--- 2^16 masses + 2^26 voxels + 2^36 footprint.
+-- 2^16 masses + 2^26 voxels + 2^36 footprint. measures: doubles, in the order of the study's
+-- measures; NaN: not given; NULL: none. is_cut: a child that cannot survive is scored in some of
+-- its environments only: losses of campaign_losses are then NaN where they were not computed, and
+-- the score of the design is a lower bound.
 CREATE TABLE campaign_designs(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   number INTEGER NOT NULL,
@@ -342,6 +498,8 @@ CREATE TABLE campaign_designs(
   died INTEGER,
   score BLOB NOT NULL CHECK(length(score) = 8), -- its last score
   size INTEGER NOT NULL,
+  measures BLOB,
+  is_cut INTEGER NOT NULL DEFAULT 0,
   PRIMARY KEY(job, number)
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX campaigns_of_genotype ON campaign_designs(genotype, job);
@@ -359,10 +517,37 @@ CREATE TABLE campaign_populations(
 ) STRICT;
 
 -- Losses of the current generation; deleted when it commits. losses: as in `scores`; the top bit of
--- a step says that workers computed a loss of a campaign that devices compute.
+-- a step says that workers computed a loss of a campaign that devices compute. origins: who
+-- computed each loss: rows of `origins`, 8 bytes each, little-endian; 0: this host. NULL: this host
+-- computed all.
 CREATE TABLE campaign_losses(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   place INTEGER NOT NULL,
   losses BLOB NOT NULL,
+  origins BLOB,
   PRIMARY KEY(job, place)
+) STRICT, WITHOUT ROWID;
+
+-- ---- studies ----
+
+-- A study: a campaign whose children somebody else makes, batch by batch; a batch is a generation.
+-- batch: the newest that was told (-1: none); it is pending until that generation is committed.
+-- sha256: of its request. children: its children, and a checksum (src/store/studies.c). survivors:
+-- 32-bit numbers of those of the population that live on; NULL: the settings select.
+CREATE TABLE studies(
+  job INTEGER PRIMARY KEY REFERENCES campaigns(job),
+  batch INTEGER NOT NULL,
+  sha256 BLOB NOT NULL CHECK(length(sha256) = 32),
+  children BLOB NOT NULL,
+  survivors BLOB
+) STRICT;
+
+-- A study's own words, in the order of their first use. kind: 0 operators (the first one is
+-- operator 5 of campaign_designs), 1 measures.
+CREATE TABLE study_words(
+  job INTEGER NOT NULL REFERENCES studies(job),
+  kind INTEGER NOT NULL,
+  place INTEGER NOT NULL,
+  word TEXT NOT NULL,
+  PRIMARY KEY(job, kind, place)
 ) STRICT, WITHOUT ROWID;

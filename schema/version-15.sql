@@ -1,3 +1,3 @@
--- Version 15: nobody is in quarantine any more.
+-- Version 15: nobody is in quarantine any more. New databases do not have the table.
 
-DROP TABLE outcasts;
+DROP TABLE IF EXISTS outcasts;

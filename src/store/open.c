@@ -19,8 +19,10 @@
 #include "store/folder.h"
 #include "store/rows.h"
 
-/* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
-#define FIRST_SCHEMA  9
+/* The version of schema.sql, and the newest. Those up to LAST_OF_0_1 were of morphod 0.1, and those
+ * between of programs that were not released. */
+#define LAST_OF_0_1   8
+#define FIRST_SCHEMA  14
 #define NEWEST_SCHEMA (FIRST_SCHEMA + schema_count - 1)
 
 static char *join(const char *folder, const char *name)
@@ -137,10 +139,6 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
    * first opening's. */
   if (error == MO_OK && from == 0)
     error = mo_rows_create(writer);
-  /* These tables have a list of columns instead of a file: what it gained is added here. */
-  if (error == MO_OK && from > 0 && from < 11)
-    error = mo_sql_exec(writer, "ALTER TABLE campaign_generations"
-                                " ADD COLUMN children_cut INTEGER NOT NULL DEFAULT 0");
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
@@ -289,7 +287,14 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
         message, MO_ERR_UNSUPPORTED,
         "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
         store->database_path, (long long)header.version, NEWEST_SCHEMA);
-  if (header.version > 0 && header.version < FIRST_SCHEMA)
+  if (header.version > LAST_OF_0_1 && header.version < FIRST_SCHEMA)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "the state folder %s has schema %lld, of a program that was not released; this "
+                   "version reads %d to %d: start it once with a program of schema %d, or start "
+                   "with an empty folder, and store the files of %s again there",
+                   store->path, (long long)header.version, FIRST_SCHEMA, NEWEST_SCHEMA,
+                   FIRST_SCHEMA, store->controllers_path);
+  if (header.version > 0 && header.version <= LAST_OF_0_1)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "the state folder %s was written by morphod 0.1, which this version does not "
                    "read: start with an empty folder, and store the files of %s again there",

@@ -267,6 +267,7 @@ def test_a_database_that_was_lost(start, tmp_path, lost):
 
 
 @pytest.mark.parametrize("version, words", [(8, ("was written by morphod 0.1", "empty folder")),
+                                            (13, ("was not released", "empty folder")),
                                             (9999, ("newer", ))])
 def test_a_folder_of_another_version(start, tmp_path, version, words):
     state = tmp_path / "state"
