@@ -106,8 +106,9 @@ static const struct {
 } sides[6] = {{{-1, 0, 0}, {0, 1, 3, 2}}, {{1, 0, 0}, {4, 6, 7, 5}},  {{0, -1, 0}, {0, 4, 5, 1}},
               {{0, 1, 0}, {2, 3, 7, 6}},  {{0, 0, -1}, {0, 2, 6, 4}}, {{0, 0, 1}, {1, 5, 7, 3}}};
 
-bool mo_has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
-                  int z)
+/* Whether a genotype has a voxel at (x, y, z); none has one outside of the workspace. */
+static bool has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
+                      int z)
 {
   if (x < 0 || y < 0 || z < 0 || x >= workspace.nx || y >= workspace.ny || z >= workspace.nz)
     return false;
@@ -146,7 +147,7 @@ static void add_voxel(const struct mo_lattice *lattice, const struct mo_body *bo
     masses[c] = position_of(body, lattice->voxel_mass[voxel * 8 + c]);
   for (int side = 0; side < 6; side++) {
     const int8_t *step = sides[side].step;
-    if (mo_has_voxel(w, genotype, x + step[0], y + step[1], z + step[2]))
+    if (has_voxel(w, genotype, x + step[0], y + step[1], z + step[2]))
       continue;
     uint16_t *face = geometry->faces[geometry->n_faces++];
     for (int k = 0; k < 4; k++)

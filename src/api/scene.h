@@ -11,12 +11,6 @@ struct mo_request;
 
 #define MO_SCENE_TYPE "application/vnd.morphod.scene"
 
-/* Whether a genotype has a voxel at (x, y, z); none has one outside of the workspace. */
-bool mo_has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
-                  int z);
-/* Reads the design that a path names: the notation of a robot, an id, whose body is canonical, or
- * a genotype. False: the reply is made. */
-bool mo_read_design(struct mo_request *request, struct mo_bits *genotype);
 /* An array of numbers, little-endian as this machine is. */
 struct mo_scene_array {
   const char *name, *type; /* "uint16" */

@@ -99,7 +99,9 @@ void mo_api_get_job_environments(struct mo_request *request)
   reply_environments(request, error, environments, n, mo_job_kind_name(kind));
 }
 
-bool mo_read_design(struct mo_request *request, struct mo_bits *genotype)
+/* Reads the design that a path names: the notation of a robot, an id, whose body is canonical, or
+ * a genotype. False: the reply is made. */
+static bool read_design(struct mo_request *request, struct mo_bits *genotype)
 {
   const char *digits = request->parameters[0];
   const size_t size = strlen(digits);
@@ -121,7 +123,7 @@ void mo_api_get_design_body(struct mo_request *request)
   struct mo_bits genotype;
   struct mo_body *body = NULL;
   struct mo_text text = {0};
-  if (!mo_read_design(request, &genotype))
+  if (!read_design(request, &genotype))
     return;
   mo_genotype_place(MO_DEFAULT_WORKSPACE, genotype.words);
   int error = mo_body_create(lattice, genotype.words, &body);
