@@ -1,4 +1,4 @@
-/* cmd_campaign.c: campaign start, list, extend, champions, export. */
+/* cmd_campaign.c: campaign start, extend, champions, export. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -49,15 +49,6 @@ void run_campaign_start(struct ctl *ctl)
   if (option_is_set(ctl, "no-exclusions"))
     json_object_set_new(request, "exclude_pretraining", json_false());
   live_start(ctl, request);
-}
-
-void run_campaign_list(struct ctl *ctl)
-{
-  list_items(ctl, "/v1/campaigns", 50,
-             ">campaign={id}|mode={mode}|" LISTED_STATE "|>designs={settings.population:,}"
-             "|>generation=[{newest.generation:,}|–]|>of={progress.generations:,}"
-             "|>mean={newest.score.mean:.4f}|>best={newest.score.quantiles.p0:.4f}"
-             "|>diversity={newest.diversity:.4f}|created={created_at:time}|label={label}");
 }
 
 /* ---- extend ---- */

@@ -1,4 +1,4 @@
-/* cmd_controller.c: controller list, info, get, put, delete. */
+/* cmd_controller.c: controller info, get, put, delete. */
 #include <string.h>
 #include <unistd.h>
 
@@ -10,13 +10,6 @@
 static const char *controller_path(const struct ctl *ctl, const char *below)
 {
   return path_to("/v1/controllers/%s%s", escape(ctl->operands[0]), below);
-}
-
-void run_controller_list(struct ctl *ctl)
-{
-  list_items(ctl, "/v1/controllers", 0,
-             "name={name}|sensor={sensor}|>parameters={parameters:,}|>bytes={bytes:,}"
-             "|stored={stored_at:time}|sha256={sha256}");
 }
 
 static void print_controller(const struct ctl *ctl, const json_t *controller)

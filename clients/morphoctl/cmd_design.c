@@ -1,5 +1,5 @@
-/* cmd_design.c: design show, list, draw; random, mutate, cross, canonical: bodies that the server
- * makes. Each is printed as a JSON design on one line, for other commands to read. */
+/* cmd_design.c: design show, draw; random, mutate, cross, canonical: bodies that the server makes.
+ * Each is printed as a JSON design on one line, for other commands to read. */
 #include <string.h>
 
 #include "commands.h"
@@ -58,18 +58,6 @@ void run_design_show(struct ctl *ctl)
   if (!is_robot(id, strlen(id)))
     fail(STATUS_USAGE, "\"%.60s\" is not an id: 36 hexadecimal digits, perhaps with @0 to @7", id);
   show(ctl, path_to("/v1/designs/%s", id), print_design);
-}
-
-#define DESIGN_COLUMNS(design, score)                                                              \
-  "design={" design "}|>voxels={voxels}|>masses={masses}|>springs={springs}" score                 \
-  "|first seen={first_seen_at:time}"
-
-void run_design_list(struct ctl *ctl)
-{
-  static const char *const orders[] = {"id", "score", NULL};
-  const bool by_score = strcmp(option_word(ctl, "sort", orders, "id"), "score") == 0;
-  list_items(ctl, "/v1/designs", 100,
-             by_score ? DESIGN_COLUMNS("robot", "|>score={score:.4f}") : DESIGN_COLUMNS("id", ""));
 }
 
 void run_design_draw(struct ctl *ctl)

@@ -1,4 +1,4 @@
-/* cmd_job.c: job list, show, cancel, pause, resume, weight; the same and prune for trainings and
+/* cmd_job.c: job show, cancel, pause, resume, weight; the same and prune for trainings and
  * campaigns; job label, experiment, note, archive, restore, delete; usage. */
 #include <inttypes.h>
 #include <math.h>
@@ -8,20 +8,6 @@
 
 #include "commands.h"
 #include "results.h"
-
-void run_job_list(struct ctl *ctl)
-{
-  list_items(ctl, "/v1/jobs", 50,
-             ">job={id}|kind=[{training.kind}|{campaign.mode}|{kind}]|" LISTED_STATE ""
-             "|priority={priority}|>designs=[{campaign.population:,}|{n_designs:,}]"
-             "|>work=[{training.steps:,} steps|{campaign.generations:,} generations"
-             "|{rollouts_total:,} rollouts]"
-             "|>done=[{training.step/training.steps:%}"
-             "|{campaign.generation/campaign.generations:%}"
-             "|{rollouts_done/rollouts_total:%}|0 %]"
-             "|>core time={core_seconds:duration}|created={created_at:time}|label={label}"
-             "|experiment={experiment}");
-}
 
 static void print_job(const struct ctl *ctl, const json_t *job)
 {

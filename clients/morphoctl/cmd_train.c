@@ -1,4 +1,4 @@
-/* cmd_train.c: train start, list, export. */
+/* cmd_train.c: train start, export. */
 #include <inttypes.h>
 #include <string.h>
 #include <unistd.h>
@@ -52,15 +52,6 @@ void run_train_start(struct ctl *ctl)
   fill_schedule(ctl, request, "schedule");
   request_fill(ctl, request);
   live_start(ctl, request);
-}
-
-void run_train_list(struct ctl *ctl)
-{
-  list_items(ctl, "/v1/trainings", 50,
-             ">training={id}|kind={kind}|name={name}|" LISTED_STATE "|>step={progress.step:,}"
-             "|>of={progress.steps:,}|>loss={progress.mean_loss:.4f}"
-             "|>validation={validation.mean_score:.4f}|created={created_at:time}"
-             "|label={label}");
 }
 
 /* ---- export ---- */

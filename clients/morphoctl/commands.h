@@ -82,7 +82,6 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
 /* "NAME, sha256:…"; otherwise: "" or another alternative. */
 #define CONTROLLER_WORDS(place, otherwise)                                                         \
   "[[{" place ".name}, ]sha256:{" place ".sha256}" otherwise "]"
-#define LISTED_STATE "state={state}[ ({warnings.0.code})]"
 #define JOB_STATE_FACTS(phase)                                                                     \
   {"state", "{state}"},                                                                            \
       {"warning", "{warnings.0.detail}[; {warnings.1.detail}][; {warnings.2.detail}]"},            \
@@ -127,9 +126,6 @@ void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
 json_t *collect(struct ctl *ctl, const char *path, size_t limit);
 /* Adds those of the options (up to NULL) that are given to a path, as its parameters. */
 const char *path_with(const struct ctl *ctl, const char *path, const char *const *options);
-/* Prints a list as print_items does. The options --limit and --all override the limit; others
- * filter and sort it. */
-void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns);
 
 /* ---- plain.c ---- */
 

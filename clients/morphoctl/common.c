@@ -228,20 +228,3 @@ const char *path_with(const struct ctl *ctl, const char *path, const char *const
   }
   return path;
 }
-
-void list_items(struct ctl *ctl, const char *list, int64_t limit, const char *columns)
-{
-  static const char *const states[] = {"queued", "running",   "paused", "succeeded",
-                                       "failed", "cancelled", NULL};
-  static const char *const filters[] = {"state", "label", "submitted-by", "experiment", "archived",
-                                        "group", "sort",  "order",        "controller", NULL};
-  const char *group = option_text(ctl, "group", NULL);
-  limit = option_number(ctl, "limit", 1, 1000000, limit);
-  if (option_is_set(ctl, "all"))
-    limit = 0;
-  option_word(ctl, "state", states, NULL);
-  if (group != NULL)
-    job_id(group);
-  json_t *items = collect(ctl, path_with(ctl, list, filters), (size_t)limit);
-  print_items(ctl, keep(json_pack("{s:O, s:n}", "items", items, "next_cursor")), columns);
-}

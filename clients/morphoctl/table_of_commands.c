@@ -386,7 +386,7 @@ const struct command commands[] = {
      verify_options},
     {"design show", "ID", "Show a design: its body, layer by layer, and its scores.",
      run_design_show},
-    {"design list", "", "List designs.", run_design_list, NULL, design_list_options},
+    {"design list", "", "List designs.", run_list, NULL, design_list_options},
     {"design draw", "[DESIGN]...", "Draw designs of files without asking the server.",
      run_design_draw},
     {"film", "[DESIGN]...", "Film up to 16 robots, without a display.", run_film,
@@ -415,7 +415,7 @@ const struct command commands[] = {
     {"design canonical", "[DESIGN]...", "Print ids of designs, one JSON design per line.",
      run_design_made, "Rotations about z and reflections in x and y of a body have one id.",
      made_options},
-    {"job list", "", "List jobs, newest first.", run_job_list, NULL, job_list_options},
+    {"job list", "", "List jobs, newest first.", run_list, NULL, job_list_options},
     {"job show", "ID", "Show a job.", run_job_show, NULL, job_show_options},
     {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores that are stored already stay."},
     {"job pause", "ID...", "Pause jobs.", run_job_change},
@@ -460,7 +460,7 @@ const struct command commands[] = {
      "on a population. The training is a job of the server, which continues without morphoctl, "
      "and after a crash.",
      train_start_options, &training_kind},
-    {"train list", "", "List trainings, newest first.", run_train_list, NULL, train_list_options},
+    {"train list", "", "List trainings, newest first.", run_list, NULL, train_list_options},
     {"train show", "ID", "Show a training with its curve.", run_live_show, NULL, NULL,
      &training_kind},
     {"train watch", "ID", "Watch a training until it ends.", run_live_watch,
@@ -491,8 +491,7 @@ const struct command commands[] = {
      "those of eval) start the initial population; random bodies fill it up. The campaign is a job "
      "of the server, which continues without morphoctl, and after a crash.",
      campaign_start_options, &campaign_kind},
-    {"campaign list", "", "List campaigns, newest first.", run_campaign_list, NULL,
-     campaign_list_options},
+    {"campaign list", "", "List campaigns, newest first.", run_list, NULL, campaign_list_options},
     {"campaign show", "ID", "Show a campaign with its curves.", run_live_show, NULL, NULL,
      &campaign_kind},
     {"campaign watch", "ID", "Watch a campaign until it ends.", run_live_watch,
@@ -559,9 +558,8 @@ const struct command commands[] = {
      scores_export_options},
     {"scores import", "FILE", "Import the scores in a file from another server.", run_scores_import,
      "Block by block; - is standard input. A score that is stored with the same bits is skipped; "
-     "one "
-     "that is stored with other bits stays and is listed: exit status 3."},
-    {"controller list", "", "List controllers.", run_controller_list},
+     "one that is stored with other bits stays and is listed: exit status 3."},
+    {"controller list", "", "List controllers.", run_list},
     {"controller info", "NAME", "Show a controller.", run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", run_controller_get, NULL,
      controller_get_options},
