@@ -39,18 +39,7 @@ static struct {
   bool workers_hang; /* blocks with tag 7 end only when they are told to stop */
 } plan;
 
-int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
-                             const struct mo_robot *list, uint32_t n,
-                             const struct mo_physics *physics,
-                             const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause, struct mo_outcome *results,
-                             float *gradient, struct mo_gradient_counts *counts);
-int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
-                             const struct mo_robot *list, uint32_t n,
-                             const struct mo_physics *physics,
-                             const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause, struct mo_outcome *results,
-                             float *gradient, struct mo_gradient_counts *counts);
+typeof(mo_gradient_block) __real_mo_gradient_block, __wrap_mo_gradient_block;
 
 /* Numbers that a test makes up by itself need no look for races at each of them. */
 #define ALONE __attribute__((no_sanitize("thread")))

@@ -33,18 +33,7 @@ static void differs_between_classes(void)
 }
 
 /* One bit of one parameter of the gradient of one block. */
-int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
-                             const struct mo_robot *robots, uint32_t n,
-                             const struct mo_physics *physics,
-                             const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause, struct mo_outcome *outcomes,
-                             float *d_parameters, struct mo_gradient_counts *counts);
-int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
-                             const struct mo_robot *robots, uint32_t n,
-                             const struct mo_physics *physics,
-                             const struct mo_gradient_options *options,
-                             const struct mo_pause_point *pause, struct mo_outcome *outcomes,
-                             float *d_parameters, struct mo_gradient_counts *counts);
+typeof(mo_gradient_block) __real_mo_gradient_block, __wrap_mo_gradient_block;
 
 static bool is_wrong;
 
