@@ -19,27 +19,28 @@
 extern "C" {
 #endif
 
-/* A controller prepared for a back end. Its pack for each precision is made at first use and shared
- * by all workers. */
+/* A controller prepared for a back end. Its pack for each precision is created at first use and
+ * shared by all workers. */
 struct mo_compute;
 struct mo_compute_controller;
 struct mo_compute_share;
 
-/* In ascending order. MO_IMMEDIATE: a scoring block runs inside an interactive one, too. */
+/* In ascending order. MO_IMMEDIATE: a scoring block may also interrupt an interactive one. */
 enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1, MO_IMMEDIATE = 2 };
 
-/* Where to compute a block or batch. The two differ in their bits; the number of devices changes no
- * bit. */
+/* Where to compute a block or batch. The bits depend on this choice, but not on the number of
+ * devices. */
 enum mo_back_end { MO_ON_CPU = 0, MO_ON_DEVICE = 1 };
 
 struct mo_compute_config {
-  uint32_t n_workers; /* 0: one per processor of the affinity mask, or fewer by a CPU quota */
+  uint32_t n_workers; /* 0: one per processor of the affinity mask, or fewer under a CPU quota */
   enum mo_isa isa;    /* from mo_isa_best(), or lower for tests */
   int nice; /* added to the process's niceness, 0 … 19, so that the service's threads stay
                responsive */
 };
 
-/* The submitter fills in a block, and owns it and all it points to until `done` is called. */
+/* The submitter fills in a block. It owns the block and everything that the block points to until
+ * `done` is called. */
 struct mo_block {
   const struct mo_body *body; /* NULL: the worker builds it from lattice and genotype */
   const struct mo_lattice *lattice;
@@ -50,17 +51,19 @@ struct mo_block {
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_urgency urgency;
-  enum mo_back_end back_end;             /* MO_ON_DEVICE: if devices can, see below */
+  enum mo_back_end back_end;             /* MO_ON_DEVICE: if devices support it, see below */
   const struct mo_recording *recordings; /* NULL or (n_environments) */
-  const volatile int *cancel; /* NULL or a flag; non-zero ends the block with MO_ERR_CANCELLED */
-  int64_t tag; /* the submitter's, such as a job's id: the thread's tag while it runs */
+  const volatile int *cancel; /* NULL or a flag; non-zero stops the block with MO_ERR_CANCELLED */
+  int64_t tag; /* chosen by the submitter, such as a job's id: the thread's tag while the block
+                  runs */
   struct mo_compute_share
       *share; /* charged for the block's worker time; NULL: the back end's own share, of weight 1 */
   /* Results. */
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   int status;                   /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE, … */
   enum mo_back_end computed_on; /* with MO_OK */
-  int64_t origin;               /* with MO_OK: that of the remote taker's result; 0: this machine */
+  int64_t origin;               /* with MO_OK: the `origin` of the remote taker's result; 0: this
+                                   machine */
   /* Called once, on a worker's or a device's thread, after the results are written. Must be short;
    * may free the block. */
   void (*done)(struct mo_block *block, void *context);
@@ -69,7 +72,7 @@ struct mo_block {
   struct mo_block *next;
   struct mo_gradient_task *gradient;
   struct mo_device_task *shards;
-  bool stays; /* no remote taker gets it */
+  bool stays; /* not given to remote takers */
 };
 
 struct mo_compute_stats {
@@ -94,7 +97,7 @@ void mo_compute_free(struct mo_compute *compute);
  * cannot be undone. */
 void mo_compute_lower_priority(const struct mo_compute *compute);
 
-/* Copies nothing: `controller` (nullable: passive bodies) must outlive the result. */
+/* Does not copy `controller` (NULL: passive bodies), which must outlive the result. */
 int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,
                                  struct mo_compute_controller **ret);
 /* Call it only when no block uses the controller, and, with devices, before mo_compute_free.
@@ -103,12 +106,12 @@ void mo_compute_controller_free(struct mo_compute_controller *controller);
 
 /* ---- shares: how the workers' time is divided among submitters ---- */
 
-/* While several shares have waiting blocks, each gets worker time in proportion to its weight,
- * whatever its blocks cost and however many of them wait. A share without waiting blocks leaves its
- * part to the others. Blocks of one share start in order of submission. The order decides when a
- * result arrives, never its bits. Keep two blocks per worker submitted: a share with no block
- * waiting cannot use a large part. Urgent blocks (MO_INTERACTIVE) still go first and are charged to
- * no share; their time is subtracted from the block that they interrupted. */
+/* While several shares have waiting blocks, each gets worker time in proportion to its weight, no
+ * matter how long its blocks run or how many wait. A share without waiting blocks leaves its part
+ * to the others. Blocks of one share start in order of submission. The order decides when a result
+ * arrives, never its bits. Keep two blocks per worker submitted: a share with no block waiting
+ * cannot use a large part. Urgent blocks (MO_INTERACTIVE) still go first and are charged to no
+ * share; their time is subtracted from the block that they interrupted. */
 #define MO_SHARE_WEIGHT_MIN 1e-3
 #define MO_SHARE_WEIGHT_MAX 1e6 /* 1000 for one job; a share may stand for many */
 
@@ -123,24 +126,25 @@ void mo_compute_share_set_weight(struct mo_compute_share *share,
 
 struct mo_compute_share_stats {
   double busy_s;    /* processor time in its blocks, without urgent blocks that interrupted them */
-  double urgent_s;  /* of these, in the share's own urgent blocks: charged to no share */
+  double urgent_s;  /* part of busy_s spent in the share's own urgent blocks, which is charged to no
+                       share */
   double device_s;  /* seconds of devices in its blocks and gradients */
-  uint64_t waiting; /* batch blocks */
+  uint64_t waiting; /* waiting batch blocks */
   uint64_t blocks_done; /* including urgent ones */
 };
 void mo_compute_share_get_stats(const struct mo_compute_share *share,
                                 struct mo_compute_share_stats *stats); /* lock-free reads */
 
-/* Sets the budget of a worker's scratch for gradients, at first MO_GRADIENT_DEFAULT_BYTES. It
- * applies to scratch that a worker creates from now on, and changes no bit. */
+/* Sets the budget of a worker's scratch for gradients, initially MO_GRADIENT_DEFAULT_BYTES. It
+ * applies to scratch that workers create later, and changes no bit. */
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes);
 /* Makes workers free their gradient scratch. Call it when no gradients are expected for now; a
  * later gradient allocates its scratch again. */
 void mo_compute_trim(struct mo_compute *compute);
 
 /* Queues a block and returns at once. Environments and physics were checked before
- * (mo_environment_check, mo_physics_check). Fails only after mo_compute_free began
- * (MO_ERR_CANCELLED), or when no device works (MO_ERR_DEVICE, for devices only). */
+ * (mo_environment_check, mo_physics_check). Fails only after mo_compute_free has begun
+ * (MO_ERR_CANCELLED) or, for a block that requires a device, if no device works (MO_ERR_DEVICE). */
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
 
 /* Mark the beginning and end of a series of submissions: devices then wait for the last block (50
@@ -154,8 +158,8 @@ int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n
 
 /* ---- gradients ---- */
 
-/* A batch of different robots, each with its environment. The caller fills it in and owns all it
- * points to. */
+/* A batch of different robots, each with its environment. The caller fills it in, and owns
+ * everything that it points to. */
 struct mo_gradient_batch {
   const struct mo_controller *controller;
   const struct mo_robot *robots; /* (n) */
@@ -169,7 +173,7 @@ struct mo_gradient_batch {
   struct mo_compute_share *share; /* as in a block */
   enum mo_back_end back_end;
   bool is_arranged; /* on the CPU: the robots already have the order of mo_gradient_arrange */
-  bool is_strict;   /* on devices: what they do not support is MO_ERR_UNSUPPORTED */
+  bool is_strict;   /* on devices: MO_ERR_UNSUPPORTED if they do not support the batch */
   /* Results. */
   enum mo_back_end computed_on;
   double *d_parameters; /* (n_parameters) the gradient of the mean loss over all n robots; those
@@ -179,14 +183,14 @@ struct mo_gradient_batch {
 };
 #define MO_GRADIENT_SHARD 1024
 
-/* Computes the gradient of a batch and waits for it; for a thread that may block. The batch is cut
- * into blocks of MO_GRADIENT_ROBOTS, in the order of mo_gradient_arrange. Results are added in
- * float64: blocks in order within shards of MO_GRADIENT_SHARD robots, then the shards in order. The
- * bits are thus the same for any number of workers. Urgent scoring blocks can interrupt a gradient
- * block. Remote takers compute whole shards, see below.
+/* Computes the gradient of a batch and waits for it; call it from a thread that may block. The
+ * batch is cut into blocks of MO_GRADIENT_ROBOTS, in the order of mo_gradient_arrange. Results are
+ * added in float64: blocks in order within shards of MO_GRADIENT_SHARD robots, then the shards in
+ * order. The bits are therefore the same for any number of workers. Urgent scoring blocks can
+ * interrupt a gradient block. Remote takers compute whole shards, see below.
  *
- * `state` keeps what lasts between calls: a pack, and at most two float32 gradients per worker.
- * Create one state per training. It serves one call at a time, which must have returned before
+ * `state` holds data between calls: a pack, and at most two float32 gradients per worker. Create
+ * one state per training. It serves one call at a time, which must have returned before
  * mo_compute_free.
  *
  * Environments, physics and options were checked before (mo_gradient_options_check).
@@ -213,89 +217,90 @@ void mo_compute_gradient_forget(
 /* Same as mo_compute_fingerprint, for gradients. */
 const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
-/* ---- remote takers: machines that compute blocks of this back end's queues ---- */
+/* ---- remote takers: machines that compute blocks from this back end's queues ---- */
 
-/* Blocks that a remote taker took together: batch blocks in float32 that record nothing and bring
- * no body, all of one share, one controller and one physics. The submitters still own the blocks.
- * Or one shard of a gradient on the CPU or on expected devices: of a batch that has a share, is not
- * urgent, and names its genotypes. */
+/* Work that a remote taker took. Either blocks: batch blocks in float32, without recordings and
+ * with `body` NULL, all of one share, one controller and one physics; the submitters still own
+ * them. Or one shard of a gradient on the CPU or on expected devices: of a batch that has a share,
+ * is not urgent, and includes its genotypes. */
 struct mo_taken {
   enum mo_back_end back_end;
   uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
   struct mo_block *const *blocks;         /* (n_blocks) */
   const struct mo_gradient_batch *shard;  /* NULL: blocks; its robots are arranged */
   const struct mo_controller *controller; /* of all blocks; NULL: passive bodies */
-  const void *identity;                   /* of the controller, while anything of it is taken */
-  /* Private to the back end behind this. */
+  const void *identity;                   /* of the controller, while any of its work is taken */
+  /* Private to the back end below this line. */
 };
 /* Results of blocks that were taken, or of a shard. */
 struct mo_remote_result {
   int status;                 /* MO_OK, or an error for all blocks */
   const double *losses;       /* (n_rows) in the order of blocks and environments; with MO_OK */
   const uint32_t *diverged;   /* (n_rows) steps of divergence; 0: none */
-  int64_t origin;             /* who computed it, by the taker's own numbers; > 0 */
+  int64_t origin;             /* who computed it, in the taker's own numbering; > 0 */
   double busy_s;              /* processor time, charged to the share */
   const double *d_parameters; /* of a shard: (n_parameters) its sum */
   struct mo_gradient_counts counts;
 };
 /* Takes at least one block, and more while their rollout steps stay within max_steps; or a shard,
- * whatever its size. Does not wait. NULL: no block suits, or out of memory. Each taken is either
- * put back or delivered, once, before mo_compute_free. */
+ * whatever its size. Does not wait. NULL: no suitable block, or out of memory. Put back or deliver
+ * each taken exactly once, before mo_compute_free. */
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
 /* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. A shard
- * that came back three times, or was delivered with an error, is computed by the workers; for
- * expected devices, one that came back 32 times ends its batch with MO_ERR_DEVICE. */
+ * that was put back three times, or delivered with an error, is computed by the workers. A shard
+ * for expected devices that was put back 32 times ends its batch with MO_ERR_DEVICE. */
 void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
-/* Puts blocks back that remote takers cannot compute: none gets them again. The workers
- * then compute all of the gradient that a shard for devices is of. */
+/* Puts back blocks that remote takers cannot compute, and never gives them to remote takers again.
+ * After a shard for devices, the workers compute its entire gradient. */
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken);
 /* Cuts off the second half of the blocks as another taken. NULL: it has one block, or out of
  * memory. */
 struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *taken);
 /* Returns whether every block is cancelled. */
 bool mo_taken_is_cancelled(const struct mo_taken *taken);
-/* Gives results, calls `done` of each block, and frees `taken`. Outcomes lack centers of mass.
+/* Delivers results, calls `done` of each block, and frees `taken`. Outcomes lack centers of mass.
  * Cancelled blocks end as cancelled. */
 void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *taken,
                         const struct mo_remote_result *result);
-/* Says how many blocks remote takers of a back end can hold, 0 at first. Submitters keep that many
- * more submitted. */
+/* Sets how many blocks remote takers of a back end can hold, initially 0. Submitters keep that many
+ * more blocks submitted. */
 void mo_compute_want_remote(struct mo_compute *compute, enum mo_back_end back_end, uint32_t blocks);
 uint32_t mo_compute_remote_wanted(const struct mo_compute *compute, enum mo_back_end back_end);
-/* Returns the rollout steps of waiting blocks that suit remote takers. */
+/* Returns the number of rollout steps in waiting blocks that are suitable for remote takers. */
 uint64_t mo_compute_remote_waiting(struct mo_compute *compute, enum mo_back_end back_end);
-/* Leaves to remote takers what suits them: workers take only other blocks. */
+/* Leaves suitable blocks to remote takers: workers take only the others. */
 void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
-/* Sets what is called when a block that suits is queued, the first time after mo_compute_take found
- * none. A lock is held: the call must be short and must not call this room. Set it before the first
- * block. NULL: nothing; when this returns, no call is in progress. */
+/* Sets a callback for the first suitable block that is queued after mo_compute_take found none. It
+ * runs with a lock held: it must be short and must not call this room. Set it before the first
+ * block. NULL removes it; when this function returns, no call is in progress. */
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context);
 
 /* Opens a queue for devices that only other machines have: remote takers compute all of its blocks,
- * which wait until takers come. Call it once, as early as mo_compute_add_devices and instead of it.
- * MO_ERR_CONFLICT: there are devices; MO_ERR_NO_MEMORY. */
+ * which wait until a taker connects. Call it once, instead of mo_compute_add_devices and as early.
+ * MO_ERR_CONFLICT: devices exist already; MO_ERR_NO_MEMORY. */
 int mo_compute_expect_devices(struct mo_compute *compute);
 bool mo_compute_expects_devices(const struct mo_compute *compute);
-/* Names the class of expected devices for good: its fingerprints of scores and gradients. Before
- * that no block is accepted. For one thread at a time. MO_ERR_CONFLICT: it has a name;
- * MO_ERR_LIMIT: too long. */
+/* Names the class of expected devices permanently, by its fingerprints of scores and gradients. No
+ * block is accepted before. Only one thread may call it at a time. MO_ERR_CONFLICT: the class has a
+ * name already; MO_ERR_LIMIT: too long. */
 int mo_compute_name_devices(struct mo_compute *compute, const char *scores, const char *gradients);
-/* Returns whether blocks for devices are accepted: one works, or their class is named. */
+/* Returns whether blocks for devices are accepted: a device works, or the class of expected devices
+ * is named. */
 bool mo_compute_serves_devices(const struct mo_compute *compute);
-/* Returns whether only remote takers compute what suits them, and none is there. */
+/* Returns whether suitable blocks are left to remote takers, but no taker is connected. */
 bool mo_compute_lacks_takers(const struct mo_compute *compute, enum mo_back_end back_end);
 
 /* ---- devices: GPUs, through a module that is loaded at run time ---- */
 
-/* Blocks with MO_ON_DEVICE wait in one queue for all devices, where shares have the same weights as
- * with the workers. A device takes many blocks at once, all of one share, one controller and one
+/* Blocks with MO_ON_DEVICE wait in one queue for all devices, in which shares have the same weights
+ * as for workers. A device takes many blocks at once, all of one share, one controller and one
  * physics; fewer if it lacks memory. MO_INTERACTIVE blocks go first. The workers compute what
- * devices cannot: blocks in float64 or with recordings, and whatever the module does not support.
- * The choice depends only on the block, and `computed_on` reports it. A device that fails is lost:
- * its work goes to the other devices. When no device is left, all queued and later work ends with
- * MO_ERR_DEVICE. */
+ * devices cannot: blocks in float64 or with recordings, and blocks that the module does not
+ * support. The choice depends only on the block, and `computed_on` reports it. A device that fails
+ * is lost, and its work moves to the other devices. If no device is left, all queued and later work
+ * fails with MO_ERR_DEVICE. */
 enum mo_device_state { MO_DEVICE_WORKS = 0, MO_DEVICE_LOST = 1 };
 
 struct mo_device_status {
@@ -304,20 +309,20 @@ struct mo_device_status {
   uint64_t memory_bytes, free_bytes;    /* free: recent, not current */
   uint32_t multiprocessors, capability; /* 90: compute capability 9.0 */
   enum mo_device_state state;
-  char error[256]; /* lost: why */
+  char error[256]; /* why it was lost */
   bool is_busy;
-  double load;   /* share of about the last ten seconds in which it was busy */
+  double load;   /* share of roughly the last ten seconds in which it was busy */
   double busy_s; /* since the start */
   uint64_t rollouts_done, gradient_robots_done, calls;
-  uint32_t rows_at_once; /* most rollouts in one call; lowered after lack of memory */
+  uint32_t rows_at_once; /* largest number of rollouts in one call; lowered if memory runs out */
 };
 
 struct mo_devices_config {
   const char *module;      /* path of the shared object */
-  const uint32_t *devices; /* (n) which of its devices; NULL: all that can be opened */
+  const uint32_t *devices; /* (n) indices of devices to open; NULL: all that can be opened */
   uint32_t n;
-  /* Called when a device is lost, and, while devices are added, for each that is left out. Runs on
-   * a thread of its own. Nullable. */
+  /* Called when a device is lost and, while devices are added, for each device that is left out.
+   * Runs on a thread of its own. Nullable. */
   void (*lost)(void *context, const struct mo_device_status *status);
   void *context;
 };
@@ -343,7 +348,7 @@ const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *comp
 
 /* ---- facts ---- */
 
-/* Of the workers. Lock-free reads. */
+/* Statistics of the workers. Lock-free reads. */
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats);
 /* Names what the bits of a result depend on besides its inputs (back end, instruction set, code
  * version), such as "cpu avx512 float32 …". */

@@ -28,8 +28,8 @@ extern "C" {
 #define MO_CONTROLLER_FILE_MAX                                                                     \
   (UINT64_C(4) << 30) /* bytes of a file that mo_controller_read accepts */
 #define MO_SAFETENSORS_HEADER_MAX (UINT32_C(1) << 20)
-/* Largest |value| of a parameter that a file may hold. Within this limit no sum of the network
- * leaves float32's range, for any sensor value (at most 1e4): the largest sum, LayerNorm's sum of
+/* Largest |value| of a parameter that a file may hold. Within this limit no sum in the network
+ * exceeds float32's range, for any sensor value (at most 1e4): the largest sum, LayerNorm's sum of
  * squares, stays under 1e34. */
 #define MO_WEIGHT_LIMIT 1e6f
 
@@ -79,7 +79,7 @@ void mo_controller_randomize(struct mo_controller *controller, uint64_t seed);
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key,
                                const char *value);
 const char *mo_controller_get_metadata(const struct mo_controller *controller,
-                                       const char *key); /* NULL: none */
+                                       const char *key); /* NULL if absent */
 /* Reads an integer ≥ 0 that is a member of an entry whose value is a JSON object. MO_ERR_NOT_FOUND:
  * no such entry; MO_ERR_FORMAT: the entry is not an object, or has no such number;
  * MO_ERR_NO_MEMORY. */
@@ -88,7 +88,7 @@ int mo_controller_get_metadata_number(const struct mo_controller *controller, co
 
 /* Reads a safetensors file (path) or its bytes, and checks all of it: header length and JSON,
  * exactly the expected tensors, dtype F32, shapes that agree with one workspace (metadata
- * "workspace" = "6x6x4" names it; the default is assumed without it), offsets that tile the data
+ * "workspace" = "6x6x4" names it; if absent, the default is assumed), offsets that tile the data
  * without gap or overlap, finite values within MO_WEIGHT_LIMIT, a known "sensor" (default
  * inverse_sqrt), and known orders if stated. MO_ERR_FORMAT, MO_ERR_LIMIT, MO_ERR_IO,
  * MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
@@ -97,7 +97,7 @@ int mo_controller_read(const char *path, struct mo_controller **controller,
 int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,
                          struct mo_message *message);
 
-/* Encodes the file (malloc; the caller frees it). The same controller always gives the same bytes.
+/* Encodes the file (malloc; the caller frees it). Equal controllers encode to equal bytes.
  * MO_ERR_NO_MEMORY; MO_ERR_LIMIT: the metadata exceeds MO_SAFETENSORS_HEADER_MAX. */
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
 

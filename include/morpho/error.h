@@ -3,7 +3,7 @@
  * A function returns MO_OK (0) or one of these negative codes. Unless its comment says otherwise,
  * it never exits, never logs, and leaves its outputs unchanged on failure. Where a person must act
  * on an error, the function also takes a `struct mo_message *` (nullable) and writes one sentence
- * that says what is wrong and what would be right. */
+ * that says what is wrong and what to do. */
 #ifndef MORPHO_ERROR_H
 #define MORPHO_ERROR_H
 
@@ -14,12 +14,12 @@ extern "C" {
 enum mo_error {
   MO_OK = 0,
   MO_ERR_NO_MEMORY = -1,      /* an allocation failed */
-  MO_ERR_INVALID = -2,        /* a value is not of the kind the contract asks for */
+  MO_ERR_INVALID = -2,        /* a value is not of the required kind */
   MO_ERR_RANGE = -3,          /* a value is of the right kind, but outside its bounds */
   MO_ERR_EMPTY = -4,          /* a body without voxels */
   MO_ERR_NOT_CONTIGUOUS = -5, /* a body in more than one piece */
   MO_ERR_DUPLICATE = -6,      /* the same thing twice where once is allowed */
-  MO_ERR_FORMAT = -7,         /* bytes in another format than the announced one */
+  MO_ERR_FORMAT = -7,         /* bytes are not in the expected format */
   MO_ERR_LIMIT = -8,          /* larger than this build or this configuration accepts */
   MO_ERR_NOT_FOUND = -9,      /* no such thing */
   MO_ERR_CONFLICT = -10,      /* contradicts what exists already */

@@ -1,17 +1,17 @@
-/* evolution.h: how a population of designs varies, is selected and is described (paper, sections
- * 2.5 to 2.7; design, evolution).
+/* evolution.h: variation, selection and statistics of a population of designs (paper, sections 2.5
+ * to 2.7).
  *
  * A campaign depends only on its settings and seed. One generation is:
  *   mo_variation  makes children that were never seen before: mutants, then recombinants
  *   (the caller)  learns and scores
  *   mo_select     ranks the survivors among parents and children, best first
  * Every random number comes from a stream named by (seed, purpose, generation, index). So an
- * interrupted generation can be repeated bit for bit from only the population and the set of forms
+ * interrupted generation can be repeated, bit for bit, from the population and the set of forms
  * seen so far. Generation 0 is the initial population; generation g ≥ 1 is made from the survivors
  * of generation g − 1.
  *
- * Genotypes belong to the campaign's workspace (mo_workspace_words() words each, placed) and stand
- * in arrays of n × words. A score is a mean loss: lower is better, +infinity when a rollout
+ * Genotypes belong to the campaign's workspace (mo_workspace_words() words each, placed) and are
+ * stored in arrays of n × words. A score is a mean loss: lower is better, +infinity if a rollout
  * diverged, never NaN. Only functions whose objects are all const may run concurrently. */
 #ifndef MORPHO_EVOLUTION_H
 #define MORPHO_EVOLUTION_H
@@ -33,7 +33,7 @@ extern "C" {
 #define MO_RACE_ENVIRONMENTS_MAX 64
 #define MO_CAMPAIGN_DESIGNS_MAX  (UINT64_C(1) << 28) /* population × (generations + 1) */
 #define MO_CAMPAIGN_STEPS_MAX                                                                      \
-  10000 /* learning steps of a generation, limit each for parents and children */
+  10000 /* limit for the learning steps of a generation, for parents and children separately */
 
 /* ---- settings ---- */
 
@@ -60,14 +60,14 @@ struct mo_mode {
 };
 extern const struct mo_mode mo_modes[]; /* by enum mo_campaign_mode */
 
-/* In every scheme the best candidate survives, and a diverged one survives only when there is
- * nothing better.
+/* In every scheme the best candidate survives. A diverged candidate survives only if too few others
+ * exist.
  *   truncation   the best survive (paper)
  *   tournament   each further survivor is the best of tournament_size draws, with repetition,
  *                from those left
  *   novelty      the N with the smallest (1 − weight) · rank by score + weight · rank by
  *                novelty survive. Novelty: mean Hamming distance to all other candidates, most
- *                novel first. Both ranks count from 0; ties go by score
+ *                novel first. Both ranks count from 0; ties are broken by score
  *   age-layered  n_layers layers with growing age limits share the places equally. From the
  *                youngest layer on, the best candidates that are young enough and not yet
  *                chosen take its places; unfilled places go to the next layer. Age:
@@ -90,8 +90,8 @@ struct mo_selection {
                        layer */
 };
 
-/* Whether a child that cannot survive is scored to its end (racing.c). The choice changes no
- * population, no birth, no death and no controller. */
+/* Whether children that cannot survive are scored in all environments (racing.c). The choice
+ * changes no population, no birth, no death and no controller. */
 enum mo_racing { MO_RACING_LOSSLESS = 0, MO_RACING_OFF = 1 };
 extern const char *const mo_racing_words[]; /* "lossless", "off", NULL */
 
@@ -99,17 +99,17 @@ struct mo_campaign_settings {
   enum mo_campaign_mode mode;
   uint64_t seed;
   struct mo_workspace workspace; /* that bodies must fit; 6 × 6 × 4, no side longer, because
-                                    controllers are made for that */
+                                    controllers are made for this size */
   uint32_t population; /* N: MO_POPULATION_MIN … MO_POPULATION_MAX; at most MO_TRAINING_DESIGNS_MAX
                           if it learns */
-  uint32_t generations; /* after generation 0; 0 … MO_GENERATIONS_MAX: 0 scores the initial
-                           population only. Of a study: its newest batch */
-  double mutation_share; /* part of the population that mutates, 0 … 1; 0.25; the rest recombines */
+  uint32_t generations; /* after generation 0; 0 … MO_GENERATIONS_MAX: 0 scores only the initial
+                           population. For a study: its newest batch */
+  double mutation_share; /* share of the population that mutates, 0 … 1; 0.25; the rest recombine */
   double mutation_rate;   /* per voxel; 0 (default): 1 / voxels of the workspace; ≤ 0.5 */
   double mutation_growth; /* factor of the rate after each attempt that found nothing new; 1 …
                              2; 1.025 */
   struct mo_selection selection;
-  enum mo_racing racing;    /* lossless; has no effect where mo_race_is_possible says no */
+  enum mo_racing racing;    /* lossless; has no effect if mo_race_is_possible returns false */
   bool exclude_pretraining; /* count the controller's pretraining bodies as seen; true */
   double collapse_share;    /* warn when diversity falls below this share of its maximum so far; 0:
                                never; 0.5 */
@@ -125,9 +125,8 @@ struct mo_campaign_settings {
 
 /* Presets: population 8192 ("paper", with the paper's generations: 100, 7, 180), 512
  * ("workstation"; 100, 10, 180), 64 ("demo"; 30, 3, 30). Everything else is as in the paper, except
- * adjoint_bound (MO_ADJOINT_BOUND; the paper has 0). Few-shot: 30 + 30 steps,
- * simultaneous: 1 + 1, each with the paper's schedule. A study has no generations at first, and
- * excludes nothing. */
+ * adjoint_bound (MO_ADJOINT_BOUND; the paper uses 0). Few-shot: 30 + 30 steps, simultaneous: 1 + 1,
+ * each with the paper's schedule. A study starts without generations, and excludes nothing. */
 enum mo_preset { MO_PRESET_PAPER = 0, MO_PRESET_WORKSTATION = 1, MO_PRESET_DEMO = 2 };
 extern const char *const mo_preset_words[]; /* "paper", "workstation", "demo", NULL */
 struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum mo_preset preset);
@@ -140,14 +139,14 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
  * (simultaneous). Few-shot: n_steps = parent + child steps; the seed, below 2^53, is drawn from
  * (seed, EVOLUTION_SEED, generation). Simultaneous: n_steps = child steps + (parent + child steps)
  * · generations; the seed is the campaign's. Generation 0 has no parents: it takes only the child
- * steps, on the initial population, and its few-shot n_steps is their number, at least 1. Kind
- * MO_TRAINING_FINETUNE, nothing held out. */
+ * steps, on the initial population. Its few-shot n_steps is the number of child steps, at least 1.
+ * Kind MO_TRAINING_FINETUNE, nothing held out. */
 struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings,
                                                  uint32_t generation);
 
 /* ---- forms seen so far ---- */
 
-/* The canonical forms of all designs of a campaign, on top of those that its controller was
+/* The canonical forms of all designs of a campaign, and of the bodies that its controller was
  * pretrained on. */
 struct mo_seen;
 /* excluded: nullable, borrowed, read-only: several campaigns may share it. */
@@ -157,16 +156,16 @@ void mo_seen_free(struct mo_seen *seen); /* NULL-safe */
 int mo_seen_add(struct mo_seen *seen,
                 const uint64_t *genotype); /* 1: new, added; 0: already present; MO_ERR_NO_MEMORY,
                                               MO_ERR_EMPTY */
-uint64_t mo_seen_count(const struct mo_seen *seen); /* added by mo_seen_add */
+uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_add */
 
 /* Adds to `set` (of `workspace`) the forms of the first n_bodies that a pretraining of `seed`
  * learned from and that fit `workspace`. The bodies are those of mo_training_draw, without held-out
  * forms; cancel and done (bodies so far) are nullable, as there. 3.5 µs per body on one thread.
  * Memory: only `set` if it is empty and of the default workspace, else also a set of n_bodies
- * forms; and up to 3 MiB per thread. The set is the same for any number of threads (0 counts as 1,
- * the caller's is one of them); they end with the call. MO_ERR_CANCELLED, MO_ERR_NO_MEMORY,
- * MO_ERR_EXHAUSTED: `set` may hold some of the forms. */
-#define MO_PRETRAINING_FORMS_VERSION 1 /* raised with every change of what it finds */
+ * forms; and up to 3 MiB per thread. The set is the same for any number of threads (0 counts as 1;
+ * the calling thread is one of them), which stop at the end of the call. MO_ERR_CANCELLED,
+ * MO_ERR_NO_MEMORY, MO_ERR_EXHAUSTED: `set` may hold some of the forms. */
+#define MO_PRETRAINING_FORMS_VERSION 1 /* raised whenever its result changes */
 int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace,
                          uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
                          struct mo_form_set *set);
@@ -176,7 +175,7 @@ int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace w
 enum mo_operator {
   MO_BORN_RANDOM = 0,    /* initial population */
   MO_BORN_LISTED = 1,    /* initial population: given by the user */
-  MO_BORN_INHERITED = 2, /* initial population: of another campaign */
+  MO_BORN_INHERITED = 2, /* initial population: from another campaign */
   MO_BORN_MUTATION = 3,
   MO_BORN_CROSSOVER = 4
 };
@@ -188,16 +187,16 @@ extern const char
 struct mo_birth {
   enum mo_operator op;
   uint32_t parents[2]; /* indices of the parents in the population; MO_NO_PARENT */
-  uint32_t attempts;   /* attempts until the child was new: 1 at best */
+  uint32_t attempts;   /* attempts until the child was new; at least 1 */
 };
 
-/* Fills places n_given … population − 1 of `genotypes` with random bodies that were not seen:
- * stream (seed, POPULATION, 0, i), i = 0, 1, …, without those seen. Adds all bodies to `seen`,
- * including the given ones, which must be placed and valid and may have excluded forms. *n: number
- * of bodies; below `population` when the morphospace is exhausted, that is, when 2^16 draws in a
+/* Fills places n_given … population − 1 of `genotypes` with random bodies that were not seen
+ * before: stream (seed, POPULATION, 0, i), i = 0, 1, …, skipping seen ones. Adds all bodies to
+ * `seen`, including the given ones, which must be placed and valid and may have excluded forms. *n:
+ * number of bodies; below `population` if the morphospace is exhausted, that is, if 2^16 draws in a
  * row found nothing new. MO_ERR_DUPLICATE: two given bodies have the same form (*fault, nullable:
- * the later). cancel nullable: MO_ERR_CANCELLED. MO_ERR_NO_MEMORY; MO_ERR_RANGE: more given than
- * the population. On error `seen` may hold some of the bodies. */
+ * the later one). cancel nullable: MO_ERR_CANCELLED. MO_ERR_NO_MEMORY; MO_ERR_RANGE: more given
+ * than the population. On error `seen` may hold some of the bodies. */
 int mo_population_initial(const struct mo_campaign_settings *settings, struct mo_seen *seen,
                           uint64_t *genotypes, uint32_t n_given, uint32_t *n, uint32_t *fault,
                           const volatile int *cancel);
@@ -206,8 +205,7 @@ struct mo_variation_counts {
   uint64_t mutation_attempts,
       crossover_attempts;         /* children drawn, including seen and empty ones */
   uint32_t mutants, recombinants; /* born */
-  uint32_t
-      fallbacks; /* of the mutants: replacements for recombinants, when no pair gave anything new */
+  uint32_t fallbacks; /* mutants that replace recombinants, because no pair gave a new child */
   bool exhausted; /* fewer than `population` children: 2^16 attempts in a row found nothing new */
 };
 /* Makes the children of a population, in order: mutants, recombinants, fallbacks. A random
@@ -237,73 +235,75 @@ struct mo_candidate {
   uint32_t born;   /* generation */
 };
 /* Selects survivors: (min(n, population)) places among the candidates, best score first. A diverged
- * candidate survives only when there is nothing better. genotypes: (n, words), used by novelty.
+ * candidate survives only if too few others exist. genotypes: (n, words), used by novelty.
  * MO_ERR_NO_MEMORY; MO_ERR_INVALID: a score is NaN. */
 int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
               const uint64_t *genotypes, const struct mo_candidate *candidates, uint32_t n,
               uint32_t *survivors, uint32_t *n_survivors);
 
-/* ---- racing: scores of children that cannot survive are not computed to the end ---- */
+/* ---- racing: scoring of children stops once they cannot survive ---- */
 
 /* Losses are never negative, and rounded sums are monotone: the score of a design whose missing
  * losses count as 0 is a lower bound of its score, bit for bit. Under truncation, a child whose
- * lower bound is above the worst of N parents is dead, because N candidates are better.
- * Environments are scored in waves, those that tell most first.
+ * lower bound is above the worst of N parents cannot survive, because N candidates are better.
+ * Environments are scored in waves, the most informative first.
  *
- * Only truncation has such a bound. In a tournament, every candidate that did not diverge may live;
- * novelty lets bad designs live; in layers of age, children compete with children first, and there
- * are never more than N of them. A study gives its client every score. */
+ * Only truncation has such a bound. In a tournament, every candidate that did not diverge may
+ * survive; novelty lets bad designs survive; in age layers, children compete with children first,
+ * and there are never more than N of them. A study owes its client every score. */
 bool mo_race_is_possible(const struct mo_campaign_settings *settings);
 #define MO_RACE_WAVES_MAX 6
 struct mo_race {
-  double bound; /* a child whose score is above it is dead; +infinity: none is */
+  double bound; /* a child with a score above it cannot survive; +infinity: every child can */
   uint32_t n_environments;
-  uint8_t order[MO_RACE_ENVIRONMENTS_MAX]; /* (n_environments) environments, the first first */
+  uint8_t order[MO_RACE_ENVIRONMENTS_MAX]; /* (n_environments) environments in the order of
+                                              scoring */
   uint32_t n_waves;
   uint8_t ends[MO_RACE_WAVES_MAX]; /* (n_waves) wave w scores order[ends[w − 1] … ends[w] − 1] */
-  bool is_whole;                   /* nobody is cut: all waves are scored at once */
+  bool is_whole;                   /* no child is cut: all waves are scored at once */
 };
 /* Plans the race of a generation's children from the losses and scores of its parents: losses
- * (n_parents, n_environments), NaN where one is not known; scores (n_parents). pays: a race saved
- * time in the generation before, or would have. Depends on nothing else. With fewer than
+ * (n_parents, n_environments), NaN: not known; scores (n_parents). pays: a race saved time in the
+ * previous generation, or would have. The plan depends on nothing else. With fewer than
  * `population` parents there is one wave, and nothing is cut. */
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
                   const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race);
-/* Returns how many rollouts' time a race saves with a child, negative: takes more, whether it was
- * cut, or all its losses are known. A loss is NaN where it was not computed: stored losses may cut
- * a child before a wave. */
+/* Returns the time, in rollouts, that a race saves with a child that was cut or has all its losses;
+ * negative: it costs time. A loss that was not computed is NaN: stored losses may cut a child
+ * before a wave. */
 int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device);
-/* Returns how many rollouts' time a generation loses by its race: one device computes thousands
- * of rollouts at once, and is idle at the end of a wave on which the next one waits. parents_first:
- * the first wave waits for the scores of parents. */
+/* Returns the time, in rollouts, that a generation loses by its race: a device computes thousands
+ * of rollouts at once, and is idle at the end of a wave while the next one waits for it.
+ * parents_first: the first wave waits for the scores of parents. */
 uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first);
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
 double mo_race_score(const double *losses, uint32_t n);
 
 /* ---- the k best of n designs ---- */
 
-/* A race of n designs (best.c): those whose score is at most the k-th best one get all their
- * losses, the others as many as prove that they do not. It goes in rounds: mo_best_ask asks for
- * losses, and is called again when all of them were given by mo_best_give. What it asks depends on
- * the losses asked before and on nothing else. */
+/* A race of n designs (best.c): designs with a score at most the k-th best get all their losses,
+ * the others only enough to prove that their scores are higher. The race runs in rounds:
+ * mo_best_ask asks for losses, and is called again after mo_best_give has delivered all of them.
+ * The losses that it asks for depend only on the losses of earlier rounds. */
 struct mo_best {
   uint32_t n_designs, n_environments, k;
   uint64_t n_cut;        /* losses that will never be asked for */
-  double share;          /* estimate: of the losses that will be asked for; 0: not known yet */
+  double share;          /* estimated share of the losses that will be asked for; 0: not known
+                            yet */
   uint64_t *asked;       /* (n_designs) the environments asked for so far, as bits */
   double *losses;        /* (n_designs, n_environments) NaN: not known */
   struct mo_rank *ranks; /* (n_designs) scratch */
-  struct mo_race race;   /* its bound is that of the designs that are whole */
+  struct mo_race race;   /* its bound is that of the designs with all losses */
   uint32_t round, wave;  /* rounds and waves asked for */
 };
 /* 1 ≤ k ≤ n_designs; 1 ≤ n_environments ≤ MO_RACE_ENVIRONMENTS_MAX. MO_ERR_NO_MEMORY. */
 int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, struct mo_best **best);
 void mo_best_free(struct mo_best *best); /* NULL-safe */
-/* Gives a loss that was asked for; +infinity: diverged. */
+/* Records a loss that was asked for; +infinity: diverged. */
 void mo_best_give(struct mo_best *best, uint32_t design, uint32_t environment, double loss);
-/* Asks for the next losses: adds bits to `asked`. Returns the number of losses that it adds; 0: the
- * race is over, and designs with all bits have their scores. */
+/* Asks for the next losses: adds bits to `asked`. Returns how many it added; 0: the race is over,
+ * and designs with all bits set have their scores. */
 uint64_t mo_best_ask(struct mo_best *best);
 
 /* ---- statistics ---- */
@@ -321,7 +321,7 @@ struct mo_spread {
 #define MO_QUANTILES 7 /* 0, 5, 25, 50, 75, 95, 100 %: linear between ranks */
 struct mo_population_stats {
   uint32_t n, n_diverged;
-  double mean_score, quantiles[MO_QUANTILES]; /* without diverged ones; NaN: all diverged */
+  double mean_score, quantiles[MO_QUANTILES]; /* of those that did not diverge; NaN: all diverged */
   double diversity; /* mean pairwise Hamming distance / voxels of the workspace; 0 for n < 2 */
   uint32_t species; /* distinct canonical forms */
   struct mo_spread voxels, footprint, masses, springs;
@@ -331,15 +331,15 @@ int mo_population_stats(struct mo_workspace workspace, const uint64_t *genotypes
                         const double *scores, const struct mo_design_size *sizes, uint32_t n,
                         struct mo_population_stats *stats);
 double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n);
-/* Computes each one's mean Hamming distance / voxels to all others, exactly, in O(n · voxels).
- * distances: (n); 0 for n < 2. */
+/* Computes the mean Hamming distance of each genotype to all others, divided by the voxels of the
+ * workspace, exactly, in O(n · voxels). distances: (n); 0 for n < 2. */
 void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
                         double *distances);
 
-/* Picks m of n (m ≤ n): the best, and the others at even steps over the ranking by score (without
- * diverged ones while there are enough others). Orders them by their mean Hamming distance to each
- * other, most distinct first; ties: better score, then lower place. picks: (m) places; distances
- * (nullable): (m) those of the picks, as mo_distinctiveness gives them. MO_ERR_NO_MEMORY;
+/* Picks m of n (m ≤ n): the best, and others at even steps over the ranking by score (diverged ones
+ * only if there are not enough others). Orders them by their mean Hamming distance to each other,
+ * most distinct first; ties: better score, then lower place. picks: (m) places; distances
+ * (nullable): (m) distances of the picks, as from mo_distinctiveness. MO_ERR_NO_MEMORY;
  * MO_ERR_RANGE: m > n. */
 int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
                  uint32_t n, uint32_t m, uint32_t *picks, double *distances);
@@ -356,16 +356,17 @@ struct mo_descent {
 void mo_ancestors(const struct mo_descent *descents, uint32_t n, uint32_t number, uint8_t *marks);
 void mo_descendants(const struct mo_descent *descents, uint32_t n, uint32_t number, uint8_t *marks);
 
-/* The Newick text of the forest in which each design hangs on its first parent, one line
- * ("…;\n") per root, children in order of birth. A label is "n" and the number: readers take a bare
- * number at an inner node for a confidence. Branch lengths are generations; a root has none.
- * Iterative. Both arrays, (n), must outlive it; born: generations. MO_ERR_NO_MEMORY. */
+/* The Newick text of the forest in which each design is a child of its first parent: one line
+ * ("…;\n") per root, children in order of birth. A label is "n" and the number, because readers
+ * mistake a bare number at an inner node for a confidence. Branch lengths are in generations; a
+ * root has none. Iterative. Both arrays, (n), must outlive it; born: generations.
+ * MO_ERR_NO_MEMORY. */
 struct mo_newick;
 int mo_newick_create(const struct mo_descent *descents, const uint32_t *born, uint32_t n,
                      struct mo_newick **newick);
-/* Writes the next part of the text, without a NUL, into `size` ≥ MO_NEWICK_PIECE bytes. False: that
- * was the last one. */
-#define MO_NEWICK_PIECE 64 /* more than any one piece: "n4294967295:4294967295)" */
+/* Writes the next part of the text, without a NUL, into `size` ≥ MO_NEWICK_PIECE bytes. Returns
+ * false if it was the last one. */
+#define MO_NEWICK_PIECE 64 /* more than the longest piece: "n4294967295:4294967295)" */
 bool mo_newick_next(struct mo_newick *newick, char *text, size_t size, size_t *length);
 void mo_newick_free(struct mo_newick *newick); /* NULL-safe */
 

@@ -1,7 +1,7 @@
 /* gradient.h: the gradient of a rollout's loss with respect to every parameter of its controller,
  * by backpropagation through all steps (docs/numerics.md derives it). Two implementations of the
  * same mathematics:
- *   mo_gradient_reference  float64, plain C, one rollout: the yardstick
+ *   mo_gradient_reference  float64, plain C, one rollout: the reference
  *   mo_gradient_block      float32 vectors over up to MO_GRADIENT_ROBOTS different robots, each
  *                          in its own environment, compiled for several instruction sets
  *
@@ -12,11 +12,11 @@
  * is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start + 1e-8
  * m. Where m > bound,
  *   MO_ADJOINT_CLIP     scales both by bound/m;
- *   MO_ADJOINT_RESTART  starts both again, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
+ *   MO_ADJOINT_RESTART  resets both, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
  *                       restart_weight times that of the distance to the light, over d0, at the
  *                       center of mass one step earlier.
- * A restart drops the effect of the state on later time. It keeps the effect of the parameters, as
- * accumulated so far on the way back. With a weight of 0 the backward pass ends there. */
+ * A restart drops the effect of the state on later time. It keeps the effect of the parameters that
+ * the backward pass has accumulated so far. With a weight of 0 the backward pass ends there. */
 #ifndef MORPHO_GRADIENT_H
 #define MORPHO_GRADIENT_H
 
@@ -35,7 +35,7 @@ extern "C" {
 #define MO_ADJOINT_BOUND      2.0
 #define MO_ADJOINT_BOUND_MAX  1e6 /* of settings */
 #define MO_ADJOINT_RATE_PER_S 15.0
-#define MO_RESTART_WEIGHT     3.0 /* docs/learning.md: the best of those measured */
+#define MO_RESTART_WEIGHT     3.0 /* docs/learning.md: the best value measured */
 #define MO_RESTART_WEIGHT_MAX 1e6
 
 /* Stored by these numbers. */
@@ -82,9 +82,9 @@ void mo_gradient_counts_add(struct mo_gradient_counts *sum,
  * and about sqrt(n_steps) steps: 7.5 MB for the full default workspace and 1000 steps. Costs about
  * three rollouts.
  *
- * MO_ERR_INVALID: no controller, one of another workspace, an option that is not finite, or an
- * unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range; MO_ERR_NO_MEMORY. On
- * error nothing is written. */
+ * MO_ERR_INVALID: no controller, a controller of another workspace, an option that is not finite,
+ * or an unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range; MO_ERR_NO_MEMORY.
+ * On error nothing is written. */
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
                           const struct mo_environment *environment,
                           const struct mo_physics *physics,
@@ -93,28 +93,28 @@ int mo_gradient_reference(const struct mo_body *body, const struct mo_controller
 
 /* ---- the fast path ---- */
 
-#define MO_GRADIENT_ROBOTS        32                  /* most robots of one block */
+#define MO_GRADIENT_ROBOTS        32                  /* largest number of robots in a block */
 #define MO_GRADIENT_DEFAULT_BYTES ((size_t)384 << 20) /* budget of one worker's scratch */
 
 /* One robot of a batch; its pointers are borrowed. */
 struct mo_robot {
   const struct mo_body *body;
   const struct mo_environment *environment;
-  const uint64_t *genotype; /* placed, of the body; NULL: only this machine can compute it */
+  const uint64_t *genotype; /* placed, of the body; NULL: remote takers cannot compute it */
 };
 
 /* Same as mo_pack_create with MO_FLOAT32, for rollouts and gradients. */
 int mo_pack_create_for_gradients(const struct mo_controller *controller, enum mo_isa isa,
                                  struct mo_pack **pack);
-/* Copies new parameters, of the same workspace and sensor, into the pack: for the next learning
+/* Copies new parameters, of the same workspace and sensor, into the pack for the next learning
  * step. MO_ERR_UNSUPPORTED: another workspace or sensor. */
 int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller);
 
-/* Scratch of one worker: grows to what its blocks need. The tape of a block (what the backward pass
- * needs of every step) is kept in full if it fits `budget_bytes`. Else the rollout is cut into
- * segments, of which only the starts are kept, and the backward pass runs each segment again. The
- * budget changes no bit of a result. A budget too small for the shortest segments is exceeded, not
- * refused. */
+/* Scratch of one worker: grows to what its blocks need. The tape of a block (the data of every step
+ * that the backward pass needs) is kept in full if it fits `budget_bytes`. Otherwise the rollout is
+ * cut into segments: only their starts are kept, and the backward pass runs each segment again. The
+ * budget changes no bit of a result. If it is too small for the shortest segments, it is
+ * exceeded. */
 struct mo_gradient_memory;
 int mo_gradient_memory_create(size_t budget_bytes, struct mo_gradient_memory **memory);
 void mo_gradient_memory_free(struct mo_gradient_memory *memory); /* NULL-safe */
@@ -136,8 +136,8 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  * Range).
  *
  * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
- * (n). pause, counts nullable (counts are added to). MO_ERR_INVALID (a body of another
- * workspace, options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
+ * (n). pause, counts nullable (counts are added to). MO_ERR_INVALID (a body of another workspace,
+ * invalid options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,

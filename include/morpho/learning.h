@@ -1,6 +1,6 @@
-/* learning.h: how the controller learns: optimizer, schedules, the stream of robots, and the state
- * of one training (paper, sections 2.4 and 3; appendix A). A training can be saved at any step and
- * continues from there bit for bit.
+/* learning.h: how the controller learns: the optimizer, schedules, the stream of robots, and the
+ * state of one training (paper, sections 2.4 and 3; appendix A). A training can be saved after any
+ * step and resumes from there bit for bit.
  *
  * The caller drives a training one step at a time:
  *   mo_training_draw    the robots of the step: which body, which environment
@@ -28,8 +28,8 @@ extern "C" {
 #define MO_TRAINING_STEPS_MAX   1000000
 #define MO_TRAINING_BATCH_MAX   65536
 #define MO_TRAINING_DESIGNS_MAX 10000
-/* Limit of n_steps × batch of a pretraining. The set of bodies seen takes 24 to 30 bytes per body
- * (it also holds the held-out forms), 7.5 GB at this limit. */
+/* Limit of n_steps × batch of a pretraining. The set of bodies seen, which includes the held-out
+ * forms, takes 24 to 30 bytes per body: 7.5 GB at this limit. */
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6
@@ -51,7 +51,7 @@ struct mo_schedule {
   uint32_t cycle_steps;  /* of the first cycle, ≥ 1 (restarts) */
   uint32_t cycle_growth; /* growth of the length per cycle, 1 … 1000 (restarts) */
   uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins;
-                            0: none. A shorter training ends during the warm-up */
+                            0: none. A shorter training ends within the warm-up */
 };
 /* The paper's three schedules, and this program's own defaults. */
 enum mo_schedule_preset {
@@ -65,15 +65,15 @@ extern const struct mo_schedule mo_schedule_presets[];
 extern const char *const mo_schedule_preset_words[]; /* "paper-pretrain", …, NULL */
 /* Returns the learning rate of step `step` (from 0) of a training of n_steps, for a schedule that
  * passed mo_training_settings_check. In step s of a cycle of n steps, or s of the n steps after the
- * warm-up of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; where decay takes
- * the peak below the floor, the floor. Bit-exact on every machine. */
+ * warm-up of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; once decay takes
+ * the peak below the floor, the rate is the floor. Bit-exact on every machine. */
 double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps);
 
 /* ---- settings ---- */
 
 enum mo_training_kind {
   MO_TRAINING_PRETRAIN = 0, /* an endless stream of distinct random bodies, each seen once */
-  MO_TRAINING_FINETUNE = 1  /* the designs given, in turn */
+  MO_TRAINING_FINETUNE = 1  /* the given designs, in turn */
 };
 
 /* How weights follow from gradients; trainings and campaigns share this. */
@@ -89,22 +89,22 @@ struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule);
 
 struct mo_training_settings {
   enum mo_training_kind kind;
-  uint64_t seed;    /* of bodies, environments and, when there is no parent, initial weights */
+  uint64_t seed;    /* of bodies, environments and, without a parent, initial weights */
   uint32_t n_steps; /* 1 … MO_TRAINING_STEPS_MAX */
-  uint32_t batch;   /* robots of a step, 1 … MO_TRAINING_BATCH_MAX */
+  uint32_t batch;   /* robots per step, 1 … MO_TRAINING_BATCH_MAX */
   struct mo_learning learning;
   struct mo_physics physics;
   enum mo_sensor sensor; /* for a controller with random initial weights; ignored with a parent */
   /* Validation scores these designs in these environments with the current controller. Pretraining:
    * the first mo_held_out_designs of the seed, which it never learns from. Finetuning: the first of
-   * the designs that it learns on (as many as there are). The environments are always new to the
-   * controller. */
+   * the designs that it learns on, or all if there are fewer. The environments are always new to
+   * the controller. */
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
-/* Presets: whole sets of settings, each of which can be changed. Seed 1, physics, sensor, epsilon,
- * beta2, norm_limit and what is held out are the same in all; unless noted, so are Adam and the
- * adjoint's bound.
+/* Presets: complete sets of settings, each of which can be changed. Seed 1, physics, sensor,
+ * epsilon, beta2, norm_limit and the held-out sets are the same in all; unless noted, so are Adam
+ * and the adjoint's bound.
  *   workstation  1400 steps of 256 by one cosine; finetuning: 60 steps by the finetune cosine
  *   phototaxis   how the controller of this name was made: 1400 steps of 8192; after a
  *                warm-up of 5 steps, restarts from 2e-3 to 1e-5, the first cycle of 61 steps,
@@ -129,16 +129,16 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
 
 /* ---- held-out sets ---- */
 
-/* Returns 1 if a form is held out, else 0. One canonical form in MO_HELD_OUT_ONE_IN is, chosen by a
- * hash of only the form; no pretraining draws it, for any seed. So held-out bodies are new to every
- * controller, and two controllers can be compared on them. form: canonical, of the default
- * workspace (MO_DEFAULT_WORDS). */
+/* Returns 1 if a form is held out, else 0. One canonical form in MO_HELD_OUT_ONE_IN is held out,
+ * chosen by a hash of the form and nothing else; no pretraining draws it, for any seed. Held-out
+ * bodies are therefore new to every controller, and two controllers can be compared on them. form:
+ * canonical, of the default workspace (MO_DEFAULT_WORDS). */
 #define MO_HELD_OUT_ONE_IN 16
 int mo_held_out_form(const uint64_t *form);
 
 /* Draws n random bodies with held-out forms, no two with the same form: stream (seed,
- * HELD_OUT_BODY, 0, i), skipping other forms. The first n of a longer list are the same. designs:
- * (n, MO_DEFAULT_WORDS) placed genotypes of the default workspace. About 0.1 ms each.
+ * HELD_OUT_BODY, 0, i), skipping other forms. A shorter list is the beginning of a longer one.
+ * designs: (n, MO_DEFAULT_WORDS) placed genotypes of the default workspace. About 0.1 ms each.
  * MO_ERR_NO_MEMORY; MO_ERR_RANGE: n > MO_TRAINING_DESIGNS_MAX. */
 int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs);
 /* Fills in mo_environment_held_out of this seed, 0 … n − 1: the training distribution under keys
@@ -151,7 +151,7 @@ struct mo_training;
 
 /* parent: nullable for MO_TRAINING_PRETRAIN (random weights then); borrowed for the call. designs:
  * (n_designs, MO_DEFAULT_WORDS) placed genotypes for MO_TRAINING_FINETUNE, at most
- * MO_TRAINING_DESIGNS_MAX, copied; else NULL, 0. The caller has checked what it gives.
+ * MO_TRAINING_DESIGNS_MAX, copied; else NULL, 0. The caller has checked the settings and designs.
  * MO_ERR_UNSUPPORTED: the parent is not for the default workspace; MO_ERR_NO_MEMORY. */
 int mo_training_create(const struct mo_training_settings *settings,
                        const struct mo_controller *parent, const uint64_t *designs,
@@ -161,7 +161,7 @@ void mo_training_free(struct mo_training *training); /* NULL-safe */
 uint32_t
 mo_training_step(const struct mo_training *training); /* steps applied so far; n_steps: finished */
 uint32_t mo_training_skipped(
-    const struct mo_training *training); /* of these, steps that changed no weight */
+    const struct mo_training *training); /* number of those that changed no weight */
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training);
 const struct mo_controller *
 mo_training_controller(const struct mo_training *training); /* current weights; borrowed */
@@ -169,50 +169,51 @@ mo_training_controller(const struct mo_training *training); /* current weights; 
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
  * step t has mo_environment_training(seed, t, i). A restored pretraining first replays its stream:
  * a non-zero `cancel` (nullable) stops that with MO_ERR_CANCELLED; `replayed` (nullable) counts the
- * bodies drawn again so far, of step × batch. Drawing twice gives the same robots; after an error
- * the next call continues where the last one stopped. Memory: the bodies of the step (for a
- * finetuning, of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left;
- * MO_ERR_CORRUPT: the replay needed another number of draws (the checkpoint is from other code);
- * MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
+ * bodies drawn again so far, out of step × batch. Drawing twice gives the same robots; after an
+ * error, the next call continues where the failed call stopped. Memory: the bodies of the step (for
+ * a finetuning, of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left;
+ * MO_ERR_CORRUPT: the replay needed a different number of draws (the checkpoint is from other
+ * code); MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel,
                      volatile uint64_t *replayed, const struct mo_robot **robots);
 
-/* Draws the robots of the step after the current one, for the next draw to find. Call it while the
- * gradient of the current robots, which do not change, is computed. Meanwhile only
- * mo_training_controller, _step, _settings_of and _encode may be called for this training. Also
- * MO_OK when there is no such step. Errors as for a draw; an error changes no result. */
+/* Draws the robots of the step after the current one, so that the next draw finds them ready. Call
+ * it while the gradient of the current robots, which do not change, is being computed. Meanwhile
+ * only mo_training_controller, _step, _settings_of and _encode may be called for this training.
+ * Also MO_OK if there is no such step. Errors as for a draw; an error changes no result. */
 int mo_training_draw_ahead(struct mo_training *training, const volatile int *cancel);
 const struct mo_robot *
 mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahead; NULL: none */
-/* Sets how many threads make the robots of a step and apply its gradient (initially 1); they end
- * with each call. Changes no result. Useful from a thousand robots on: one thread makes about
- * 30,000 per second. */
+/* Sets how many threads make the robots of a step and apply its gradient (initially 1); they stop
+ * at the end of each call. Changes no result. Useful for a thousand robots or more: one thread
+ * makes about 30,000 per second. */
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
 
-/* Replaces the designs of a finetuning, as a campaign does between steps: from the current step on
- * it learns on these (copied; as in mo_training_create). Discards a drawn step. MO_ERR_NO_MEMORY:
- * nothing changed. */
+/* Replaces the designs of a finetuning, as a campaign does between steps: from the current step on,
+ * the training learns on the new ones (copied; as in mo_training_create). Discards a drawn step.
+ * MO_ERR_NO_MEMORY: nothing changed. */
 int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n);
 /* Makes a training longer or shorter: n_steps ≥ the steps applied. Only a schedule that does not
- * depend on n_steps leaves the applied steps as they were; others give MO_ERR_UNSUPPORTED. */
+ * depend on n_steps leaves the applied steps as they were; with other schedules it fails with
+ * MO_ERR_UNSUPPORTED. */
 int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
 
-/* What a step did. */
+/* The result of a step. */
 struct mo_training_report {
   uint32_t step;        /* from 1 */
-  double mean_loss;     /* over the robots that did not diverge; NaN when all did */
+  double mean_loss;     /* over the robots that did not diverge; NaN if all diverged */
   double rate;          /* learning rate */
-  double gradient_norm; /* of the batch gradient before the norm clip; 0 when skipped */
-  double clipped_share; /* of backward steps whose adjoint was above the bound */
+  double gradient_norm; /* of the batch gradient before the norm clip; 0 if skipped */
+  double clipped_share; /* of backward steps with an adjoint above the bound */
   double clipped_robots_share;
   uint32_t diverged, zeroed;
   bool skipped;     /* not finite (gradient or new weights), or no robot contributed: weights and
                        moments did not change */
   uint32_t bounded; /* weights clamped to ±MO_WEIGHT_LIMIT */
 };
-/* Applies the gradient (n_parameters) of the mean loss of the robots last drawn: moves weights,
- * moments and counters on by one step; a skipped step counts as a step. outcomes: (batch), in the
- * order of the robots. counts: of only this step. report nullable. MO_ERR_CONFLICT: nothing was
+/* Applies the gradient (n_parameters) of the mean loss of the robots last drawn: advances weights,
+ * moments and counters by one step; a skipped step counts as a step. outcomes: (batch), in the
+ * order of the robots. counts: of this step only. report nullable. MO_ERR_CONFLICT: nothing was
  * drawn, or the training is finished. */
 int mo_training_apply(struct mo_training *training, const double *d_parameters,
                       const struct mo_outcome *outcomes, const struct mo_gradient_counts *counts,
@@ -221,9 +222,9 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters,
 /* ---- checkpoints ---- */
 
 /* Encodes everything that the rest of the training depends on (malloc): settings, step, weights,
- * moments, counters, designs. The same state gives the same bytes, whether a step has been drawn or
- * not. The checksum detects any changed byte, or 8 in a row. 12.4 MB and 24 bytes per design.
- * MO_ERR_NO_MEMORY. */
+ * moments, counters, designs. Equal states encode to equal bytes, whether or not a step has been
+ * drawn. The checksum detects any change within 8 consecutive bytes. Size: 12.4 MB and 24 bytes per
+ * design. MO_ERR_NO_MEMORY. */
 #define MO_CHECKPOINT_BYTES_MAX (UINT64_C(16) << 20)
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size);
 /* MO_ERR_FORMAT (not a checkpoint, damaged, or of an unknown version; message says which),
@@ -231,7 +232,7 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
 
-/* The code that computed a training's gradients from a step on: what its bits depend on besides its
+/* The code that computed a training's gradients from a step on. Their bits depend on it and on the
  * inputs. */
 #define MO_FINGERPRINT_BYTES 64
 #define MO_LINEAGE_MAX       32
@@ -247,15 +248,16 @@ struct mo_training_lineage {
 
 /* Exports the current controller with its lineage in the metadata:
  *   "morphod.kind"
- *   ".parent"        its sha256 as given; NULL: "random"
+ *   ".parent"        its sha256, as passed; NULL: "random"
  *   ".seed"          of the data
  *   ".settings"      JSON
  *   ".step"
- *   ".version"       of the code, as given
+ *   ".version"       of the code, as passed
  *   ".code"          JSON: the entries of `lineage` (nullable) below this step
  *   ".designs_crc64" for a finetuning
- * No clock, no host: equal trainings give equal files. The parent's own metadata is not inherited.
- * The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that is not UTF-8). */
+ * The file names no time and no host: equal trainings export equal files. The parent's own metadata
+ * is not inherited. The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that
+ * is not UTF-8). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
                        const char *code_version, const struct mo_training_lineage *lineage,
                        struct mo_controller **controller);

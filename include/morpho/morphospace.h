@@ -5,7 +5,7 @@
  *   voxel  (x·ny + y)·nz + z
  *   mass   (x·(ny+1) + y)·(nz+1) + z in lattice coordinates
  *   spring rank of its endpoints (a, b), a < b, in lexicographic order over the whole lattice
- * Springs: the 12 edges and 12 face diagonals of each voxel, shared between neighbors.
+ * Springs: the 12 edges and 12 face diagonals of each voxel, shared with its neighbors.
  *
  * A genotype is a bit array of mo_workspace_words() 64-bit words owned by the caller; voxel v is
  * bit v & 63 of word v >> 6; bits past the last voxel are 0. "Valid" below means: not empty and
@@ -98,21 +98,22 @@ int mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id
 int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
                         uint64_t *form);
 
-/* Writes the notation of a robot, which is what a score belongs to: a design in one orientation.
- * ID@K is its id and the number of its orientation: image K of the canonical form, placed. Of the
- * 8 images (bits of K: 4, the first, swaps x and y; 1 mirrors in x; 2 mirrors in y) the first that
- * is the genotype. Two genotypes that differ only in their place have the same notation. Digits of
- * the id + 3 bytes. MO_ERR_EMPTY; MO_ERR_NO_MEMORY, but only above MO_SMALL_VOXELS. */
+/* Writes the notation of a robot: a design in one orientation, to which a score belongs. In ID@K, K
+ * is the orientation: the genotype is image K of the canonical form, placed. The bits of K are
+ * applied in this order: 4 swaps x and y, 1 mirrors in x, 2 mirrors in y. If several of the 8
+ * images are the genotype, K is the lowest. Two genotypes that differ only in their place have the
+ * same notation. Digits of the id + 3 bytes. MO_ERR_EMPTY; MO_ERR_NO_MEMORY, but only above
+ * MO_SMALL_VOXELS. */
 #define MO_ORIENTATIONS         8
 #define MO_DEFAULT_ROBOT_DIGITS (MO_DEFAULT_ID_DIGITS + 2) /* characters */
 int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char *robot);
-/* Reads the notation of a robot, or an id, into the placed genotype. *orientation: K; −1: an id
- * alone, and the genotype is that of orientation 0. Errors as mo_genotype_from_id. MO_ERR_FORMAT,
- * too, for an orientation that does not fit the workspace. */
+/* Reads the notation of a robot, or an id, into the placed genotype. *orientation: K, or −1 for an
+ * id without an orientation, which is read as orientation 0. Errors as in mo_genotype_from_id, and
+ * MO_ERR_FORMAT for an orientation that does not fit the workspace. */
 int mo_genotype_from_robot(struct mo_workspace workspace, const char *robot, size_t length,
                            uint64_t *bits, int *orientation);
 
-/* Moves a genotype to another workspace and places it there; turns it by 90° when it fits only that
+/* Moves a genotype to another workspace and places it there; turns it by 90° if it fits only that
  * way. MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
 int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
                      uint64_t *moved);
@@ -148,16 +149,16 @@ mo_form_set_estimate(struct mo_workspace workspace,
 
 /* A stream of random bodies, no two with the same canonical form: draw i is mo_genotype_random of
  * (seed, BODY, 0, i); draws whose form occurred before are skipped. MO_ERR_EXHAUSTED after 2^20
- * fruitless draws in a row (small workspaces run out). */
+ * draws in a row without a new form (small workspaces run out). */
 struct mo_body_stream;
 int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
                           struct mo_body_stream **stream);
 void mo_body_stream_free(struct mo_body_stream *stream);
 /* form: the body's canonical form; nullable. */
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-/* Sets how many threads draw ahead (initially 1: none does), each for some 10 µs per body; they end
- * with each call. Changes no body. The current number: nothing happens. MO_ERR_NO_MEMORY: nothing
- * changed. */
+/* Sets how many threads draw bodies ahead (initially 1: none does); a body takes a thread about 10
+ * µs. They stop at the end of each call. The bodies do not depend on the number. Setting the
+ * current number has no effect. MO_ERR_NO_MEMORY: nothing changed. */
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
 uint64_t mo_body_stream_draws(
     const struct mo_body_stream *stream); /* draws so far, including skipped ones */

@@ -1,10 +1,10 @@
 /* random.h: counter-based random numbers, Philox4x32-10 (Salmon et al., SC 2011).
  *
  * A stream is named by (seed, purpose, step, index). The same name gives the same numbers on every
- * machine, in any order of use and on any number of threads; nothing needs replaying after a
- * restart. Key: the 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the
- * low half of the index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the
- * index. All results are bit-exact across instruction sets (no libm). */
+ * machine, in any order of use and on any number of threads, so a restart needs no replay. Key: the
+ * 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the low half of the
+ * index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the index. All results
+ * are bit-exact across instruction sets (no libm). */
 #ifndef MORPHO_RANDOM_H
 #define MORPHO_RANDOM_H
 
@@ -31,14 +31,14 @@ enum mo_purpose {
   MO_PURPOSE_HELD_OUT_LIGHT = 12,
   MO_PURPOSE_POPULATION = 13,     /* initial populations of campaigns */
   MO_PURPOSE_EVOLUTION_SEED = 14, /* seeds of the trainings inside a campaign */
-  MO_PURPOSE_AUDIT = 15           /* which leases are computed twice */
+  MO_PURPOSE_AUDIT = 15           /* selects the leases that are computed twice */
 };
 
 struct mo_random {
   uint32_t key[2];
   uint32_t counter[4];
   uint32_t block[4]; /* the numbers of the current counter */
-  uint32_t used;     /* how many of them were returned; 4: compute the next block */
+  uint32_t used;     /* how many of `block` were returned; 4: compute the next block */
 };
 
 /* Applies the bijection once: out = Philox4x32-10(counter, key). */

@@ -2,15 +2,15 @@
  * mo_default_physics).
  *
  * A step: sense → control → springs → velocity → position → contact; docs/model.md has the
- * equations. Loss: distance in x, y from the center of mass to the light at the end, over the
- * distance at the start + 1e-8 m; lower is better, 1 is standing still.
+ * equations. Loss: distance in x, y from the center of mass to the light at the end, divided by
+ * (the distance at the start + 1e-8 m). Lower is better; 1 means standing still.
  *
  * Two implementations of the same mathematics:
- *   mo_rollout_reference  plain float64 C, one rollout, the yardstick of every test
+ *   mo_rollout_reference  plain float64 C, one rollout, the reference for every test
  *   mo_rollout_block      vectors over up to MO_BLOCK_LANES environments of one body, float32 or
  *                         float64, compiled for several instruction sets
- * In mo_rollout_block the bits of a lane depend only on its own inputs: not on the other lanes, nor
- * on its position among them. */
+ * In mo_rollout_block the bits of a lane depend only on its own inputs, not on the other lanes or
+ * its position among them. */
 #ifndef MORPHO_ROLLOUT_H
 #define MORPHO_ROLLOUT_H
 
@@ -60,7 +60,7 @@ struct mo_physics {
   double drop_height_m; /* 0: extra lift of the body at the start */
 };
 struct mo_physics mo_default_physics(void);
-/* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message says which field and which bounds. */
+/* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
 
 /* The channels of a recording, as bits of a set. */
@@ -71,7 +71,7 @@ enum mo_channel {
   MO_RECORD_CONTACTS = 8
 };
 #define MO_CHANNELS 4
-extern const char *const mo_channel_words[]; /* in the order of the bits; NULL */
+extern const char *const mo_channel_words[]; /* in the order of the bits, then NULL */
 
 /* The states at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. The caller
  * owns the arrays; NULL: not recorded. Positions after a divergence are those of the last finite
@@ -86,29 +86,29 @@ struct mo_recording {
 };
 uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride);
 
-/* Numbers of a channel in one frame, and the bytes of a number. */
+/* The count of numbers in one frame of a channel, and the bytes of each number. */
 uint32_t mo_channel_numbers(enum mo_channel channel, uint32_t n_masses, uint32_t n_springs);
 uint32_t mo_channel_width(enum mo_channel channel);
 /* Bytes of one frame of a set of channels. */
 uint64_t mo_recording_frame_bytes(unsigned channels, uint32_t n_masses, uint32_t n_springs);
-/* The array of a channel; NULL: not recorded. */
+/* Returns the array of a channel; NULL: not recorded. */
 void *mo_recording_array(const struct mo_recording *recording, enum mo_channel channel);
-/* Allocates the arrays of a set of channels, filled with 0; of no channel none. MO_ERR_NO_MEMORY:
- * none is left. */
+/* Allocates the arrays of the channels in the set, filled with 0. MO_ERR_NO_MEMORY: no array is
+ * left allocated. */
 int mo_recording_create(struct mo_recording *recording, unsigned channels, uint32_t stride,
                         uint32_t frames, uint32_t n_masses, uint32_t n_springs);
 void mo_recording_free(struct mo_recording *recording); /* the arrays; they become NULL */
 
 struct mo_outcome {
   double loss;           /* +infinity when diverged */
-  int32_t diverged_step; /* step (1-based) after which the state was not finite or too fast; 0: did
-                            not diverge */
+  int32_t diverged_step; /* step (1-based) after which the state was not finite or too fast; 0: no
+                            divergence */
   double com_start_m[3];
   double com_end_m[3]; /* the last finite one when diverged */
 };
 
-/* A callback every `interval` steps; a non-zero return ends the block with MO_ERR_CANCELLED. The
- * callback may run other blocks in another workspace memory: urgent blocks run this way. */
+/* A callback every `interval` steps; a non-zero return value stops the block with MO_ERR_CANCELLED.
+ * The callback may run other blocks in another workspace memory: urgent blocks run this way. */
 struct mo_pause_point {
   uint32_t interval; /* 0: never */
   int (*reached)(void *context);
@@ -116,8 +116,8 @@ struct mo_pause_point {
 };
 
 /* Runs one rollout. controller NULL: no actuation (rest lengths constant). recording nullable.
- * MO_ERR_INVALID: the controller's workspace is not the body's; MO_ERR_NO_MEMORY. A diverged
- * rollout is MO_OK: see the outcome. */
+ * MO_ERR_INVALID: the workspaces of the controller and the body differ; MO_ERR_NO_MEMORY. A
+ * diverged rollout still returns MO_OK: the outcome records the divergence. */
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
                          const struct mo_recording *recording, struct mo_outcome *outcome);
@@ -125,18 +125,18 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
 /* ---- the fast path ---- */
 
 enum mo_isa { MO_ISA_BASELINE = 0, MO_ISA_AVX2 = 1, MO_ISA_AVX512 = 2, MO_ISA_COUNT };
-enum mo_isa mo_isa_best(void); /* the widest that this processor (and operating system) runs */
+enum mo_isa mo_isa_best(void); /* the widest that this processor and operating system support */
 const char *mo_isa_name(enum mo_isa isa); /* "x86-64", "avx2", "avx512" */
 
 /* A controller laid out for one instruction set and precision. Const, shared by all workers. Keeps
  * no reference to the controller. controller NULL: a pack for passive bodies of any workspace.
- * MO_ERR_UNSUPPORTED: not on this processor. */
+ * MO_ERR_UNSUPPORTED: this processor lacks the instruction set. */
 struct mo_pack;
 int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                    enum mo_precision precision, struct mo_pack **pack);
 void mo_pack_free(struct mo_pack *pack); /* NULL-safe */
 
-/* Scratch of one worker: grows to the largest body it has seen, then allocates no more. */
+/* Scratch memory of one worker: grows to fit the largest body seen, then allocates no more. */
 struct mo_workspace_memory;
 int mo_workspace_memory_create(struct mo_workspace_memory **memory);
 void mo_workspace_memory_free(struct mo_workspace_memory *memory);

@@ -35,8 +35,8 @@ struct mo_environment {
 /* Returns the height at (x, y) in meters. Float64 reference for every faster path. */
 double mo_terrain_height(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m);
 /* Computes the gradient (∂h/∂x, ∂h/∂y) of the bilinear patch at (x, y); 0 along an axis whose
- * coordinate is clamped. On a line between two cells the cell with the higher index counts (at the
- * far edge the last cell). */
+ * coordinate is clamped. On a line between two cells, the cell with the higher index is used (at
+ * the far edge, the last cell). */
 void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m,
                          double gradient[2]);
 double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS]);
@@ -59,10 +59,10 @@ void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index,
 void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environment *environment);
 
 /* Fills in the paper's test set, always the same 10 environments: five lights at 2.0 m (angles
- * 2πi/5), then five at 1.5 m (offset by π/5). Each ring is paired at random, by a fixed seed, with
- * one terrain of each σ in {0.02, …, 0.10} m. Drawn: 0.10, 0.02, 0.04, 0.08, 0.06 m, then 0.02,
- * 0.06, 0.08, 0.10, 0.04 m. Streams (MO_PAPER_TEST_SEED, TEST_SET, 0, i): i = 0 for the pairing, 1
- * + k for the heights of environment k. */
+ * 2πi/5), then five at 1.5 m (offset by π/5). Each ring is paired at random, with a fixed seed,
+ * with one terrain of each σ in {0.02, …, 0.10} m. The pairing draws 0.10, 0.02, 0.04, 0.08, 0.06
+ * m, then 0.02, 0.06, 0.08, 0.10, 0.04 m. Streams (MO_PAPER_TEST_SEED, TEST_SET, 0, i): i = 0 for
+ * the pairing, 1 + k for the heights of environment k. */
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT]);
 
 #ifdef __cplusplus
