@@ -84,7 +84,7 @@ void mo_api_get_scores(struct mo_request *request)
 /* An import: the blocks of one request. */
 struct entering {
   struct mo_score_block *block;
-  struct mo_scores_entered *entered;
+  struct mo_scores_imported *entered;
   uint32_t n; /* blocks that were entered */
   size_t at;  /* where the next one begins */
 };
@@ -100,8 +100,8 @@ static int enter_next(struct mo_request *request, struct entering *entering,
   if (error == MO_OK)
     error = mo_score_block_read(from + MO_SCORES_HEAD, size, entering->block, message);
   if (error == MO_OK)
-    error = mo_store_scores_enter(mo_api_of(request)->store, entering->block, entering->entered,
-                                  message);
+    error = mo_store_scores_import(mo_api_of(request)->store, entering->block, entering->entered,
+                                   message);
   if (error != MO_OK)
     return error;
   entering->at += MO_SCORES_HEAD + size;
@@ -111,7 +111,7 @@ static int enter_next(struct mo_request *request, struct entering *entering,
 
 static void reply_entered(struct mo_request *request, const struct entering *entering)
 {
-  const struct mo_scores_entered *entered = entering->entered;
+  const struct mo_scores_imported *entered = entering->entered;
   const struct mo_score_block *block = entering->block;
   struct mo_text text = {0};
   mo_text_object(&text);

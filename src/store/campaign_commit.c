@@ -1,7 +1,7 @@
 /* campaign_commit.c: commits a generation of a campaign, completely or not at all.
  *
- * All results of a generation are one operation of the writer; the checkpoint's file is written
- * before. A generation out of turn is a conflict. */
+ * All results of a generation are stored in one operation of the writer; the checkpoint's file is
+ * written before it. A generation out of order is a conflict. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -63,7 +63,7 @@ static int prepare(struct commit_arguments *call)
 
 static int check_turn(struct mo_store *store, struct commit_arguments *call)
 {
-  /* A study waits for its next batch in the queue, where nobody takes it. */
+  /* A study waits for its next batch in the queue, and is not started before. */
   static const char sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION ",attempts=0,state=iif(?3 AND state=1,0,state)"
       " WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
@@ -132,7 +132,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   return error;
 }
 
-/* Updates parents that died or, where the controller learns, have a new score. */
+/* Updates parents that died or, if the controller learns, have a new score. */
 static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
 {
   static const char sql[] =
@@ -151,16 +151,17 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   return error;
 }
 
-/* What the losses of a generation have in common. */
+/* The conditions that the losses of a generation share. */
 struct conditions {
   const struct mo_campaign_head *head;
   int64_t environments[MO_ENVIRONMENTS_MAX];
-  int64_t fingerprints[2]; /* of the campaign's back end, of the workers */
-  /* Of each block, with its id: the newest of children that were cut short, and of others. */
+  int64_t fingerprints[2]; /* of the campaign's back end, and of the workers */
+  /* For each block, with its id: the newest condition of children that were cut short, and of all
+   * others. */
   struct mo_condition last[MO_ENVIRONMENTS_MAX / MO_BLOCK_LANES][2];
 };
 
-/* Losses that one machine computed, of a block of environments. */
+/* The losses of a block of environments that one machine computed. */
 struct part {
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
@@ -168,8 +169,8 @@ struct part {
   int64_t origin;
 };
 
-/* Takes the losses of a block that were computed where that of environment `first` was, and marks
- * them in `taken`. */
+/* Collects the losses of a block with the same origin and class as that of environment `first`, and
+ * marks them in `taken`. */
 static void take_part(const struct conditions *conditions, const struct mo_campaign_loss *loss,
                       uint32_t first, uint32_t end, uint64_t *taken, struct part *part)
 {
@@ -272,7 +273,8 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
                    mo_real(diversity > most ? diversity : most), mo_int(commit->race_pays));
 }
 
-/* Says whether all robots have diverged, but not all of the generation before. */
+/* Returns whether all robots have diverged for the first time, that is, not all of the previous
+ * generation. */
 static int all_have_diverged(struct mo_connection *writer, const struct commit_arguments *call,
                              bool *ret)
 {
@@ -295,7 +297,7 @@ static int commit_generation(struct mo_store *store, void *arguments)
   struct mo_campaign_generation row = commit->row;
   struct mo_connection *writer = &store->writer;
   int64_t now_us = mo_clock_wall_us();
-  bool has_diverged = false; /* all of it, for the first time */
+  bool has_diverged = false; /* all robots, for the first time */
   int error = check_turn(store, call);
   row.stored_us = now_us;
   if (error == MO_OK)

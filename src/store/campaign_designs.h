@@ -1,5 +1,5 @@
-/* campaign_designs.h: every design of a campaign, its populations and descents. Threads and errors
- * as in store/campaigns.h. */
+/* campaign_designs.h: all designs of a campaign, its populations and lines of descent. Threads and
+ * errors as in store/campaigns.h. */
 #ifndef MORPHO_STORE_CAMPAIGN_DESIGNS_H
 #define MORPHO_STORE_CAMPAIGN_DESIGNS_H
 
@@ -12,28 +12,30 @@ struct mo_campaign_design {
   uint32_t born;
   int64_t died; /* first generation whose population lacks it (`born`: never selected); −1: none */
   double score; /* its last score; +infinity: a rollout diverged */
-  bool is_cut;  /* the score is a lower bound: it was cut short, because it cannot survive */
+  bool is_cut;  /* the score is a lower bound: scoring stopped early, because the design cannot
+                   survive */
   struct mo_design_size size;
-  /* Of a study. */
-  char own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
+  /* Of a study. */ char
+      own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
   uint32_t n_measures;
   double measures[MO_STUDY_MEASURES_MAX]; /* (n_measures) NaN: not given */
 };
-/* The word of its operator. */
+/* Returns the name of a design's operator. */
 static inline const char *mo_campaign_operator(const struct mo_campaign_design *design)
 {
   return design->own_operator[0] != '\0' ? design->own_operator
                                          : mo_operator_words[design->descent.op];
 }
 /* Reads designs with numbers > after (−1: from the first), ascending, at most `limit` ≤
- * MO_PAGE_MAX. Takes, like all reads here, ≤ 50 ms in a campaign of a million designs. */
+ * MO_PAGE_MAX. Like all reads here, it takes ≤ 50 ms in a campaign of a million designs. */
 int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after,
                                   struct mo_campaign_design *rows, size_t limit);
-/* Reads the designs with these numbers, in this order. MO_ERR_NOT_FOUND: one does not exist. */
+/* Reads the designs with these numbers, in this order. MO_ERR_NOT_FOUND: a design does not
+ * exist. */
 int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers,
                                  size_t n, struct mo_campaign_design *rows);
 /* Reads the population after a generation (−1: the newest), best first, from place `offset` on,
- * with the scores of that time. *n: its size. Returns the number of rows or an error;
+ * with the scores it had then. *n: its size. Returns the number of rows or an error;
  * MO_ERR_NOT_FOUND: no such generation. */
 int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation,
                                      uint32_t offset, struct mo_campaign_design *rows, size_t limit,
@@ -47,15 +49,16 @@ struct mo_campaign_columns {
   uint32_t n;
   uint32_t *parents[2];  /* (n) each; MO_NO_PARENT */
   uint32_t *born, *died; /* (n) generations; died: MO_ALIVE */
-  uint8_t *operators;    /* (n) enum mo_operator, or MO_OPERATORS + place of a study's own word */
-  float *scores; /* (n) the last; NaN: a rollout diverged; below 0: a lower bound, negated */
+  uint8_t *operators;    /* (n) enum mo_operator, or MO_OPERATORS + index of a study's own
+                            operator */
+  float *scores; /* (n) last scores; NaN: a rollout diverged; below 0: a lower bound, negated */
   uint8_t *voxels, *footprints; /* (n) each */
   struct mo_study_words words;
   double *measures[MO_STUDY_MEASURES_MAX]; /* (words.n_measures, n) NaN: not given */
 };
 #define MO_ALIVE       UINT32_MAX
-#define MO_COLUMNS_MAX (INT64_C(1) << 22) /* they are held in memory, some 100 bytes each */
-/* MO_ERR_LIMIT: there are more. */
+#define MO_COLUMNS_MAX (INT64_C(1) << 22) /* they are held in memory, about 100 bytes each */
+/* MO_ERR_LIMIT: the campaign has more. */
 int mo_store_campaign_columns(struct mo_store *store, int64_t id,
                               struct mo_campaign_columns **columns);
 /* One birth of a form. */

@@ -1,5 +1,5 @@
-/* campaign_losses.c: losses of a campaign: those of the current generation, saved as they come, and
- * those stored earlier as scores. */
+/* campaign_losses.c: losses of a campaign: those of the current generation, saved as they arrive,
+ * and those stored earlier as scores. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -18,10 +18,10 @@ struct losses_arguments {
   const char *event_data;
 };
 
-/* Bits beside the step: those of struct mo_campaign_loss. Steps are smaller. */
+/* Flags in the word of the step, as in struct mo_campaign_loss. Steps are smaller. */
 #define BY_WORKERS (UINT32_C(1) << 31)
 #define STORED     (UINT32_C(1) << 30)
-_Static_assert(MO_STEPS_MAX < STORED, "a step has room beside the bits");
+_Static_assert(MO_STEPS_MAX < STORED, "a step does not reach the flags");
 
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
 {
@@ -29,7 +29,7 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
   return mo_sql_do(writer, sql, mo_int(id));
 }
 
-/* What a row's checksum covers beside the losses. Returns the number of words: origins are stored
+/* Words that a row's checksum covers besides the losses. Returns their number: origins are stored
  * only if this host did not compute everything. */
 #define KEY_WORDS (2 + MO_ENVIRONMENTS_MAX)
 static size_t key_of(int64_t id, const struct mo_campaign_loss *loss, int64_t key[KEY_WORDS])
@@ -140,7 +140,7 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
   return MO_OK;
 }
 
-/* ---- losses that are stored as scores ---- */
+/* ---- losses stored as scores ---- */
 
 /* Returns 1 if a loss of a genotype in n environments is known. */
 static int find_known(struct mo_connection *reader, struct mo_saved_design *design,

@@ -1,4 +1,4 @@
-/* campaign_phylogeny.c: reads every design of a campaign, its populations, its descents.
+/* campaign_phylogeny.c: reads all designs of a campaign, its populations and lines of descent.
  *
  * A page of designs is one range of campaign_designs. A population, and the births of a generation,
  * are one BLOB each. A campaign of a million designs has 9 MB of births. */
@@ -191,7 +191,7 @@ static void *take_array(char **block, size_t bytes)
   return array;
 }
 
-/* Makes room for n designs, in one block: the widest numbers come first, so that all are aligned.
+/* Allocates one block for n designs: the widest numbers come first, so that all are aligned.
  */
 static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_words *words)
 {
@@ -214,7 +214,8 @@ static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_
   return columns;
 }
 
-/* Reads the measures of the next design. One that is older than a measure does not have it. */
+/* Reads the measures of the next design. A design lacks the measures that were introduced after
+ * it. */
 static int read_measures(sqlite3_stmt *row, int column, struct mo_campaign_columns *columns)
 {
   double measures[MO_STUDY_MEASURES_MAX] = {0};

@@ -8,7 +8,7 @@
 
 #define MO_REPLICATES_MAX 100
 
-/* What a study's client may name: operators and measures, each a word of A-Z, a-z, 0-9, '_', '.'
+/* Names that a study's client chooses, for operators and measures: words of A-Z, a-z, 0-9, '_', '.'
  * and '-', in the order of their first use. */
 #define MO_STUDY_WORD_MAX      32
 #define MO_STUDY_OPERATORS_MAX 32
@@ -23,20 +23,21 @@ struct mo_study_words {
 /* The settings of a campaign. */
 struct mo_campaign_record {
   struct mo_campaign_settings settings; /* generations: including extensions */
-  /* Of the resulting controller, of a campaign that learns; "": "campaign-<id>". */
+  /* Name of the resulting controller, for a campaign that learns; "": "campaign-<id>". */
   char name[MO_NAME_BYTES_MAX + 1];
   char preset[16];                             /* as requested; "": none */
   char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": listed in the request */
   uint32_t n_environments;                     /* with a set, the store fills it in */
   uint32_t n_listed;                           /* initial designs listed in the request */
-  int64_t initial_campaign; /* its newest population at submission is the initial one; 0: none */
-  int64_t group;            /* id of the first replicate; its own for that one */
+  int64_t initial_campaign; /* this campaign's newest population at submission is the initial one;
+                               0: none */
+  int64_t group;            /* id of the first replicate, also in that one */
   uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
-  uint32_t checkpoint_every_s;    /* inside the learning of a generation; 0: only at its end */
+  uint32_t checkpoint_every_s;    /* while a generation learns; 0: only at its end */
 };
 
-/* A generation as lists show it. All of it is a function of settings and seed, except `seconds`,
- * `stored_us`, and `rollouts_cached`, which depends on what the store held. */
+/* A generation, as in lists. It depends only on settings and seed, except for `seconds`,
+ * `stored_us`, and `rollouts_cached`, which depends on the scores already stored. */
 struct mo_campaign_generation {
   uint32_t generation;
   uint64_t born_before; /* number of its first child: the designs born in earlier generations */
@@ -44,8 +45,8 @@ struct mo_campaign_generation {
   uint32_t children_cut;            /* children whose score is a lower bound */
   struct mo_population_stats stats; /* of the population after selection */
   double mean_parents,
-      mean_children; /* mean scores before selection, without designs that diverged; NaN: none. That
-                        of the children has lower bounds in it, if any was cut */
+      mean_children; /* mean scores before selection, without designs that diverged; NaN: none. The
+                        children's mean includes lower bounds if any child was cut */
   struct mo_variation_counts variation;
   uint32_t survived_mutants,
       survived_recombinants; /* children that selection kept; fallbacks count as mutants */
@@ -55,7 +56,7 @@ struct mo_campaign_generation {
   uint32_t learning_steps;      /* in this generation */
   double first_loss, last_loss; /* mean training loss of its first and last step; NaN: none */
   bool collapse;                /* this generation raised the diversity warning */
-  double seconds;               /* wall time since the generation before, without pauses */
+  double seconds;               /* wall time since the previous generation, without pauses */
   int64_t stored_us;
 };
 
@@ -75,19 +76,19 @@ struct mo_campaign_status {
   struct mo_job job;
   struct mo_campaign_record record;
   int64_t generation;                 /* newest committed; −1: none */
-  struct mo_campaign_generation last; /* generation ≥ 0 */
+  struct mo_campaign_generation last; /* if generation ≥ 0 */
   uint64_t n_designs;                 /* ever born */
   double best_score;                  /* of the newest population; NaN: none */
   double diversity_max;               /* so far */
   enum mo_campaign_end end;           /* of a succeeded campaign */
   uint32_t scored;                    /* designs of the current generation whose losses are saved */
   /* Of a study. */
-  int64_t told; /* newest batch; beyond `generation`: it is pending */
+  int64_t told; /* newest batch; pending if it is greater than `generation` */
   struct mo_study_words words;
-  uint64_t sampler_bytes; /* state of the sampler of the newest generation; 0: none */
+  uint64_t sampler_bytes; /* size of the sampler's state in the newest generation; 0: none */
   struct mo_sha256 sampler_sha256;
-  /* Where a campaign came from that was imported: the id of its store, its own there; 0: it was
-   * not. */
+  /* The source of an imported campaign: the id of its store, and its own id there; 0: not
+   * imported. */
   uint64_t source_store;
   int64_t source_campaign, imported_us;
 };

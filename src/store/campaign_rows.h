@@ -1,4 +1,4 @@
-/* campaign_rows.h: what the source files of campaigns share. Only for this room. */
+/* campaign_rows.h: definitions shared by the source files of campaigns. Only for this room. */
 #ifndef MORPHO_STORE_CAMPAIGN_ROWS_H
 #define MORPHO_STORE_CAMPAIGN_ROWS_H
 
@@ -33,8 +33,8 @@ struct mo_campaign_head {
 int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                          struct mo_campaign_head *head);
 
-/* The population of a generation, which can be read until the next call. MO_ERR_NOT_FOUND;
- * MO_ERR_CORRUPT: a wrong size. */
+/* The population of a generation, valid until the next call. MO_ERR_NOT_FOUND; MO_ERR_CORRUPT:
+ * wrong size. */
 struct mo_campaign_members {
   const struct mo_member_row *population; /* (n) best first */
   uint32_t n;
@@ -46,7 +46,7 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 int mo_study_find(struct mo_connection *connection, const char *label, int64_t *id);
 /* Reads a study's own words. */
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
-/* Inserts a design whose genotype has a row. measures: (n), of a study. */
+/* Inserts a design; its genotype has a row already. measures: (n), of a study. */
 int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,
                            const struct mo_campaign_design *design, const double *measures,
                            uint32_t n);
@@ -54,7 +54,7 @@ int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t gen
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
 /* Writes the row of a checkpoint and deletes the rows that it replaces. is_committed: it is the
- * state after its generation. */
+ * state at the end of its generation. */
 int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_checkpoint *checkpoint,
                                bool is_committed);
 

@@ -1,4 +1,4 @@
-/* campaign_runs.c: what the runner of a campaign does between generations: start, park, checkpoints
+/* campaign_runs.c: operations of a campaign's runner between generations: start, park, checkpoints
  * inside a generation, the end, the state from which it resumes. Writes are fenced as in runs.h. */
 #include <stdlib.h>
 
@@ -13,7 +13,7 @@ struct fault_arguments {
   const char *field, *detail;
 };
 
-static int tell_fault(struct mo_store *store, void *arguments)
+static int announce_fault(struct mo_store *store, void *arguments)
 {
   const struct fault_arguments *call = arguments;
   int error = mo_run_touch(store, call->id);
@@ -29,7 +29,7 @@ int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const struct mo_sha256 *sha256, const char *field,
                                     const char *detail)
 {
-  return mo_write(store, tell_fault, &(struct fault_arguments){id, sha256, field, detail});
+  return mo_write(store, announce_fault, &(struct fault_arguments){id, sha256, field, detail});
 }
 
 struct progress_arguments {
@@ -37,7 +37,7 @@ struct progress_arguments {
   const char *data;
 };
 
-static int tell_progress(struct mo_store *store, void *arguments)
+static int announce_progress(struct mo_store *store, void *arguments)
 {
   const struct progress_arguments *call = arguments;
   const int error = mo_run_touch(store, call->id);
@@ -47,7 +47,7 @@ static int tell_progress(struct mo_store *store, void *arguments)
 
 int mo_store_campaign_progress(struct mo_store *store, int64_t id, const char *data)
 {
-  return mo_write(store, tell_progress, &(struct progress_arguments){id, data});
+  return mo_write(store, announce_progress, &(struct progress_arguments){id, data});
 }
 
 /* ---- the end ---- */

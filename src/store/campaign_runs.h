@@ -1,6 +1,6 @@
-/* campaign_runs.h: what the runner of a campaign reads and writes. Each write returns after its
- * commit, with its event. Committing a generation beyond all earlier ones resets the job's
- * attempts. Threads and errors as in store/campaigns.h. */
+/* campaign_runs.h: reads and writes of a campaign's runner. Each write returns after its commit,
+ * and adds its event. Committing a generation beyond all earlier ones resets the job's attempts.
+ * Threads and errors as in store/campaigns.h. */
 #ifndef MORPHO_STORE_CAMPAIGN_RUNS_H
 #define MORPHO_STORE_CAMPAIGN_RUNS_H
 
@@ -17,7 +17,7 @@ int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
 int mo_store_campaign_progress(struct mo_store *store, int64_t id, const char *data);
 
 /* The newest population in its order, for a campaign that resumes. Reading it returns
- * MO_ERR_NOT_FOUND when no generation is committed. */
+ * MO_ERR_NOT_FOUND if no generation is committed. */
 struct mo_campaign_state {
   uint32_t generation, n;
   uint32_t *numbers;         /* (n) */
@@ -26,7 +26,7 @@ struct mo_campaign_state {
   double *scores;            /* (n) */
   uint64_t n_designs;
   double diversity_max;
-  bool race_pays; /* as committed; false at first */
+  bool race_pays; /* as committed; initially false */
 };
 int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **state);
 void mo_campaign_state_free(void *state); /* NULL-safe */
@@ -44,8 +44,8 @@ struct mo_campaign_loss {
                                          because the child cannot survive */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
   int64_t origins[MO_ENVIRONMENTS_MAX];        /* of each loss, as in mo_saved_block */
-  /* Bit k of environment k: workers, not devices as for the rest, computed it; it is in `scores`
-   * already. */
+  /* Bit k is for environment k. by_workers: workers computed the loss, though the job runs on
+   * devices; stored: it is in `scores` already. */
   uint64_t by_workers, stored;
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the
@@ -58,9 +58,9 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **losses, size_t *n);
 /* Finds genotypes with stored losses in environments of the campaign, under its controller and
- * physics (zero-shot), by code of this fingerprint, and where there are none by that of `workers`
- * (0: none). losses: room for n; place: index in `genotypes`; NaN: not stored. Returns the number
- * of those found. */
+ * physics (zero-shot), by code of this fingerprint or, where there are none, of `workers` (0:
+ * none). losses: room for n; place: index in `genotypes`; NaN: not stored. Returns the number
+ * found. */
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
                                 int64_t workers, const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses);
@@ -74,35 +74,38 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
                                  uint32_t step, const uint8_t *bytes, size_t size,
                                  const struct mo_campaign_step *steps, size_t n_steps);
 /* Reads the newest checkpoint of one generation. For the newest committed generation it is the
- * state that scored its population, whatever was learned since. Earlier ones are not kept. */
+ * state that scored its population, even if learning has continued since. Earlier ones are not
+ * kept. */
 int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
                                     uint32_t *step, uint8_t **bytes, size_t *size);
 
 /* A whole generation, committed in one transaction. */
 struct mo_campaign_commit {
   struct mo_campaign_generation row; /* seconds as measured; the store fills in stored_us */
-  /* (row.n_children); parents: places in the population before, of a study numbers of designs */
+  /* (row.n_children); parents: places in the previous population; in a study, numbers of designs */
   const struct mo_birth *births;
   const struct mo_bits *forms, *genotypes; /* (row.n_children) of the children */
   const struct mo_design_size *sizes;      /* (row.n_children) */
   const double *child_scores;              /* (row.n_children) */
-  const uint8_t *children_cut; /* (row.n_children) 1: the score is a lower bound; NULL: none is */
+  const uint8_t *children_cut; /* (row.n_children) 1: the score is a lower bound; NULL: none is a
+                                  lower bound */
   const double *measures;      /* (row.n_children, n_measures) of a study */
   uint32_t n_measures;
-  bool is_study;                  /* whose state is queued after the commit */
-  const uint32_t *parent_numbers; /* (n_parents) the population before, in its order */
+  bool is_study;                  /* the job is queued again after the commit */
+  const uint32_t *parent_numbers; /* (n_parents) the previous population, in its order */
   const double *parent_scores;    /* (n_parents) as used by the selection */
   uint32_t n_parents;
   const uint32_t *survivors; /* (n_survivors) places in parents, then children; in the order of the
                                 new population */
   uint32_t n_survivors;
-  bool race_pays; /* the next generation's children race */
+  bool race_pays; /* race in the next generation */
   /* (n_losses) zero-shot: losses of the children, stored in `scores` like those of evaluations;
    * else NULL. */
   const struct mo_campaign_loss *losses;
   uint32_t n_losses;
   int64_t fingerprint, workers_fingerprint; /* mo_store_fingerprint; workers_: for by_workers */
-  const struct mo_campaign_step *steps;     /* (n_steps) of the learning curve, not written yet */
+  const struct mo_campaign_step *steps;     /* (n_steps) rows of the learning curve that are not
+                                               written yet */
   uint32_t n_steps;
   const uint8_t *checkpoint; /* simultaneous, few-shot: the learning state at the end, a file
                                 written before the transaction; else NULL */
@@ -111,8 +114,8 @@ struct mo_campaign_commit {
   const char *event_data;    /* JSON of "campaign.generation" */
   const char *collapse_data; /* nullable: JSON of "campaign.diversity_collapse" */
 };
-/* Commits a generation. Generation 0 has no parents: its whole population are children.
- * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for trainings, or another generation is
+/* Commits a generation. Generation 0 has no parents: its whole population consists of children.
+ * MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT: as for trainings, or a different generation is
  * next. */
 int mo_store_campaign_commit(struct mo_store *store, int64_t id,
                              const struct mo_campaign_commit *commit);

@@ -36,8 +36,8 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_reques
 
 /* ---- the population of another campaign ---- */
 
-/* Finds the genotype of a member. Returns 1: it fits the campaign's workspace; 0: it does not, or
- * only when it is turned. */
+/* Finds the genotype of a member. Returns 1 if it fits the campaign's workspace as it is, 0 if
+ * not. */
 static int find_member(struct mo_connection *writer, const struct mo_campaign_record *record,
                        uint32_t number, int64_t *genotype)
 {
@@ -54,7 +54,7 @@ static int find_member(struct mo_connection *writer, const struct mo_campaign_re
   return mo_fits_as_it_is(record->settings.workspace, &bits);
 }
 
-/* Notes that a member of the initial campaign is left out. place: its rank, from 0. */
+/* Adds a note that a member of the initial campaign is left out. place: its rank, from 0. */
 static int note_misfit(struct mo_connection *writer, const struct mo_campaign_record *record,
                        uint32_t place, uint32_t number, int64_t group)
 {
@@ -71,7 +71,7 @@ static int insert_inherited(struct mo_connection *writer, const struct mo_campai
 {
   struct mo_campaign_members members = {.n = 0};
   struct mo_campaign_head head = {0};
-  uint32_t n = 0; /* nothing is listed beside a campaign */
+  uint32_t n = 0; /* with an initial campaign, no designs are listed */
   int error = mo_campaign_head_get(writer, record->initial_campaign, &head);
   if (error == MO_OK && head.generation < 0)
     error = MO_ERR_CONFLICT;
@@ -93,7 +93,7 @@ static int insert_inherited(struct mo_connection *writer, const struct mo_campai
 
 /* ---- submission ---- */
 
-/* Inserts one replicate. Its seed is that of the first plus its number. */
+/* Inserts one replicate. Its seed is the seed of the first plus its number. */
 static int insert_replicate(struct mo_store *store, const struct mo_campaign_request *request,
                             const struct setting *setting, uint32_t replicate, int64_t *group)
 {
@@ -190,7 +190,7 @@ struct extend_arguments {
   enum mo_job_state before;
 };
 
-/* Checks whether a campaign may have so many generations. */
+/* Checks whether a campaign may have this many generations. */
 static int check_extension(const struct mo_campaign_settings *settings, uint64_t generations)
 {
   uint64_t steps = settings->child_steps +
@@ -206,7 +206,7 @@ static int check_extension(const struct mo_campaign_settings *settings, uint64_t
 }
 
 /* Checks that the learning state after the newest generation exists, if the next generation starts
- * from it (simultaneous). MO_ERR_EMPTY: it does not. */
+ * from it (simultaneous). MO_ERR_EMPTY: it does not exist. */
 static int check_learning(struct mo_connection *writer, int64_t id, enum mo_campaign_mode mode)
 {
   static const char sql[] =
@@ -244,7 +244,7 @@ static int extend(struct mo_store *store, void *arguments)
     return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
   error = mo_job_state_get(writer, call->id, &state, &kind);
   if (error == MO_OK)
-    error = mo_sql_row(writer, &row, find_sql, id); /* not found: of another kind */
+    error = mo_sql_row(writer, &row, find_sql, id); /* not found: a job of another kind */
   if (error == MO_OK)
     error = mo_column_settings(row, 0, MO_JOB_CAMPAIGN, &record);
   if (error != MO_OK)

@@ -1,4 +1,4 @@
-/* campaigns.c: reads campaigns: settings, progress, what replicates share. */
+/* campaigns.c: reads campaigns: settings, progress, data shared by replicates. */
 #include "store/campaigns.h"
 
 #include <string.h>
@@ -9,7 +9,7 @@
 #include "store/studies.h"
 #include "store/warnings.h"
 
-/* ---- what only a study has ---- */
+/* ---- studies only ---- */
 
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words)
 {
@@ -37,7 +37,7 @@ int mo_store_study_words(struct mo_store *store, int64_t id, struct mo_study_wor
   return mo_study_words_get(reader, id, words);
 }
 
-/* Reads what only a study has: its newest batch, its words, the state of its sampler. */
+/* Reads the parts that only a study has: its newest batch, its words, the state of its sampler. */
 static int get_study(struct mo_connection *connection, int64_t id,
                      struct mo_campaign_status *status)
 {

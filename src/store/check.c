@@ -13,7 +13,7 @@
 struct walk {
   struct mo_store *store;
   struct mo_connection *reader;
-  void (*tell)(void *context, const char *finding);
+  void (*report)(void *context, const char *finding);
   void *context;
   struct mo_check_counts *counts;
 };
@@ -124,7 +124,7 @@ static int check_controller(struct walk *walk, sqlite3_stmt *row)
   return error;
 }
 
-/* A checkpoint, whose path below the state folder is in column 3. */
+/* Checks a checkpoint; column 3 has its path below the state folder. */
 static int check_checkpoint(struct walk *walk, sqlite3_stmt *row)
 {
   struct mo_sha256 sha256;
@@ -139,20 +139,20 @@ static int check_checkpoint(struct walk *walk, sqlite3_stmt *row)
   return error;
 }
 
-/* ---- all of it ---- */
+/* ---- all parts ---- */
 
-/* Column 0 of each query is the row that a finding names. */
+/* Column 0 of each query is the row named in a finding. */
 static const struct part {
   const char *what, *sql;
-  int (*check)(sqlite3_stmt *row);                       /* MO_ERR_CORRUPT: a finding */
-  int (*check_in)(struct walk *walk, sqlite3_stmt *row); /* in place of `check` */
+  int (*check)(sqlite3_stmt *row);                       /* MO_ERR_CORRUPT means a finding */
+  int (*check_in)(struct walk *walk, sqlite3_stmt *row); /* instead of `check` */
 } parts[] = {
-    {"a genotype is no orientation of its design, or damaged: genotypes, row",
+    {"a genotype is damaged, or is not an orientation of its design: genotypes, row",
      "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON d.id=g.design", check_genotype},
     {"an environment is damaged: environments, row", "SELECT id,data,sha256 FROM environments",
      check_environment},
     {"physics are damaged: physics, row", "SELECT id,encoding,sha256 FROM physics", check_physics},
-    {"the environments of a condition do not agree: conditions, row",
+    {"the environments of a condition contradict each other: conditions, row",
      "SELECT v.condition,v.position,v.environment,c.environments FROM condition_environments v"
      " JOIN conditions c ON c.id=v.condition",
      check_member},
@@ -190,7 +190,7 @@ static int walk_part(struct walk *walk, const struct part *part)
       char finding[160];
       snprintf(finding, sizeof(finding), "%s %lld", part->what,
                (long long)sqlite3_column_int64(row, 0));
-      walk->tell(walk->context, finding);
+      walk->report(walk->context, finding);
       walk->counts->findings++;
       error = MO_OK;
     }
@@ -199,11 +199,11 @@ static int walk_part(struct walk *walk, const struct part *part)
 }
 
 int mo_store_check_contents(struct mo_store *store,
-                            void (*tell)(void *context, const char *finding), void *context,
+                            void (*report)(void *context, const char *finding), void *context,
                             struct mo_check_counts *counts)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  struct walk walk = {store, reader, tell, context, counts};
+  struct walk walk = {store, reader, report, context, counts};
   int error = MO_OK;
   *counts = (struct mo_check_counts){0};
   for (size_t i = 0; i < sizeof(parts) / sizeof(parts[0]) && error == MO_OK; i++)

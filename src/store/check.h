@@ -1,4 +1,4 @@
-/* check.h: reads all that is stored and checks it, for `morphod store check`. */
+/* check.h: reads and checks everything that is stored, for `morphod store check`. */
 #ifndef MORPHO_STORE_CHECK_H
 #define MORPHO_STORE_CHECK_H
 
@@ -7,13 +7,13 @@
 struct mo_check_counts {
   uint64_t rows, files, findings;
 };
-/* Reads every row that has a checksum, a hash or a second copy, and every file, and reports what
- * does not agree to `tell`, a line each. An error: the reading could not go on. */
+/* Reads every row that has a checksum, a hash or a second copy, and every file, and calls `report`
+ * with a line for each mismatch. Returns an error if it could not continue. */
 int mo_store_check_contents(struct mo_store *store,
-                            void (*tell)(void *context, const char *finding), void *context,
+                            void (*report)(void *context, const char *finding), void *context,
                             struct mo_check_counts *counts);
 
-/* A stored loss, and all that computes it again. */
+/* A stored loss, and everything needed to compute it again. */
 struct mo_score_sample {
   struct mo_bits genotype;
   struct mo_sha256 controller_sha256;

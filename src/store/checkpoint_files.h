@@ -1,9 +1,10 @@
 /* checkpoint_files.h: how checkpoints are written and read. Only for this room.
  *
  * A file is written before its row and deleted after it. A crash in between leaves a file without a
- * row, which the next opening removes. store->checkpoints_mutex is held from the write of a file to
- * the deletion of those that it replaces, and from the deletion of a row to that of its file.
- * Otherwise a new file of an old step could be deleted in place of the old one. */
+ * row, which is removed the next time the store is opened. store->checkpoints_mutex is held from
+ * the write of a file to the deletion of the files that it replaces, and from the deletion of a row
+ * to the deletion of its file. Otherwise a new file of an old step could be deleted in place of the
+ * old one. */
 #ifndef MORPHO_STORE_CHECKPOINT_FILES_H
 #define MORPHO_STORE_CHECKPOINT_FILES_H
 
@@ -18,11 +19,11 @@ struct mo_checkpoint {
   uint64_t size;
   struct mo_sha256 sha256;
   char *path;
-  /* Nullable: looks, before the file is written, whether it may be. */
+  /* Nullable: checks, before the file is written, whether it may be. */
   int (*check)(struct mo_store *store, void *arguments);
   bool is_urgent; /* may use the reserve */
   bool was_there;
-  struct mo_checkpoints_removed dropped; /* that it replaces */
+  struct mo_checkpoints_removed dropped; /* checkpoints that it replaces */
 };
 /* Writes the row, in an operation. */
 int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *checkpoint);
@@ -31,17 +32,17 @@ int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *
 int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
                        struct mo_checkpoint *checkpoint);
 /* Deletes, in an operation, up to 16 checkpoints of jobs that are being deleted (deletion.c). Their
- * files go first, since nothing reads or writes them any more: this makes room on a full disk, even
- * if the operation fails. */
+ * files are deleted first, because nothing uses them any more: this frees space on a full disk,
+ * even if the operation fails. */
 int mo_checkpoints_forget(struct mo_store *store, uint64_t *n);
 /* Writes the file (unless bytes is NULL), then runs an operation, which calls the functions above,
- * then deletes the files of the rows that it dropped. After an error the new file goes. */
+ * then deletes the files of the rows that it dropped. After an error the new file is deleted. */
 int mo_checkpoint_write(struct mo_store *store, const uint8_t *bytes,
                         struct mo_checkpoint *checkpoint,
                         int (*run)(struct mo_store *store, void *arguments), void *arguments);
 
-/* Reads the bytes of the newest checkpoint of a generation and step, of which −1 stands for any
- * (malloc). *place: where it is. Checks the hash: MO_ERR_CORRUPT. */
+/* Reads the bytes of the newest checkpoint of a generation and step; −1 matches any (malloc).
+ * *place: the checkpoint that was found. Checks the hash: MO_ERR_CORRUPT. */
 int mo_checkpoint_read(struct mo_store *store, int64_t id, enum mo_job_kind kind,
                        int64_t generation, int64_t step, struct mo_checkpoint_place *place,
                        uint8_t **bytes, size_t *size);

@@ -33,7 +33,7 @@ static int take_row(sqlite3_stmt *statement, void *any)
   return mo_column_hash(statement, 2, &row->sha256);
 }
 
-/* Finds the newest checkpoint of a generation and step; −1: of any. */
+/* Finds the newest checkpoint of a generation and step; −1 matches any. */
 static int find(struct mo_store *store, int64_t id, int64_t generation, int64_t step,
                 struct mo_checkpoint_row *found)
 {
@@ -98,7 +98,7 @@ int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fou
                   mo_int(checkpoint->place.step), mo_int(fourth));
   dropped->n = 0;
   dropped->bytes = 0;
-  /* If there are more, the next checkpoint drops them. */
+  /* The next checkpoint drops any that remain. */
   while (dropped->n < MO_CHECKPOINTS_MAX && mo_sql_next(writer, row, &error)) {
     dropped->places[dropped->n++] =
         (struct mo_checkpoint_place){mo_column_u32(row, 0), mo_column_u32(row, 1)};
@@ -199,8 +199,8 @@ int mo_checkpoint_read(struct mo_store *store, int64_t id, enum mo_job_kind kind
     free(path);
     if (error != MO_ERR_CORRUPT)
       break;
-    /* The file is damaged, unless newer checkpoints have replaced it meanwhile: then its row went
-     * first. */
+    /* The file is damaged, unless newer checkpoints have replaced it meanwhile; its row was then
+     * deleted first. */
     error = find(store, id, generation, step, &again);
     if (error == MO_OK && again.generation == row.generation && again.step == row.step &&
         mo_sha256_equal(&again.sha256, &row.sha256))

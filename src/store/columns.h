@@ -1,6 +1,6 @@
-/* columns.h: rows of numbers as tables. Each column is one line: its place in the JSON object, its
- * name in CSV and in the database, its type, and its offset in the row's struct. JSON, CSV and the
- * tables of the database come from the same list. */
+/* columns.h: rows of numbers as tables. Each line defines one column: its place in the JSON object,
+ * its name in CSV and in the database, its type, and its offset in the row's struct. JSON, CSV and
+ * the tables of the database come from the same list. */
 #ifndef MORPHO_STORE_COLUMNS_H
 #define MORPHO_STORE_COLUMNS_H
 
@@ -16,24 +16,24 @@ enum mo_column_type {
 };
 
 struct mo_column {
-  const char *path; /* "score.mean": member mean of the object score. Columns of one object stand
-                       together */
+  const char *path; /* "score.mean": member mean of the object score. Columns of one object are
+                       adjacent */
   enum mo_column_type type;
   size_t offset;
-  const char *csv;      /* its name in CSV and in the database; NULL: as the path */
+  const char *csv;      /* its name in CSV and in the database; NULL: same as the path */
   const char *words[2]; /* of a word: false, true */
 };
 
 struct mo_columns {
   const struct mo_column *items;
-  size_t n, n_stored; /* columns, and those after them that only the database has */
+  size_t n, n_stored; /* number of columns, and of those after them that only the database has */
 };
 #define MO_COLUMNS(list, stored)                                                                   \
   {                                                                                                \
     list, sizeof(list) / sizeof((list)[0]) - (stored), stored                                      \
   }
 
-/* The least, mean and most of a number; `at` is the offset of its struct mo_spread. */
+/* The minimum, mean and maximum of a number; `at` is the offset of its struct mo_spread. */
 #define MO_SPREAD_COLUMNS(name, at)                                                                \
   {name ".least", MO_COLUMN_NUMBER, (at) + offsetof(struct mo_spread, least), name "_least"},      \
       {name ".mean", MO_COLUMN_NUMBER, (at) + offsetof(struct mo_spread, mean), name "_mean"},     \

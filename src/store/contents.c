@@ -7,7 +7,7 @@
 
 /* ---- rows by content: found or inserted ---- */
 
-/* Finds or inserts the row of a table whose rows are identified by the hash of their bytes. */
+/* Finds or inserts a row in a table where the hash of the bytes identifies a row. */
 static int content_row(struct mo_connection *writer, const char *find_sql, const char *insert_sql,
                        const uint8_t *bytes, size_t size, int64_t *row)
 {
@@ -100,7 +100,7 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 }
 
 /* The paper's test set is a constant of the code with rows of its own, so that scores can refer to
- * it. What a folder has once called by its name keeps that meaning there. */
+ * it. Once a folder has stored a set by this name, the set stays the same there. */
 static int make_paper_test(struct mo_store *store, void *arguments)
 {
   static const char set_sql[] = "INSERT INTO environment_sets(name,n) VALUES('paper-test',?1)";

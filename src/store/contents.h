@@ -5,7 +5,7 @@
 
 #include "store/sql.h"
 
-/* Find or insert a row. */
+/* Each finds or inserts a row. */
 int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment,
                        int64_t *row);
 int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,
@@ -22,7 +22,7 @@ int mo_environment_set_find(struct mo_connection *connection, const char *name, 
 /* Inserts the environments of a job: those of `set`, or if set is 0 the given ones. */
 int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,
                            const struct mo_environment *environments, uint32_t n);
-/* Inserts the designs of a job, in order; the places of skipped ones stay free. */
+/* Inserts the designs of a job, in order; the places of skipped ones stay empty. */
 int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_bits *forms,
                       const struct mo_bits *genotypes, uint32_t n,
                       const struct mo_design_note *notes, uint32_t n_notes, int64_t now_us);
@@ -32,7 +32,7 @@ int mo_notes_insert(struct mo_connection *writer, int64_t id, const struct mo_de
 int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_note **notes,
                   uint32_t *n);
 int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position, int64_t genotype);
-/* Reads the environments (n) of a job and their rows, each nullable. MO_ERR_CORRUPT: there are more
+/* Reads the n environments of a job and their rows, each nullable. MO_ERR_CORRUPT: the job has more
  * or fewer. */
 int mo_environments_read(struct mo_connection *connection, int64_t id, uint32_t n,
                          struct mo_environment *environments, int64_t *rows);

@@ -1,4 +1,4 @@
-/* controller_rows.h: controllers as other sources of this room store and find them. Only for this
+/* controller_rows.h: how other source files of this room store and find controllers. Only for this
  * room.
  */
 #ifndef MORPHO_STORE_CONTROLLER_ROWS_H
@@ -10,13 +10,13 @@
  * its workspace is not the default one. */
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row,
                        enum mo_sensor *sensor);
-/* Reports the files of controllers that nothing refers to, or (tell NULL) removes them. */
+/* Reports the controller files that nothing refers to, or (report NULL) removes them. */
 int mo_controllers_clean(struct mo_store *store,
-                         void (*tell)(void *context, const char *name, uint64_t bytes),
+                         void (*report)(void *context, const char *name, uint64_t bytes),
                          void *context);
 
-/* Stores a file of weights, then its row and name. Begin: on any thread; row: in an operation; end:
- * always. */
+/* Stores a file of weights, then its row and name. Call _begin on any thread, _row in an operation,
+ * and _end in any case. */
 struct mo_controller_put {
   const char *name;
   const struct mo_controller *controller;
@@ -25,7 +25,7 @@ struct mo_controller_put {
   bool created, is_locked;
   int64_t row, version, stored_us; /* results */
 };
-/* Writes the file alone, under the lock of controllers. */
+/* Writes only the file, under the lock of controllers. */
 int mo_controller_write_file(struct mo_store *store, const struct mo_sha256 *sha256,
                              const uint8_t *bytes, size_t size);
 /* Finds or inserts a row without a name. */

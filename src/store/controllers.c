@@ -1,8 +1,8 @@
 /* controllers.c: weights, stored by content, and the names that point to them.
  *
- * A file is written beside its place, synced and renamed, and its folder is synced, before its row
- * commits. So a row never refers to bytes that are missing. A file without a row is harmless: the
- * next upload of the same content uses it. */
+ * A file is written under a temporary name, synced and renamed, and its folder is synced, before
+ * its row is committed. So a row never refers to missing bytes. A file without a row is harmless:
+ * the next upload of the same content uses it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -183,7 +183,7 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 
 /* ---- reading ---- */
 
-/* Without a name (n: no row), the version is 1 and the time that of the content. */
+/* Without a name (n: no row), the version is 1, and the time is that of the content. */
 #define COLUMNS                                                                                    \
   "SELECT c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters,n.name,coalesce(n.version,1),"    \
   "coalesce(n.stored_us,c.stored_us),c.id"
@@ -284,9 +284,10 @@ int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 
   return mo_read_one(store, sql, MO_VALUES(mo_hash(sha256)), take_metadata, json);
 }
 
-/* ---- content that no name, job or score refers to: scores refer by their few conditions ---- */
+/* ---- deletion of content that no name, job or score refers to (scores refer through conditions)
+ * ---- */
 
-/* Describes the first reference to a controller. MO_ERR_NOT_FOUND: there is none. */
+/* Describes the first reference to a controller. MO_ERR_NOT_FOUND: no reference. */
 static int find_user(struct mo_connection *reader, int64_t id, char words[128])
 {
   static const char sql[] =
@@ -350,7 +351,7 @@ int mo_store_controller_delete(struct mo_store *store, const char *reference,
 }
 
 int mo_controllers_clean(struct mo_store *store,
-                         void (*tell)(void *context, const char *name, uint64_t bytes),
+                         void (*report)(void *context, const char *name, uint64_t bytes),
                          void *context)
 {
   static const char sql[] =
@@ -366,9 +367,9 @@ int mo_controllers_clean(struct mo_store *store,
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql);
   while (mo_sql_next(reader, row, &error)) {
     error = mo_column_hash(row, 1, &sha256);
-    if (error == MO_OK && tell != NULL) {
+    if (error == MO_OK && report != NULL) {
       snprintf(name, sizeof(name), "controllers/%s.safetensors", MO_SHA256_HEX(&sha256));
-      tell(context, name, (uint64_t)sqlite3_column_int64(row, 2));
+      report(context, name, (uint64_t)sqlite3_column_int64(row, 2));
     } else if (error == MO_OK) {
       error = remove_row_and_file(store, sqlite3_column_int64(row, 0), &sha256);
     }

@@ -1,12 +1,12 @@
 /* credible.c: see credible.h.
  *
- * A clock that is wrong by a year would delete at once what is to be kept for a year. So the
- * database has the newest time at which the clock was credible. The clock may be ahead of that by
- * the time for which the process has run since, and a day, or a tenth of the shortest time to keep
- * if that is longer: a service that was off for a while, or a computer that slept, while
- * mo_clock_us stands still. Beyond that a person must look (mo_store_accept_clock). The times of
- * events and jobs do not count: a wrong clock makes wrong ones. Only a database that has no
- * credible time yet begins with the newest of them. */
+ * A clock that is a year ahead would make the service delete at once everything that is to be kept
+ * for a year. So the database stores the newest time at which the clock was credible. The clock may
+ * be ahead of it by the time that the process has run since, plus a day, or plus a tenth of the
+ * shortest retention time if that is longer: the service may have been off, or the computer may
+ * have slept, while mo_clock_us stood still. If it is further ahead, an operator must confirm it
+ * (mo_store_accept_clock). The times of events and jobs are not used, because a wrong clock makes
+ * them wrong; only a database without a credible time starts from the newest of them. */
 #include "store/credible.h"
 
 #include "base/clock.h"
@@ -39,12 +39,12 @@ static int read_time(struct mo_store *store)
   if (error != MO_ERR_NOT_FOUND)
     return error;
   error = mo_sql_find(&store->writer, &time_us, newest_sql);
-  if (time_us == 0) /* there is nothing yet */
+  if (time_us == 0) /* the database is empty */
     time_us = mo_clock_wall_us();
   return error == MO_OK ? store_time(store, time_us) : error;
 }
 
-/* Returns the shortest time to keep of all rules; 0: there is no rule. */
+/* Returns the shortest retention time of all rules; 0: no rule. */
 static int64_t shortest_us(const struct mo_store *store)
 {
   int64_t shortest = store->keep_recordings_us;
@@ -54,7 +54,7 @@ static int64_t shortest_us(const struct mo_store *store)
   return shortest;
 }
 
-int mo_clock_look(struct mo_store *store)
+int mo_clock_check(struct mo_store *store)
 {
   const int64_t shortest = shortest_us(store);
   if (shortest == 0)
@@ -63,10 +63,10 @@ int mo_clock_look(struct mo_store *store)
   if (error != MO_OK)
     return error;
   const int64_t now = mo_clock_wall_us();
-  const int64_t reckoned = store->credible_us + (mo_clock_us() - store->credible_at_us);
-  const bool is_credible = now - reckoned <= (shortest / 10 > DAY_US ? shortest / 10 : DAY_US);
-  const int64_t time_us = is_credible ? now : reckoned;
-  atomic_store(&store->clock_ahead_us, is_credible ? 0 : now - reckoned);
+  const int64_t expected = store->credible_us + (mo_clock_us() - store->credible_at_us);
+  const bool is_credible = now - expected <= (shortest / 10 > DAY_US ? shortest / 10 : DAY_US);
+  const int64_t time_us = is_credible ? now : expected;
+  atomic_store(&store->clock_ahead_us, is_credible ? 0 : now - expected);
   return time_us >= store->credible_us + HOUR_US ? store_time(store, time_us) : MO_OK;
 }
 

@@ -1,10 +1,10 @@
 /* deletion.c: see deletion.h.
  *
- * The first transaction sets the job's state to 6, which no reader finds, and deletes recordings.
- * Then files of checkpoints and rows of its tables go, at most ROWS_MAX in a transaction, so that a
- * campaign of a million designs delays other writes by milliseconds. Each such step finds its work
- * in the database, so a restart continues it. On a full disk the first transaction may use the
- * reserve, and files go; the other steps wait until there is space. */
+ * The first transaction sets the job's state to 6, which hides it from readers, and deletes its
+ * recordings. Then checkpoint files and rows are deleted, at most ROWS_MAX per transaction, so that
+ * a campaign of a million designs delays other writes only by milliseconds. Each step finds its
+ * work in the database, so a restart continues it. On a full disk the first transaction may use the
+ * reserve, and files are deleted; the other steps wait until there is space. */
 #include "store/deletion.h"
 
 #include <stdlib.h>
@@ -15,14 +15,14 @@
 #include "store/recordings.h"
 #include "store/runs.h"
 
-#define ROWS_MAX     1000                 /* in one transaction, about */
-#define EXPIRE_MAX   100                  /* jobs and recordings at a look, one a minute */
-#define EXPIRE_BYTES (UINT64_C(64) << 20) /* of recordings; at least one job's */
+#define ROWS_MAX     1000                 /* roughly, in one transaction */
+#define EXPIRE_MAX   100                  /* jobs and recordings per check; one check a minute */
+#define EXPIRE_BYTES (UINT64_C(64) << 20) /* of recordings per check; at least one job's */
 #define UPKEEP_US    INT64_C(60000000)
 
 /* ---- the first transaction ---- */
 
-/* Selects, in words, the jobs that need one. */
+/* Selects the jobs that need this one, in words. */
 #define NEEDING(id)                                                                                \
   "SELECT words FROM ("                                                                            \
   "SELECT job,'training '||job||' learns on its designs' words FROM trainings"                     \
@@ -35,7 +35,7 @@
   " ON r.controller=o.result AND r.controller IS NOT NULL AND r.job<>o.job WHERE o.job=" id ")"    \
   " JOIN jobs j ON j.id=job AND j.state<>6"
 
-/* Describes a job that needs this one. MO_ERR_NOT_FOUND: none does. */
+/* Describes a job that needs this one. MO_ERR_NOT_FOUND: no such job. */
 static int find_dependent(struct mo_connection *writer, int64_t id, struct mo_message *message)
 {
   static const char sql[] = NEEDING("?1") " ORDER BY job DESC LIMIT 1";
@@ -86,7 +86,7 @@ static int mark(struct mo_store *store, void *arguments)
                                         .checkpoint_bytes = (uint64_t)sqlite3_column_int64(row, 1)};
   if (error == MO_OK)
     error = mo_sql_do(writer, sql, mo_int(call->id));
-  if (error == MO_OK) /* its bundle may enter again at once */
+  if (error == MO_OK) /* its bundle may be imported again at once */
     error = mo_sql_do(writer, import_sql, mo_int(call->id));
   if (error != MO_OK)
     return error;
@@ -151,8 +151,8 @@ static int delete_some(struct mo_store *store, void *arguments)
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 
-/* Marks jobs of a kind that ended, or came in a bundle, long ago. What a client has noted or
- * archived stays, and what another job needs. */
+/* Marks jobs of a kind that ended, or were imported, long ago. Jobs with a note, archived jobs, and
+ * jobs that another job needs are kept. */
 static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
 {
   static const char sql[] =
@@ -182,7 +182,7 @@ static int expire_kind(struct mo_store *store, int kind, uint64_t *n_marked)
 static int expire(struct mo_store *store, void *arguments)
 {
   struct round *round = arguments;
-  int error = mo_clock_look(store);
+  int error = mo_clock_check(store);
   round->n = 0;
   for (int kind = 0; kind < MO_JOB_KINDS && error == MO_OK; kind++)
     if (store->keep_jobs_us[kind] > 0 && mo_clock_is_credible(store))
@@ -192,7 +192,7 @@ static int expire(struct mo_store *store, void *arguments)
 
 static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments));
 
-/* Goes on where a step found something. */
+/* Continues if a step found something. */
 static void done(void *arguments, int status)
 {
   struct round *round = arguments;
@@ -206,8 +206,7 @@ static void done(void *arguments, int status)
   free(round);
 }
 
-/* Queues a step; each is behind the writes that came before it. Without memory the next upkeep
- * does it. */
+/* Queues a step after all earlier writes. Without memory, the next upkeep does it. */
 static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments))
 {
   struct round *round = malloc(sizeof(*round));
@@ -232,7 +231,7 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
   *deleted = call.deleted;
   if (deleted->recorded_bytes > 0)
     mo_recordings_check(store);
-  /* The job is gone whatever becomes of this: the next upkeep or start goes on. */
+  /* The job is deleted even if this fails: the next upkeep or start continues. */
   if (mo_write(store, delete_some, &round) == MO_OK && round.n > 0)
     run(store, delete_some);
   return MO_OK;
@@ -255,6 +254,6 @@ void mo_upkeep(struct mo_store *store)
   store->aged_left = EXPIRE_MAX;
   run(store, delete_some);
   run(store, expire);
-  if (store->keep_recordings_us > 0) /* else only what is recorded changes what must go */
+  if (store->keep_recordings_us > 0) /* without it, only new recordings make others expire */
     mo_recordings_check(store);
 }

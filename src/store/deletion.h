@@ -7,13 +7,13 @@
 struct mo_store;
 
 struct mo_deleted {
-  uint64_t recorded_bytes;                  /* of recordings that went */
-  uint64_t n_checkpoints, checkpoint_bytes; /* that went */
+  uint64_t recorded_bytes;                  /* of deleted recordings */
+  uint64_t n_checkpoints, checkpoint_bytes; /* that were deleted */
 };
-/* Deletes a job that has ended: at once for every reader, and its rows later, in steps of bounded
- * size, which a restart continues. May use the reserve. Designs, scores and controllers stay.
- * MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has not ended, or another needs it, which `message`
- * names (else it is empty). */
+/* Deletes a job that has ended. It disappears for readers at once; its rows are deleted later, in
+ * steps of bounded size that continue after a restart. May use the reserve. Designs, scores and
+ * controllers stay. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has not ended (`message` is empty),
+ * or another job, which `message` names, needs it. */
 int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *deleted,
                         struct mo_message *message);
 

@@ -1,5 +1,5 @@
-/* design_notes.h: what happened to designs of a request that were not taken as they are, or that
- * left their orientation open. */
+/* design_notes.h: notes on designs of a request that were skipped or repaired, or that were given
+ * as ids without an orientation. */
 #ifndef MORPHO_STORE_DESIGN_NOTES_H
 #define MORPHO_STORE_DESIGN_NOTES_H
 
@@ -14,22 +14,24 @@
 enum mo_orientation {
   MO_ORIENTATION_GIVEN = 0,     /* by the request */
   MO_ORIENTATION_CANONICAL = 1, /* an id was given, and no orientation of it has a score */
-  MO_ORIENTATION_BEST = 2 /* an id was given, and of the scored orientations this is the best */
+  MO_ORIENTATION_BEST = 2       /* an id was given, and this is the scored orientation with the best
+                                   score */
 };
 
 struct mo_design_note {
   uint32_t place;   /* in the request, from 0 */
   uint32_t dropped; /* voxels that its repair removed */
   enum mo_orientation orientation;
-  char robot[MO_DEFAULT_ROBOT_DIGITS + 1]; /* what was taken for an id; "": the request said it */
-  struct mo_fault fault;                   /* why it was skipped; detail "": it was not */
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1]; /* the robot chosen for an id; "": the request named
+                                              it */
+  struct mo_fault fault;                   /* why it was skipped; detail "": not skipped */
 };
 static inline bool mo_is_skipped(const struct mo_design_note *note)
 {
   return note->fault.detail[0] != '\0';
 }
 
-/* Computes the places of n designs, those that were not skipped. */
+/* Computes the places of the n designs that were not skipped. */
 static inline void mo_notes_places(const struct mo_design_note *notes, uint32_t n_notes,
                                    uint32_t *places, uint32_t n)
 {

@@ -5,7 +5,7 @@
 
 #include "store/scores.h"
 
-#define ROLLOUTS_MAX 1000 /* the most that are reported of one design */
+#define ROLLOUTS_MAX 1000 /* the most rollouts reported for one design */
 
 /* ---- lists ---- */
 
@@ -18,7 +18,7 @@ static int read_by_row(sqlite3_stmt *row, void *any)
   return mo_column_bits(row, 1, &design->form);
 }
 
-/* Finds the ranking that a query asks for. MO_ERR_NOT_FOUND: it has no scores. */
+/* Finds the ranking that a query selects. MO_ERR_NOT_FOUND: no scores. */
 static int find_ranking(struct mo_connection *reader, const struct mo_design_query *query,
                         int64_t *row)
 {
@@ -122,7 +122,7 @@ static int load_orientations(struct mo_connection *reader, int64_t id, struct mo
   return error;
 }
 
-/* What a loss belongs to. Consecutive losses of one group with a set form one score. */
+/* The group of a loss. Consecutive losses of a group with a set form one score. */
 struct group {
   int64_t controller, physics, fingerprint, set;
 };
@@ -201,7 +201,7 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
     is_same = score != NULL && condition.controller == group.controller &&
               condition.physics == group.physics && condition.fingerprint == group.fingerprint &&
               sqlite3_column_int64(statement, SET) == group.set;
-    if (*room == 0) { /* there is at least one row more than reported, perhaps of this score */
+    if (*room == 0) { /* at least one more row exists than is reported, perhaps of this score */
       *room = UINT32_MAX;
       orientation->n_scores -= is_same && group.set != 0;
       break;

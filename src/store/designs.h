@@ -10,18 +10,18 @@ struct mo_design_row {
   struct mo_bits form; /* canonical */
   int64_t first_seen_us;
   struct mo_bits genotype; /* sort=score: the scored genotype, oriented and placed */
-  double score; /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
+  double score; /* sort=score: mean loss; +infinity: a rollout diverged. NaN with other sorts */
   int64_t genotype_row; /* sort=score: with score, the cursor */
 };
 
-/* The score of one oriented genotype under one setting: over a whole named set, or in one
- * environment that belongs to no set. */
+/* The score of one oriented genotype under one setting: over an entire named set, or in one
+ * environment outside any set. */
 struct mo_design_score {
   struct mo_sha256 controller_sha256, physics_sha256;
   enum mo_precision precision;
   enum mo_sensor sensor;
   char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, named by its hash */
-  struct mo_sha256 environment_sha256;         /* when environment_set is "" */
+  struct mo_sha256 environment_sha256;         /* if environment_set is "" */
   uint32_t n_losses;
   double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
@@ -40,7 +40,8 @@ struct mo_design {
   struct mo_bits form; /* canonical */
   int64_t first_seen_us;
   uint32_t n_orientations;
-  struct mo_design_orientation *orientations; /* (n_orientations) the first seen first */
+  struct mo_design_orientation *orientations; /* (n_orientations) in the order in which they were
+                                                 first seen */
   bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
 };
 void mo_design_free(void *design); /* NULL-safe */
@@ -56,7 +57,8 @@ enum mo_design_sort {
 };
 struct mo_design_query {
   enum mo_design_sort sort;
-  bool is_descending; /* by id: newest first; by score: worst first, diverged ones before all */
+  bool is_descending; /* by id: newest first; by score: worst first, diverged ones before all
+                         others */
   int64_t after_row;  /* by id: the last row; by score: the last genotype_row; 0: from the first */
   double after_score; /* by score, with after_row: the last score */
   /* by score: the setting of the scores (designs without such a score are left out) */
@@ -69,21 +71,21 @@ struct mo_design_query {
 int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
                          struct mo_design_row *rows, size_t limit);
 
-/* Reads the designs of a job, in order (malloc): those listed in the request. Of a campaign: the
+/* Reads the designs of a job, in order (malloc): those listed in the request. For a campaign, the
  * initial ones: record.n_listed listed ones, or those of initial_campaign's newest population that
- * fit the campaign's workspace, best first, while the population has room. MO_ERR_NOT_FOUND. */
+ * fit the campaign's workspace, best first, up to the size of the population. MO_ERR_NOT_FOUND. */
 int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                          uint32_t *n);
 /* Reads the notes on the designs of a job's request, ascending (malloc; NULL: none). */
 int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_note **notes,
                           uint32_t *n);
 
-/* ---- the orientation of a design that came as an id ---- */
+/* ---- the orientation of designs that are given as ids ---- */
 
-/* Whether a placed genotype fits a workspace, which is not larger than the default one, in its
- * orientation: mo_genotype_move also turns bodies, which then have other scores. */
+/* Returns whether a placed genotype fits a workspace, which is not larger than the default one,
+ * without being turned. mo_genotype_move also turns bodies, which then have other scores. */
 bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_bits *genotype);
-/* What a score depends on besides the body. */
+/* The conditions of a score, apart from the body. */
 struct mo_orienting {
   const char *controller;                    /* name or "sha256:…"; NULL: random weights */
   const char *environment_set;               /* NULL: `environments` */
@@ -91,13 +93,21 @@ struct mo_orienting {
   uint32_t n_environments;
   const struct mo_physics *physics;
   enum mo_precision precision;
-  int64_t fingerprint, workers;  /* its class; that of bodies that devices leave to the workers */
-  struct mo_workspace workspace; /* into which the orientation must fit as it is */
+  int64_t fingerprint,
+      workers; /* its class; and the class of bodies that devices leave to the workers */
+  struct mo_workspace workspace; /* that
+                                    the
+                                    orientation
+                                    must
+                                    fit
+                                    without
+                                    being
+                                    turned */
 };
-/* Turns each design that came as an id alone, as its note says (the genotype is canonical), to the
- * orientation that has the best stored score, the mean loss over all environments; a diverged one
- * is the worst score, and of equal ones the first orientation is taken. The genotype stays where
- * there is no score. Completes these notes. */
+/* Turns each design that was given as an id without an orientation, according to its note (the
+ * genotype is canonical), to the orientation with the best stored score, the mean loss over all
+ * environments. Diverged scores rank last; ties go to the first orientation. Without any score, the
+ * genotype stays as it is. Completes these notes. */
 int mo_store_orient(struct mo_store *store, const struct mo_orienting *under,
                     struct mo_bits *genotypes, uint32_t n, struct mo_design_note *notes,
                     uint32_t n_notes);

@@ -8,7 +8,7 @@
 
 /* ---- results ---- */
 
-/* Which designs of an evaluation are read. */
+/* The range of designs to read. */
 struct range {
   int64_t id;
   uint32_t first, n; /* n 0: all */
@@ -16,7 +16,7 @@ struct range {
 
 struct result_keys {
   struct mo_saved_design design; /* fingerprint 0: the job has not started */
-  bool verify, is_complete; /* is_complete: the job has succeeded, so that no loss is missing */
+  bool verify, is_complete;      /* is_complete: the job has succeeded, so no loss may be missing */
   int64_t environments[MO_ENVIRONMENTS_MAX];
 };
 
@@ -79,7 +79,8 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   return MO_OK;
 }
 
-/* Reads the stored losses of the keys' genotype that count into row `n` of the results. */
+/* Reads the stored losses of the keys' genotype, as far as they count, into row `n` of the
+ * results. */
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
                        uint64_t counted, struct mo_evaluation_results *results)
 {

@@ -8,7 +8,7 @@ struct mo_store;
 
 /* ---- submission (by jobs) ---- */
 
-/* Bodies `first` to `first + count − 1` of those of a seed (mo_body_stream). count 0: none. */
+/* Bodies `first` to `first + count − 1` of a seed's stream (mo_body_stream). count 0: none. */
 struct mo_random_bodies {
   uint32_t first, count; /* first + count ≤ MO_RANDOM_BODIES_MAX */
   uint64_t seed;
@@ -20,10 +20,12 @@ struct mo_evaluation_request {
   struct mo_submission job;
   const struct mo_bits *genotypes; /* (n_designs); NULL: random bodies */
   const struct mo_bits *forms; /* (n_designs) canonical; as stored. NULL: more than MO_DESIGNS_MAX
-                                  are listed, which are placed and stored after the submission */
+                                  designs are listed, and are placed and stored after the
+                                  submission */
   uint32_t n_designs;          /* with n_skipped 1 … MO_LARGE_MAX */
   struct mo_random_bodies random; /* without genotypes: their count is n_designs */
-  struct mo_design_note *notes;   /* (n_notes) ascending; submission completes those of ids */
+  struct mo_design_note *notes;   /* (n_notes) ascending; the submission completes the notes on
+                                     ids */
   uint32_t n_notes, n_skipped;    /* n_skipped: notes of skipped designs */
   const char *environment_set;    /* "paper-test", or NULL: `environments` */
   const struct mo_environment *environments; /* (n_environments) checked */
@@ -31,10 +33,10 @@ struct mo_evaluation_request {
   const char *controller;                    /* name or "sha256:<64 hex>" */
   struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
-  uint32_t best; /* how many of the best designs get whole scores; 0: all */
+  uint32_t best; /* number of best designs that get complete scores; 0: all */
   bool verify;
   unsigned record;        /* channels */
-  uint32_t record_stride; /* 1 … n_steps; ignored when nothing is recorded */
+  uint32_t record_stride; /* 1 … n_steps; ignored if nothing is recorded */
 };
 /* Stores an evaluation in one transaction: designs, genotypes, environments, settings, job, key and
  * event. Errors as in mo_jobs_submit_evaluation. */
@@ -49,17 +51,17 @@ struct mo_evaluation_results {
   uint32_t n_designs, n_environments;
   struct mo_bits *forms;     /* (n_designs) canonical */
   struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
-  double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
+  double *scores;            /* (n_designs) mean loss; +infinity: a rollout diverged */
   uint8_t *is_bound; /* (n_designs) 1: the score is a lower bound: losses that were not computed
                         count as 0, because the design cannot be among the best */
   double *losses;    /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet, or
-                        not at all */
+                        never */
   int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
   /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
-  double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
+  double *stored_losses; /* (n_designs, n_environments); NaN: not stored */
   uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
-  double *paths_m; /* (n_designs) mean way of the center of mass over the environments; NaN: not
-                      recorded in all of them */
+  double *paths_m; /* (n_designs) mean path length of the center of mass over the environments; NaN:
+                      not recorded in all of them */
   struct mo_design_note *notes; /* (n_notes) on all designs of the request, ascending */
   uint32_t n_notes;
 };
@@ -72,13 +74,15 @@ struct mo_trajectory {
 };
 void mo_trajectory_free(void *trajectory); /* NULL-safe */
 
-/* Reads the results of an evaluation: of an unfinished one, those so far. MO_ERR_NOT_FOUND. */
+/* Reads the results of an evaluation; of an unfinished one, the results so far.
+ * MO_ERR_NOT_FOUND. */
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
-/* Reads only those of design n: results of one design. */
+/* Reads the results of design n only, as results of one design. */
 int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
                     struct mo_evaluation_results **results);
-/* Reads the numbers of the designs from `first` on that have whole scores (of an evaluation that
- * has ended), or, with `any`, of all. Returns how many, at most `limit`; MO_ERR_NOT_FOUND. */
+/* Reads the numbers of the designs from `first` on that have complete scores (in an evaluation that
+ * has ended) or, with `any`, of all designs. Returns how many, at most `limit`;
+ * MO_ERR_NOT_FOUND. */
 int64_t mo_store_result_numbers(struct mo_store *store, int64_t id, uint32_t first, bool any,
                                 uint32_t *numbers, size_t limit);
 
@@ -88,16 +92,17 @@ int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t
                         struct mo_trajectory **trajectory);
 
 struct mo_trajectory_sides {
-  uint64_t n; /* trajectories that are stored */
+  uint64_t n; /* stored trajectories */
   uint32_t frames, masses, springs;
 };
-/* Reads how many trajectories an evaluation has, and the most of everything in one of them.
- * MO_ERR_CORRUPT: they differ in their frames. */
+/* Reads how many trajectories an evaluation has, and the largest dimensions among them.
+ * MO_ERR_CORRUPT: they differ in their numbers of frames. */
 int mo_store_trajectory_sides(struct mo_store *store, int64_t id,
                               struct mo_trajectory_sides *sides);
 
-/* Removes all trajectories of an evaluation, with an event. *bytes: what they took, 0 if there were
- * none. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: it has not ended, and continues from them. */
+/* Removes all trajectories of an evaluation, with an event. *bytes: the space that they used; 0 if
+ * there were none. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the evaluation has not ended and continues
+ * from them. */
 int mo_store_trajectories_remove(struct mo_store *store, int64_t id, uint64_t *bytes);
 
 #endif

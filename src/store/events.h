@@ -1,4 +1,4 @@
-/* events.h: what happened to jobs and controllers, in order. Threads and errors as in store.h. */
+/* events.h: the events of jobs and controllers, in order. Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_EVENTS_H
 #define MORPHO_STORE_EVENTS_H
 
@@ -9,7 +9,7 @@ struct mo_store;
 struct mo_event {
   int64_t sequence; /* ≥ 1, grows by commit order, never reused */
   int64_t time_us;
-  int64_t job;    /* 0: about no job */
+  int64_t job;    /* 0: not about a job */
   char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
                      "job.resumed", "job.requeued", "job.finished", "job.warning",
                      "evaluation.code_changed", "evaluation.recordings_removed",
@@ -23,11 +23,11 @@ struct mo_event {
   char data[512]; /* a JSON object */
 };
 
-/* Adds an event about no job, later and without waiting. type: less than 32 bytes; data: a JSON
+/* Queues an event that is not about a job, without waiting. type: less than 32 bytes; data: a JSON
  * object of less than 512. MO_ERR_LIMIT. */
 int mo_store_event(struct mo_store *store, const char *type, const char *data);
 
-/* Called on the writer's thread after each commit that made events, in order. It must be short and
+/* Called on the writer's thread after each commit with new events, in order. It must be short and
  * must not call functions of the store that write. */
 typedef void (*mo_store_listener)(void *context, const struct mo_event *events, size_t n);
 /* MO_ERR_NO_MEMORY, MO_ERR_LIMIT. */
@@ -37,7 +37,7 @@ int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void 
 void mo_store_unsubscribe(struct mo_store *store, int handle);
 
 /* Finds the newest kept event with a sequence of at most `after`: `after` itself, unless it was
- * pruned or belongs to another history of the store. 0: there is none. */
+ * pruned or belongs to another history of the store. 0: no such event. */
 int mo_store_event_before(struct mo_store *store, int64_t after, int64_t *sequence);
 /* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
  * number written to `events` or an error.

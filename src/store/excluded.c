@@ -14,9 +14,9 @@
 #include "base/thread.h"
 #include "store/folder.h"
 
-#define SYNC_BYTES (UINT64_C(16) << 20) /* at once, so that a stop need not wait for more */
+#define SYNC_BYTES (UINT64_C(16) << 20) /* per sync, so that a shutdown does not wait for more */
 
-/* ---- the files that are there ---- */
+/* ---- existing files ---- */
 
 struct file {
   char name[MO_EXCLUDED_NAME_BYTES];
@@ -66,7 +66,7 @@ static void remove_file(struct mo_store *store, const char *name)
   (void)store->files->unlink(path);
 }
 
-/* ---- room ---- */
+/* ---- space ---- */
 
 struct counting {
   uint64_t bytes; /* of all */
@@ -131,7 +131,7 @@ int mo_store_excluded_open(struct mo_store *store, uint64_t key)
 {
   struct looking looking = {.key = key};
   char path[PATH_MAX];
-  (void)make_room(store, 0); /* the budget may have become smaller */
+  (void)make_room(store, 0); /* the budget may have shrunk */
   each(store, is_of_key, &looking);
   if (looking.found.name[0] == '\0')
     return MO_ERR_NOT_FOUND;
@@ -187,7 +187,7 @@ static int put(void *context, const void *bytes, size_t size)
   return files->sync(writing->fd) == 0 ? MO_OK : mo_file_error();
 }
 
-/* A folder that is not synced may lose the name, no more. */
+/* An unsynced folder may lose the name, nothing else. */
 static void sync_folder(const struct mo_store *store)
 {
   const int fd = store->files->open(store->excluded_path, O_RDONLY | O_CLOEXEC | O_DIRECTORY);

@@ -2,24 +2,23 @@
  * folder "excluded" of the state folder.
  *
  * Each file can be made again at any time, so no row refers to it, an error is never fatal, and
- * files go when there is no room: the least recently used first. A file is named after a controller
- * and goes with it, at the next start; campaigns of other controllers with the same key use it,
- * too. */
+ * files are removed to make room: the least recently used first. A file is named after a controller
+ * and is removed after it, at the next start; campaigns of other controllers with the same key also
+ * use it. */
 #ifndef MORPHO_STORE_EXCLUDED_H
 #define MORPHO_STORE_EXCLUDED_H
 
 #include "store/store.h"
 
-/* Opens the file of this key and notes that it is used now. Returns a descriptor, which the caller
+/* Opens the file of this key and marks it as just used. Returns a descriptor, which the caller
  * closes, or MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY, MO_ERR_IO. */
 int mo_store_excluded_open(struct mo_store *store, uint64_t key);
 /* Removes the files of this key. */
 void mo_store_excluded_remove(struct mo_store *store, uint64_t key);
-/* Writes a file of `bytes` bytes, whole or not at all: `make` gives it piece by piece to `put`, and
- * returns the error of put or its own. MO_ERR_UNSUPPORTED: none
- * is to be kept; MO_ERR_LIMIT: more than max_excluded; MO_ERR_NO_SPACE: less
- * than twice as much is free on the disk; MO_ERR_CANCELLED: *cancel is set; MO_ERR_NO_MEMORY,
- * MO_ERR_IO. */
+/* Writes a file of `bytes` bytes atomically: `make` passes it piece by piece to `put`, and returns
+ * an error of `put` or its own. MO_ERR_UNSUPPORTED: the configuration keeps no files; MO_ERR_LIMIT:
+ * more than max_excluded; MO_ERR_NO_SPACE: the disk has less than twice this size free;
+ * MO_ERR_CANCELLED: *cancel is set; MO_ERR_NO_MEMORY, MO_ERR_IO. */
 int mo_store_excluded_write(struct mo_store *store, const struct mo_sha256 *controller,
                             uint64_t key, uint64_t bytes, const volatile int *cancel,
                             int (*make)(void *context,

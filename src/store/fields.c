@@ -85,7 +85,7 @@ void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
 {
   struct mo_message message;
-  /* What is not stored has its default: a setting that is newer than the row, the parameters of
+  /* Settings that are not stored get their defaults: those newer than the row, the parameters of
    * other kinds of selection, bisections with an exact time of impact. */
   if (kind == MO_JOB_TRAINING)
     ((struct mo_training_record *)record)->settings =

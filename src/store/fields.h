@@ -12,8 +12,9 @@ extern const struct mo_fields mo_campaign_record_fields;
 /* struct mo_campaign_record: the members of `learning`. */
 extern const struct mo_fields mo_campaign_record_learning_fields;
 
-/* The settings of a training (struct mo_training_record) or a campaign (struct mo_campaign_record)
- * as the database has them: a JSON object, from which every number comes back bit for bit. */
+/* Writes the settings of a training (struct mo_training_record) or a campaign (struct
+ * mo_campaign_record) as the database stores them: a JSON object that preserves every number bit
+ * for bit. */
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text);
 /* Reads the settings into their record and leaves its other members unchanged. MO_ERR_CORRUPT. */
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record);

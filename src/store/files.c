@@ -1,8 +1,8 @@
-/* files.c: whole files, written so that a crash at any moment leaves the old file, the new one, or
- * none.
+/* files.c: complete files, written so that a crash at any moment leaves the old file, the new file,
+ * or no file.
  *
- * A file is written beside its place, synced and renamed, and its folder is synced. Only then may a
- * row refer to it. */
+ * A file is written under a temporary name, synced and renamed, and its folder is synced. Only then
+ * may a row refer to it. */
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -15,7 +15,7 @@
 
 #define PIECE_BYTES ((size_t)1 << 20)
 
-/* Lack of descriptors or memory is temporary, and the file is not to blame. */
+/* Lack of descriptors or memory is temporary, and not a fault of the file. */
 static int open_error(void)
 {
   return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
@@ -87,7 +87,7 @@ static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *b
   while (written < size) {
     const size_t left = size - written;
     ssize_t n;
-    if (atomic_load(&store->is_short)) /* freed space of the reserve is for urgent operations */
+    if (atomic_load(&store->is_short)) /* the freed reserve is for urgent operations only */
       return MO_ERR_NO_SPACE;
     n = files->write(fd, bytes + written, left < PIECE_BYTES ? left : PIECE_BYTES);
     if (n < 0 && errno == EINTR)
@@ -113,7 +113,7 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
 {
   const struct mo_file_operations *files = store->files;
   char *temporary;
-  if (has_bytes(path, bytes, size)) /* a crash may have left it without its row */
+  if (has_bytes(path, bytes, size)) /* a crash may have left the file without its row */
     return mo_folder_sync(store, folder);
   if (asprintf(&temporary, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1)) < 0)
     return MO_ERR_NO_MEMORY;
@@ -143,12 +143,12 @@ int mo_folder_sync(struct mo_store *store, const char *path)
   if (fd >= 0)
     (void)files->close(fd);
   if (error == MO_ERR_IO)
-    mo_store_declare_fatal(store, "a folder of files cannot be synced");
+    mo_store_declare_fatal(store, "cannot sync a folder of data files");
   return error;
 }
 
-/* Also syncs a folder that exists already: the call that made it may have been killed, or may have
- * lacked a descriptor, before it synced the name. */
+/* Also syncs a folder that exists already: the call that created it may have been killed, or may
+ * have run out of descriptors, before it synced the name. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
   if (store->files->mkdir(path, 0700) != 0 && errno != EEXIST)

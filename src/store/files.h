@@ -1,14 +1,15 @@
 /* files.h: the system calls that change the store's own files: weights and checkpoints.
  *
  * They are in a table, so that tests can simulate a disk, as they do for SQLite with a VFS. The
- * lock and the reserve do not use it: their content means nothing. */
+ * lock and the reserve do not use it, because they have no meaningful content. */
 #ifndef MORPHO_STORE_FILES_H
 #define MORPHO_STORE_FILES_H
 
 #include <stddef.h>
 #include <sys/types.h>
 
-/* Each is like the system call of its name: −1 and errno. Called from any thread. */
+/* Each behaves like the system call of its name: −1 and errno on failure. Called from any
+ * thread. */
 struct mo_file_operations {
   int (*open)(const char *path, int flags, ...); /* also opens folders, to sync them */
   ssize_t (*write)(int fd, const void *bytes, size_t size);

@@ -1,7 +1,7 @@
-/* folder.c: checks who owns the state folder, and locks it for one process.
+/* folder.c: checks the owner of the state folder, and locks it for one process.
  *
  * A user who can write to the folder, or choose where its name leads, can make the service
- * overwrite files or believe what it never stored. So the folder and its contents must belong to
+ * overwrite files or trust data that it never stored. So the folder and its contents must belong to
  * the user of the process. The folder is opened once; the checks use that descriptor, and so does
  * the lock: a lock on a file in the folder is lost when the file is deleted. */
 #include <errno.h>
@@ -19,8 +19,8 @@ static const char *const file_names[] = {"lock",           "reserve",          "
                                          "crash-marker",   "crash-marker.last"};
 static const char *const folder_names[] = {"controllers", "trainings", "campaigns", "excluded"};
 
-/* Checks the owner of a link, who decides where it leads. Links of root are allowed: systemd makes
- * one for StateDirectory=. */
+/* Checks the owner of a link, who decides where it leads. Links of root are allowed, because
+ * systemd creates one for StateDirectory=. */
 static int check_link(const char *path, struct mo_message *message)
 {
   struct stat status;
@@ -35,8 +35,8 @@ static int check_link(const char *path, struct mo_message *message)
       status.st_uid != geteuid())
     error = mo_fail(
         message, MO_ERR_INVALID,
-        "the state folder %s is a symbolic link of uid %u: give the path of the folder itself",
-        name, (unsigned)status.st_uid);
+        "the state folder %s is a symbolic link of uid %u: use the path of the folder itself", name,
+        (unsigned)status.st_uid);
   free(name);
   return error;
 }
@@ -52,7 +52,7 @@ static int check_entry(int fd, const char *path, const char *name, mode_t kind,
   if ((status.st_mode & S_IFMT) == kind && status.st_uid == geteuid())
     return MO_OK;
   return mo_fail(message, MO_ERR_INVALID,
-                 "%s/%s must be a %s of uid %u and no link, but is of uid %u, mode %06o: move it "
+                 "%s/%s must be a %s of uid %u, not a link, but has uid %u, mode %06o: move it "
                  "away, or chown it",
                  path, name, kind == S_IFDIR ? "folder" : "regular file", (unsigned)geteuid(),
                  (unsigned)status.st_uid, (unsigned)status.st_mode);
@@ -130,7 +130,7 @@ int mo_state_folder_lock(int fd, const char *path, int *file_fd, struct mo_messa
 {
   if (flock(fd, LOCK_EX | LOCK_NB) != 0)
     return refuse_lock(path, message);
-  /* Making this file also shows that the folder can be written to. */
+  /* Creating this file also checks that the folder is writable. */
   *file_fd = openat(fd, "lock", O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (*file_fd < 0)
     return mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO,

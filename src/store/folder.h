@@ -17,13 +17,13 @@ int mo_file_read(const char *path, size_t size, uint8_t **bytes);
  * another hash. */
 int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
                          uint8_t **bytes);
-/* Writes a file, atomic and durable, unless it has these bytes already. `path` is in `folder`.
+/* Writes a file, atomically and durably, unless it has these bytes already. `path` is in `folder`.
  * MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);
-/* Returns the error of errno, of a call that opened or changed a file. */
+/* Converts errno after a call that opened or changed a file to an error. */
 int mo_file_error(void);
-/* Reads the name of a file in the folder "excluded": of which controller it is, and its key. */
+/* Parses the name of a file in the folder "excluded": its controller and its key. */
 #define MO_EXCLUDED_NAME       "%s-%016" PRIx64 ".forms"
 #define MO_EXCLUDED_NAME_BYTES (MO_SHA256_DIGITS + 1 + 16 + 6 + 1)
 bool mo_excluded_name_read(const char *name, struct mo_sha256 *controller, uint64_t *key);
@@ -32,7 +32,7 @@ int mo_folder_sync(struct mo_store *store, const char *path);
 /* Makes a folder if it is missing and makes its name durable in any case. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
 /* Counts files without rows in store->orphans, and removes those that this program left behind.
- * connection NULL: recognizes only unfinished files as such. Called before the writer starts. */
+ * connection NULL: finds only unfinished files. Called before the writer starts. */
 int mo_files_sort_out(struct mo_store *store, struct mo_connection *connection, bool removes);
 
 #endif

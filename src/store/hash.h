@@ -7,8 +7,8 @@
 
 #include "base/sha256.h"
 
-/* Hashes all that a score depends on besides body, environment and weights: every physics value,
- * the precision, the sensor. Bisections count only when the impact mode uses them. */
+/* Hashes everything that a score depends on besides body, environment and weights: every physics
+ * value, the precision, the sensor. Bisections count only when the impact mode uses them. */
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
                      enum mo_sensor sensor, struct mo_sha256 *hash);
 

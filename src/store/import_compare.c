@@ -1,5 +1,5 @@
-/* import_compare.c: see import_compare.h. Rows have other numbers in the store that a bundle came
- * from, so each is found by its content. */
+/* import_compare.c: see import_compare.h. Rows have other numbers in the source of a bundle, so
+ * each is looked up by its content. */
 #include "store/import_compare.h"
 
 #include <stdlib.h>
@@ -10,7 +10,7 @@
 #include "store/scores.h"
 #include "store/store.h"
 
-/* Makes of a row that was not found row 0. */
+/* Turns a row that was not found into row 0. */
 static int absent(int error, int64_t *row)
 {
   if (error != MO_ERR_NOT_FOUND)
@@ -49,7 +49,7 @@ int mo_compare_campaign(struct mo_store *store, struct mo_import_comparison *row
   return error;
 }
 
-/* Says whether scores of the campaign can be stored. */
+/* Returns whether scores of the campaign can be stored. */
 static bool may_have_scores(const struct mo_import_comparison *rows)
 {
   return rows->controller != 0 && rows->physics != 0;

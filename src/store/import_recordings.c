@@ -1,5 +1,5 @@
-/* import_recordings.c: evaluations that recorded designs of a campaign: out of a store, and into it
- * behind the scores of the campaign. See imports.h. */
+/* import_recordings.c: evaluations that recorded designs of a campaign: their export, and their
+ * import after the campaign's scores. See imports.h. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,7 +13,7 @@
 #include "store/scores.h"
 #include "store/store.h"
 
-/* ---- out of a store ---- */
+/* ---- export ---- */
 
 int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **evaluations,
                                  uint32_t *n, uint64_t *rollouts)
@@ -128,7 +128,7 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
              : error;
 }
 
-/* ---- into a store ---- */
+/* ---- import ---- */
 
 int mo_source_evaluation(struct mo_connection *connection, uint64_t own,
                          const struct mo_imported_evaluation *evaluation, int64_t *id)
@@ -143,7 +143,7 @@ int mo_source_evaluation(struct mo_connection *connection, uint64_t own,
   const struct mo_value kind = mo_int(MO_JOB_EVALUATION), created = mo_int(evaluation->created_us),
                         started = mo_int(evaluation->started_us),
                         finished = mo_int(evaluation->finished_us);
-  struct mo_sha256 older; /* that earlier programs stored */
+  struct mo_sha256 older; /* as stored by earlier versions */
   char text[64];
   int error = source->store == own ? mo_sql_find(connection, id, own_sql, mo_int(source->job), kind,
                                                  created, started, finished)
@@ -171,7 +171,7 @@ static int insert_job(struct mo_import *import, const struct mo_imported_evaluat
                        mo_string(evaluation->experiment), mo_string(evaluation->note));
 }
 
-/* Says whether the environments are those of the campaign's named set. */
+/* Returns whether the environments are those of the campaign's named set. */
 static bool has_set(const struct mo_import *import, const struct mo_imported_evaluation *evaluation)
 {
   bool same = import->set != 0 && evaluation->environment_set[0] != '\0' &&
@@ -197,8 +197,8 @@ static int insert_evaluation(struct mo_import *import,
                    mo_int(classes->fingerprint), mo_int(classes->workers));
 }
 
-/* Inserts the designs, and reads in which step each of their rollouts diverged: all their losses
- * must be stored. */
+/* Inserts the designs, and reads the steps in which their rollouts diverged. All their losses must
+ * be stored. */
 static int insert_designs(struct mo_import *import, const struct mo_imported_evaluation *evaluation,
                           struct mo_saved_design *design)
 {

@@ -1,6 +1,5 @@
-/* imports.c: see imports.h. Rows are those that mo_store_submit_campaign and
- * mo_store_campaign_commit write, but for the times and the origins, which stay those of the
- * source. */
+/* imports.c: see imports.h. It writes the same rows as mo_store_submit_campaign and
+ * mo_store_campaign_commit, except that times and origins stay those of the source. */
 #include "store/imports.h"
 
 #include <stdio.h>
@@ -62,7 +61,7 @@ int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
   return mo_controller_write_file(store, sha256, bytes, size);
 }
 
-/* ---- what is here already ---- */
+/* ---- what exists already ---- */
 
 int mo_store_import_own(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
@@ -113,7 +112,7 @@ static int controller_row(struct mo_connection *writer, const struct mo_sha256 *
   return mo_sql_find(writer, row, sql, mo_hash(sha256));
 }
 
-/* Finds the group here that has the campaigns of the same group there; 0: none yet. */
+/* Finds the local group for a group of the source; 0: none yet. */
 static int64_t *group_of(struct mo_import *import, int64_t source)
 {
   uint32_t i = 0;
@@ -158,7 +157,7 @@ static int insert_run(struct mo_import *import, const struct mo_imported_campaig
                                        : error;
 }
 
-/* Finds the set whose environments are those of the campaign; 0: there is none. */
+/* Finds the set with the environments of the campaign; 0: none. */
 static int find_set(struct mo_import *import, const struct mo_campaign_record *record,
                     int64_t group)
 {
@@ -213,7 +212,7 @@ static int insert_campaign(struct mo_import *import, const struct mo_imported_ca
                    mo_int(campaign->end));
 }
 
-/* Inserts the environments of the first campaign of a group; those of the others are the same. */
+/* Inserts the environments of the first campaign of a group; the others have the same. */
 static int insert_environments(struct mo_import *import,
                                const struct mo_imported_campaign *campaign, int64_t group)
 {
@@ -230,7 +229,7 @@ static int insert_environments(struct mo_import *import,
   if (error == MO_ERR_CORRUPT ||
       (error == MO_OK &&
        memcmp(known, campaign->environments, record->n_environments * sizeof(*known)) != 0))
-    return MO_ERR_INVALID; /* replicates in other worlds */
+    return MO_ERR_INVALID; /* replicates with other environments */
   import->n_environments = record->n_environments;
   if (error == MO_OK)
     error = find_set(import, record, group);
@@ -262,7 +261,7 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
   return error == MO_OK ? announce(import, &campaign->source) : error;
 }
 
-/* Lets the watchdog see that the one long transaction of the writer makes progress. */
+/* Shows the watchdog that the writer's long transaction makes progress. */
 static void beat(struct mo_import *import)
 {
   atomic_store(&import->store->heartbeat_us, mo_clock_us());
@@ -362,7 +361,7 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
                   : mo_set_score_insert(writer, &design);
 }
 
-/* ---- out of a store ---- */
+/* ---- export ---- */
 
 int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t generation,
                               struct mo_campaign_member **ret, uint32_t *n)
@@ -380,7 +379,8 @@ int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t genera
   return error;
 }
 
-/* Turns a stored block into places of the campaign's environments; others are left out. */
+/* Converts a stored block to places of the campaign's environments, and drops other
+ * environments. */
 static void keep_own(const int64_t *environments, uint32_t n, const struct mo_condition *condition,
                      struct mo_campaign_score *score)
 {

@@ -1,5 +1,5 @@
-/* imports.h: campaigns of other stores, entered in one transaction: all of them or nothing. The
- * caller has checked what it enters. Threads and errors as in store.h. */
+/* imports.h: campaigns of other stores, imported in one transaction: all or nothing. The caller has
+ * checked the data. Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_IMPORTS_H
 #define MORPHO_STORE_IMPORTS_H
 
@@ -8,7 +8,7 @@
 
 struct mo_store;
 
-/* Where a campaign, or an evaluation with recordings, came from. */
+/* The source of a campaign, or of an evaluation with recordings. */
 struct mo_import_source {
   uint64_t store;          /* the id of its store */
   int64_t job;             /* its id there */
@@ -49,7 +49,7 @@ struct mo_campaign_score {
   uint32_t diverged_steps[MO_BLOCK_LANES];
 };
 
-/* An evaluation that recorded designs of a campaign, by its controller, in environments of it. */
+/* An evaluation that recorded designs of a campaign, with its controller, in its environments. */
 struct mo_imported_evaluation {
   struct mo_import_source source;
   bool has_label;
@@ -58,9 +58,9 @@ struct mo_imported_evaluation {
   enum mo_back_end back_end;
   int64_t created_us, started_us, finished_us;
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested; "": by hash */
-  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": they were listed */
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": listed in the request */
   char fingerprint[MO_FINGERPRINT_BYTES];      /* its class */
-  char workers[MO_FINGERPRINT_BYTES]; /* of bodies that devices left to workers; "": none */
+  char workers[MO_FINGERPRINT_BYTES]; /* class of bodies that devices left to workers; "": none */
   uint32_t record, stride;            /* channels; steps between two frames */
   uint32_t n_environments, n_designs;
   uint32_t environments[MO_ENVIRONMENTS_MAX]; /* places */
@@ -73,32 +73,32 @@ struct mo_campaign_member {
   double score;
 };
 
-/* ---- out of a store ---- */
+/* ---- export from a store ---- */
 
 /* Reads the population after a generation, best first: (n) malloc. MO_ERR_NOT_FOUND. */
 int mo_store_campaign_members(struct mo_store *store, int64_t id, int64_t generation,
                               struct mo_campaign_member **members, uint32_t *n);
 /* Calls `take` for the stored losses of designs from `first` up to `last` under the campaign's
- * controller and physics, in its environments, by design. An error of `take` ends it. */
+ * controller and physics, in its environments, ordered by design. Stops at an error of `take`. */
 int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first, uint32_t last,
                              int (*take)(void *context, const struct mo_campaign_score *score),
                              void *context);
-/* Lists the evaluations that have recorded designs of a campaign and nothing else, and still have
- * all of it: (n) malloc, ascending. *rollouts: that they recorded. */
+/* Lists the evaluations that recorded designs of this campaign only, and still have all of their
+ * recordings: (n) malloc, ascending. *rollouts: number of recorded rollouts. */
 int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **evaluations,
                                  uint32_t *n, uint64_t *rollouts);
 int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64_t id,
                                  struct mo_imported_evaluation *evaluation);
-/* Finds the campaign that ran here under the id of the source. Its history may be another one:
- * where a backup was restored, ids are given again. MO_ERR_NOT_FOUND. */
+/* Finds the campaign that ran here under the id of the source. It may be a different campaign,
+ * because ids are reused after a backup is restored. MO_ERR_NOT_FOUND. */
 int mo_store_import_own(struct mo_store *store, const struct mo_import_source *source, int64_t *id);
-/* Finds the campaign that a bundle brought with this digest. MO_ERR_NOT_FOUND. */
+/* Finds the campaign that was imported from a bundle with this digest. MO_ERR_NOT_FOUND. */
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source,
                          int64_t *id);
 
-/* ---- into a store ---- */
+/* ---- import into a store ---- */
 
-/* Between these two, files of weights that have no row yet stay. */
+/* Between these two calls, files of weights without rows are kept. */
 void mo_store_import_begin(struct mo_store *store);
 void mo_store_import_end(struct mo_store *store);
 /* Writes a file of weights, before the transaction. */
@@ -109,8 +109,8 @@ struct mo_import;
 /* Runs `run` in one transaction of the writer, perhaps several times; all other writes wait. */
 int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
                     void *context);
-/* Only inside of `run`. mo_import_find: as mo_store_import_find, but for a campaign that was found
- * to be job `own` (0: it was not), if that still exists. */
+/* Only inside `run`. mo_import_find: finds job `own` (0: none), the source itself, if that still
+ * exists; otherwise like mo_store_import_find. */
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
                    int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
@@ -126,11 +126,12 @@ int mo_import_generation(struct mo_import *import, const struct mo_campaign_gene
 int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step);
 /* MO_ERR_CONFLICT: another loss is stored for the same rollout. *is_new: it was not stored. */
 int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new);
-/* Begins an evaluation of the campaign's designs, behind all scores; the rollouts below belong to
- * it. Returns 1, or 0: it is here already. MO_ERR_NOT_FOUND: the campaign lacks one of its losses.
+/* Begins an evaluation of the campaign's designs, after all scores; the rollouts that follow belong
+ * to it. Returns 1, or 0 if it exists already. MO_ERR_NOT_FOUND: the campaign lacks one of its
+ * losses.
  */
 int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
-/* Enters a recording; its job and step are those of the evaluation. */
+/* Imports a recording; its job and step are those of the evaluation. */
 int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout);
 
 #endif

@@ -19,8 +19,8 @@
 /* ---- writing ---- */
 
 struct mo_operation {
-  /* Runs inside a savepoint, perhaps several times: each run must ignore what an earlier one left
-   * in `arguments`. */
+  /* Runs inside a savepoint, perhaps several times: each run must ignore leftovers of an earlier
+   * run in `arguments`. */
   int (*run)(struct mo_store *store, void *arguments);
   void *arguments;
   void (*done)(void *arguments, int status); /* NULL: the caller waits */
@@ -60,22 +60,22 @@ struct mo_store {
   pthread_cond_t work;
   struct mo_operation *first, *last;
   bool closing;
-  struct mo_event *events; /* of this batch */
+  struct mo_event *events; /* events of this batch */
   size_t n_events, events_capacity;
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, next_reserve_us;
   int wal_frames, checkpoint_frames;
-  uint64_t max_recordings_bytes, max_excluded_bytes;      /* 0: no limit; none is kept */
-  int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: for good */
+  uint64_t max_recordings_bytes, max_excluded_bytes;      /* 0: no limit; 0: keep none */
+  int64_t keep_jobs_us[MO_JOB_KINDS], keep_recordings_us; /* after their end; 0: no limit */
   int64_t last_upkeep_us, credible_us, credible_at_us;    /* as stored, and mo_clock_us() then */
-  unsigned aged_left; /* jobs and recordings that may still go by age, until the next upkeep */
+  unsigned aged_left; /* jobs and recordings that may still expire before the next upkeep */
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
   bool reserve_whole;
-  pthread_mutex_t excluded_mutex;    /* of writing a file of excluded bodies */
+  pthread_mutex_t excluded_mutex;    /* held while a file of excluded bodies is written */
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
                                         anything is written */
   /* Read lock: from the write of a file of weights to the commit of its row. Write lock: from the
-   * deletion of a row to that of its file. */
+   * deletion of a row to the deletion of its file. */
   pthread_rwlock_t controllers_lock;
   pthread_mutex_t listeners_mutex;
   struct {
@@ -100,10 +100,10 @@ struct mo_store {
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
              void *arguments);
 /* Like mo_write, but may use the reserve: for requests that clients need on a full disk, and for
- * what every start writes. Only for small writes that no job makes or repeats by itself. */
+ * the writes of every start. Only for small writes that no job makes or repeats on its own. */
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                     void *arguments);
-/* Like mo_write, but does not wait. `done` frees what is to be freed. */
+/* Like mo_write, but does not wait. `done` frees the arguments. */
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                    void *arguments, void (*done)(void *arguments, int status));
 /* Declares the store fatal: acknowledged writes may not be on the disk. May be called from any
@@ -111,7 +111,7 @@ int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, vo
 void mo_store_declare_fatal(struct mo_store *store, const char *what);
 int mo_writer_start(struct mo_store *store);
 void mo_writer_stop(struct mo_store *store);
-/* Adds an event; only inside an operation. The format makes a JSON object. */
+/* Adds an event; only inside an operation. The format produces a JSON object. */
 int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *format, ...)
     __attribute__((format(printf, 4, 5)));
 
@@ -121,30 +121,30 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
  * value is the limit. Returns the number of rows or an error. MO_ERR_LIMIT: limit > MO_PAGE_MAX. */
 int64_t mo_read_page(struct mo_store *store, const char *sql, struct mo_values values,
                      int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size);
-/* Calls `take` for the first row. MO_ERR_NOT_FOUND: there is none. */
+/* Calls `take` for the first row. MO_ERR_NOT_FOUND: no row. */
 int mo_read_one(struct mo_store *store, const char *sql, struct mo_values values,
                 int (*take)(sqlite3_stmt *statement, void *row), void *ret);
-/* Reads the first n columns of the first row. MO_ERR_NOT_FOUND: there is none. */
+/* Reads the first n columns of the first row. MO_ERR_NOT_FOUND: no row. */
 int mo_read_integers(struct mo_store *store, const char *sql, struct mo_values values, int n,
                      int64_t *integers);
-/* Calls `load` with a new object, `size` bytes of zeros. NULL: *error. */
+/* Calls `load` with a new object of `size` zero bytes. Returns NULL on failure, with *error. */
 void *mo_read_whole(struct mo_store *store, size_t size,
                     int (*load)(struct mo_connection *reader, const void *key, void *ret),
                     const void *key, void (*release)(void *ret), int *error);
 
-/* ---- what the store does by itself ---- */
+/* ---- what the store does on its own ---- */
 
-/* Make the reserve whole again; if there is no space for it, the store is short of space. Free the
- * reserve; true: the store is short of space, and there may be some space now. Only the writer's
- * thread calls these, and opening before that thread starts. */
+/* Restores the reserve; if the disk has no space for it, the store is short of space.
+ * mo_reserve_free frees the reserve; true: the store is short of space, and there may be some space
+ * now. Called only by the writer's thread, and while opening, before that thread starts. */
 void mo_reserve_make(struct mo_store *store);
 bool mo_reserve_free(struct mo_store *store);
-/* Queues deletions that are due, also those that the last process left. When the writer has
- * started. */
+/* Queues deletions that are due, including those that the last process left unfinished. Call it
+ * after the writer has started. */
 void mo_upkeep_begin(struct mo_store *store);
-/* The same once a minute, recordings only by age: the writer calls it between batches. */
+/* Does the same once a minute, for recordings only by age: the writer calls it between batches. */
 void mo_upkeep(struct mo_store *store);
-/* Makes the paper's test set if it is missing. When the writer has started. */
+/* Creates the paper's test set if it is missing. Call it after the writer has started. */
 int mo_make_paper_test(struct mo_store *store);
 
 #endif

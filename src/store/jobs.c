@@ -29,7 +29,7 @@ const char *mo_job_kind_name(enum mo_job_kind kind)
 
 /* ---- one job ---- */
 
-/* Reads the hash of a controller that there may be. */
+/* Reads the hash of a controller, if the row has one. */
 static bool read_hash(sqlite3_stmt *row, int column, bool *is_there, struct mo_sha256 *sha256)
 {
   *is_there = sqlite3_column_type(row, column) != SQLITE_NULL;
@@ -234,10 +234,10 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
 
 /* Queries for pages of jobs, newest first. `select` returns rows of jobs j with their id first;
  * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7 and ?10: the least and
- * the largest label, ?8: who submitted, ?11: experiment. ?1: ids are below this; ?2: state; ?3:
+ * the largest label, ?8: the submitter, ?11: experiment. ?1: ids are below this; ?2: state; ?3:
  * limit; ?5: ids of waiting jobs, which are shown as paused while they run; ?9: whether they are
- * archived. No page needs sorting, but that of a label's beginning: each part comes in order from
- * its index, and SQLite merges two of them. */
+ * archived. Only a page by a label's prefix needs sorting: otherwise each part is read in order
+ * from its index, and SQLite merges two of them. */
 #define SHOWN " AND +j.state<>6 AND (?9<0 OR (j.archived_us>0)=?9)"
 #define PAGE_OF_ALL(rows, where)                                                                   \
   rows " WHERE " where SHOWN " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
@@ -254,7 +254,7 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
     PAGE_OF_ALL(select, where), PAGE_OF_STATE(select, where), PAGE_OF_SHOWN(select, where)         \
   }
 
-/* Those for any job, by label, by who submitted, and by both. */
+/* Queries for any job, by label, by submitter, and by both. */
 #define FILTERED(select, where)                                                                    \
   {                                                                                                \
     PAGES(select, where), PAGES(select, where " AND j.label=?7"),                                  \
@@ -262,7 +262,7 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
         PAGES(select, where " AND j.submitted_by=?8 AND j.label=?7")                               \
   }
 
-/* Those in which an index finds few jobs, and the other conditions are looked at row by row. */
+/* Queries in which an index finds few jobs, and the other conditions are checked row by row. */
 #define NARROWED(select, where)                                                                    \
   PAGES(select,                                                                                    \
         where " AND (?4<0 OR +j.kind=?4) AND (?7 IS NULL OR (+j.label>=?7 AND +j.label<=?10))"     \
@@ -292,7 +292,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
 {
 #define JOBS       "SELECT j.id FROM jobs j"
 #define JOBS_BY(x) JOBS " INDEXED BY jobs_" x
-  /* Any job, those of a kind. */
+  /* Any job; jobs of a kind. */
   static const char *const sql[2][4][3] = {FILTERED(JOBS, "TRUE"), FILTERED(JOBS, "j.kind=?4")};
   enum { GROUP, EXPERIMENT, LABEL, ARCHIVED };
   static const char *const narrowed[][3] = {
@@ -317,7 +317,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   if (limit > MO_PAGE_MAX || query->n_waiting > MO_WAITING_MAX)
     return MO_ERR_LIMIT;
   write_waiting(query, waiting);
-  /* The largest character stands behind every label that begins so. */
+  /* The largest character sorts after every label with this prefix. */
   snprintf(label, sizeof(label), "%s%s", query->label != NULL ? query->label : "",
            is_prefix ? "\xf4\x8f\xbf\xbf" : "");
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);

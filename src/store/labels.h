@@ -1,5 +1,5 @@
-/* labels.h: what clients say of jobs after their submission, and what jobs have used. Threads and
- * errors as in store.h. */
+/* labels.h: edits of jobs by clients after submission, and the usage of jobs. Threads and errors as
+ * in store.h. */
 #ifndef MORPHO_STORE_LABELS_H
 #define MORPHO_STORE_LABELS_H
 
@@ -7,9 +7,9 @@
 
 struct mo_store;
 
-/* What changes of a job. A text that is given as NULL is taken away. */
+/* Changes of a job. NULL removes a text. */
 struct mo_job_edit {
-  bool has_label, has_experiment, has_note, has_archived; /* whether it changes */
+  bool has_label, has_experiment, has_note, has_archived; /* whether each changes */
   bool archived;
   const char *label, *experiment, *note;
 };
@@ -19,17 +19,17 @@ int mo_store_edit_job(struct mo_store *store, int64_t id, const struct mo_job_ed
 enum mo_usage_by { MO_USAGE_KIND, MO_USAGE_LABEL, MO_USAGE_EXPERIMENT, MO_USAGE_SUBMITTED_BY };
 #define MO_USAGES 4
 struct mo_usage_row {
-  char name[MO_LABEL_BYTES_MAX + 1]; /* "": of the jobs that have none; of kinds: digits */
+  char name[MO_LABEL_BYTES_MAX + 1]; /* "": jobs without one; by kind: digits */
   uint64_t jobs;
   double worker_s, device_s;
 };
-/* Sums what jobs have used, deleted ones too; those that used most first. Returns the number of
- * rows, at most `limit` ≤ MO_PAGE_MAX, or an error. */
+/* Sums the usage of jobs, including deleted ones; largest usage first. Returns the number of rows,
+ * at most `limit` ≤ MO_PAGE_MAX, or an error. */
 int64_t mo_store_usage(struct mo_store *store, enum mo_usage_by by, struct mo_usage_row *rows,
                        size_t limit);
 
-/* Sets what tells the seconds that a running job has used in all, false: it does not run. The
- * writer calls it with each event of a job. used NULL: nothing does any more. */
+/* Sets a callback that returns the total seconds that a running job has used; false: the job is not
+ * running. The writer calls it with each event of a job. used NULL removes it. */
 void mo_store_meter(struct mo_store *store,
                     bool (*used)(void *context, int64_t job, double *worker_s, double *device_s),
                     void *context);

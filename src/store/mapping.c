@@ -1,9 +1,9 @@
-/* mapping.c: takes disk space for what SQLite maps.
+/* mapping.c: allocates disk space for the file that SQLite maps.
  *
  * SQLite extends its log's index by writing one byte per 4 KiB, and then writes to the index
- * through a mapping. On a file system with smaller blocks the rest is holes, and on a full disk a
- * write to a hole kills the process with SIGBUS. So this file allocates the space before the
- * mapping is made, and a full disk becomes an error like any other. */
+ * through a mapping. On a file system with smaller blocks, the rest of the file is holes, and on a
+ * full disk a write to a hole kills the process with SIGBUS. So this file allocates the space
+ * before the mapping, and a full disk becomes an ordinary error. */
 #include <errno.h>
 #include <fcntl.h>
 #include <sys/mman.h>

@@ -2,7 +2,7 @@
  *
  * Order: folder and its lock (folder.c), database, application id and version, quick_check after an
  * unclean stop, schema, epoch, readers, reserve, writer. Only SQLite opens the database file:
- * closing it elsewhere would drop SQLite's locks. On a full disk an opening uses the reserve. */
+ * closing it elsewhere would drop SQLite's locks. On a full disk, opening uses the reserve. */
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -55,32 +55,30 @@ static int refuse_without_database(const struct mo_store *store, struct mo_messa
 {
   const bool has_files = store->orphans.n > 0;
   return mo_fail(message, MO_ERR_CONFLICT,
-                 "the state folder has lost its database: morphod.db is missing or empty beside "
+                 "the state folder has lost its database: morphod.db is missing or empty next to "
                  "data files, such as"
                  " %.48s: mount or restore it, or move them away to start with an empty one: %s",
                  has_files ? store->orphans.first : "morphod.db-wal", store->path);
 }
 
-/* Checks that no database is missing, before anything is made or removed. A first start that was
- * killed has left no other files: the database is made before them. SQLite writes the log after the
- * database's first page, and deletes a log without a database. */
-static int look_for_database(struct mo_store *store, struct mo_message *message)
+/* Checks that the database is not missing, before anything is created or removed. A first start
+ * that was killed leaves no other files, because the database is created first. SQLite writes the
+ * log after the database's first page, and deletes a log without a database. */
+static int check_for_database(struct mo_store *store, struct mo_message *message)
 {
   const bool is_there = size_of(store, "") > 1;
   int error = mo_files_sort_out(store, NULL, is_there);
   if (error != MO_OK)
-    return mo_fail(message, error, "cannot read what is in %s: %s", store->path,
-                   mo_error_text(error));
+    return mo_fail(message, error, "cannot list %s: %s", store->path, mo_error_text(error));
   if (!is_there && (store->orphans.n > 0 || size_of(store, "-wal") > 0))
     return refuse_without_database(store, message);
   if (!is_there && store->must_exist)
-    return mo_fail(message, MO_ERR_NOT_FOUND, "there is no database in the state folder %s",
-                   store->path);
+    return mo_fail(message, MO_ERR_NOT_FOUND, "the state folder %s has no database", store->path);
   return MO_OK;
 }
 
-/* A check that cannot have a page reports that like damage, in a row, with SQLite's code at its
- * end: memory was short, or a read failed. */
+/* If a check cannot load a page, because memory is short or a read failed, it reports this like
+ * damage, in a row that ends with SQLite's code. */
 static int finding_error(struct mo_connection *connection, const char *text)
 {
   static const char mark[] = "error code=";
@@ -89,7 +87,7 @@ static int finding_error(struct mo_connection *connection, const char *text)
   return mo_sql_error(connection->db, code > 0 && code < INT_MAX ? (int)code : SQLITE_CORRUPT);
 }
 
-/* Reads the text in the first row; it stays if there are no rows. */
+/* Reads the text in the first row; leaves it unchanged if there are no rows. */
 static int read_text(struct mo_connection *connection, const char *sql, char *text, size_t size)
 {
   sqlite3_stmt *row;
@@ -124,7 +122,7 @@ static int end_transaction(struct mo_connection *writer, int error)
   return error;
 }
 
-/* Makes a new database (from = 0), or brings one of an older schema up to date. */
+/* Creates a new database (from = 0), or upgrades one with an older schema. */
 static int migrate(struct mo_connection *writer, int64_t from, struct mo_message *message)
 {
   char sql[96];
@@ -135,8 +133,8 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
     if (error != MO_OK)
       mo_fail(message, error, "%s failed: %s", schema_files[i].name, sqlite3_errmsg(writer->db));
   }
-  /* In the same transaction, so that the database opens after a kill between this commit and the
-   * first opening's. */
+  /* In the same transaction, so that the database can be opened after a kill between this commit
+   * and that of the first opening. */
   if (error == MO_OK && from == 0)
     error = mo_rows_create(writer);
   if (error == MO_OK && from == 0)
@@ -149,8 +147,8 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   return end_transaction(writer, error);
 }
 
-/* Turns the write-ahead log on. If SQLite cannot use it (for example without shared memory), it
- * replies with the mode that it keeps. */
+/* Turns the write-ahead log on. If SQLite cannot use it (for example, without shared memory), it
+ * returns the mode that it keeps. */
 static int use_log(const struct mo_store *store, struct mo_connection *writer,
                    struct mo_message *message)
 {
@@ -188,10 +186,11 @@ static int read_header(struct mo_store *store, struct header *header)
   return error;
 }
 
-/* Begins another history, unless this database was closed by the last opening of this folder: the
- * database and the file `lock`, which every opening changes, agree on the time of its last change.
- * In another history numbers may be given a second time: what names one for clients names the
- * history, too. The numbers of events jump, so that those of events that are lost name none. */
+/* Begins a new history, unless this database was closed by the last process that used this folder:
+ * then the database and the file `lock`, which every opening changes, agree on the time of its last
+ * change. Numbers may be assigned a second time in a new history, so identifiers for clients
+ * include the history. The numbers of events jump, so that numbers of lost events are not
+ * reused. */
 static int follow_history(struct mo_store *store, struct mo_connection *writer)
 {
   static const char same_sql[] =
@@ -240,8 +239,8 @@ static int count_opening(struct mo_store *store, struct mo_connection *writer)
   return end_transaction(writer, error);
 }
 
-/* Refuses a database file with a part of a page at its end, which SQLite would fill with zeros.
- * After a kill the log may have the whole page. */
+/* Refuses a database file that ends within a page, which SQLite would fill with zeros. After a
+ * kill, the log may have the complete page. */
 static int check_length(const struct mo_store *store, struct mo_connection *writer,
                         struct mo_message *message)
 {
@@ -254,7 +253,7 @@ static int check_length(const struct mo_store *store, struct mo_connection *writ
   (void)sqlite3_wal_checkpoint_v2(writer->db, NULL, SQLITE_CHECKPOINT_TRUNCATE, NULL, NULL);
   if (stat(store->database_path, &file) == 0 && file.st_size % page_bytes != 0)
     error = mo_fail(message, MO_ERR_CORRUPT,
-                    "%s is cut short: its last page is not whole; restore a backup",
+                    "%s is truncated: its last page is incomplete; restore a backup",
                     store->database_path);
   return error;
 }
@@ -297,7 +296,7 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (header.version > 0 && header.version <= LAST_OF_0_1)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "the state folder %s was written by morphod 0.1, which this version does not "
-                   "read: start with an empty folder, and store the files of %s again there",
+                   "read: start with an empty folder, and store the files in %s there again",
                    store->path, store->controllers_path);
   error = use_log(store, writer, message);
   if (error == MO_OK && header.version > 0) {
@@ -310,8 +309,7 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
     if (error == MO_OK && !clean)
       error = run_check(writer, "PRAGMA quick_check(1)", message);
     if (error == MO_ERR_NOT_FOUND)
-      error =
-          mo_fail(message, MO_ERR_CORRUPT, "%s lacks its own description", store->database_path);
+      error = mo_fail(message, MO_ERR_CORRUPT, "%s lacks its metadata", store->database_path);
     if (error == MO_ERR_CORRUPT)
       return error;
   }
@@ -412,7 +410,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
 {
   char *path = NULL;
   if (config->path == NULL || config->path[0] == '\0')
-    return mo_fail(message, MO_ERR_INVALID, "a state folder must be named");
+    return mo_fail(message, MO_ERR_INVALID, "a state folder is required");
   if (message != NULL)
     message->text[0] = '\0';
   int fd = mo_state_folder_open(config->path, &path, message);
@@ -426,7 +424,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
   store->folder_fd = fd;
   int error = mo_state_folder_lock(fd, config->path, &store->lock_fd, message);
   if (error == MO_OK)
-    error = look_for_database(store, message);
+    error = check_for_database(store, message);
   if (error == MO_OK)
     error = prepare_folders(store, message);
   if (error == MO_OK)
@@ -460,8 +458,8 @@ void mo_store_close(struct mo_store *store)
     return;
   mo_writer_stop(store);
   if (atomic_load(&store->is_fatal)) {
-    /* Leave recovery to the next opening, which reads what the disk has kept, not what this process
-     * believes. */
+    /* Leave recovery to the next opening, which reads the actual content of the disk rather than
+     * this process's view of it. */
     (void)sqlite3_db_config(store->writer.db, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, NULL);
   } else {
     /* Close readers first, so that the last checkpoint can empty the log. */

@@ -1,4 +1,5 @@
-/* orientations.c: which orientation of a design an id alone means: the best that is scored. */
+/* orientations.c: resolves an id without an orientation to the scored orientation with the best
+ * score. */
 #include <math.h>
 #include <string.h>
 
@@ -7,9 +8,9 @@
 #include "store/designs.h"
 #include "store/scores.h"
 
-/* What mo_orienting names, as rows. */
+/* The rows for struct mo_orienting. */
 struct scored_under {
-  struct mo_saved_design design; /* but for its genotype */
+  struct mo_saved_design design; /* except its genotype */
   int64_t environments[MO_ENVIRONMENTS_MAX];
   uint32_t n;
   struct mo_workspace workspace;
@@ -38,7 +39,7 @@ static int find_environments(struct mo_connection *reader, const struct mo_orien
   return error == MO_OK && found->n == 0 ? MO_ERR_NOT_FOUND : error;
 }
 
-/* MO_ERR_NOT_FOUND: nothing can have been scored under it. */
+/* MO_ERR_NOT_FOUND: nothing can have been scored under these conditions. */
 static int find_rows(struct mo_connection *reader, const struct mo_orienting *under,
                      struct scored_under *found)
 {
@@ -67,7 +68,7 @@ bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_bits *genot
          memcmp(&back, genotype, sizeof(back)) == 0;
 }
 
-/* Computes the mean loss of a genotype. *known: it has all losses. */
+/* Computes the mean loss of a genotype. *known: whether it has all losses. */
 static int score_of(struct mo_connection *reader, const struct scored_under *under,
                     int64_t genotype, double *score, bool *known)
 {
@@ -85,7 +86,7 @@ static int score_of(struct mo_connection *reader, const struct scored_under *und
   return error;
 }
 
-/* Replaces a canonical genotype by the best scored orientation of its design, if there is one. */
+/* Replaces a canonical genotype with the best scored orientation of its design, if one exists. */
 static int orient(struct mo_connection *reader, const struct scored_under *under,
                   struct mo_bits *genotype, struct mo_design_note *note)
 {

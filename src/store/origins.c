@@ -1,4 +1,4 @@
-/* origins.c: see origins.h. There is no index by origin, which every score would have to pay for: a
+/* origins.c: see origins.h. An index by origin would cost space in every score, so there is none: a
  * page visits a bounded number of rows in the order of their key. */
 #include "store/origins.h"
 
@@ -74,8 +74,8 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
 
 /* ---- replacing ---- */
 
-/* Computes the means again that a genotype's losses under a condition are part of. A mean may have
- * losses of two classes, those of devices and of the workers beside them. */
+/* Recomputes the means that a genotype's losses under a condition are part of. A mean may include
+ * losses of two classes, those of devices and of the workers that assist them. */
 static int replace_means(struct mo_connection *writer, int64_t genotype,
                          const struct mo_condition *condition)
 {
@@ -115,7 +115,7 @@ bool mo_loss_rows_equal(const struct mo_loss_row *a, const struct mo_loss_row *b
 static int replace_row(struct mo_store *store, const struct mo_origin_row *row, int64_t now_us)
 {
   static const char sql[] = "SELECT " MO_SCORE_COLUMNS FROM_SCORES;
-  /* Replies about evaluations have a tag of the job's version. */
+  /* The ETag of evaluations includes the job's version. */
   static const char version_sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION
       " WHERE id IN (SELECT job FROM evaluations WHERE controller=?1 AND physics=?2)";

@@ -1,5 +1,5 @@
-/* origins.h: the losses that one origin computed, and their replacement by others. Threads and
- * errors as in store.h. */
+/* origins.h: the losses that one origin computed, and their replacement. Threads and errors as in
+ * store.h. */
 #ifndef MORPHO_STORE_ORIGINS_H
 #define MORPHO_STORE_ORIGINS_H
 
@@ -13,13 +13,13 @@ struct mo_loss_row {
   double losses[MO_BLOCK_LANES]; /* (n) */
   uint32_t diverged_steps[MO_BLOCK_LANES];
 };
-/* Says whether n losses have the same bits. */
+/* Returns whether n losses have the same bits. */
 bool mo_loss_rows_equal(const struct mo_loss_row *a, const struct mo_loss_row *b, uint32_t n);
 
-/* A row of `scores`, and all that computes it again. */
+/* A row of `scores`, and everything needed to compute it again. */
 struct mo_origin_row {
   int64_t genotype_row, condition;
-  struct mo_bits form, genotype; /* canonical; as it was scored */
+  struct mo_bits form, genotype; /* canonical; as scored */
   struct mo_sha256 controller_sha256, physics_sha256;
   struct mo_physics physics;
   enum mo_precision precision;
@@ -29,24 +29,25 @@ struct mo_origin_row {
   struct mo_environment environments[MO_BLOCK_LANES];
   struct mo_sha256 environment_sha256[MO_BLOCK_LANES];
   struct mo_loss_row stored;
-  struct mo_loss_row again; /* the caller's: what it computed */
-  bool differs;             /* the caller's: between the two */
+  struct mo_loss_row again; /* set by the caller: its own result */
+  bool differs;             /* set by the caller: whether the two differ */
 };
 
 /* A place in the order of rows: {0, 0} is before all of them. */
 struct mo_origin_place {
   int64_t genotype, condition;
 };
-/* Reads the rows of an origin behind *place, in order, and moves it. Looks at so many rows of
- * others at most that there may be fewer than `limit`, or none, although more follow: *is_last says
- * that none do. Returns their number or an error. MO_ERR_NOT_FOUND: no such origin. */
+/* Reads the rows of an origin after *place, in order, and advances *place. Looks at a limited
+ * number of rows of other origins, so it may return fewer than `limit` rows, or none, although more
+ * follow: *is_last reports that none do. Returns their number or an error. MO_ERR_NOT_FOUND: no
+ * such origin. */
 int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
                              struct mo_origin_place *place, struct mo_origin_row *rows,
                              size_t limit, bool *is_last);
 
-/* Replaces the losses of rows by those computed again, with this host as their
- * origin, and the means of sets that they are part of: all, or nothing after an error. A row that
- * has changed since it was read stays. */
+/* Replaces the losses of rows by those computed again, with this host as their origin, and updates
+ * the means of sets that they are part of: all of them, or none on error. A row that has changed
+ * since it was read stays as it is. */
 int mo_store_origin_replace(struct mo_store *store, const struct mo_origin_row *rows, size_t n);
 
 #endif

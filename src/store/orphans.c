@@ -1,9 +1,9 @@
 /* orphans.c: files that no row refers to.
  *
- * Opening removes only what this program itself leaves behind: unfinished files, whose names
- * nothing else has, checkpoints without rows of a job that the database knows, and the excluded
- * bodies of controllers that are gone. Any other file may be the last copy of something, for
- * example of a database that was replaced. It stays until mo_store_clean. */
+ * Opening removes only files that this program itself leaves behind: unfinished files, which have
+ * unique names; checkpoints without rows, if the database has their job; and excluded bodies of
+ * deleted controllers. Any other file may be the last copy of its data, for example if the database
+ * was replaced. It stays until mo_store_clean. */
 #include <errno.h>
 #include <fts.h>
 #include <stdio.h>
@@ -14,9 +14,9 @@
 #include "store/folder.h"
 
 struct round {
-  struct mo_connection *connection; /* NULL: knows only unfinished files */
+  struct mo_connection *connection; /* NULL: recognizes only unfinished files */
   bool removes_left_over, removes_unknown;
-  void (*tell)(void *context, const char *name, uint64_t bytes); /* for unknown files; nullable */
+  void (*report)(void *context, const char *name, uint64_t bytes); /* for unknown files; nullable */
   void *context;
 };
 
@@ -34,7 +34,7 @@ static bool is_of_form(const char *name, const char *format, int n, long long nu
   return strcmp(name, again) == 0 && numbers[0] >= 0 && numbers[1] >= 0 && numbers[2] >= 0;
 }
 
-/* Decides whose a file is. connection NULL: recognizes only unfinished files. */
+/* Decides what a file belongs to. connection NULL: recognizes only unfinished files. */
 static int judge(struct mo_connection *connection, const char *name, int64_t *whose)
 {
   static const char weights_sql[] = "SELECT 2*EXISTS(SELECT 1 FROM controllers WHERE sha256=?1)";
@@ -53,7 +53,7 @@ static int judge(struct mo_connection *connection, const char *name, int64_t *wh
   *whose = is_of_form(file, ".tmp-%lld", 1, numbers) ? LEFT_OVER : UNKNOWN;
   if (*whose == UNKNOWN && strncmp(name, "excluded/", 9) == 0 &&
       mo_excluded_name_read(file, &sha256, &key)) {
-    *whose = NAMED; /* it can be made again: it is no sign of a database that is missing */
+    *whose = NAMED; /* it can be made again, so it does not indicate a missing database */
     return connection == NULL ? MO_OK
                               : mo_sql_find(connection, whose, excluded_sql, mo_hash(&sha256));
   }
@@ -76,8 +76,8 @@ static int visit(struct mo_store *store, const struct round *round, const FTSENT
   const char *name = entry->fts_path + strlen(store->path) + 1;
   int64_t whose = UNKNOWN;
   int error = entry->fts_info == FTS_F ? judge(round->connection, name, &whose) : MO_OK;
-  if (error == MO_OK && whose == UNKNOWN && round->tell != NULL)
-    round->tell(round->context, name, (uint64_t)entry->fts_statp->st_size);
+  if (error == MO_OK && whose == UNKNOWN && round->report != NULL)
+    round->report(round->context, name, (uint64_t)entry->fts_statp->st_size);
   if (error == MO_OK &&
       (whose == UNKNOWN ? round->removes_unknown : whose == LEFT_OVER && round->removes_left_over))
     (void)store->files->unlink(entry->fts_path);
@@ -124,7 +124,7 @@ int mo_files_sort_out(struct mo_store *store, struct mo_connection *connection, 
   store->orphans = (struct mo_orphans){.n = 0};
   return walk(store, &(struct round){.connection = connection,
                                      .removes_left_over = removes,
-                                     .tell = note,
+                                     .report = note,
                                      .context = &store->orphans});
 }
 
@@ -134,13 +134,13 @@ const struct mo_orphans *mo_store_orphans(const struct mo_store *store)
 }
 
 int mo_store_clean(struct mo_store *store,
-                   void (*tell)(void *context, const char *name, uint64_t bytes), void *context)
+                   void (*report)(void *context, const char *name, uint64_t bytes), void *context)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = walk(store, &(struct round){.connection = reader,
-                                          .removes_unknown = tell == NULL,
-                                          .tell = tell,
+                                          .removes_unknown = report == NULL,
+                                          .report = report,
                                           .context = context});
   mo_reader_release(store, reader);
-  return error != MO_OK ? error : mo_controllers_clean(store, tell, context);
+  return error != MO_OK ? error : mo_controllers_clean(store, report, context);
 }

@@ -1,5 +1,5 @@
 /* readers.c: the pool of connections that read, each in one transaction from its acquisition to its
- * release. The last one is the scheduler's, which so never waits for clients. */
+ * release. The last one is reserved for the scheduler, which therefore never waits for clients. */
 #include <stdlib.h>
 
 #include "base/thread.h"

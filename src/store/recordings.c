@@ -1,10 +1,10 @@
-/* recordings.c: stores recordings of evaluations, and removes them: on request, or, while all of
- * them take more than max_recordings, those of the oldest evaluation, or, where keep_recordings is
- * set, those of evaluations that ended longer ago and are neither noted nor archived. Recordings of
- * evaluations that have not ended stay: a restart continues from them.
+/* recordings.c: stores recordings of evaluations, and removes them: on request; while all
+ * recordings exceed max_recordings, those of the oldest evaluation; and, with keep_recordings,
+ * those of evaluations that ended longer ago and have no note and are not archived. Recordings of
+ * unfinished evaluations stay, because a restart continues from them.
  *
- * Each evaluation has the bytes of its recordings in its row, and `meta` the sum. Every change of
- * recordings changes both in the same transaction. */
+ * The row of each evaluation has the bytes of its recordings, and `meta` has the sum. Every change
+ * of recordings updates both in the same transaction. */
 #include "store/recordings.h"
 
 #include <math.h>
@@ -36,7 +36,7 @@ static int add_bytes(struct mo_connection *writer, int64_t job, int64_t bytes)
   return error == MO_OK ? mo_sql_do(writer, sum_sql, mo_int(bytes)) : error;
 }
 
-/* Computes the way of the center of mass; NaN (which is stored as NULL): it is not known. */
+/* Computes the path length of the center of mass; NaN (stored as NULL): not known. */
 static double path_of(const struct mo_saved_trajectory *trajectory)
 {
   const double *com_m = trajectory->recording.com_m;
@@ -49,8 +49,8 @@ static double path_of(const struct mo_saved_trajectory *trajectory)
   return com_m != NULL ? path_m : NAN;
 }
 
-/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is stored stays as it is;
- * that of a job that was deleted meanwhile is dropped. */
+/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is already stored stays as it
+ * is; if its job was deleted meanwhile, the new one is dropped. */
 static int insert(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory,
                   uint64_t *bytes)
 {
@@ -110,7 +110,8 @@ bool mo_recordings_are_many(const struct mo_store *store)
 /* Removes the recordings of one evaluation. */
 struct removal {
   struct mo_store *store;
-  int64_t job;   /* 0: the oldest that has ended, if there are too many, or it is too old */
+  int64_t job;   /* 0: the oldest that has ended, if recordings exceed the budget or it is too
+                    old */
   int64_t bytes; /* result */
 };
 
@@ -178,7 +179,7 @@ static int remove_on_request(struct mo_store *store, void *arguments)
   return error == MO_OK ? remove_of(store, removal->job, "request", &removal->bytes) : error;
 }
 
-/* Counts a removal after its commit, and goes on where something was removed. */
+/* Counts a removal after its commit, and continues if something was removed. */
 static void removed(struct mo_store *store, int64_t bytes)
 {
   if (bytes == 0)

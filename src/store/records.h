@@ -1,4 +1,4 @@
-/* records.h: what the store returns: jobs, controllers.
+/* records.h: records that the store returns: jobs and controllers.
  *
  * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
  * terminated. The service works in the default workspace, so a genotype has MO_DEFAULT_WORDS words.
@@ -20,10 +20,10 @@
 #include "store/design_notes.h"
 #include "store/hash.h"
 
-#define MO_DESIGNS_MAX           10000    /* that a request lists, but for large evaluations */
+#define MO_DESIGNS_MAX           10000    /* in a request's list, except for large evaluations */
 #define MO_LARGE_MAX             1000000  /* designs of an evaluation */
 #define MO_RANDOM_BODIES_MAX     1000000  /* of one seed */
-#define MO_LARGE_ROLLOUTS_MAX    10000000 /* of one with more than MO_DESIGNS_MAX, or random ones */
+#define MO_LARGE_ROLLOUTS_MAX    10000000 /* of an evaluation that is large or has random bodies */
 #define MO_ENVIRONMENTS_MAX      64       /* of one evaluation */
 #define MO_LABEL_BYTES_MAX       800      /* 200 characters of UTF-8 */
 #define MO_EXPERIMENT_BYTES_MAX  400      /* 100 characters */
@@ -50,7 +50,7 @@ enum mo_job_state {
   MO_JOB_FAILED = 4,
   MO_JOB_CANCELLED = 5
 };
-#define MO_JOB_STATES 6 /* in the database 6 is a job that is being deleted */
+#define MO_JOB_STATES 6 /* in the database, 6 is a job that is being deleted */
 const char *mo_job_state_name(enum mo_job_state state); /* "queued" … "cancelled" */
 const char *mo_job_kind_name(enum mo_job_kind kind);    /* "evaluation", "training", "campaign" */
 extern const char *const mo_job_state_words[], *const mo_job_kind_words[]; /* base/words.h */
@@ -59,14 +59,14 @@ static inline bool mo_job_state_is_final(enum mo_job_state state)
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* Identifies a request that a client may send again, for idempotency_keep_s: the client's key and
- * a hash of what the request asks for. */
+/* Identifies a request that a client may send again, for idempotency_keep_s: the client's key and a
+ * hash of the request. */
 struct mo_request_key {
   const char *text; /* ≤ MO_IDEMPOTENCY_BYTES_MAX; NULL: none */
   struct mo_sha256 sha256;
 };
 
-/* What every submission of a job has besides what its kind computes. */
+/* The part of a submission that is the same for every kind of job. */
 struct mo_submission {
   int priority;                   /* enum mo_urgency */
   int back_end;                   /* enum mo_back_end */
@@ -76,16 +76,17 @@ struct mo_submission {
   struct mo_request_key key;
 };
 
-/* What a result's reader must know of a job. */
+/* A caution for readers of a job's result. */
 struct mo_warning {
   const char *code; /* "all_diverged", "diverged", "exhausted", "light_near_start" */
-  bool of_request;  /* it was known when the job was submitted */
+  bool of_request;  /* known already at submission */
   char detail[231];
 };
 #define MO_WARNINGS_MAX 3
 
-/* A job. An evaluation is complete but for its results; a training or a campaign has what lists
- * show (the rest: store/trainings.h, store/campaigns.h). Owns nothing, so it may be copied. */
+/* A job. An evaluation lacks only its results; a training or a campaign has the members that lists
+ * show (for the rest, see store/trainings.h and store/campaigns.h). Owns nothing, so it may be
+ * copied. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
   int64_t version; /* grows with every change of the row: the ETag */
@@ -94,19 +95,19 @@ struct mo_job {
   enum mo_urgency priority;
   double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its share of the cores among batch jobs */
   enum mo_back_end back_end;          /* chosen at submission; never changes */
-  char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
+  char label[MO_LABEL_BYTES_MAX + 1]; /* "": none */
   bool has_label, verify;             /* verify: of an evaluation */
   char experiment[MO_EXPERIMENT_BYTES_MAX + 1], note[MO_NOTE_BYTES_MAX + 1]; /* "": none */
   char submitted_by[MO_USER_BYTES_MAX + 1]; /* the name of a token; "": submitted without one */
   int64_t created_us, started_us, finished_us, archived_us;
-  double worker_s, device_s; /* that were computed for it, up to its last event */
+  double worker_s, device_s; /* seconds of computing for this job, up to its last event */
   uint32_t attempts;         /* crashes and runner errors so far */
   int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;
                 MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
-  /* For an evaluation all of these. For a training: the controller that it starts from (unless
-   * has_controller is false: random weights), sensor, physics, n_designs. For a campaign: likewise
-   * the controller, and environments, sensor, physics; n_designs is the population. */
+  /* An evaluation has all of these. A training has the controller that it starts from
+   * (has_controller false: random weights), sensor, physics, n_designs. A campaign has the same
+   * controller, and environments, sensor, physics; n_designs is the population. */
   bool has_controller;
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested at submission; "": by hash */
   struct mo_sha256 controller_sha256;          /* the content of the name at submission */
@@ -114,21 +115,21 @@ struct mo_job {
   bool has_result;       /* a training or campaign has made this controller: */
   struct mo_sha256 result_sha256;
   char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
-  uint32_t n_environments, n_designs, n_skipped; /* n_skipped: of the designs of an evaluation */
+  uint32_t n_environments, n_designs, n_skipped; /* n_skipped: designs of an evaluation */
   bool is_random; /* the designs of an evaluation are random bodies of a seed */
   uint64_t random_seed;
-  uint32_t random_first, n_waiting; /* n_waiting: its last designs, which are not stored yet */
-  uint32_t best;                    /* how many of its best designs have whole scores; 0: all */
+  uint32_t random_first, n_waiting; /* n_waiting: how many of its last designs are not stored yet */
+  uint32_t best;                    /* number of best designs that get complete scores; 0: all */
   struct mo_physics physics;
   enum mo_precision precision;
   uint32_t record, record_stride; /* channels; steps between two frames */
   uint64_t recorded_bytes;        /* of its recordings that are stored */
-  int64_t recordings_removed_us;  /* 0: they were not */
-  /* 0 in a training; done includes cached, and cut: rollouts that are not computed. */
+  int64_t recordings_removed_us;  /* 0: not removed */
+  /* 0 in a training; done includes cached and cut rollouts, which are not computed. */
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged, rollouts_cut;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
-  /* Of a training or a campaign, only those that are read as such have them. */
+  /* Trainings and campaigns have them only if read as such. */
   struct mo_warning warnings[MO_WARNINGS_MAX];
   uint32_t n_warnings;
 };

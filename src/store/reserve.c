@@ -1,11 +1,11 @@
 /* reserve.c: disk space that is set aside, so that clients can still pause, cancel and delete when
  * the disk is full, and a start succeeds.
  *
- * The reserve is a file of 4 MiB; a change of a job's state takes some 20 KiB of the log. An urgent
- * operation that fails for lack of space empties the file and runs again. From then on the store is
- * short of space, also after a restart: only urgent operations may change anything, no file is
- * written, and the log is not copied into the database. Otherwise the jobs, which retry their
- * writes every second, would take the space. That ends when the file is whole again. */
+ * The reserve is a file of 4 MiB; a change of a job's state takes about 20 KiB of the log. An
+ * urgent operation that fails for lack of space empties the file and runs again. From then on the
+ * store is short of space, even after a restart: only urgent operations may change anything, no
+ * file is written, and the log is not copied into the database. Otherwise the jobs, which retry
+ * their writes every second, would use up the space. This state ends when the file is restored. */
 #include <errno.h>
 #include <fcntl.h>
 #include <unistd.h>
@@ -27,7 +27,7 @@ void mo_reserve_make(struct mo_store *store)
   /* Also allocates the holes that the file may have in a copy of the folder. */
   int error = fd < 0 ? errno : posix_fallocate(fd, 0, RESERVE_BYTES);
   if (fd >= 0 && error != 0)
-    (void)ftruncate(fd, 0); /* give back what the failed call took */
+    (void)ftruncate(fd, 0); /* release what the failed call allocated */
   if (fd >= 0)
     close(fd);
   store->reserve_whole = error == 0;

@@ -176,12 +176,12 @@ static int64_t read_page(struct mo_store *store, enum mo_row_table which, int st
   return error != MO_OK ? error : n;
 }
 
-/* Reads the rows behind `after`, or those of them whose number is a multiple of `stride`. */
+/* Reads the rows after `after`, or only multiples of `stride`. */
 static int64_t read_curve(struct mo_store *store, enum mo_row_table which, int64_t id,
                           int64_t after, uint32_t stride, void *rows, size_t limit)
 {
   const struct mo_value last = mo_int((int64_t)limit);
-  const int64_t before_first = after < 0 ? -(int64_t)stride : after; /* 0 is a multiple, too */
+  const int64_t before_first = after < 0 ? -(int64_t)stride : after; /* 0 is also a multiple */
   return stride > 1
              ? read_page(store, which, STRIDE,
                          MO_VALUES(mo_int(id), mo_int(before_first), mo_int(stride), last), rows)

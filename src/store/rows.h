@@ -13,7 +13,7 @@ enum mo_row_table {
   MO_ROW_TABLES
 };
 
-/* Makes the tables, whose columns are those of store/columns.h. */
+/* Creates the tables with the columns of store/columns.h. */
 int mo_rows_create(struct mo_connection *writer);
 
 /* Writes a row of a job; a row written again replaces the old one. */

@@ -1,4 +1,4 @@
-/* runner.c: reads of the scheduler, and changes of state that clients and restarts request. */
+/* runner.c: reads by the scheduler, and state changes requested by clients and restarts. */
 #include "store/runner.h"
 
 #include <stdio.h>
@@ -63,7 +63,7 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
                         enum mo_job_state *before)
 {
   struct change_arguments call = {.id = id, .change = change};
-  /* Resuming and retrying do not help on a full disk, and clients could repeat them without end. */
+  /* Resuming and retrying do not help on a full disk, and clients could repeat them endlessly. */
   const bool is_urgent = change == MO_CHANGE_CANCEL || change == MO_CHANGE_PAUSE;
   int error =
       is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
@@ -253,7 +253,7 @@ int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_
   return error != MO_OK ? error : n;
 }
 
-/* *before: the class that computed what is stored of the job; 0: none. */
+/* *before: the class that computed the job's stored results; 0: none. */
 static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *work,
                      int64_t *before)
 {

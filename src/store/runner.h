@@ -10,24 +10,25 @@
 
 /* ---- submission ---- */
 
-/* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: the key is unknown; MO_ERR_CONFLICT: it is
- * known with another body. */
+/* Finds the job of an idempotency key. MO_ERR_NOT_FOUND: the key is unknown; MO_ERR_CONFLICT: it
+ * was used with another body. */
 int mo_store_replay(struct mo_store *store, const struct mo_request_key *key, int64_t *id);
 /* Stores a key, if there is one, with the job that answers its request. Errors as above. */
 int mo_store_keep_key(struct mo_store *store, const struct mo_request_key *key, int64_t id);
 int mo_store_environment_set_size(struct mo_store *store, const char *name,
                                   uint32_t *n); /* MO_ERR_NOT_FOUND */
 
-/* The designs of large evaluations are stored after the submission, in groups of so many. */
+/* The designs of large evaluations are stored after the submission, in groups of this size. */
 #define MO_DESIGN_GROUP 1000
-/* Finds the queued evaluation with the fewest designs still to be stored. *id 0: none waits. */
+/* Finds the queued evaluation with the fewest designs still to be stored. *id 0: none. */
 int mo_store_waiting(struct mo_store *store, int64_t *id);
-/* Reads the listed designs first … first + n − 1 of a group that waits, as they were submitted.
+/* Reads the listed designs first … first + n − 1 of a waiting group, as submitted.
  * MO_ERR_NOT_FOUND; MO_ERR_CORRUPT. */
 int mo_store_waiting_designs(struct mo_store *store, int64_t id, uint32_t first,
                              struct mo_bits *genotypes, uint32_t n);
-/* Stores the designs first … first + n − 1, from 0, of which none waits any more. MO_ERR_CONFLICT:
- * it is not queued any more, or another number of them is stored. */
+/* Stores the designs first … first + n − 1, counted from 0, which then no longer wait.
+ * MO_ERR_CONFLICT: the evaluation is no longer queued, or a different number of designs is
+ * stored. */
 int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const struct mo_bits *forms,
                    const struct mo_bits *genotypes, uint32_t n);
 
@@ -36,7 +37,7 @@ int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const str
 /* Retry queues a failed training or campaign again and resets its attempts; it is a no-op for one
  * that is not final. */
 enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME, MO_CHANGE_RETRY };
-/* Changes a job's state. *before: the state before. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
+/* Changes a job's state. *before: the previous state. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
 int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change,
                         enum mo_job_state *before);
 
@@ -46,35 +47,35 @@ int mo_store_set_weight(struct mo_store *store, int64_t id, double weight);
 
 /* ---- start ---- */
 
-/* Finds the trainings and campaigns that ran when the last process ended. *n: their number;
- * *n_idle: those that have saved neither checkpoint nor generation nor, more than a second after
- * they began, losses after `since_us`; *id: the newest of these, or 0. Call it before
+/* Finds the trainings and campaigns that were running when the last process ended. *n: their
+ * number; *n_idle: the number that saved nothing after `since_us` (no checkpoint, no generation
+ * and, from one second after the start, no losses); *id: the newest of these, or 0. Call it before
  * mo_store_requeue. */
 int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint32_t *n_idle,
                      uint32_t *n);
-/* Queues all running jobs again. `crashed` (0: none), the job that the crash marker named, gets one
- * attempt more, also when its start was not written before the crash; at max_attempts it fails with
- * `text`. */
+/* Queues all running jobs again. `crashed` (0: none), the job that the crash marker named, is
+ * charged one attempt, even if its start was not written before the crash; at max_attempts it fails
+ * with `text`. */
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
                      const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
-/* The class of devices that the service had last, its own or those of workers; "": none. */
+/* The class of the devices that the service last had, its own or those of workers; "": none. */
 struct mo_device_memory {
   char scores[MO_FINGERPRINT_BYTES], gradients[MO_FINGERPRINT_BYTES];
-  uint64_t open_jobs; /* on devices */
+  uint64_t open_jobs; /* open jobs on devices */
 };
 int mo_store_device_memory(struct mo_store *store, struct mo_device_memory *memory);
 /* MO_ERR_LIMIT: too long. */
 int mo_store_keep_device_class(struct mo_store *store, const char *scores, const char *gradients);
-/* Likewise in `origins`: who computed a score. */
+/* Finds or inserts a row of `origins`: who computed a score. */
 int mo_store_origin(struct mo_store *store, const char *text, int64_t *id);
-/* Counts the jobs that are not final, of every kind, and the rollouts of evaluations among them. */
+/* Counts the unfinished jobs of every kind, and the rollouts of evaluations among them. */
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts);
 
-/* ---- reads of the scheduler: on their own connection, from one thread at a time ---- */
+/* ---- reads by the scheduler: on their own connection, from one thread at a time ---- */
 
-/* Reads the ids of queued evaluations of a priority, ascending, > after; returns their number.
- * All designs must be stored. large: also those of more than MO_DESIGNS_MAX designs. */
+/* Reads the ids > after of queued evaluations of a priority, ascending, that have all their designs
+ * stored; returns their number. large: includes evaluations of more than MO_DESIGNS_MAX designs. */
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, bool large,
                         int64_t *ids, size_t limit);
 
@@ -83,11 +84,12 @@ struct mo_classes {
   int64_t cpu[2], device; /* cpu: by precision */
 };
 
-/* One evaluation with all that its run needs. */
+/* One evaluation with everything that its run needs. */
 struct mo_work {
   struct mo_job job;
   int64_t controller, physics, environment_set; /* rows; set 0: none */
-  int64_t fingerprint, workers; /* its class; that of bodies that devices leave to the workers */
+  int64_t fingerprint,
+      workers; /* its class; and the class of bodies that devices leave to the workers */
   uint32_t n_designs, n_environments;  /* without designs that were skipped */
   int64_t *environment_rows;           /* (n_environments) */
   struct mo_environment *environments; /* (n_environments) */
@@ -95,10 +97,10 @@ struct mo_work {
   uint32_t *positions;                 /* (n_designs) ascending: places in the request */
   struct mo_bits *genotypes;           /* (n_designs) */
   uint8_t *finished; /* (n_designs, n_environments) 1: an earlier attempt of a verify or recording
-                        job finished this rollout; NULL for other jobs */
+                        job finished this rollout; NULL: other jobs */
   uint64_t n_finished, n_finished_diverged;
 };
-/* Loads an evaluation as work of this process's classes. */
+/* Loads an evaluation as work for the classes of this process. */
 int mo_store_load_work(struct mo_store *store, int64_t id, const struct mo_classes *classes,
                        struct mo_work **work);
 void mo_work_free(struct mo_work *work); /* NULL-safe */
@@ -109,7 +111,7 @@ struct mo_score {
   bool known;
 };
 /* Reads the stored scores of one genotype into scores (n ≤ MO_ENVIRONMENTS_MAX): those of the class
- * `fingerprint`, and where there are none those of the class `workers` (0: none). */
+ * `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
                     const int64_t *environment_rows, uint32_t n, struct mo_score *scores);
 

@@ -24,7 +24,7 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
   return MO_OK;
 }
 
-/* The start of an evaluation may be written after its first block, and with its end. */
+/* The start of an evaluation may be written after its first block, or together with its end. */
 #define SET     "UPDATE jobs SET " MO_NEXT_VERSION
 #define RUNNING " WHERE id=?1 AND state=1 AND epoch=?2 RETURNING state,kind"
 #define STARTED " WHERE id=?1 AND (state=1 AND epoch=?2 OR state=0 AND kind=0) RETURNING state,kind"

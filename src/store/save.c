@@ -1,9 +1,9 @@
-/* save.c: what the scheduler writes, in one transaction: losses, trajectories, steps of jobs.
+/* save.c: writes the scheduler's results in one transaction: losses, trajectories, steps of jobs.
  *
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store
  * (its epoch). So a job that a client has cancelled or paused meanwhile keeps that state. Scores
- * are stored in any case, because they are true. So are the counts of a job that is not final;
- * otherwise blocks that finish after a pause would seem to be another job's work. */
+ * are stored in any case, because they are valid. So are the counts of an unfinished job; otherwise
+ * blocks that finish after a pause would be attributed to other jobs. */
 #include "store/recordings.h"
 #include "store/runs.h"
 #include "store/scores.h"
@@ -23,7 +23,7 @@ static int apply_counts(struct mo_connection *writer, const struct mo_job_update
                          mo_int((int64_t)update->cut));
 }
 
-/* Stores which losses of the designs that were cut short count. */
+/* For designs that were cut short, stores which losses count. */
 static int set_counted(struct mo_connection *writer, const struct mo_job_update *update)
 {
   static const char sql[] = "UPDATE job_designs SET counted=?3 WHERE job=?1 AND position=?2";
@@ -53,8 +53,8 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
       (unsigned long long)update->diverged);
 }
 
-/* Stores the class of a job that starts. If the process that ran it before had another one, the job
- * goes on in the new class from its beginning: what was recorded and recomputed is deleted. */
+/* Stores the class of a job that starts. If the previous process had a different class, the job
+ * starts over in the new class: its recordings and recomputed losses are deleted. */
 static int set_class(struct mo_store *store, const struct mo_job_update *update)
 {
   static const char before_sql[] =
@@ -82,8 +82,8 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
              : error;
 }
 
-/* Of a step that came after the job left its state, only the counts are stored, and for a start the
- * class, to which the results of its blocks in flight belong. */
+/* If the job has left the state that the step requires, stores only the counts and, for a start,
+ * the class, to which the results of its blocks in flight belong. */
 static int apply_update(struct mo_store *store, struct mo_job_update *update)
 {
   static const char late_sql[] =

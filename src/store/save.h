@@ -1,4 +1,4 @@
-/* save.h: what the scheduler saves: results of many blocks and jobs, in one transaction. */
+/* save.h: saves the scheduler's results of many blocks and jobs in one transaction. */
 #ifndef MORPHO_STORE_SAVE_H
 #define MORPHO_STORE_SAVE_H
 
@@ -6,7 +6,7 @@
 
 struct mo_store;
 
-/* What a loss depends on besides the genotype: a row of `conditions`. */
+/* The conditions of a loss, apart from the genotype: a row of `conditions`. */
 struct mo_condition {
   int64_t id, controller, physics, fingerprint; /* id: set by the store */
   uint32_t n;
@@ -18,13 +18,13 @@ struct mo_saved_block {
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
   uint32_t diverged_steps[MO_BLOCK_LANES];
-  int64_t origin; /* of mo_store_origin: who computed them; 0: this host */
-  /* The verify job that recomputed these losses, which are stored for it too; 0: none. */
+  int64_t origin; /* from mo_store_origin: who computed them; 0: this host */
+  /* The verify job that recomputed these losses, which are also stored for it; 0: none. */
   int64_t verify_job;
   uint32_t design_position;
-  uint8_t places[MO_BLOCK_LANES]; /* of the environments, in the job */
+  uint8_t places[MO_BLOCK_LANES]; /* places of the environments in the job */
 };
-/* A genotype with what its mean over a named set depends on. */
+/* A genotype with everything that its mean over a named set depends on. */
 struct mo_saved_design {
   int64_t genotype, controller, physics, environment_set, fingerprint, workers;
 };
@@ -39,27 +39,28 @@ enum mo_job_step {
   MO_STEP_START,    /* queued, or already running under this epoch → running under this epoch */
   MO_STEP_PROGRESS, /* counts */
   MO_STEP_SUCCEED,  /* running → succeeded, with counts */
-  MO_STEP_RETRY,    /* running (or queued: its start was not written) → queued, attempts + 1; at
-                       max_attempts → failed */
-  MO_STEP_PARK,     /* running → queued */
-  MO_STEP_HALT      /* running (or queued) → paused, with an error: no device can compute it */
+  MO_STEP_RETRY, /* running (or queued, if its start was not written) → queued, attempts + 1; at
+                    max_attempts → failed */
+  MO_STEP_PARK,  /* running → queued */
+  MO_STEP_HALT   /* running (or queued) → paused, with an error: no device can compute it */
 };
 struct mo_job_update {
   int64_t job;
   enum mo_job_step step;
   uint64_t total, done, cached, diverged, cut; /* total 0: the counts do not change */
-  /* Succeed, of a race: the environments whose losses count, as bits; NULL: all do. */
+  /* Succeed, in a race: the environments that count, as bits; NULL: all. */
   const uint64_t *counted;   /* (n_designs) */
   const uint32_t *positions; /* (n_designs) in the request */
   uint32_t n_designs, n_environments;
   int64_t started_us;           /* start */
-  int64_t fingerprint, workers; /* start: the class, as in struct mo_work */
+  int64_t fingerprint, workers; /* start: the classes, as in struct mo_work */
   int error;                    /* retry */
   char error_text[256];
   uint32_t max_attempts;
   bool quiet;              /* no event */
-  void *owner;             /* the caller's */
-  bool applied;            /* result: false: the job was not in a state that the step starts from */
+  void *owner;             /* for the caller */
+  bool applied;            /* result; false: the job was not in a state from which the step can
+                              start */
   enum mo_job_state state; /* result, if applied: the state now */
 };
 struct mo_save {
@@ -76,8 +77,8 @@ struct mo_save {
   void *context;
   struct mo_store *store; /* set by mo_store_save */
 };
-/* Queues a save, which is stored completely or not at all. `save` and what it points to must stay
- * until `done`. MO_ERR_NO_MEMORY: not queued. */
+/* Queues a save, which is stored completely or not at all. `save` and everything it points to must
+ * stay valid until `done`. MO_ERR_NO_MEMORY: not queued. */
 int mo_store_save(struct mo_store *store, struct mo_save *save);
 
 #endif

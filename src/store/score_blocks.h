@@ -1,5 +1,6 @@
-/* score_blocks.h: scores by their content, in blocks of bounded size, out of a store and into
- * another one. Rows of the database have other numbers there. Threads and errors as in store.h. */
+/* score_blocks.h: scores identified by content, in blocks of bounded size, for transfer from one
+ * store to another, in which rows of the database have other numbers. Threads and errors as in
+ * store.h. */
 #ifndef MORPHO_STORE_SCORE_BLOCKS_H
 #define MORPHO_STORE_SCORE_BLOCKS_H
 
@@ -10,7 +11,7 @@
 #define MO_SCORED_CONDITIONS   64
 #define MO_SCORED_ENVIRONMENTS 1024
 
-/* What scores depend on besides body, environments and class. */
+/* The conditions of scores, apart from body, environments and class. */
 struct mo_scored_condition {
   struct mo_sha256 controller;
   struct mo_physics physics;
@@ -20,10 +21,10 @@ struct mo_scored_condition {
 struct mo_scored_design {
   struct mo_bits genotype, form;
 };
-/* A file of scores has one or more blocks. Each can be read without the others, but for the weights
- * of controllers: they are in the first block with scores of theirs. */
+/* A file of scores has one or more blocks. Each can be read without the others, except for the
+ * weights of a controller, which are in the first block with its scores. */
 struct mo_score_block {
-  uint64_t store;             /* the id of the store that it came from, */
+  uint64_t store;             /* the id of the source store, */
   char host[MO_ORIGIN_BYTES]; /* and the host */
   uint32_t number;            /* of the block in the file, from 0 */
   bool is_last;
@@ -37,14 +38,14 @@ struct mo_score_block {
   uint8_t *weights;                      /* (weights_size) a controller's file; NULL: none */
   size_t weights_size;
   struct mo_sha256 weights_sha256;
-  struct mo_controller *controller; /* its content, of a block that was read */
+  struct mo_controller *controller; /* decoded weights of a block that was read */
 };
-/* NULL: no memory. */
+/* Returns NULL if out of memory. */
 struct mo_score_block *mo_score_block_create(void);
 void mo_score_block_clear(struct mo_score_block *block);
 void mo_score_block_free(struct mo_score_block *block); /* NULL-safe */
 
-/* ---- out of a store ---- */
+/* ---- export from a store ---- */
 
 struct mo_score_query {
   const char *controller;  /* only its scores: a name or "sha256:…"; nullable */
@@ -56,23 +57,22 @@ struct mo_score_walk;
 int mo_score_walk_create(struct mo_store *store, const struct mo_score_query *query,
                          struct mo_score_walk **walk);
 void mo_score_walk_free(struct mo_score_walk *walk); /* NULL-safe */
-/* Reads the next block. Scores that are stored meanwhile may be left out. */
+/* Reads the next block. Scores stored in the meantime may be missing. */
 int mo_score_walk_next(struct mo_score_walk *walk, struct mo_score_block *block);
 
-/* ---- into a store ---- */
+/* ---- import into a store ---- */
 
 #define MO_DIFFERENCES_MAX 16
-/* Counts of rollouts. A row that disagrees with a stored loss in any rollout is left out as a
- * whole. */
-struct mo_scores_entered {
+/* Counts of rollouts. A row that contradicts a stored loss in any rollout is left out entirely. */
+struct mo_scores_imported {
   uint64_t n_new, n_known, n_different;
-  uint32_t n; /* of the rows that differ, the first ones: what is stored, and what came */
+  uint32_t n; /* the first rows that differ: the stored and the imported values */
   struct mo_origin_row differences[MO_DIFFERENCES_MAX];
 };
-/* Enters a block that was checked, in one transaction. Adds to *entered. MO_ERR_INVALID: a
- * controller is missing here, or is none for these scores, or a score has the same environment
- * twice; the message says which. */
-int mo_store_scores_enter(struct mo_store *store, const struct mo_score_block *block,
-                          struct mo_scores_entered *entered, struct mo_message *message);
+/* Imports a checked block in one transaction. Adds to *entered. MO_ERR_INVALID: a controller is
+ * missing here, or does not fit these scores, or a score lists an environment twice; the message
+ * says which. */
+int mo_store_scores_import(struct mo_store *store, const struct mo_score_block *block,
+                           struct mo_scores_imported *entered, struct mo_message *message);
 
 #endif

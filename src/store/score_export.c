@@ -13,8 +13,8 @@
 
 struct mo_score_walk {
   struct mo_store *store;
-  int64_t controller, fingerprint, since_us; /* 0: all; −1: a class of which nothing is stored */
-  struct mo_origin_place place;              /* of the newest row that was taken or passed over */
+  int64_t controller, fingerprint, since_us; /* 0: all; −1: a class without stored scores */
+  struct mo_origin_place place;              /* of the last row that was taken or skipped */
   uint32_t n_blocks;
   struct mo_sha256 *sent; /* (n_sent) controllers whose weights are in a block */
   size_t n_sent, room;
@@ -47,9 +47,9 @@ void mo_score_block_free(struct mo_score_block *block)
   free(block);
 }
 
-/* ---- the tables of a block. MO_ERR_LIMIT: it has no more room ---- */
+/* ---- the tables of a block. MO_ERR_LIMIT: the block is full ---- */
 
-/* Notes that the block takes the weights of a controller, of which it has room for one. */
+/* Marks the block to carry the weights of a controller; it has room for one. */
 static int send_weights(struct mo_score_walk *walk, struct mo_score_block *block,
                         const struct mo_sha256 *sha256)
 {
@@ -176,8 +176,8 @@ void mo_score_walk_free(struct mo_score_walk *walk)
   free(walk);
 }
 
-/* Takes the rollouts of a row, of each environment the first: a row of a campaign or of a verify
- * job may have an environment twice, and readers of blocks refuse that. */
+/* Takes the first rollout of a row for each environment: a row of a campaign or of a verify job may
+ * have an environment twice, which readers of blocks refuse. */
 static int take_rollouts(struct mo_score_walk *walk, struct mo_connection *reader,
                          struct mo_score_block *block, const struct mo_condition *condition,
                          struct mo_campaign_score *score)
@@ -199,7 +199,7 @@ static int take_rollouts(struct mo_score_walk *walk, struct mo_connection *reade
   return error;
 }
 
-/* Takes a row into the block, unless it is none of those asked for. */
+/* Adds a row to the block, if the query selects it. */
 static int take(struct mo_score_walk *walk, struct mo_connection *reader, sqlite3_stmt *row,
                 struct mo_score_block *block)
 {
@@ -227,7 +227,7 @@ static int take(struct mo_score_walk *walk, struct mo_connection *reader, sqlite
   return MO_OK;
 }
 
-/* Reads rows for a while. Returns 1: there are more, 0: these were all, or an error. */
+/* Reads a bounded number of rows. Returns 1 if there are more, 0 at the end, or an error. */
 static int read_page(struct mo_score_walk *walk, struct mo_connection *reader,
                      struct mo_score_block *block)
 {

@@ -1,5 +1,5 @@
-/* score_import.c: enters blocks of scores (score_blocks.h), each in one transaction of the writer.
- * A stored loss is never replaced: what comes with other bits is counted and described. */
+/* score_import.c: imports blocks of scores (score_blocks.h), each in one transaction of the writer.
+ * A stored loss is never replaced: losses with other bits are counted and reported. */
 #include "store/score_blocks.h"
 
 #include <stdio.h>
@@ -15,23 +15,23 @@
 struct entry {
   const struct mo_score_block *block;
   struct mo_message *message;
-  struct mo_scores_entered own; /* of this run */
+  struct mo_scores_imported own; /* counts of this block */
   int64_t now_us;
   /* Rows of the block's tables; 0: not looked up yet. */
   int64_t conditions[MO_SCORED_CONDITIONS][2]; /* controller, physics */
   int64_t environments[MO_SCORED_ENVIRONMENTS];
   int64_t designs[MO_SCORED_ROWS];
-  /* Of the score before: rows that the next one mostly shares. */
+  /* Rows of the previous score, which the next one usually shares. */
   const struct mo_campaign_score *before;
   int64_t origin;
   struct mo_condition condition;
-  int64_t set;   /* named set that has environments of the condition; 0: none */
-  bool is_whole; /* the condition has its environments, in their order */
+  int64_t set;   /* named set that contains environments of the condition; 0: none */
+  bool is_whole; /* the condition has all environments of the set, in order */
 };
 
 /* ---- the tables of the block ---- */
 
-static int enter_condition(struct mo_store *store, struct entry *entry, uint32_t place)
+static int import_condition(struct mo_store *store, struct entry *entry, uint32_t place)
 {
   const struct mo_scored_condition *condition = &entry->block->conditions[place];
   struct mo_connection *writer = &store->writer;
@@ -40,10 +40,11 @@ static int enter_condition(struct mo_store *store, struct entry *entry, uint32_t
   mo_sha256_to_hex(&condition->controller, name + 7);
   int error = mo_controller_find(writer, name, &entry->conditions[place][0], &sensor);
   if (error == MO_ERR_NOT_FOUND)
-    return mo_fail(entry->message, MO_ERR_INVALID,
-                   "the controller %s is not here, and the file has it in an earlier block; send "
-                   "the file from its beginning, or store the controller first",
-                   name);
+    return mo_fail(
+        entry->message, MO_ERR_INVALID,
+        "the controller %s is not stored here, and the file has it in an earlier block; send "
+        "the file from its beginning, or store the controller first",
+        name);
   if (error == MO_ERR_UNSUPPORTED || (error == MO_OK && sensor != condition->sensor))
     return mo_fail(entry->message, MO_ERR_INVALID,
                    "the controller %s has another workspace or sensor than its scores", name);
@@ -52,7 +53,7 @@ static int enter_condition(struct mo_store *store, struct entry *entry, uint32_t
                         : error;
 }
 
-static int enter_tables(struct mo_store *store, struct entry *entry)
+static int import_tables(struct mo_store *store, struct entry *entry)
 {
   const struct mo_score_block *block = entry->block;
   int64_t row = 0;
@@ -62,7 +63,7 @@ static int enter_tables(struct mo_store *store, struct entry *entry)
                                       block->weights_size, entry->now_us, &row)
           : MO_OK;
   for (uint32_t i = 0; i < block->n_conditions && error == MO_OK; i++)
-    error = enter_condition(store, entry, i);
+    error = import_condition(store, entry, i);
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
     error = mo_environment_row(&store->writer, &block->environments[i], &entry->environments[i]);
   for (uint32_t i = 0; i < block->n_designs && error == MO_OK; i++)
@@ -73,7 +74,8 @@ static int enter_tables(struct mo_store *store, struct entry *entry)
 
 /* ---- a score ---- */
 
-/* Finds the named set that has environments of the condition: there is one at most, the paper's. */
+/* Finds the named set that contains environments of the condition; only the paper's test set
+ * can. */
 static int find_set(struct mo_connection *writer, struct entry *entry)
 {
   static const char sql[] =
@@ -93,8 +95,8 @@ static int find_set(struct mo_connection *writer, struct entry *entry)
   return MO_OK;
 }
 
-/* Refuses a condition with an environment twice, which two lines of the block may be: the losses
- * of one rollout could differ within a row. */
+/* Refuses a condition that lists an environment twice (two lines of the block may be the same),
+ * because the losses of one rollout could differ within a row. */
 static int check_environments(const struct entry *entry, uint32_t i)
 {
   const struct mo_campaign_score *score = &entry->block->scores[i];
@@ -110,7 +112,7 @@ static int check_environments(const struct entry *entry, uint32_t i)
   return MO_OK;
 }
 
-/* Finds the rows of origin, class and condition, unless they are those of the score before. */
+/* Finds the rows of origin, class and condition, unless they are those of the previous score. */
 static int find_condition(struct mo_store *store, struct entry *entry, uint32_t i)
 {
   const struct mo_score_block *block = entry->block;
@@ -169,8 +171,8 @@ static void note_difference(struct entry *entry, uint32_t i, const struct mo_sco
   }
 }
 
-static int enter_mean(struct mo_connection *writer, const struct entry *entry,
-                      const struct mo_campaign_score *score)
+static int import_mean(struct mo_connection *writer, const struct entry *entry,
+                       const struct mo_campaign_score *score)
 {
   const struct mo_saved_design design =
       mo_design_under(&entry->condition, entry->designs[score->number], entry->set);
@@ -183,7 +185,7 @@ static int enter_mean(struct mo_connection *writer, const struct entry *entry,
                          : mo_set_score_insert(writer, &design);
 }
 
-static int enter_score(struct mo_store *store, struct entry *entry, uint32_t i)
+static int import_score(struct mo_store *store, struct entry *entry, uint32_t i)
 {
   const struct mo_campaign_score *score = &entry->block->scores[i];
   const int64_t genotype = entry->designs[score->number];
@@ -209,7 +211,7 @@ static int enter_score(struct mo_store *store, struct entry *entry, uint32_t i)
     return MO_OK;
   error = mo_losses_insert(store, &entry->condition, genotype, entry->origin, score->losses,
                            score->diverged_steps, score->computed_us, &is_new);
-  return error == MO_OK ? enter_mean(&store->writer, entry, score) : error;
+  return error == MO_OK ? import_mean(&store->writer, entry, score) : error;
 }
 
 /* ---- the block ---- */
@@ -217,7 +219,7 @@ static int enter_score(struct mo_store *store, struct entry *entry, uint32_t i)
 static int announce(struct mo_store *store, const struct entry *entry)
 {
   const struct mo_score_block *block = entry->block;
-  const struct mo_scores_entered *own = &entry->own;
+  const struct mo_scores_imported *own = &entry->own;
   char data[320];
   if (own->n_new == 0 && own->n_different == 0)
     return MO_OK;
@@ -231,19 +233,19 @@ static int announce(struct mo_store *store, const struct entry *entry)
   return error;
 }
 
-static int enter(struct mo_store *store, void *arguments)
+static int import_block(struct mo_store *store, void *arguments)
 {
   struct entry *entry = arguments;
   memset(&entry->own, 0, sizeof(entry->own));
   entry->before = NULL;
   entry->now_us = mo_clock_wall_us();
-  int error = enter_tables(store, entry);
+  int error = import_tables(store, entry);
   for (uint32_t i = 0; i < entry->block->n_scores && error == MO_OK; i++)
-    error = enter_score(store, entry, i);
+    error = import_score(store, entry, i);
   return error == MO_OK ? announce(store, entry) : error;
 }
 
-static void add(struct mo_scores_entered *all, const struct mo_scores_entered *own)
+static void add(struct mo_scores_imported *all, const struct mo_scores_imported *own)
 {
   all->n_new += own->n_new;
   all->n_known += own->n_known;
@@ -252,8 +254,8 @@ static void add(struct mo_scores_entered *all, const struct mo_scores_entered *o
     all->differences[all->n++] = own->differences[i];
 }
 
-int mo_store_scores_enter(struct mo_store *store, const struct mo_score_block *block,
-                          struct mo_scores_entered *entered, struct mo_message *message)
+int mo_store_scores_import(struct mo_store *store, const struct mo_score_block *block,
+                           struct mo_scores_imported *entered, struct mo_message *message)
 {
   struct entry *entry = calloc(1, sizeof(*entry));
   int error = MO_OK;
@@ -266,7 +268,7 @@ int mo_store_scores_enter(struct mo_store *store, const struct mo_score_block *b
     error =
         mo_store_import_file(store, &block->weights_sha256, block->weights, block->weights_size);
   if (error == MO_OK)
-    error = mo_write(store, enter, entry);
+    error = mo_write(store, import_block, entry);
   mo_store_import_end(store);
   if (error == MO_OK)
     add(entered, &entry->own);

@@ -2,9 +2,9 @@
  *
  * A row of `scores` holds the losses of one genotype in a block of up to 16 environments, as one
  * call computed them, under one condition: weights, physics, class and those environments. Losses
- * are found by environment, in whichever block it is. Readers check each row against its checksum,
- * which covers the row and its condition. Rows are only changed by a repair (origins.c): where two
- * of them hold the same environment, the one computed first counts. */
+ * are looked up by environment, whichever block they are in. Readers check each row against its
+ * checksum, which covers the row and its condition. Rows are only changed by a repair (origins.c):
+ * if two rows hold the same environment, the one computed first counts. */
 #include "store/scores.h"
 
 #include <math.h>
@@ -248,7 +248,7 @@ int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design
 
 /* ---- scores of evaluations ---- */
 
-/* Stores what a verify job computed, beside the loss of its class that was stored before. */
+/* Stores a verify job's loss together with the loss of its class that was stored before. */
 static int note_recomputed(struct mo_connection *writer, const struct mo_saved_block *block,
                            uint32_t i, bool *is_known)
 {

@@ -8,21 +8,21 @@
 
 #include "store/internal.h"
 
-/* ---- packed losses: doubles; if any rollout diverged the 32-bit steps; a 64-bit checksum ---- */
+/* ---- packed losses: doubles; the 32-bit steps if any rollout diverged; a 64-bit checksum ---- */
 
 #define MO_PACKED_BYTES(n) (12 * (size_t)(n) + 8) /* at most */
-/* Returns the checksum of `key` and of bytes. Changing any one word of either changes it. */
+/* Returns the checksum of `key` and of bytes. A change of any one word changes it. */
 uint64_t mo_row_checksum(const int64_t *key, size_t n_key, const void *bytes, size_t size);
-/* Returns the number of bytes. `key`: what identifies the losses, for the checksum. */
+/* Returns the number of bytes. `key` identifies the losses, for the checksum. */
 size_t mo_pack_losses(const int64_t *key, size_t n_key, const double *losses,
                       const uint32_t *diverged_steps, uint32_t n, uint8_t *bytes);
-/* MO_ERR_CORRUPT: another number of losses, or a wrong checksum. */
+/* MO_ERR_CORRUPT: wrong number of losses or wrong checksum. */
 int mo_unpack_losses(const int64_t *key, size_t n_key, const uint8_t *bytes, size_t size,
                      uint32_t n, double *losses, uint32_t *diverged_steps);
 
 /* ---- rows ---- */
 
-/* Returns a genotype with what its losses under a condition depend on. */
+/* Returns a genotype with everything that its losses under a condition depend on. */
 static inline struct mo_saved_design mo_design_under(const struct mo_condition *condition,
                                                      int64_t genotype, int64_t environment_set)
 {
@@ -34,7 +34,7 @@ static inline struct mo_saved_design mo_design_under(const struct mo_condition *
 }
 /* Finds or inserts a condition, and sets its id. */
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
-/* The same. *last: the condition of the call before ({0}: none), which is mostly the same one. */
+/* Does the same. *last: the condition of the previous call ({0}: none), usually the same one. */
 int mo_condition_row_after(struct mo_connection *writer, struct mo_condition *condition,
                            struct mo_condition *last);
 /* Inserts the losses of a genotype under a condition with an id, unless they are stored. origin: 0:
@@ -52,19 +52,19 @@ int mo_losses_replace(struct mo_store *store, const struct mo_condition *conditi
 int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                       double *losses, uint32_t *diverged_steps);
 /* Reads the losses of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments: those of the class
- * `fingerprint`, and where there are none those of the class `workers` (0: none). */
+ * `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
-/* Reads what is stored for the rollouts of a row, in whichever blocks they are. MO_ERR_CONFLICT: a
- * stored loss has other bits. */
+/* Compares a row with the stored losses of its rollouts, whichever blocks they are in.
+ * MO_ERR_CONFLICT: a stored loss has other bits. */
 int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
                       struct mo_score stored[MO_BLOCK_LANES]);
-/* Inserts the losses of blocks, as they are saved for a job. */
+/* Inserts the losses of blocks as saved for a job. */
 int mo_blocks_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                      int64_t now_us);
 
-/* Says whether two numbers have the same bits. */
+/* Returns whether two numbers have the same bits. */
 static inline bool mo_same_bits(double a, double b)
 {
   uint64_t words[2];

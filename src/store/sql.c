@@ -1,7 +1,7 @@
 /* sql.c: a thin layer over SQLite: cached statements, error codes, checked columns.
  *
- * Statements are string literals beside their use. The cache finds them by address, so that each is
- * prepared once per connection. */
+ * Statements are string literals at their point of use. The cache looks them up by address, so each
+ * is prepared once per connection. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>
@@ -32,13 +32,13 @@ int mo_sql_error(sqlite3 *db, int code)
   case SQLITE_IOERR:
     if (code == SQLITE_IOERR_NOMEM)
       return MO_ERR_NO_MEMORY;
-    if (code == SQLITE_IOERR_SHMSIZE) /* the log's index, which need not last, could not grow; errno
-                                         has changed since */
+    if (code == SQLITE_IOERR_SHMSIZE) /* the log's index, which need not be durable, could not grow;
+                                         errno has changed since */
       return MO_ERR_NO_SPACE;
     if (code == SQLITE_IOERR_SHMMAP)
       return mo_mapping_error();
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
-    /* A failed fsync is never "no space": what the kernel dropped is unknown. */
+    /* A failed fsync is never "no space", because it is unknown what the kernel dropped. */
     if (code != SQLITE_IOERR_FSYNC && code != SQLITE_IOERR_DIR_FSYNC &&
         (system_error == ENOSPC || system_error == EDQUOT || system_error == EFBIG))
       return MO_ERR_NO_SPACE;
@@ -59,7 +59,8 @@ static int configure(sqlite3 *db, bool writable)
   static const char reading[] = "PRAGMA query_only=ON; PRAGMA cache_size=-8192;";
   static const char writing[] =
       "PRAGMA synchronous=FULL; PRAGMA cache_size=-65536; PRAGMA wal_autocheckpoint=0;"
-      /* Debian's SQLite overwrites what is deleted, and would log every page of a recording. */
+      /* Debian's SQLite overwrites deleted content by default, and would log every page of a
+       * recording. */
       "PRAGMA journal_size_limit=67108864; PRAGMA secure_delete=FAST;";
   int result = sqlite3_exec(db, common, NULL, NULL, NULL);
   if (result == SQLITE_OK)
@@ -157,7 +158,7 @@ static sqlite3_stmt *prepared(struct mo_connection *connection, const char *sql,
   int result =
       sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
   if (result != SQLITE_OK) {
-    /* If a statement does not fit the schema, the schema is not that of its version. */
+    /* If a statement does not fit the schema, the schema does not match its version. */
     *error =
         (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
     return NULL;
@@ -174,7 +175,7 @@ sqlite3_stmt *mo_sql_rows_with(struct mo_connection *connection, int *error, con
   if (*error == MO_OK)
     *error = connection->error;
   sqlite3_stmt *statement = *error == MO_OK ? prepared(connection, sql, error) : NULL;
-  /* A statement without one of the parameters refuses its value, which is no error. */
+  /* A statement that lacks a parameter rejects its value; this is not an error. */
   for (int i = 0; i < values.n && statement != NULL; i++) {
     const struct mo_value *value = &values.at[i];
     switch (value->type) {

@@ -56,8 +56,9 @@ struct mo_values {
   ((struct mo_values){(const struct mo_value[]){__VA_ARGS__},                                      \
                       sizeof((const struct mo_value[]){__VA_ARGS__}) / sizeof(struct mo_value)})
 
-/* Each of these prepares a string literal (once: it is found by its address), binds the values to
- * ?1, ?2 … and runs it. A row can be read until its statement runs again, or until mo_sql_reset. */
+/* Each of these prepares a string literal (once: it is looked up by its address), binds the values
+ * to ?1, ?2 … and runs it. A row can be read until its statement runs again, or until
+ * mo_sql_reset. */
 #define mo_sql_do(connection, sql, ...) mo_sql_do_with(connection, sql, MO_VALUES(__VA_ARGS__))
 int mo_sql_do_with(struct mo_connection *connection, const char *sql, struct mo_values values);
 /* MO_ERR_CONFLICT: it changed nothing. */
@@ -79,8 +80,8 @@ int mo_sql_row_with(struct mo_connection *connection, sqlite3_stmt **row, const 
   mo_sql_find_with(connection, value, sql, MO_VALUES(__VA_ARGS__))
 int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const char *sql,
                      struct mo_values values);
-/* Returns a statement whose rows mo_sql_next reads one by one, until there are none or *error is
- * not MO_OK. Neither does anything if *error is set before. */
+/* Returns a statement for mo_sql_next to read rows one by one, until no row is left or *error is
+ * not MO_OK. Neither does anything if *error is already set. */
 #define mo_sql_rows(connection, error, sql, ...)                                                   \
   mo_sql_rows_with(connection, error, sql, MO_VALUES(__VA_ARGS__))
 sqlite3_stmt *mo_sql_rows_with(struct mo_connection *connection, int *error, const char *sql,
@@ -94,13 +95,13 @@ int mo_sql_error(sqlite3 *db, int code);
 
 /* ---- columns ---- */
 
-/* Returns why a column has no value although it must: MO_ERR_CORRUPT, or MO_ERR_NO_MEMORY. */
+/* Returns why a required value of a column is missing: MO_ERR_CORRUPT or MO_ERR_NO_MEMORY. */
 int mo_column_missing(sqlite3_stmt *statement);
-/* Read a column and check it: MO_ERR_CORRUPT. */
+/* Each reads a column and checks it: MO_ERR_CORRUPT. */
 int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
 int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
-/* Reads a genotype and its design's form (nullable), and checks that the one is an orientation of
- * the other: so no damaged body is taken for the one that was scored. */
+/* Reads a genotype and its design's form (nullable), and checks that one is an orientation of the
+ * other, so that a damaged body is never mistaken for the scored one. */
 int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column,
                        struct mo_bits *genotype, struct mo_bits *form);
 /* Reads an environment and checks its hash. */

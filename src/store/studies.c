@@ -1,4 +1,4 @@
-/* studies.c: see studies.h. campaign_commit.c commits a batch as it does any generation. */
+/* studies.c: see studies.h. campaign_commit.c commits a batch like any generation. */
 #include "store/studies.h"
 
 #include <math.h>
@@ -28,7 +28,7 @@ int mo_store_study_find(struct mo_store *store, const char *label, int64_t *id)
 
 /* ---- words ---- */
 
-/* Finds a word, or adds it. Returns its place, or MO_ERR_LIMIT and errors of the store. */
+/* Finds or adds a word. Returns its index, MO_ERR_LIMIT, or another error. */
 static int64_t place_word(struct mo_connection *writer, int64_t id, int kind, const char *word,
                           char known[][MO_STUDY_WORD_MAX + 1], uint32_t *n, uint32_t most)
 {
@@ -57,7 +57,7 @@ static size_t row_bytes(uint32_t n_measures)
   return sizeof(struct told_row) + n_measures * sizeof(double);
 }
 
-/* Places of the words of a batch among the study's own; n_measures: all of the study. */
+/* Indices of a batch's words among the study's own; n_measures: of the study. */
 struct places {
   uint32_t operators[MO_STUDY_OPERATORS_MAX], measures[MO_STUDY_MEASURES_MAX], n_measures;
 };
@@ -196,7 +196,7 @@ static int refuse(struct tell_arguments *call, enum mo_telling_fault fault, uint
   return error;
 }
 
-/* Looks whether the batch is the next one. MO_ERR_DUPLICATE: it was told before. */
+/* Checks whether the batch is the next one. MO_ERR_DUPLICATE: it was told before. */
 static int check_turn(struct mo_connection *connection, struct tell_arguments *call)
 {
   static const char sql[] = "SELECT j.state,s.batch,s.sha256 FROM studies s JOIN jobs j"
@@ -241,7 +241,7 @@ static int by_number(const void *a, const void *b)
   return x < y ? -1 : x > y;
 }
 
-/* Checks that the survivors are of the population, each once. */
+/* Checks that the survivors are in the population, each once. */
 static int check_survivors(struct mo_connection *writer, struct tell_arguments *call)
 {
   const struct mo_study_batch *batch = &call->telling->batch;
@@ -286,7 +286,7 @@ static int check_batch(struct mo_connection *writer, struct tell_arguments *call
   return batch->selects ? check_survivors(writer, call) : MO_OK;
 }
 
-/* Finds the places of the batch's words, and adds new ones. */
+/* Finds the indices of the batch's words, and adds new words. */
 static int place_words(struct mo_connection *writer, struct tell_arguments *call,
                        struct places *places)
 {

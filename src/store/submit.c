@@ -1,4 +1,4 @@
-/* submit.c: accepts jobs: stores all that a job needs later, in one transaction. */
+/* submit.c: accepts jobs: stores everything that a job needs later in one transaction. */
 #include "store/runs.h"
 
 #include <string.h>
@@ -194,7 +194,7 @@ int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const str
 
 /* ---- evaluations ---- */
 
-/* Finds the rows of what a submission names. */
+/* Finds the rows that a submission refers to. */
 static int resolve(struct mo_connection *writer, const struct mo_evaluation_request *request,
                    int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments)
 {

@@ -1,5 +1,5 @@
-/* training_runs.c: what the runner of a training writes: steps, checkpoints, code and the end.
- * Writes are fenced as in runs.h. */
+/* training_runs.c: writes of a training's runner: steps, checkpoints, code and the end. Writes are
+ * fenced as in runs.h. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -92,7 +92,7 @@ static int write_checkpoint(struct mo_store *store, void *arguments)
   static const char forgive_sql[] =
       "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
       " ?2>(SELECT coalesce(max(step),0) FROM checkpoints WHERE job=?1)";
-  /* Later steps, which this step makes false (they were damaged, or another run wrote them), and
+  /* Later steps, which this step invalidates (they were damaged, or another run wrote them), and
    * those beyond the number to keep. */
   static const char replaced_sql[] =
       "SELECT generation,step,size FROM checkpoints WHERE job=?1 AND (step>?3 OR step NOT IN"
@@ -133,9 +133,9 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
 
 /* ---- which code computed the steps ----
  *
- * There is one row for each change: from this step on, this fingerprint. Before its first step, a
- * run stores its code under the step at which it starts, and deletes the rows from there on, whose
- * steps it computes again. So after any crash the rows below a step describe the weights at that
+ * Each change has one row: from this step on, this fingerprint. Before its first step, a run stores
+ * its code under the step at which it starts, and deletes the rows from there on, because it
+ * computes their steps again. So after any crash the rows below a step describe the weights at that
  * step, and a run that computes no step leaves no row. */
 
 #define VARIOUS "various"

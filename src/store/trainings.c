@@ -116,7 +116,7 @@ static int compare_ranked(const void *a, const void *b)
   return 0;
 }
 
-/* Reads the newest population of a campaign, which is sorted and has each form once. */
+/* Reads the newest population of a campaign, which is sorted and has no duplicate forms. */
 static int population_of_campaign(struct mo_store *store, int64_t id, uint32_t best,
                                   struct mo_bits **ret, uint32_t *ret_n)
 {
@@ -158,8 +158,8 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struc
   genotypes = calloc(results->n_designs, sizeof(*genotypes));
   if (ranked == NULL || genotypes == NULL)
     error = MO_ERR_NO_MEMORY;
-  /* Only whole scores are ranked: a design that an evaluation of the best cut short has a lower
-   * bound, unless another entry of its genotype has a score. */
+  /* Only complete scores are ranked: a design that was cut short has a lower bound, unless another
+   * entry of its genotype has a score. */
   for (uint32_t i = 0; i < results->n_designs && error == MO_OK; i++)
     if (isfinite(results->scores[i]) && !results->is_bound[i])
       ranked[n_ranked++] = (struct ranked){results->scores[i], results->genotypes[i]};

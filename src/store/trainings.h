@@ -20,7 +20,8 @@ struct mo_training_record {
   char name[MO_NAME_BYTES_MAX + 1]; /* of the resulting controller; "": "training-<id>" */
   uint32_t n_designs;               /* finetune */
   int64_t population; /* finetune: the job whose designs are used; 0: listed in the request */
-  uint32_t validate_every_steps;   /* 0: never; else also before the first, after the last step */
+  uint32_t validate_every_steps;   /* 0: never; else also before the first and after the last
+                                      step */
   uint32_t checkpoint_every_steps; /* 0: by time only */
   uint32_t checkpoint_every_s; /* 0: by steps only; pausing, stopping and finishing always write a
                                   checkpoint */
@@ -36,7 +37,7 @@ struct mo_training_step_row {
 struct mo_training_validation_row {
   uint32_t step; /* steps that the weights had learned */
   uint32_t rollouts, diverged;
-  double mean_score, standard_error; /* of the mean losses of those designs that never diverged */
+  double mean_score, standard_error; /* over the mean losses of the designs that never diverged */
 };
 
 /* The current status of a training, read in one transaction. */
@@ -45,28 +46,28 @@ struct mo_training_status {
   struct mo_training_record record;
   /* Newest row of the curve. After a crash the run may resume from an earlier checkpoint. */
   uint32_t step;
-  struct mo_training_step_row last; /* step > 0 */
+  struct mo_training_step_row last; /* if step > 0 */
   bool has_validation;
   struct mo_training_validation_row validation; /* the newest */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
-  struct mo_training_lineage code;              /* the code that computed it */
+  struct mo_training_lineage code;              /* the code that computed the training */
 };
 
 /* ---- submission (by jobs) ---- */
 
-/* As struct mo_evaluation_request: as requested and as stored. */
+/* Like struct mo_evaluation_request: as requested and as stored. */
 struct mo_training_request {
   struct mo_submission job;
   struct mo_training_record record;
   const char *parent;              /* name or "sha256:<hex>"; NULL: random weights */
-  const struct mo_bits *genotypes; /* (record.n_designs) finetune; as requested: unless there is a
+  const struct mo_bits *genotypes; /* (record.n_designs) finetune; as requested: only without a
                                       population */
   const struct mo_bits *forms;     /* (record.n_designs) canonical; as stored */
-  struct mo_design_note *notes;    /* (n_notes) as mo_evaluation_request */
+  struct mo_design_note *notes;    /* (n_notes) as in mo_evaluation_request */
   uint32_t n_notes;
-  uint32_t population_best; /* of record.population; 0: all of them */
+  uint32_t population_best; /* how many of record.population's best designs; 0: all */
 };
-/* Errors as mo_store_submit. */
+/* Errors as in mo_store_submit. */
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,
                              int64_t *id, bool *replayed);
 
@@ -74,7 +75,7 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_re
 
 /* MO_ERR_NOT_FOUND. */
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status);
-/* As mo_store_jobs, but only trainings, whatever the query's kind. */
+/* Like mo_store_jobs, but only trainings; ignores the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            void *statuses /* struct mo_training_status */, size_t limit);
 /* Reads steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only steps that are
@@ -88,16 +89,16 @@ int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step,
                                        uint8_t **bytes, size_t *size);
 /* Reads the placed genotypes of a succeeded evaluation, or of a campaign's newest population
- * (malloc): best score first, each once, at most `best` (0: all). Designs that diverged or have
- * only a lower bound are left out, so *n may be less than `best`, or 0. MO_ERR_NOT_FOUND: no such
- * evaluation or campaign; MO_ERR_CONFLICT: the evaluation has not succeeded, or the campaign has no
- * generation yet. */
+ * (malloc): best score first, without duplicates, at most `best` (0: all). Designs that diverged or
+ * have only a lower bound are left out, so *n may be less than `best`, or 0. MO_ERR_NOT_FOUND: no
+ * such evaluation or campaign; MO_ERR_CONFLICT: the evaluation has not succeeded, or the campaign
+ * has no generation yet. */
 int mo_store_population(struct mo_store *store, int64_t id, uint32_t best,
                         struct mo_bits **genotypes, uint32_t *n);
 
 /* ---- the runner's writes: each returns after its commit, with its event ---- */
 
-/* All return MO_ERR_CONFLICT when the training is over, or was not started under this opening of
+/* All return MO_ERR_CONFLICT if the training has ended, or was not started under this opening of
  * the store. */
 /* Writes rows of steps and validations, with the event "training.progress" of the last step. */
 int mo_store_training_progress(struct mo_store *store, int64_t id,
@@ -105,14 +106,14 @@ int mo_store_training_progress(struct mo_store *store, int64_t id,
                                const struct mo_training_validation_row *validation /* nullable */,
                                const char *event_data /* JSON object; NULL: no event */);
 /* Stores which code computes the run that starts now, after `step` learned steps. Replaces entries
- * from `step` on: their steps are computed again. *lineage: the whole lineage. Event
- * "training.code_changed" if the code before was another, or is unknown. After MO_LINEAGE_MAX
+ * from `step` on, because their steps are computed again. *lineage: the complete lineage. Event
+ * "training.code_changed" if the code was different before, or is unknown. After MO_LINEAGE_MAX
  * changes the last entry becomes "various". */
 int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
                            const char *fingerprint, struct mo_training_lineage *lineage);
-/* Stores a checkpoint: the file, then the row. Then drops, rows before files, all but the newest
- * `keep` checkpoints, and those of later steps, which are not of the current run. A step beyond all
- * earlier checkpoints resets the job's attempts. step ≥ 1. Event "training.checkpoint".
+/* Stores a checkpoint: the file, then the row. Then deletes, rows before files, all but the newest
+ * `keep` checkpoints, and those of later steps, which do not belong to the current run. A step
+ * beyond all earlier checkpoints resets the job's attempts. step ≥ 1. Event "training.checkpoint".
  * MO_ERR_NO_SPACE: nothing changed; try again when there is space. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
                                  const uint8_t *bytes, size_t size, uint32_t keep);

@@ -10,8 +10,8 @@
 #include "store/rows.h"
 #include "store/trainings.h"
 
-/* So far from the middle of the workspace a light is more than a voxel away from the center of mass
- * of any body at its start. */
+/* At this distance from the middle of the workspace, a light is more than a voxel away from the
+ * center of mass of any body at the start. */
 #define LIGHT_CLEAR_M 0.3
 
 static const char remedy[] = "choose a smaller dt_s or stiffness_n_per_m";
@@ -30,7 +30,7 @@ warn(struct mo_job *job, const char *code, const char *format, ...)
 
 /* ---- robots that diverged ---- */
 
-/* While the evaluation runs, the rollouts that are left may not diverge. */
+/* While the evaluation runs, the remaining rollouts may not diverge. */
 static void warn_of_rollouts(struct mo_job *job)
 {
   const uint64_t run = job->rollouts_done - job->rollouts_cut, diverged = job->rollouts_diverged;
@@ -44,7 +44,7 @@ static void warn_of_rollouts(struct mo_job *job)
          (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far", remedy);
 }
 
-/* Of a step of a training, or of the population of a generation. */
+/* Warns about a step of a training, or the population of a generation. */
 static void warn_of_robots(struct mo_job *job, const char *when, uint32_t number, uint32_t diverged,
                            uint32_t n)
 {
@@ -84,7 +84,7 @@ static int warn_of_generation(struct mo_connection *connection, struct mo_job *j
   return error;
 }
 
-/* ---- lights beside the start ---- */
+/* ---- lights near the start ---- */
 
 static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, int64_t owner)
 {
@@ -94,7 +94,7 @@ static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, 
   double nearest_m = INFINITY;
   uint32_t nearest = 0, n = 0;
   int error = MO_OK;
-  if (job->environment_set[0] != '\0') /* the lights of a named set are far away */
+  if (job->environment_set[0] != '\0') /* the lights of a named set are far enough away */
     return MO_OK;
   sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(owner));
   while (mo_sql_next(connection, row, &error)) {

@@ -1,13 +1,13 @@
-/* warnings.h: what a result's reader must know of a job, although it did what was asked. Derived
- * from what is stored, whenever a job is read. Only for this room. */
+/* warnings.h: cautions for readers of a result, although the job did what was requested. They are
+ * derived from stored data whenever a job is read. Only for this room. */
 #ifndef MORPHO_STORE_WARNINGS_H
 #define MORPHO_STORE_WARNINGS_H
 
 #include "store/sql.h"
 #include "store/store.h"
 
-/* Sets the warnings of a job that mo_job_read has read. record: of its kind; an evaluation's is not
- * read. */
+/* Sets the warnings of a job that mo_job_read has read. record: the record of its kind; not read
+ * for an evaluation. */
 int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void *record);
 
 #endif

@@ -28,7 +28,7 @@ int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
   return error == MO_OK ? mo_column_physics(row, 0, physics, precision, sensor) : error;
 }
 
-/* Reads all rows of a query, whose columns are data and hash. */
+/* Reads all rows of a query with the columns data and hash. */
 static int read_all(struct mo_store *store, const char *sql, struct mo_values values,
                     struct mo_environment **environments, uint32_t *ret_n)
 {

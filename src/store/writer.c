@@ -4,12 +4,12 @@
  * transaction, commits once, and then releases the callers, so that under load one fsync serves
  * many. A failed operation rolls back only itself. When SQLite rolls back the whole transaction
  * (disk full, out of memory), or the commit fails for lack of space, each operation runs again in
- * its own transaction, so that one that is too large does not fail the others. An urgent one may
- * use the reserve (reserve.c).
+ * its own transaction, so that an operation that is too large does not make the others fail. An
+ * urgent operation may use the reserve (reserve.c).
  *
  * Any other I/O error is fatal at once. After a failed fsync the content of the disk is unknown,
- * and a second fsync may succeed without having written. So nothing is tried again: the process
- * must end and recover from the log. */
+ * and a second fsync may succeed without having written. So nothing is retried: the process must
+ * exit and recover from the log. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -28,7 +28,7 @@
 #define RESTART_US      INT64_C(5000000)
 #define RESTART_WAIT_MS 250
 
-/* Writes what a running job has used, with whatever an event of it tells. */
+/* Writes the usage of a running job together with each of its events. */
 static int meter(struct mo_store *store, int64_t job)
 {
   static const char sql[] = "UPDATE jobs SET worker_s=?2,device_s=?3 WHERE id=?1";
@@ -107,15 +107,15 @@ static int run_operation(struct mo_store *store, struct mo_operation *operation)
              : error;
 }
 
-/* Runs one operation in the open transaction. After an error the transaction is gone or must be
- * rolled back. */
+/* Runs one operation in the open transaction. After an error the transaction no longer exists or
+ * must be rolled back. */
 static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
   struct mo_connection *writer = &store->writer;
   const size_t first_event = store->n_events;
   int error = mo_sql_do(&store->writer, savepoint_sql);
   if (error != MO_OK)
-    return error; /* there is no savepoint to roll back to */
+    return error; /* no savepoint to roll back to */
   operation->status = run_operation(store, operation);
   if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
@@ -137,7 +137,7 @@ static int commit(struct mo_store *store)
   return error;
 }
 
-/* Rolls back after an error, and declares the store fatal after one that is. */
+/* Rolls back after an error, and declares the store fatal after a fatal error. */
 static void abandon(struct mo_store *store, int error)
 {
   if (error == MO_OK)
@@ -161,7 +161,7 @@ static int run_alone(struct mo_store *store, struct mo_operation *operation)
   return error;
 }
 
-static void tell(struct mo_store *store)
+static void notify_listeners(struct mo_store *store)
 {
   if (store->n_events == 0)
     return;
@@ -208,11 +208,11 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
 {
   operation->status = run_alone(store, operation);
   abandon(store, operation->status);
-  tell(store);
+  notify_listeners(store);
 }
 
 /* Runs a batch. A single operation needs no savepoint, which would copy every page that a large one
- * changes. While the store is short of space each operation runs alone, because a commit also
+ * changes. While the store is short of space, each operation runs on its own, because a commit also
  * writes pages that a rolled-back operation had changed. */
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
@@ -224,11 +224,11 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   bool each_alone = first->next == NULL || atomic_load(&store->is_short);
   if (!each_alone)
     error = run_together(store, first);
-  abandon(store, error); /* if it is fatal, run_alone() refuses all from now on */
+  abandon(store, error); /* if it is fatal, run_alone() refuses everything from now on */
   if (each_alone || error != MO_OK)
     for (operation = first; operation != NULL; operation = operation->next)
       finish_alone(store, operation);
-  tell(store);
+  notify_listeners(store);
   for (operation = first; operation != NULL; operation = next) {
     next = operation->next;
     if (operation->is_urgent && operation->status == MO_ERR_NO_SPACE && mo_reserve_free(store))
@@ -280,8 +280,8 @@ static void probe_space(struct mo_store *store)
 }
 
 /* Copies the log into the database. The log restarts only when no connection reads it, and
- * overlapping readers can prevent that without end. So when it is long, this waits briefly for the
- * current readers; new readers use the database. */
+ * overlapping readers can prevent that indefinitely. So if the log is long, this waits briefly for
+ * the current readers; new readers use the database. */
 static void checkpoint(struct mo_store *store)
 {
   sqlite3 *db = store->writer.db;

@@ -131,7 +131,7 @@ def test_a_database_that_is_cut_short(start, tmp_path):
     for n in (1, 4095):
         file.write_bytes(whole[:-n])
         ended = morphod(tmp_path / "state", *START)
-        assert ended.returncode == 74 and "is cut short" in ended.stderr, ended
+        assert ended.returncode == 74 and "is truncated" in ended.stderr, ended
     file.write_bytes(whole)
     with contextlib.closing(sqlite3.connect(file)) as database:
         database.execute("PRAGMA user_version=0")

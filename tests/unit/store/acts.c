@@ -256,7 +256,7 @@ static int do_put(struct mo_store *of, const struct act *act)
 static int do_scores(const struct life *life, struct mo_store *of, const struct act *act)
 {
   static struct mo_score_block block;
-  static struct mo_scores_entered entered;
+  static struct mo_scores_imported entered;
   struct mo_scored_condition *condition = &block.conditions[0];
   struct put put;
   put_start(&put, act->seed);
@@ -287,7 +287,7 @@ static int do_scores(const struct life *life, struct mo_store *of, const struct 
       score->diverged_steps[k] = (uint32_t)step;
     }
   }
-  const int error = mo_store_scores_enter(of, &block, &entered, NULL);
+  const int error = mo_store_scores_import(of, &block, &entered, NULL);
   put_end(&put);
   return error;
 }

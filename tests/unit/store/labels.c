@@ -423,12 +423,12 @@ static int sleep_and_jump(struct mo_store *of, void *context)
   int *n_doubts = context, error = MO_OK;
   for (int night = 0; night < 20 && error == MO_OK; night++) {
     of->credible_us -= 8 * hour_us;
-    error = mo_clock_look(of);
+    error = mo_clock_check(of);
     *n_doubts += !mo_clock_is_credible(of);
   }
   of->credible_us -= 400 * 24 * hour_us;
   of->credible_at_us -= 2 * hour_us;
-  return error == MO_OK ? mo_clock_look(of) : error;
+  return error == MO_OK ? mo_clock_check(of) : error;
 }
 
 static void believes_a_clock_that_slept(void)
