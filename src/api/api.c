@@ -78,7 +78,7 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
   if (api == NULL || mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK) {
     mo_http_refuse_listeners(config);
     free(api);
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the server");
   }
   *api = (struct mo_api){.store = services->store,
                          .jobs = services->jobs,

@@ -21,7 +21,7 @@ static bool is_on(struct mo_request *request)
     return true;
   mo_reply_problem(request, 404, NULL,
                    "The dashboard of this service is off; its operator can turn it on with the "
-                   "setting dashboard = on. /openapi.json lists what there is.");
+                   "setting dashboard = on. /openapi.json lists all paths.");
   return false;
 }
 

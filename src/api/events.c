@@ -98,7 +98,7 @@ static void open_stream(struct mo_request *request, int64_t after, int64_t job)
   struct mo_stream_place place = {.after = after, .topic = job};
   if (mo_accept_choose(request->framing.accept, stream_type, 1) != 0) {
     mo_reply_problem(request, 406, NULL,
-                     "This path gives text/event-stream, which the Accept field does not allow; "
+                     "This path returns text/event-stream, which the Accept field does not allow; "
                      "format=json gives a page.");
     return;
   }

@@ -1,9 +1,9 @@
 /* accept.c: the acceptor.
  *
- * libmicrohttpd never listens itself; it receives connections from here. So this file keeps the
- * limit on connections and answers beyond it. (The library's own limit leaves clients in the
- * backlog, and hangs when connections are added in this way.) It also checks the peers of the unix
- * socket. */
+ * libmicrohttpd never listens itself; it receives connections from here. So this file enforces the
+ * limit on connections and replies to clients above it. (The library's own limit leaves clients in
+ * the backlog, and hangs when connections are added in this way.) It also checks the peers of the
+ * unix socket. */
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -22,7 +22,7 @@
 #include "base/thread.h"
 #include "http/server.h"
 
-#define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long is gone */
+#define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long has left */
 #define KEPT_MAX    16
 #define LEAVING_MAX 32
 
@@ -46,7 +46,7 @@ static void set_user(struct mo_connection *connection, uid_t uid)
   memcpy(connection->client_key + 4, &uid, sizeof(uid));
 }
 
-/* Says whether the peer may use the unix socket. */
+/* Returns whether the peer may use the unix socket. */
 static bool peer_allowed(const struct mo_http *http, int fd, struct mo_connection *connection)
 {
   struct ucred peer;
@@ -90,9 +90,9 @@ static bool read_end(const struct sockaddr_storage *name, __be32 address[4], __b
 }
 
 /* Finds the user at the other end of a connection from a loopback address: the kernel reports the
- * user of any socket by its addresses and ports (NETLINK_SOCK_DIAG). One exact query asks for the
+ * user of any socket by its addresses and ports (NETLINK_SOCK_DIAG). One exact query selects the
  * peer's end of the connection; sendto itself produces the answer. So limits count per user on
- * loopback, too, and one user cannot take all places. False: not known. */
+ * loopback as well, and one user cannot take all places. False: not known. */
 static bool find_uid(struct mo_http *http, int fd, const struct sockaddr_storage *peer, uid_t *uid)
 {
   struct sockaddr_storage own = {0};
@@ -125,7 +125,7 @@ static bool find_uid(struct mo_http *http, int fd, const struct sockaddr_storage
     n = recv(http->peers_fd, &answer, sizeof(answer), MSG_DONTWAIT);
   while (n >= (ssize_t)sizeof(answer.head) && answer.head.nlmsg_seq != ask.head.nlmsg_seq);
   const struct inet_diag_msg *found = NLMSG_DATA(&answer.head);
-  /* No inode: the peer has closed its end. Its user is unknown then, and the uid reads 0. */
+  /* No inode: the peer has closed its end. Its user is then unknown, and the uid reads 0. */
   if (n < (ssize_t)NLMSG_LENGTH(sizeof(*found)) || answer.head.nlmsg_type != SOCK_DIAG_BY_FAMILY ||
       found->idiag_inode == 0)
     return false;
@@ -162,8 +162,8 @@ static bool is_of(const struct mo_connection *connection, const unsigned char ke
   return memcmp(connection->client_key, key, sizeof(connection->client_key)) == 0;
 }
 
-/* Whether `one` gives way before `other`: an idle connection before one that receives a request,
- * then the older one. */
+/* Returns whether `one` gives way before `other`: idle connections before those that receive a
+ * request, then older ones first. */
 static bool goes_before(const struct mo_connection *one, const struct mo_connection *other)
 {
   bool receiving = atomic_load(&one->receiving);
@@ -172,8 +172,8 @@ static bool goes_before(const struct mo_connection *one, const struct mo_connect
   return atomic_load(&one->spare_us) < atomic_load(&other->spare_us);
 }
 
-/* The client that more than half of the connections belong to, if there is one. With the
- * connections' lock. */
+/* Returns the client that owns more than half of the connections, or NULL. Call it with the
+ * connections' lock held. */
 static const unsigned char *find_majority(const struct mo_http *http)
 {
   const struct mo_connection *majority = NULL;
@@ -194,9 +194,9 @@ static const unsigned char *find_majority(const struct mo_http *http)
 
 /* Counts the connections of each place, and finds the one that gives way first: one that has been
  * spare for MO_STALL_US, or any spare one of a client that has more than half of all connections.
- * With the connections' lock. */
-static void look_around(struct mo_http *http, int64_t now_us, uint32_t n[MO_PLACES],
-                        struct mo_connection *first[MO_PLACES])
+ * Call it with the connections' lock held. */
+static void survey(struct mo_http *http, int64_t now_us, uint32_t n[MO_PLACES],
+                   struct mo_connection *first[MO_PLACES])
 {
   const unsigned char *majority = find_majority(http);
   for (size_t fd = 0; fd < http->connections_top; fd++) {
@@ -212,8 +212,8 @@ static void look_around(struct mo_http *http, int64_t now_us, uint32_t n[MO_PLAC
   }
 }
 
-/* Cuts a connection, unless a whole request has arrived meanwhile. Call with the connections' lock,
- * which keeps the descriptor open. */
+/* Cuts a connection, unless a complete request has arrived meanwhile. Call it with the connections'
+ * lock held, which keeps the descriptor open. */
 static bool give_way(struct mo_http *http, struct mo_connection *connection)
 {
   int64_t seen = connection != NULL ? atomic_load(&connection->spare_us) : MO_NEVER;
@@ -226,8 +226,8 @@ static bool give_way(struct mo_http *http, struct mo_connection *connection)
   return true;
 }
 
-/* Finds a place for a new connection: a free one, or that of a connection that is cut. MO_PLACES:
- * none. */
+/* Finds a place for a new connection: a free place, or that of a connection that it cuts.
+ * MO_PLACES: none. */
 static enum mo_place find_place(struct mo_http *http, bool is_unix)
 {
   uint32_t max = http->config.max_connections, kept = max / 8 < KEPT_MAX ? max / 8 : KEPT_MAX;
@@ -239,7 +239,7 @@ static enum mo_place find_place(struct mo_http *http, bool is_unix)
   uint32_t n[MO_PLACES] = {0};
   struct mo_connection *first[MO_PLACES] = {NULL};
   MO_GUARD(&http->connections_lock);
-  look_around(http, mo_clock_us(), n, first);
+  survey(http, mo_clock_us(), n, first);
   enum mo_place place = MO_PLACE_ORDINARY;
   while (place < MO_PLACES && ((place == MO_PLACE_UNIX && !is_unix) ||
                                (n[place] >= places[place] && !give_way(http, first[place]))))
@@ -290,8 +290,8 @@ static void take(struct mo_http *http, size_t listener, int fd, struct sockaddr_
   atomic_store(&connection->spare_us, now_us);
   atomic_store(&connection->deadline_us, now_us + (int64_t)http->config.header_timeout_ms * 1000);
   mo_connection_add(http, connection);
-  /* The library compares no addresses here, so unix sockets share a fixed one. On failure it has
-   * closed the descriptor. */
+  /* The library does not compare addresses here, so unix sockets share a fixed one. On failure it
+   * has closed the descriptor. */
   struct sockaddr_in fixed = {.sin_family = AF_INET};
   bool is_unix = connection->transport == MO_TRANSPORT_UNIX;
   if (MHD_add_connection(http->daemon, fd,
@@ -308,7 +308,7 @@ static void *acceptor(void *context)
   struct mo_http *http = context;
   struct pollfd *polled = calloc(http->n_listeners + 1, sizeof(*polled));
   if (polled == NULL)
-    return NULL; /* the heartbeat goes stale, and the watchdog ends the process */
+    return NULL; /* the heartbeat goes stale, and the watchdog stops the process */
   polled[0] = (struct pollfd){.fd = http->stop_fd, .events = POLLIN};
   for (size_t i = 0; i < http->n_listeners; i++)
     polled[i + 1] = (struct pollfd){.fd = http->listeners[i].fd, .events = POLLIN};

@@ -1,14 +1,14 @@
-/* body.c: the memory of request bodies, and which body is dropped when memory runs out.
+/* body.c: the memory of request bodies, and the choice of a body to drop when memory runs out.
  *
  * A body that is still being received holds memory for a client that may have stopped sending. When
- * another body needs memory and there is none, the body with the longest time without progress is
+ * another body needs memory and none is free, the body with the longest time without progress is
  * dropped, if that time is at least MO_STALL_US: its memory is freed, its client gets 503 and its
- * connection ends. So whole requests never wait for half-sent ones. The thread that needs the
+ * connection is closed. So complete requests never wait for incomplete ones. The thread that needs
  * memory drops the body of another thread's request. Therefore all bodies being received are in a
- * list, and are touched only under its lock.
+ * list, and are accessed only with its lock held.
  *
- * An eighth of the memory is reserved for small bodies: large bodies and large replies, however
- * slowly they are read, cannot use it. */
+ * An eighth of the memory is reserved for small bodies: large bodies and large replies cannot use
+ * it, however slowly they are read. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -33,8 +33,8 @@ uint64_t mo_body_memory_of_client(const struct mo_request *request)
   return request->http->config.max_body_memory / (is_worker ? 1 : 2);
 }
 
-/* Call the functions below with the bodies' lock, or on the thread that has the request once its
- * body is no longer being received. */
+/* Call the functions below with the bodies' lock held or, once the body is no longer being
+ * received, on the thread that has the request. */
 
 static void leave_list(struct mo_request *request)
 {
@@ -63,7 +63,7 @@ static void give_back(struct mo_request *request)
   request->body_reserved = 0;
 }
 
-/* Makes room for n more bytes. MO_ERR_LIMIT: the client has used its share. */
+/* Reserves memory for n more bytes. MO_ERR_LIMIT: the client has used its share. */
 static int reserve(struct mo_request *request, size_t n)
 {
   if (request->body_size + n + 1 <= request->body_capacity)
@@ -96,7 +96,7 @@ static int reserve(struct mo_request *request, size_t n)
 }
 
 /* Drops the body with the longest time without progress; of_client: only bodies of the same client.
- * False: all make progress. */
+ * False: all bodies make progress. */
 static bool drop_another(const struct mo_request *request, bool of_client)
 {
   struct mo_http *http = request->http;

@@ -1,5 +1,5 @@
 /* client.c: limits per client: requests in flight, body memory, rate of submissions. A client is
- * kept while it has requests, and a few seconds longer for its rate. */
+ * kept while it has requests, and a few seconds more for its rate. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -13,7 +13,7 @@ struct mo_client {
   unsigned char key[16];
   uint32_t in_flight, parked;
   uint64_t body_bytes;  /* held by its requests' bodies, and by large replies */
-  double allowance;     /* submissions that are allowed at once */
+  double allowance;     /* submissions allowed right now */
   int64_t allowance_us; /* when `allowance` was last updated; 0: it is full */
   int64_t left_us;
 };
@@ -36,7 +36,7 @@ static struct mo_client **bucket_of(struct mo_clients *clients, const unsigned c
   return &clients->buckets[(hash ^ hash >> 16) & 255];
 }
 
-/* Finds or adds a client. Call with the lock. NULL: no memory. */
+/* Finds or adds a client. Call it with the lock held. NULL: out of memory. */
 static struct mo_client *find_or_add(struct mo_clients *clients, const unsigned char key[16])
 {
   struct mo_client **bucket = bucket_of(clients, key), *client = *bucket;

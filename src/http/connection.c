@@ -1,5 +1,4 @@
-/* connection.c: the table of open connections, their deadlines, how one of them is cut, and how it
- * lingers. */
+/* connection.c: the table of open connections, their deadlines, and how they are cut and linger. */
 #include <errno.h>
 #include <poll.h>
 #include <stdlib.h>
@@ -15,7 +14,7 @@
 /* Descriptors for the database, files, devices, and connections that are ending. */
 #define OTHER_FILES 512
 
-#define WATCHED_MAX 64 /* clients that leave, of one look */
+#define WATCHED_MAX 64 /* clients that leave, per poll */
 
 #define LINGER_US    2000000
 #define LINGER_READS 16 /* per call: a client that keeps sending must not block the thread */
@@ -100,7 +99,7 @@ bool mo_connections_watch(struct mo_http *http, int timeout_ms)
   for (int i = 0; i < n; i++) {
     struct mo_connection *connection = http->connections[events[i].data.fd];
     struct pollfd now = {.fd = events[i].data.fd, .events = POLLRDHUP};
-    /* Look again: the descriptor may belong to a newer connection. */
+    /* Check again: the descriptor may belong to a newer connection. */
     if (connection != NULL && poll(&now, 1, 0) == 1) {
       atomic_store(&connection->left, true);
       some = true;
@@ -116,8 +115,8 @@ bool mo_connection_has_left(const struct mo_connection *connection)
 
 void mo_connections_expire(struct mo_http *http, int64_t now_us)
 {
-  /* The lock keeps the descriptors open until after the shutdown, so that none can be another
-   * connection's. */
+  /* The lock keeps the descriptors open until after the shutdown, so that none of them can be
+   * reused. */
   MO_GUARD(&http->connections_lock);
   for (size_t fd = 0; fd < http->connections_top; fd++) {
     struct mo_connection *connection = http->connections[fd];
@@ -141,7 +140,7 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0)
     limit.rlim_cur = 1024;
   if (limit.rlim_cur <
-      wanted) { /* accept fewer connections: everything else needs descriptors, too */
+      wanted) { /* accept fewer connections, because everything else also needs descriptors */
     rlim_t others = limit.rlim_cur / 2 < other_files ? limit.rlim_cur / 2 : other_files;
     const rlim_t most = limit.rlim_cur > others ? limit.rlim_cur - others : 1;
     if (most < http->config.max_connections)
@@ -154,11 +153,11 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
   http->stop_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   http->watch_fd = epoll_create1(EPOLL_CLOEXEC);
   http->tick_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-  /* Edges: each write is an event, and none need be read. */
+  /* Edge-triggered: each write is an event, and nothing needs to be read. */
   struct epoll_event tick = {.events = EPOLLIN | EPOLLET, .data.fd = http->tick_fd};
   if (http->connections == NULL || http->stop_fd < 0 || http->watch_fd < 0 || http->tick_fd < 0 ||
       epoll_ctl(http->watch_fd, EPOLL_CTL_ADD, http->tick_fd, &tick) != 0)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the table of connections");
   return MO_OK;
 }
 

@@ -1,4 +1,4 @@
-/* connection.h: open connections, and who is at their other end. */
+/* connection.h: open connections and their clients. */
 #ifndef MORPHO_HTTP_CONNECTION_H
 #define MORPHO_HTTP_CONNECTION_H
 
@@ -31,15 +31,15 @@ struct mo_connection {
   enum mo_place place;
   enum mo_transport transport;
   unsigned char client_key[16]; /* the client, for limits: the peer's user if it is on this machine,
-                                   else its address */
-  char client[64];              /* for people */
-  _Atomic int64_t deadline_us;  /* the clock thread cuts the connection then */
+                                   otherwise its address */
+  char client[64];              /* for logs */
+  _Atomic int64_t deadline_us;  /* when the clock thread cuts the connection */
   bool lingers; /* closing at once could lose the last reply, while the client still sends */
-  /* Says whether this connection may be cut when a new one needs its place. spare_us is the time
-   * since which the connection is idle, or since which its request (receiving: one has begun) makes
-   * no progress. MO_NEVER: a whole request has arrived. */
+  /* Whether this connection may be cut if a new one needs its place. spare_us: the connection has
+   * been idle since then, or its request (receiving: one has begun) has made no progress since
+   * then. MO_NEVER: a complete request has arrived. */
   atomic_bool receiving;
-  _Atomic int64_t spare_us; /* MO_GAVE_WAY: already cut */
+  _Atomic int64_t spare_us; /* MO_GAVE_WAY: cut already */
   atomic_bool left;         /* the client has closed its end */
 };
 
@@ -51,24 +51,24 @@ void mo_connection_forget(struct mo_http *http, struct mo_connection *connection
 /* Cuts all connections whose deadline has passed. */
 void mo_connections_expire(struct mo_http *http, int64_t now_us);
 
-/* Sets spare_us. False: the connection was already cut; what it received must not be handled. */
+/* Sets spare_us. False: the connection was cut already; its request must not be handled. */
 bool mo_connection_spare(struct mo_connection *connection, int64_t since_us);
 /* Cuts the connection by shutdown: the I/O thread sees end of file. detail (nullable): of a 503
- * that is sent before, only in the middle of a request whose reply has not begun. */
+ * that is sent first, but only within a request that has no reply yet. */
 void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection, const char *id,
                        const char *detail);
-/* Waits for clients to leave, at most timeout_ms: libmicrohttpd does not watch connections that are
- * suspended. Returns whether one has left. */
+/* Waits for clients to leave, at most timeout_ms: libmicrohttpd does not watch suspended
+ * connections. Returns whether a client has left. */
 bool mo_connections_watch(struct mo_http *http, int timeout_ms);
-/* Says whether the client of a connection has left. */
+/* Returns whether the client of a connection has left. */
 bool mo_connection_has_left(const struct mo_connection *connection);
-/* Writes a refusal to a socket as a whole reply. With TLS it does nothing: only the thread of a
- * connection can encrypt. */
+/* Writes a refusal to a socket as a complete reply. With TLS it does nothing, because only the
+ * thread of a connection can encrypt. */
 void mo_write_refusal(const struct mo_http *http, int fd, unsigned status, const char *id,
                       const char *detail);
 
-/* For a moment, reads and discards what clients still send after their last reply: closing at once
- * would reset the connection and lose the reply. */
+/* Reads and discards, for a short time, the data that clients still send after their last reply:
+ * closing at once would reset the connection and lose the reply. */
 #define MO_LINGER_MAX 128
 struct mo_lingering {
   pthread_mutex_t lock;

@@ -1,5 +1,5 @@
-/* dispatch.c: libmicrohttpd's callbacks: what becomes of a request from its first line to its
- * reply. See request.h for its life. */
+/* dispatch.c: libmicrohttpd's callbacks: the handling of a request from its first line to its
+ * reply. See request.h for its lifecycle. */
 #include "http/server.h"
 
 #include <fcntl.h>
@@ -10,10 +10,10 @@
 #include "base/sha256.h"
 #include "http/query.h"
 
-#define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that need no large body */
+#define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* for routes without large bodies */
 #define PROGRESS_BYTES     16384                /* fewer bytes of a body count as no progress */
 #define DRAIN_BYTES                                                                                \
-  (UINT64_C(64) << 20) /* of a refused body are read, so that the refusal reaches the client */
+  (UINT64_C(64) << 20) /* read of a refused body, so that the client gets the reply */
 
 /* ---- start of a request ---- */
 
@@ -94,8 +94,8 @@ static bool admitted(struct mo_request *request)
   const struct mo_route *route = request->route;
   const bool is_open =
       (route != NULL && (route->flags & MO_ROUTE_OPEN)) || request->method == MO_OPTIONS;
-  /* Workers name the service as their cluster does. No page of a rebound name has their token, and
-   * a wrong one is refused below. */
+  /* Workers name the service as their cluster does. A page at a rebound name does not have their
+   * token, and a wrong token is refused below. */
   const int known = http->config.token_if_any
                         ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
                         : -1;
@@ -118,7 +118,8 @@ static bool admitted(struct mo_request *request)
   }
   if (route != NULL && is_open)
     return true;
-  /* A client that needs no token has all rights. One that sends a token has its name and right. */
+  /* A client that needs no token has all rights. A client that sends a token has the token's name
+   * and right. */
   request->caller.right = MO_RIGHT_ADMIN;
   bool needed = request->connection->transport == MO_TRANSPORT_TCP ||
                 ((http->config.token_on_loopback || http->config.token_if_any) && !is_unix);
@@ -130,8 +131,8 @@ static bool admitted(struct mo_request *request)
   atomic_fetch_add(&http->metrics.unauthorized, 1);
   mo_reply_problem(request, 401, NULL,
                    framing->authorization == NULL
-                       ? "A bearer token is needed: Authorization: Bearer <token>."
-                       : "The Authorization field has no bearer token that is valid here.");
+                       ? "A bearer token is required: Authorization: Bearer <token>."
+                       : "The Authorization field does not have a valid bearer token.");
   return false;
 }
 
@@ -186,7 +187,7 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   bool star = request->method == MO_OPTIONS && strcmp(request->raw_target, "*") == 0;
   if (path == NULL && !star) {
     mo_reply_problem(request, 404, NULL,
-                     "There is nothing at this path; /openapi.json lists what there is.");
+                     "There is nothing at this path; /openapi.json lists all paths.");
     return;
   }
   if (request->connection->place == MO_PLACE_HEALTH &&
@@ -203,7 +204,7 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
     return;
   }
   if (route == NULL) {
-    mo_reply_problem(request, 405, NULL, "The method %s is not for this path.",
+    mo_reply_problem(request, 405, NULL, "This path does not support the method %s.",
                      request->method_text);
     mo_route_allow(routes, path, request->reply.allow);
     return;
@@ -216,7 +217,7 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
         request, 411, NULL,
         "The length of the body is missing: Content-Length or chunked coding is expected.");
   else if (request->framing.has_length && request->framing.length > request->body_limit)
-    mo_reply_problem(request, 413, NULL, "The body has %llu bytes; this path takes at most %llu.",
+    mo_reply_problem(request, 413, NULL, "The body has %llu bytes; this path accepts at most %llu.",
                      (unsigned long long)request->framing.length,
                      (unsigned long long)request->body_limit);
 }
@@ -236,12 +237,13 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
       return MHD_NO;
     } else if (error == MO_ERR_RANGE) {
       mo_reply_problem(request, 413, NULL,
-                       "The body has more bytes than this path takes, which is %llu.",
+                       "The body is too large; this path accepts at most %llu bytes.",
                        (unsigned long long)request->body_limit);
     } else if (error == MO_ERR_LIMIT) {
-      mo_reply_problem(request, 429, NULL,
-                       "The bodies of this client's requests in flight take half of the memory for "
-                       "all clients, which is as much as is allowed.");
+      mo_reply_problem(
+          request, 429, NULL,
+          "The bodies of this client's requests in flight already use half of the memory for "
+          "all clients, which is the limit.");
     } else if (error != MO_OK) {
       mo_reply_error(request, error, "request");
     }
@@ -256,8 +258,7 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
 
 /* ---- dispatch ---- */
 
-/* Sets the key of the client, which has places and turns of its own: the connection's client, with
- * each token apart. */
+/* Sets the key of the client for places and turns: the connection's client and the token. */
 static void name_client(struct mo_request *request)
 {
   unsigned char whole[16 + sizeof(request->caller.name)];
@@ -288,7 +289,7 @@ static enum MHD_Result dispatch(struct mo_request *request)
   if (request->client == NULL) {
     if (refused)
       mo_reply_problem(request, 429, NULL,
-                       "This client has %u requests in flight, which is as many as are allowed.",
+                       "This client already has %u requests in flight, which is the limit.",
                        http->config.max_in_flight);
     else
       mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
@@ -317,7 +318,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
   (void)url;
   struct mo_request *request = *state;
   if (request == NULL)
-    return MHD_NO; /* there was no memory for it */
+    return MHD_NO; /* out of memory for the request */
   switch (request->stage) {
   case MO_STAGE_TARGET:
     request->started_us = mo_clock_us();
@@ -346,7 +347,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
     }
     atomic_store(&request->connection->deadline_us, MO_NEVER);
     if (!mo_body_end(request) ||
-        !mo_connection_spare(request->connection, MO_NEVER)) /* no reply: nothing is done */
+        !mo_connection_spare(request->connection, MO_NEVER)) /* cut already: no reply */
       return MHD_NO;
     if (request->reply.status != 0) {
       request->stage = MO_STAGE_REPLY;
@@ -389,7 +390,8 @@ static void on_connection(void *context, struct MHD_Connection *mhd, void **sock
     if (connection != NULL)
       connection->http = http;
   } else if (connection != NULL) {
-    mo_request_end(connection, false); /* after some errors the library does not report its end */
+    mo_request_end(connection, false); /* after some errors the library does not report the end of a
+                                          request */
     int fd = connection->lingers ? fcntl(connection->fd, F_DUPFD_CLOEXEC, 0) : -1;
     if (fd >= 0)
       mo_linger_add(&http->lingering, fd);
@@ -398,7 +400,7 @@ static void on_connection(void *context, struct MHD_Connection *mhd, void **sock
   }
 }
 
-/* Discards the library's own messages: its replies say the same. */
+/* Discards the library's own messages, which its replies repeat. */
 static void on_log(void *context, const char *format, va_list arguments)
 {
   (void)context;
@@ -418,7 +420,7 @@ static size_t on_unescape(void *context, struct MHD_Connection *mhd, char *text)
 
 int mo_daemon_start(struct mo_http *http, struct mo_message *message)
 {
-  /* The library's limit on connections is set too high to be reached: the acceptor keeps the limit,
+  /* The library's limit on connections is too high to be reached: the acceptor enforces the limit,
    * because it replies. */
   struct MHD_OptionItem tls[] = {
       {MHD_OPTION_HTTPS_MEM_CERT, 0, (void *)http->config.certificate},

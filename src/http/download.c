@@ -1,12 +1,13 @@
 /* download.c: long replies, sent piece by piece.
  *
- * A reply of hundreds of megabytes (every design of a campaign) is never whole in memory. An API
- * thread makes a piece and libmicrohttpd sends it; then the connection is suspended until an API
- * thread has made the next piece. So no I/O thread waits for the store, and a slow reader holds
- * only one piece. A reply that fits into its first piece is an ordinary one, with a Content-Length.
+ * A reply of hundreds of megabytes (all designs of a campaign) is never in memory as a whole. An
+ * API thread makes a piece and libmicrohttpd sends it; then the connection is suspended until an
+ * API thread has made the next piece. So no I/O thread waits for the store, and a slow reader holds
+ * only one piece. A reply that fits into its first piece is an ordinary reply with a
+ * Content-Length.
  *
- * The thread that has the request also has the download: the I/O thread while the connection runs,
- * one API thread while it is suspended. */
+ * The thread that has the request also has the download: the I/O thread while the connection is
+ * active, one API thread while it is suspended. */
 #include "http/download.h"
 
 #include <stdlib.h>
@@ -15,7 +16,7 @@
 #include "base/clock.h"
 #include "http/server.h"
 
-#define STALL_US    60000000            /* a reader that takes nothing for this long is cut off */
+#define STALL_US    60000000            /* a client that reads nothing for this long is cut off */
 #define PIECE_BYTES ((uint64_t)1 << 20) /* size of a piece, as counted in the limit on memory */
 
 struct mo_download {
@@ -27,7 +28,7 @@ struct mo_download {
   struct mo_text piece;
   size_t read; /* bytes of the piece that were sent */
   bool last;   /* the piece is the last one */
-  bool failed; /* the rest cannot be made: the reply breaks off, so that the client notices */
+  bool failed; /* the rest cannot be produced: the reply breaks off, so that the client notices */
 };
 
 /* Makes the next piece. */
@@ -46,7 +47,7 @@ static int make_piece(struct mo_download *download)
   return more < 0 ? more : download->piece.failed ? MO_ERR_NO_MEMORY : error;
 }
 
-/* Compresses a reply of several pieces, of which the first is made. */
+/* Starts to compress a reply of several pieces; the first exists already. */
 static int begin_packing(struct mo_request *request, struct mo_download *download)
 {
   download->packer = mo_packer_create(request);
@@ -76,10 +77,10 @@ static void refill(struct mo_request *request)
   download->failed = error != MO_OK;
   if (download->failed)
     mo_request_note(request, "the reply broke off: %s", mo_error_text(error));
-  MHD_resume_connection(mhd); /* from here on the I/O thread has the request */
+  MHD_resume_connection(mhd); /* from now on the I/O thread has the request */
 }
 
-/* Gives libmicrohttpd the next bytes. */
+/* Passes libmicrohttpd the next bytes. */
 static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
 {
   (void)position;

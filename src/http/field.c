@@ -82,8 +82,8 @@ static size_t trimmed(const char *at, size_t n)
   return n;
 }
 
-/* Takes the next part of a list, without the blanks around it, and moves behind its separator.
- * False: at the end. */
+/* Takes the next part of a list, without the blanks around it, and moves past its separator. False:
+ * at the end. */
 static bool next_part(const char **at, const char *separator, const char **part, size_t *n)
 {
   const char *start = skip_blank(*at);
@@ -96,7 +96,7 @@ static bool next_part(const char **at, const char *separator, const char **part,
   return true;
 }
 
-/* Takes the quotes off a value that has them. */
+/* Removes the quotes around a value, if any. */
 static void unquote(const char **value, size_t *n)
 {
   if (*n < 2 || (*value)[0] != '"' || (*value)[*n - 1] != '"')

@@ -7,8 +7,8 @@
 #include <stdint.h>
 
 /* Decodes percent escapes of a path segment or query value into `out` (NUL-terminated). False: a
- * malformed escape, a control byte (also %00), invalid UTF-8, or too little room. plus: '+' means a
- * space (queries). */
+ * malformed escape, a control byte (including %00), invalid UTF-8, or `out` is too small. plus: '+'
+ * means a space (queries). */
 bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t capacity);
 
 /* Reads the next query parameter and advances *query. False at the end. Name and value are still
@@ -24,19 +24,19 @@ bool mo_decimal(const char *text, size_t n, int64_t min, int64_t max, int64_t *v
 /* Reads the id of a job or row: 1 to 18 digits, the first not 0. */
 bool mo_id(const char *text, int64_t *id);
 
-/* Reads Prefer (RFC 7240). Returns the seconds of wait=N, at most `max`; −1: absent, or not whole
- * seconds: what a server does not understand of Prefer it ignores. */
+/* Reads Prefer (RFC 7240). Returns the seconds of wait=N, at most `max`; −1: absent, or not a whole
+ * number of seconds, because a server ignores preferences that it does not understand. */
 int mo_prefer_wait(const char *field, int max);
 
 /* Chooses by Accept (RFC 9110, 12.5.1) among `types` ("application/json", in the server's order of
  * preference). Returns the index; −1: none is acceptable. NULL or empty field: 0. */
 int mo_accept_choose(const char *field, const char *const *types, size_t n);
 
-/* Says whether Accept-Encoding allows a coding ("gzip"). NULL or empty field: no. */
+/* Returns whether Accept-Encoding allows a coding ("gzip"). NULL or empty field: false. */
 bool mo_accept_coding(const char *field, const char *coding);
 
-/* Says whether the list of If-None-Match has this strong tag (with its quotes). Comparison is weak;
- * "*" matches. */
+/* Returns whether the list in If-None-Match includes this strong tag (with its quotes). Comparison
+ * is weak; "*" matches. */
 bool mo_etag_matches(const char *field, const char *etag);
 
 /* Reads a Content-Type field: the media type without parameters, and the charset parameter ("" if
@@ -47,7 +47,7 @@ bool mo_content_type(const char *field, char type[64], char charset[32]);
  * empty, too long, or not printable ASCII. */
 bool mo_idempotency_key(const char *field, char out[256]);
 
-/* Says whether a host is loopback by its number or name. */
+/* Returns whether a host is loopback, by number or name. */
 bool mo_host_is_loopback(const char *host);
 
 /* Splits "host", "host:port", "[v6]:port" into host (lower case, brackets removed; NUL-terminated)

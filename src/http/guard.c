@@ -24,7 +24,7 @@ static bool is_token(const char *text, size_t n)
   return n > 0;
 }
 
-/* libmicrohttpd appends the further lines of a folded field to its name. */
+/* libmicrohttpd appends the continuation lines of a folded field to its name. */
 static bool is_folded(const struct mo_header *header, const char *name)
 {
   size_t size = strlen(name);
@@ -36,7 +36,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
 {
   *framing = (struct mo_framing){0};
   const char *length = NULL, *coding = NULL, *expect = NULL;
-  /* Fields that must not come twice, even with equal values. */
+  /* Fields that must not be repeated, even with equal values. */
   const struct {
     const char *name;
     const char **value;
@@ -63,8 +63,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
   for (size_t i = 0; i < n; i++) {
     const struct mo_header *header = &headers[i];
     if (!is_token(header->name, header->name_size))
-      return refuse(refusal, 400, true, NULL,
-                    "a field name has characters that are not allowed in it");
+      return refuse(refusal, 400, true, NULL, "a field name has characters that are not allowed");
     if (is_folded(header, "Content-Length") || is_folded(header, "Transfer-Encoding"))
       return refuse(refusal, 400, true, NULL,
                     "a field that frames the body is folded, or has an unknown name");
@@ -90,7 +89,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
       return refuse(refusal, 400, true, "Transfer-Encoding", "HTTP/1.0 has no transfer codings");
     if (strcasecmp(coding, "chunked") != 0)
       return refuse(refusal, 501, true, "Transfer-Encoding",
-                    "the only transfer coding that is understood is chunked");
+                    "the only supported transfer coding is chunked");
     framing->chunked = true;
   }
   if (length != NULL) {
@@ -102,8 +101,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
   }
   if (expect != NULL) {
     if (strcasecmp(expect, "100-continue") != 0)
-      return refuse(refusal, 417, true, "Expect",
-                    "the only expectation that is understood is 100-continue");
+      return refuse(refusal, 417, true, "Expect", "the only supported expectation is 100-continue");
     framing->expects_continue = !http10;
   }
   if (framing->host == NULL && !http10)
@@ -140,8 +138,8 @@ bool mo_guard_target(const char *target, struct mo_target *parts, struct mo_refu
   return true;
 }
 
-/* Says whether host and port are one of the configured names. A name without a port matches every
- * port. */
+/* Returns whether host and port are one of the configured names. A name without a port matches
+ * every port. */
 static bool is_named(const char *host, unsigned port, const struct mo_names *names)
 {
   for (size_t i = 0; i < names->n; i++) {
@@ -237,7 +235,7 @@ int mo_token_check(const struct mo_token *token, struct mo_message *message)
                    size);
   if (!is_printable(token->text))
     return mo_fail(message, MO_ERR_INVALID,
-                   "the token has characters other than printable ASCII; make another one");
+                   "the token has characters other than printable ASCII; create a different one");
   return MO_OK;
 }
 
@@ -260,7 +258,7 @@ int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t
   if (!copied) {
     if (copy != NULL)
       free_items(copy, n);
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the tokens");
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the tokens");
   }
   pthread_rwlock_wrlock(&tokens->lock);
   struct mo_token *old = tokens->items;
@@ -273,7 +271,7 @@ int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t
   return MO_OK;
 }
 
-/* Compares for equality. Looks at every byte of `given`, so that the time reveals nothing. */
+/* Compares for equality. Examines every byte of `given`, so that the time reveals nothing. */
 static unsigned equals(const char *secret, const char *given, size_t given_size)
 {
   size_t secret_size = strlen(secret);
@@ -292,7 +290,7 @@ int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct 
     while (*given == ' ' || *given == '\t')
       given++;
   }
-  size_t size = strlen(given), found = 0; /* found: the place of the right one, from 1 on */
+  size_t size = strlen(given), found = 0; /* found: the place of the right one, starting at 1 */
   while (size > 0 && (given[size - 1] == ' ' || given[size - 1] == '\t'))
     size--;
   pthread_rwlock_rdlock(&tokens->lock);

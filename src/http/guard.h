@@ -26,12 +26,13 @@ struct mo_header {
 
 struct mo_refusal {
   unsigned status;
-  bool close;         /* the framing is in doubt: read nothing more from the connection */
+  bool close;         /* the framing is ambiguous: read nothing more from the connection */
   const char *header; /* the field at fault, or NULL */
   const char *detail;
 };
 
-/* What the header says about the body, and the fields that the routes use (NULL: absent). */
+/* The framing of the body according to the header, and the fields that routes use (NULL:
+ * absent). */
 struct mo_framing {
   bool has_length, chunked;
   uint64_t length;
@@ -58,8 +59,8 @@ struct mo_names {
   size_t n;
 };
 
-/* Accepts a Host that is a numeric address, a loopback name, or one of `names`. local: of numeric
- * addresses, only those of loopback. */
+/* Accepts a Host that is a numeric address, a loopback name, or one of `names`. local: accepts only
+ * loopback among numeric addresses. */
 bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names *names);
 /* Accepts an Origin that has the host and port of `host`, or is one of `names`. */
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names);
@@ -71,25 +72,26 @@ bool mo_guard_fetch_site(const char *site);
 
 struct mo_tokens {
   pthread_rwlock_t lock;
-  atomic_uint version; /* raised by each change; at least 1 once tokens were set */
+  atomic_uint version; /* incremented by each change; at least 1 once tokens are set */
   struct mo_token *items;
   size_t n;
 };
-/* Who sends a request, and what the sender may do. */
+/* The sender of a request, and its rights. */
 struct mo_caller {
-  char name[MO_TOKEN_NAME_MAX + 1]; /* of the token; "": none was needed, and none sent */
+  char name[MO_TOKEN_NAME_MAX + 1]; /* of the token; "": none was required or sent */
   enum mo_right right;
 };
 void mo_tokens_free(struct mo_tokens *tokens);
-/* Checks name and text of a token. MO_ERR_INVALID: the message says what is expected, and never
+/* Checks name and text of a token. MO_ERR_INVALID: the message says what is expected, but never
  * quotes the token. */
 int mo_token_check(const struct mo_token *token, struct mo_message *message);
 /* Replaces the tokens. MO_ERR_INVALID; MO_ERR_LIMIT: too many; MO_ERR_NO_MEMORY. The old tokens
  * stay on error. */
 int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t n,
                   struct mo_message *message);
-/* Checks "Bearer <token>": 1 right, and *caller is filled in; 0 wrong, −1 no tokens are set. The
- * time that this takes does not reveal which token, or how much of it, was right. */
+/* Checks "Bearer <token>". Returns 1 if it is right and fills in *caller, 0 if it is wrong, −1 if
+ * no tokens are set. The time that this takes does not reveal which token, or how much of it, was
+ * right. */
 int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct mo_caller *caller);
 
 #endif

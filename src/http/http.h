@@ -1,10 +1,10 @@
-/* http.h: an HTTP server that knows no job: it serves the routes of a table (route.h).
+/* http.h: an HTTP server that is independent of jobs: it serves the routes of a table (route.h).
  *
  * Threads: one acceptor per server takes connections from every listening socket and hands them to
  * libmicrohttpd's pool of I/O threads. I/O threads read requests and write replies, and never wait
  * for anything else. Requests that read the store or parse large bodies go to a pool of API
  * threads. One clock thread enforces deadlines, heartbeats and `Prefer: wait`. Health, readiness
- * and metrics read only atomics and wait for none of these threads.
+ * and metrics read only atomics and wait for no thread.
  *
  * This room does not log: the `log` callback receives each finished request. */
 #ifndef MORPHO_HTTP_HTTP_H
@@ -30,11 +30,11 @@ struct mo_http_log_entry {
   const char *user;   /* the name of the token that was sent; "": none */
   const char *method;
   const char *path;
-  const char *reason; /* why the service failed (status 500 and above), or what it could not read;
-                         NULL: nothing */
+  const char *reason; /* why the service failed (status 500 and above), or the data that it could
+                         not read; NULL: neither */
   unsigned status;    /* 0: the connection ended before a reply was made */
   uint64_t body_in;   /* bytes of the request's body */
-  uint64_t body_out;  /* bytes of the reply's body; for a stream, those written */
+  uint64_t body_out;  /* bytes of the reply's body; for a stream, the bytes written */
   double duration_s;  /* from the end of the header to the end of the reply */
 };
 
@@ -43,38 +43,38 @@ struct mo_http_log_entry {
  * The kind of a listening socket is read from the socket itself: TCP on a loopback address, TCP
  * elsewhere, or unix. */
 struct mo_http_config {
-  const int *listeners; /* listening sockets; mo_http_start takes them over: the server closes them,
+  const int *listeners; /* listening sockets; mo_http_start takes ownership: the server closes them,
                            even if the start fails */
   size_t n_listeners;
   const char *const
-      *allowed_hosts; /* further names (with or without port) for Host and Origin; loopback names
+      *allowed_hosts; /* additional names (with or without port) for Host and Origin; loopback names
                          and the listeners' addresses are always allowed. "*": any Host */
   size_t n_allowed_hosts;
   const struct mo_token *tokens; /* at most MO_TOKENS_MAX; see mo_http_set_tokens */
   size_t n_tokens;
-  bool token_on_loopback; /* require a token on loopback, too */
-  bool token_if_any; /* require one there as soon as there is one; with it, any Host is right */
+  bool token_on_loopback; /* also require a token on loopback */
+  bool token_if_any; /* require a token on loopback if any is set; with a token, accept any Host */
   const char *certificate;  /* NULL: plain HTTP. Else TLS 1.3: the chain, as text in PEM */
-  const char *key;          /* its private key, as text in PEM; both are read at the start only */
+  const char *key;          /* its private key, as text in PEM; both are read only at the start */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
                                service's own user */
   size_t n_unix_groups;
   uint32_t n_io_threads;    /* libmicrohttpd's pool; 0: one per processor, at most 4 */
-  uint32_t max_connections; /* beyond, idle connections are cut, or new ones get 503 with
-                               Retry-After. Lower if the limit of open files requires it: see
+  uint32_t max_connections; /* above it, idle connections are cut, or new ones get 503 with
+                               Retry-After. Lower if the limit on open files requires it: see
                                mo_http_get_stats */
   uint32_t other_files;     /* descriptors that other servers of this process may need */
   uint32_t max_streams;     /* event streams */
   uint32_t max_in_flight;   /* requests of one client at a time, without those that wait for a job;
-                               beyond: 429 */
-  uint32_t max_queued;      /* requests that wait for an API thread; beyond: 503; 0: 256 */
-  uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; beyond:
+                               above: 429 */
+  uint32_t max_queued;      /* requests that wait for an API thread; above: 503; 0: 256 */
+  uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; above:
                                  429 */
   uint64_t max_body_bytes;    /* JSON body that submits work */
   uint64_t max_file_bytes;    /* a file in a body */
-  uint64_t max_bundle_bytes;  /* many of them as one */
+  uint64_t max_bundle_bytes;  /* several files in one body */
   uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read.
-                               Those of one client take at most half; beyond: 429 */
+                               One client may use at most half; above: 429 */
   uint32_t header_timeout_ms; /* from the start of a request to the end of its header */
   uint32_t body_timeout_ms;   /* from the end of the header to the end of the body */
   uint32_t idle_timeout_ms;   /* between requests of one connection */
@@ -84,11 +84,11 @@ struct mo_http_config {
   void *log_context;
 };
 
-/* What is served. All of it must outlive the server. */
+/* The service behind a server. All of it must outlive the server. */
 struct mo_http_service {
   struct mo_routes routes; /* at most MO_ROUTES_MAX */
   void *context;           /* for the handlers */
-  /* Each nullable. start: before the first connection is accepted; an error ends the start. tick:
+  /* Each nullable. start: before the first connection is accepted; an error aborts the start. tick:
    * every tick_ms, on the clock thread. stop: after the last reply. */
   int (*start)(void *context, struct mo_http *http);
   void (*tick)(void *context);
@@ -98,11 +98,11 @@ struct mo_http_service {
 
 struct mo_http_stats {
   uint32_t connections, in_flight;
-  uint32_t max_connections; /* after the limit of open files was applied */
+  uint32_t max_connections; /* as reduced by the limit on open files */
   uint64_t requests;
-  int64_t heartbeat_us; /* monotonic: the older of the acceptor's and the clock's last signs of
-                           life. API threads do not count: they may wait for the store's writer,
-                           which has its own */
+  int64_t heartbeat_us; /* monotonic: the older of the last heartbeats of the acceptor and the
+                           clock. API threads do not count, because they may wait for the store's
+                           writer, which has a heartbeat of its own */
 };
 
 /* Opens a listening socket: "127.0.0.1:8765", "[::1]:0", "name:8765" (first address of the name),
@@ -117,7 +117,7 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
 
 /* Starts the server. A process may have several. GET /readyz is 503 until mo_http_set_ready.
  * MO_ERR_INVALID: a listener beyond loopback without tokens, a malformed token, a certificate and a
- * key that do not fit, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. */
+ * key that do not match, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. */
 int mo_http_start(const struct mo_http_config *config, const struct mo_http_service *service,
                   struct mo_http **http, struct mo_message *message);
 
@@ -126,24 +126,24 @@ int mo_http_check_certificate(const char *certificate, const char *key, struct m
 /* Closes the listening sockets, for a caller that fails before mo_http_start. */
 void mo_http_refuse_listeners(const struct mo_http_config *config);
 
-/* Sets readiness. False (draining): /readyz gives 503 and new work is refused with 503; requests in
- * flight are still answered. */
+/* Sets readiness. False (draining): /readyz returns 503 and new work is refused with 503; requests
+ * in flight are still answered. */
 void mo_http_set_ready(struct mo_http *http, bool ready);
 bool mo_http_is_ready(const struct mo_http *http);
 
-void *mo_http_context(const struct mo_request *request); /* of the service that it is for */
+void *mo_http_context(const struct mo_request *request); /* of the request's service */
 
-/* Replaces the tokens. Of requests in flight, only event streams of a token that is gone end. If
- * MO_ERR_INVALID (missing though needed, or malformed) or MO_ERR_NO_MEMORY, the old tokens stay. */
+/* Replaces the tokens. Of the open requests, only event streams with a removed token are closed.
+ * MO_ERR_INVALID (missing but required, or malformed), MO_ERR_NO_MEMORY: the old tokens stay. */
 int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message);
 
-/* Stops the server in order: takes no new connections, ends event streams, answers waiting
+/* Stops the server gracefully: accepts no new connections, closes event streams, answers waiting
  * requests, waits up to `grace_ms` for replies in flight, then closes and frees everything.
- * NULL-safe. What is served must still exist. */
+ * NULL-safe. The service must still exist. */
 void mo_http_stop(struct mo_http *http, uint32_t grace_ms);
 
-/* Makes the next tick of the service come at once. Takes no lock. */
+/* Runs the next tick of the service at once. Takes no lock. */
 void mo_http_tick_soon(struct mo_http *http);
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats);
 

@@ -1,9 +1,9 @@
 /* last_reply.c: replies that bypass libmicrohttpd and end their connection.
  *
- * The library cannot reply in the middle of a body. It answers requests that it cannot parse by
- * itself: in HTML, after some errors with two headers, and not at all when the connection's memory
- * is used up. So these replies are written directly to the socket. The socket is then shut down for
- * writing, which discards what the library still wants to send.
+ * The library cannot reply in the middle of a body. It answers requests that it cannot parse on its
+ * own: in HTML, after some errors with two headers, and not at all when the connection's memory is
+ * used up. So these replies are written directly to the socket. The socket is then shut down for
+ * writing, which discards anything that the library still wants to send.
  *
  * The library sends its own pages with MHD_queue_response. The definition in this file replaces
  * that function in the whole program, the library included. Our own replies reach the library's
@@ -51,13 +51,13 @@ static void refuse_unparsed(struct mo_connection *connection, struct MHD_Connect
     unsigned status;
     const char *detail;
   } refusals[] = {
-      {400, "Not HTTP as it is read here: a malformed request line, header field, length or chunk, "
+      {400, "This is not valid HTTP: a malformed request line, header field, length or chunk, "
             "or no Host."},
-      {413, "The length of the body, or of a chunk of it, is beyond all bounds."},
+      {413, "The length of the body, or of one of its chunks, is too large."},
       {414, "The request line is too long; " MO_HEADER_WORDS},
       {431, "The header is too large; " MO_HEADER_WORDS},
       {505, "This service speaks HTTP/1.0 and HTTP/1.1."},
-      /* The library has 500 for a line of a chunk that its memory cannot hold. */
+      /* The library uses 500 for a line of a chunk that its memory cannot hold. */
       {0, "The request cannot be read."}};
   struct mo_request *request = connection->request;
   if (request == NULL && (request = mo_request_begin(connection, mhd, "")) == NULL)

@@ -1,4 +1,4 @@
-/* lifecycle.c: the begin and the end of a request. */
+/* lifecycle.c: the beginning and the end of a request. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>

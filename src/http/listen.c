@@ -93,11 +93,11 @@ int mo_http_parse_address(const char *text, struct mo_listen_address *address,
     length -= 2;
   } else if (memchr(host, ':', length) != NULL) {
     return mo_fail(message, MO_ERR_INVALID,
-                   "\"%.100s\": an IPv6 address stands in brackets: [::1]:8765", text);
+                   "\"%.100s\": an IPv6 address must be in brackets: [::1]:8765", text);
   }
   if (length == 0 || length >= sizeof(result.host))
-    return mo_fail(message, MO_ERR_INVALID,
-                   "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" has no host; use 0.0.0.0 for all addresses",
+                   text);
   memcpy(result.host, host, length);
   result.port = (uint16_t)port;
   result.is_loopback = mo_host_is_loopback(result.host);
@@ -125,7 +125,7 @@ static int listen_unix(const char *path, struct mo_message *message)
   }
   int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (fd < 0)
-    return mo_fail(message, MO_ERR_IO, "cannot make a socket: %s", strerror(errno));
+    return mo_fail(message, MO_ERR_IO, "cannot create a socket: %s", strerror(errno));
   if (bind(fd, (struct sockaddr *)&name, sizeof(name)) != 0 || chmod(path, 0666) != 0 ||
       listen(fd, BACKLOG) != 0) {
     int code = mo_fail(message, MO_ERR_IO, "cannot serve %s: %s", path, strerror(errno));
@@ -148,12 +148,12 @@ static int listen_tcp(const char *text, const struct mo_listen_address *where,
     hints.ai_flags = AI_PASSIVE | AI_NUMERICHOST;
   int status = getaddrinfo(where->host, port, &hints, &found);
   if (status != 0)
-    return mo_fail(message, MO_ERR_NOT_FOUND, "the name %s is not known: %s", where->host,
+    return mo_fail(message, MO_ERR_NOT_FOUND, "cannot resolve the name %s: %s", where->host,
                    gai_strerror(status));
   int one = 1, code = MO_OK;
   int fd = socket(found->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (fd < 0) {
-    code = mo_fail(message, MO_ERR_IO, "cannot make a socket: %s", strerror(errno));
+    code = mo_fail(message, MO_ERR_IO, "cannot create a socket: %s", strerror(errno));
   } else {
     setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &one, sizeof(one));
     if (found->ai_family == AF_INET6)

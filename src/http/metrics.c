@@ -16,7 +16,7 @@ static const unsigned statuses[MO_METRIC_STATUSES] = {200, 201, 202, 204, 304, 4
 static const double bounds_s[MO_METRIC_BUCKETS] = {
     0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60};
 
-/* Returns the place of a route in the counters: that of the first line of its path. */
+/* Returns the index of a route in the counters: that of the first line of its path. */
 static size_t place_of(const struct mo_routes *routes, const struct mo_route *route)
 {
   if (route == NULL)
@@ -105,7 +105,7 @@ static void write_requests(struct mo_http *http, struct mo_text *text)
     }
   mo_metric_head(
       text, "morphod_http_request_duration_seconds", "histogram",
-      "Time from the end of a request's header to the end of its reply, event streams excepted.");
+      "Time from the end of a request's header to the end of its reply, except event streams.");
   uint64_t sum_us = atomic_load_explicit(&metrics->latency_us, memory_order_relaxed), n = 0;
   for (size_t b = 0; b < MO_METRIC_BUCKETS; b++) {
     n += atomic_load_explicit(&metrics->latency[b], memory_order_relaxed);
@@ -126,9 +126,10 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   write_requests(http, text);
   GAUGE("morphod_http_connections", atomic_load(&http->n_connections), "Open connections.");
   GAUGE("morphod_http_connections_max", http->config.max_connections,
-        "Connections that may be open: max_connections, or what the limit of open files leaves.");
+        "Limit of open connections: max_connections, or fewer if the limit on open files requires "
+        "it.");
   GAUGE("morphod_http_requests_in_flight", atomic_load(&http->n_in_flight),
-        "Requests in flight, event streams included.");
+        "Requests in flight, including event streams.");
   GAUGE("morphod_http_requests_queued", atomic_load(&http->pool.n_queued),
         "Requests waiting for an API thread.");
   COUNTER("morphod_http_connections_accepted_total", atomic_load(&m->accepted),
@@ -138,9 +139,9 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   COUNTER("morphod_http_connections_timed_out_total", atomic_load(&m->timed_out),
           "Connections cut off at a deadline.");
   COUNTER("morphod_http_connections_gave_way_total", atomic_load(&m->gave_way),
-          "Connections without a whole request that were closed for new ones.");
+          "Connections without a complete request that were closed to make room for new ones.");
   COUNTER("morphod_http_bodies_gave_way_total", atomic_load(&m->bodies_gave_way),
-          "Half-sent request bodies that were dropped because others needed their memory.");
+          "Incomplete request bodies that were dropped because others needed their memory.");
   COUNTER("morphod_http_unauthorized_total", atomic_load(&m->unauthorized),
           "Requests without a valid token.");
   COUNTER("morphod_http_request_body_bytes_total", atomic_load(&m->body_in),
@@ -150,5 +151,5 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   GAUGE("morphod_event_streams", atomic_load(&http->streams.n), "Open event streams.");
   COUNTER("morphod_events_sent_total", atomic_load(&m->events_sent), "Events written to streams.");
   COUNTER("morphod_event_streams_dropped_total", atomic_load(&m->streams_dropped),
-          "Event streams ended because their reader did not read.");
+          "Event streams closed because their client did not read.");
 }

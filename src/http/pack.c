@@ -1,9 +1,9 @@
 /* pack.c: see reply.h.
  *
  * Level 1 takes an API thread 6 to 9 ms per megabyte, and saves two thirds of a phylogeny and four
- * fifths of JSON. Only API threads compress. Small replies, which are polled, stay plain. A whole
- * reply is compressed into a buffer of three quarters of its size; if it does not fit, the plain
- * one is sent. */
+ * fifths of JSON. Only API threads compress. Small replies, which are polled, stay plain. A
+ * complete reply is compressed into a buffer of three quarters of its size; if it does not fit, the
+ * plain reply is sent. */
 #include "http/reply.h"
 
 #include <stdlib.h>

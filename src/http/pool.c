@@ -10,10 +10,10 @@
 #include "http/query.h"
 #include "http/server.h"
 
-#define HEAVY_NICE 5 /* as the workers' default */
+#define HEAVY_NICE 5 /* the default of the workers */
 
 /* Chooses the queue of a request. Lists take a core for milliseconds each, and clients that read
- * one often read more. */
+ * one list often read more. */
 static enum mo_queue_kind kind_of(const struct mo_request *request)
 {
   const unsigned flags = request->route->flags;
@@ -43,7 +43,7 @@ static void unlink_waiting(struct mo_request *request)
   request->wait_for = 0;
 }
 
-/* Parks a request whose handler waits. False: the wait is over already. */
+/* Parks a request while its handler waits. False: the wait is over already. */
 static bool park(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;
@@ -79,7 +79,7 @@ static bool handle(struct mo_request *request)
   return true;
 }
 
-/* Requests that compute for seconds give way to all others, as the workers do. */
+/* Requests that compute for seconds yield to all others, like the workers. */
 static void lower_priority(void)
 {
   const struct sched_param none = {0};
@@ -129,7 +129,8 @@ static void *worker(void *context)
   return NULL;
 }
 
-/* Starts the threads of a queue, of which one client's requests use at most so many. */
+/* Starts the threads of a queue. most_of_client: how many requests of one client they run at once,
+ * at most. */
 static int start_queue(struct mo_http *http, enum mo_queue_kind kind, uint32_t n_threads,
                        uint32_t most_of_client)
 {
@@ -196,9 +197,9 @@ void mo_wait_end(struct mo_request *request)
   unlink_waiting(request);
 }
 
-/* Ends the wait of a request. A parked one is queued again; one about to park will see wait_fired.
- * Call with the pool's lock. */
-static void let_go(struct mo_pool *pool, struct mo_request *request)
+/* Ends the wait of a request. A parked request is queued again; a request about to park will see
+ * wait_fired. Call it with the pool's lock held. */
+static void end_wait(struct mo_pool *pool, struct mo_request *request)
 {
   request->wait_fired = true;
   if (!request->wait_parked)
@@ -221,7 +222,7 @@ void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us)
       next = LIST_NEXT(request, others_waiting);
       if (request->wait_for == what || request->wait_deadline_us <= now_us ||
           (what < 0 && request->wait_parked && mo_connection_has_left(request->connection)))
-        let_go(pool, request);
+        end_wait(pool, request);
     }
 }
 

@@ -26,7 +26,7 @@ static const char *find_name(const char *list, const char *name)
   return NULL;
 }
 
-/* Reads one parameter; text: room for the name and the value. Returns the room that it took. */
+/* Reads one parameter; text: space for the name and the value. Returns the space used. */
 static size_t read_item(struct mo_request *request, const struct mo_query_item *item, char *text,
                         struct mo_faults *faults)
 {
@@ -56,7 +56,7 @@ static bool read_query(struct mo_request *request)
   if (*at == '\0')
     return true;
   struct mo_faults faults = {0};
-  request->query.text = malloc(2 * strlen(at) + 2); /* a NUL behind each name and value */
+  request->query.text = malloc(2 * strlen(at) + 2); /* a NUL after each name and value */
   if (request->query.text == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
     return false;
@@ -149,14 +149,15 @@ bool mo_query_word(struct mo_request *request, const char *name, const char *con
 bool mo_accept(struct mo_request *request, const char *const *types, int *form)
 {
   char list[MO_WORDS_BYTES];
-  /* Generated clients ask for the type of problems alone where it is the only JSON of a path. */
+  /* Generated clients accept only the type of problems if it is the only JSON of a path. */
   static const char *const of_problems[] = {"application/problem+json"};
   *form = mo_accept_choose(request->framing.accept, types, mo_words_count(types));
   if (*form < 0)
     *form = mo_accept_choose(request->framing.accept, of_problems, 1);
   if (*form >= 0)
     return true;
-  mo_reply_problem(request, 406, NULL, "This path gives %s, which the Accept field does not allow.",
+  mo_reply_problem(request, 406, NULL,
+                   "This path returns %s, which the Accept field does not allow.",
                    mo_words_join(types, "", list));
   return false;
 }
@@ -174,7 +175,8 @@ bool mo_check_content(struct mo_request *request, const char *expected, const ch
   const char *field = request->framing.content_type;
   const char *coding = request->framing.content_encoding;
   if (coding != NULL && strcasecmp(coding, "identity") != 0) {
-    mo_reply_problem(request, 415, NULL, "The body has a content coding; none is understood.");
+    mo_reply_problem(request, 415, NULL,
+                     "The body has a content coding, which this service does not support.");
     mo_reply_extra(request, "Accept-Encoding", "identity");
   } else if (field == NULL || !mo_content_type(field, type, charset) ||
              (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))

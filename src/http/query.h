@@ -1,5 +1,5 @@
-/* query.h: reads what a request says besides its body: query parameters, Accept, Content-Type, ids
- * in its path. Where a function returns false, the reply (4xx) is made. */
+/* query.h: reads the parts of a request other than its body: query parameters, Accept,
+ * Content-Type, ids in its path. If a function returns false, it has made the reply (4xx). */
 #ifndef MORPHO_HTTP_QUERY_H
 #define MORPHO_HTTP_QUERY_H
 
@@ -8,24 +8,25 @@
 #define MO_QUERY_VALUE_BYTES 808 /* longest value, with its NUL: 200 characters of UTF-8 fit */
 #define MO_LIST_MAX          1000
 
-/* Checks the route's own rules: each query parameter must be known and come once; Accept must allow
- * JSON (MO_ROUTE_JSON). Reads the parameters into request->query. */
+/* Checks the route's own rules: each query parameter must be known and given once; Accept must
+ * allow JSON (MO_ROUTE_JSON). Reads the parameters into request->query. */
 bool mo_query_begin(struct mo_request *request);
 void mo_query_end(struct mo_request *request);
 /* Returns the value of a parameter; NULL: absent. */
 const char *mo_query(const struct mo_request *request, const char *name);
 /* Reads `limit`: 1 to MO_LIST_MAX, 100 if absent. */
 bool mo_query_limit(struct mo_request *request, size_t *limit);
-/* Reads an integer within bounds; *number stays if it is absent. */
+/* Reads an integer within bounds; *number does not change if it is absent. */
 bool mo_query_number(struct mo_request *request, const char *name, int64_t min, int64_t max,
                      int64_t *number);
-/* Reads the id of a row likewise. words: what is said of another value. */
+/* Reads the id of a row in the same way. words: the detail for invalid values. */
 bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id);
 #define MO_CURSOR_WORDS "the next_cursor of an earlier page is expected"
 #define MO_CURSOR_MAX   INT64_C(9999999999)
 /* Reads a `cursor` that is the number of a row, 0 to MO_CURSOR_MAX; −1 if it is absent. */
 bool mo_query_cursor(struct mo_request *request, int64_t *number);
-/* Reads one of a list of words (base/words.h); *i, its index, stays if the parameter is absent. */
+/* Reads one of a list of words (base/words.h); *i, its index, does not change if the parameter is
+ * absent. */
 bool mo_query_word(struct mo_request *request, const char *name, const char *const *words, int *i);
 /* Chooses a representation: by the parameter `format` (one of `names`) or else by Accept (`types`,
  * in the server's order of preference). Both lists end with NULL. */
@@ -35,8 +36,8 @@ bool mo_query_form(struct mo_request *request, const char *const *names, const c
 bool mo_accept(struct mo_request *request, const char *const *types, int *form);
 /* Checks that Content-Type is `expected` or `also` (nullable), without a content coding. */
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also);
-/* Reads the id of a job from a path parameter; none can have an id that is not a positive integer
- * (404). */
+/* Reads the id of a job from a path parameter; the reply to anything but a positive integer is
+ * 404. */
 bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id);
 /* Reads Prefer: wait=N into request->wait_s, unless the wait is over. */
 void mo_read_wait(struct mo_request *request);

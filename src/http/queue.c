@@ -1,5 +1,5 @@
-/* queue.c: see queue.h. Each client has a list: its oldest request stands in the queue, and the
- * others are behind that one. A list moves to the end of the queue when its first is taken. */
+/* queue.c: see queue.h. Each client has a list: its oldest request is in the queue, and the others
+ * are linked to that one. A list moves to the end of the queue when its first request is taken. */
 #include "http/queue.h"
 
 #include <string.h>
@@ -10,7 +10,8 @@ void mo_queue_init(struct mo_queue *queue, uint32_t most_of_client)
   queue->most_of_client = most_of_client;
 }
 
-/* Says whether a request is new: not the next piece of a reply, and not a wait that is over. */
+/* Returns whether a request is new, rather than the next piece of a reply or a wait that is
+ * over. */
 static bool is_new(const struct mo_request *request)
 {
   return request->stage == MO_STAGE_HANDLING && !request->wait_over;

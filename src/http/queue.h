@@ -1,6 +1,6 @@
 /* queue.h: requests that wait for an API thread. Clients take turns: the next request is the oldest
- * one of the client that has waited longest for its turn. So a client waits for one request of each
- * other client, however many they have sent. The pool's lock guards a queue. */
+ * one of the client that has waited longest for its turn. So a client waits for at most one request
+ * of each other client, however many they have sent. The pool's lock guards a queue. */
 #ifndef MORPHO_HTTP_QUEUE_H
 #define MORPHO_HTTP_QUEUE_H
 
@@ -10,17 +10,17 @@
 
 struct mo_queue {
   TAILQ_HEAD(, mo_request) clients; /* the oldest request of each client, in the order of turns */
-  uint32_t n_new; /* without requests taken earlier: ended waits, and further pieces of
-                     replies */
-  uint32_t n_running, most_of_client;              /* being handled; of one client at most */
+  uint32_t n_new; /* without requests that ran before: ended waits, and later pieces of replies */
+  uint32_t n_running, most_of_client;              /* requests being handled; the limit for one
+                                                      client */
   unsigned char running[MO_QUEUE_THREADS_MAX][16]; /* client keys */
 };
 
 void mo_queue_init(struct mo_queue *queue, uint32_t most_of_client);
 void mo_queue_push(struct mo_queue *queue, struct mo_request *request);
-/* Takes the next request that may run, and sets its `is_crowded`. NULL: there is none. */
+/* Takes the next request that may run, and sets its `is_crowded`. NULL: none. */
 struct mo_request *mo_queue_take(struct mo_queue *queue);
-/* Notes that a request of this client was handled; it may be gone. */
+/* Records that a request of this client was handled; the request may have been freed. */
 void mo_queue_done(struct mo_queue *queue, const unsigned char client_key[16]);
 
 #endif

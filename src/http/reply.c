@@ -1,4 +1,4 @@
-/* reply.c: makes replies and problems, and hands them to libmicrohttpd. */
+/* reply.c: creates replies and problems, and passes them to libmicrohttpd. */
 #include <dlfcn.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -10,9 +10,8 @@
 #include "http/field.h"
 #include "http/server.h"
 
-#define ETAG_GZIP "-gzip" /* ends the tag of a compressed reply */
-#define SMALL_BYTES                                                                                \
-  ((uint64_t)64 << 10) /* of a reply without a limit on memory: refusals must get through */
+#define ETAG_GZIP   "-gzip"              /* ends the tag of a compressed reply */
+#define SMALL_BYTES ((uint64_t)64 << 10) /* smaller replies ignore the memory limit */
 
 void mo_reply_clear(struct mo_reply *reply)
 {
@@ -51,7 +50,7 @@ void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *
 {
   if (text->failed) {
     mo_text_free(text);
-    mo_reply_problem(request, 503, NULL, "There is no memory for the reply; try again later.");
+    mo_reply_problem(request, 503, NULL, "Out of memory for the reply; try again later.");
     request->reply.retry_after_s = 5;
     return;
   }
@@ -123,18 +122,18 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
 {
   static const struct {
     int code;
-    unsigned status, retry_after_s; /* 0: that of the status */
+    unsigned status, retry_after_s; /* 0: the default of the status */
     const char *words;
   } errors[] = {
       {MO_ERR_NOT_FOUND, 404, 0, "There is no such %s."},
       {MO_ERR_CONFLICT, 409, 0, "The state of the %s does not allow this."},
       {MO_ERR_NO_SPACE, 507, 0,
-       "The disk of the service is full. Nothing was stored; try again when there is room."},
+       "The disk of the service is full. Nothing was stored; try again when there is space."},
       {MO_ERR_BUSY, 503, 5, "The service is too busy; try again later."},
       {MO_ERR_NO_MEMORY, 503, 5, "The service is too busy; try again later."},
       {MO_ERR_CANCELLED, 503, 10, "The service is stopping; try again when it is back."},
       {MO_ERR_IO, 503, 30,
-       "The service cannot read or write its store; its operator has been told."},
+       "The service cannot read or write its store; its operator has been notified."},
       {0, 500, 0, "The service failed to handle the %s: %s. Its log has the request's id."}};
   size_t i = 0;
   while (errors[i].code != code && errors[i].code != 0)
@@ -153,7 +152,7 @@ static void set_etag(struct mo_request *request, const char *format, va_list arg
   snprintf(packed, sizeof(packed), "\"%s" ETAG_GZIP "\"", tag);
   if (reply->status != 200 || (request->method != MO_GET && request->method != MO_HEAD))
     return;
-  /* The client may have either form. */
+  /* The client may have the plain or the compressed form. */
   if (mo_etag_matches(request->framing.if_none_match, reply->etag)) {
     reply->status = 304;
   } else if (mo_etag_matches(request->framing.if_none_match, packed)) {
@@ -360,8 +359,8 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
   reply->release = NULL;
   /* The library sends no body for these, only its length. */
   request->sent = request->method == MO_HEAD || reply->status == 304 || empty ? 0 : reply->size;
-  /* Slow readers are cut off after a minute, plus a second for every 64 KiB. Those of streams and
-   * downloads are timed piece by piece. */
+  /* Slow readers are cut off after a minute, plus a second for every 64 KiB. Streams and downloads
+   * are timed piece by piece. */
   atomic_store(&request->connection->deadline_us,
                request->stream != NULL
                    ? MO_NEVER

@@ -1,5 +1,5 @@
 /* route.h: finds the route of a request. The table itself belongs to the service that uses this
- * room; metrics, Allow and the contract's tests use it, too. */
+ * room; metrics, Allow and the contract's tests use it as well. */
 #ifndef MORPHO_HTTP_ROUTE_H
 #define MORPHO_HTTP_ROUTE_H
 
@@ -18,24 +18,24 @@ enum mo_method {
 };
 
 enum mo_route_flag {
-  MO_ROUTE_OPEN = 1,    /* needs no token */
-  MO_ROUTE_DIRECT = 2,  /* answered without an API thread */
-  MO_ROUTE_HEALTH = 4,  /* answered on the connections that are reserved for health requests, too */
-  MO_ROUTE_LIST = 8,    /* gives many items; it, HEAVY and ROLLOUT have threads of their own */
-  MO_ROUTE_RATED = 16,  /* takes work or data, which client_rate_per_s limits */
-  MO_ROUTE_VARY = 32,   /* the form of the reply depends on Accept */
-  MO_ROUTE_JSON = 64,   /* the reply is JSON; another Accept gets 406 */
-  MO_ROUTE_HEAVY = 128, /* the handler may compute for seconds */
-  MO_ROUTE_ROLLOUT = 256 /* somebody watches, and the handler waits for workers */
+  MO_ROUTE_OPEN = 1,     /* needs no token */
+  MO_ROUTE_DIRECT = 2,   /* answered without an API thread */
+  MO_ROUTE_HEALTH = 4,   /* also answered on the connections reserved for health requests */
+  MO_ROUTE_LIST = 8,     /* returns many items; LIST, HEAVY and ROLLOUT have threads of their own */
+  MO_ROUTE_RATED = 16,   /* accepts work or data; limited by client_rate_per_s */
+  MO_ROUTE_VARY = 32,    /* the form of the reply depends on Accept */
+  MO_ROUTE_JSON = 64,    /* the reply is JSON; another Accept gets 406 */
+  MO_ROUTE_HEAVY = 128,  /* the handler may compute for seconds */
+  MO_ROUTE_ROLLOUT = 256 /* interactive: the handler waits for workers */
 };
 
-/* What a token lets its holder do; each right includes those before it. Workers have a server of
- * their own, and no right on that of clients. */
+/* The right of a token's holder; each right includes those before it. Workers have a server of
+ * their own, and no right on the server for clients. */
 enum mo_right {
-  MO_RIGHT_WORKER, /* take leases and give their results */
-  MO_RIGHT_READ,   /* look, and compute what is stored nowhere */
+  MO_RIGHT_WORKER, /* take leases and return their results */
+  MO_RIGHT_READ,   /* read, and compute without storing anything */
   MO_RIGHT_SUBMIT, /* submit jobs and control them */
-  MO_RIGHT_ADMIN   /* remove or replace what others may use */
+  MO_RIGHT_ADMIN   /* remove or replace data that others may use */
 };
 extern const char *const mo_right_words[]; /* "worker", "read", "submit", "admin", NULL */
 
@@ -48,25 +48,25 @@ struct mo_token {
   const char *text; /* 16 to 512 printable ASCII characters without blanks */
 };
 
-/* How many bytes the body may have. */
+/* The size limit of the body. */
 enum mo_body_limit {
   MO_BODY_SMALL, /* 64 KiB */
   MO_BODY_LARGE, /* max_body_bytes of the configuration; a length is required */
   MO_BODY_FILE,  /* max_file_bytes of the configuration; a length is required */
-  MO_BODY_BUNDLE /* max_bundle_bytes, likewise */
+  MO_BODY_BUNDLE /* max_bundle_bytes of the configuration; a length is required */
 };
 
 struct mo_request;
 
-/* One method of one path. Lines with the same path follow each other. */
+/* One method of one path. Lines with the same path are adjacent. */
 struct mo_route {
   const char *path; /* "/v1/jobs/{id}" */
   enum mo_method method;
   void (*handler)(struct mo_request *request);
-  enum mo_right right; /* that the caller must have, unless the route is open */
-  unsigned flags;      /* of enum mo_route_flag */
+  enum mo_right right; /* required of the caller, unless the route is open */
+  unsigned flags;      /* from enum mo_route_flag */
   enum mo_body_limit body;
-  const char *query; /* the query parameters that are known, separated by spaces; "": none */
+  const char *query; /* the known query parameters, separated by spaces; "": none */
 };
 
 struct mo_routes {
@@ -80,11 +80,11 @@ struct mo_routes {
 enum mo_method mo_method_of(const char *name);
 
 /* Finds the first line of a path as received; percent escapes are decoded per segment. parameters:
- * the values of {…} in order, NUL-terminated. NULL: there is no such path. */
+ * the values of {…} in order, NUL-terminated. NULL: no such path. */
 const struct mo_route *mo_route_find(const struct mo_routes *routes, const char *path, size_t size,
                                      char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES]);
-/* Finds the line of a method, from the first line of the path on; HEAD is served as GET. NULL: the
- * path has no such method. */
+/* Finds the line of a method, starting from the first line of the path; HEAD is served as GET.
+ * NULL: the path has no such method. */
 const struct mo_route *mo_route_of_method(const struct mo_routes *routes,
                                           const struct mo_route *path, enum mo_method method);
 /* Writes the methods of a path, whose first line this is: "GET, HEAD, OPTIONS". */

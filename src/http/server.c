@@ -12,13 +12,14 @@
 #include "base/clock.h"
 #include "base/processors.h"
 
-#define MANY_CONNECTIONS 64 /* from so many on, freed memory is returned to the system */
+#define MANY_CONNECTIONS 64 /* from this many on, freed memory is returned to the system */
 #define ROUND_MS         100
 #define TICK_MS          1000
 
 /* ---- the clock ---- */
 
-/* Returns memory to the system when most of many connections have ended; malloc would keep it. */
+/* Returns memory to the system when most of many connections have been closed; malloc would keep
+ * it. */
 static void trim_memory(uint32_t n_connections, uint32_t *peak)
 {
   if (n_connections > *peak)
@@ -29,7 +30,7 @@ static void trim_memory(uint32_t n_connections, uint32_t *peak)
   *peak = n_connections;
 }
 
-/* Says whether `period_ms` have passed since the last time. */
+/* Returns whether `period_ms` have passed since the last time. */
 static bool is_due(int64_t *last_us, int period_ms, int64_t now_us)
 {
   const bool due = now_us - *last_us >= (int64_t)period_ms * 1000;
@@ -82,14 +83,14 @@ void mo_http_refuse_listeners(const struct mo_http_config *config)
     close(config->listeners[i]);
 }
 
-/* Takes over the listening sockets, and finds out whether one is beyond loopback. */
+/* Takes ownership of the listening sockets, and finds out whether one is beyond loopback. */
 static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
                            struct mo_message *message)
 {
   http->listeners = calloc(config->n_listeners + 1, sizeof(*http->listeners));
   if (http->listeners == NULL) {
     mo_http_refuse_listeners(config);
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the server");
   }
   int code = MO_OK;
   for (size_t i = 0; i < config->n_listeners; i++) {
@@ -107,7 +108,7 @@ static int adopt_listeners(struct mo_http *http, const struct mo_http_config *co
     http->n_listeners = i + 1;
   }
   if (code == MO_OK && config->n_listeners == 0)
-    code = mo_fail(message, MO_ERR_INVALID, "there is no address to serve");
+    code = mo_fail(message, MO_ERR_INVALID, "no address to listen on is configured");
   return code;
 }
 
@@ -143,7 +144,7 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     http->config.max_queued = MO_QUEUED_MAX;
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
     http->id_key = (uint64_t)mo_clock_us() << 20;
-  http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up after a random prefix */
+  http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids are a random prefix and a counter */
   int code = adopt_listeners(http, config, message);
   if (code == MO_OK)
     code = mo_connections_init(http, message);
@@ -153,8 +154,9 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
     code = mo_http_check_certificate(config->certificate, config->key, message);
   if (code == MO_OK && config->n_tokens == 0 &&
       (http->beyond_loopback || config->token_on_loopback))
-    code = mo_fail(message, MO_ERR_INVALID,
-                   "an address beyond loopback is served: at least one bearer token is needed");
+    code =
+        mo_fail(message, MO_ERR_INVALID,
+                "an address beyond loopback is served, so at least one bearer token is required");
   return code;
 }
 
@@ -164,7 +166,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   struct mo_http *http = malloc(sizeof(*http));
   if (http == NULL) {
     mo_http_refuse_listeners(config);
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the server");
   }
   *http = (struct mo_http){
       .config = *config,
@@ -191,7 +193,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   code = mo_pool_start(http);
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
-  *ret = http; /* before the service's threads can use it */
+  *ret = http; /* before the service's threads use it */
   if (code == MO_OK && service->start != NULL) {
     code = service->start(service->context, http);
     if (code != MO_OK)
@@ -234,7 +236,7 @@ int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size
   const bool is_closed = http->config.token_if_any && http->tokens.n > 0;
   if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback || is_closed))
     return mo_fail(message, MO_ERR_INVALID,
-                   "at least one bearer token is needed; the old ones stay");
+                   "at least one bearer token is required; the old ones stay");
   return mo_tokens_set(&http->tokens, tokens, n, message);
 }
 
@@ -243,11 +245,10 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
   if (http == NULL)
     return;
   atomic_store(&http->ready, false);
-  atomic_store(&http->stopping, true); /* from now on replies end their connections */
+  atomic_store(&http->stopping, true); /* from now on replies close their connections */
   mo_acceptor_stop(http);
   mo_streams_close(http);
-  mo_pool_close(
-      http); /* from here on no connection is suspended: the library could not stop otherwise */
+  mo_pool_close(http); /* now no connection is suspended, which the library requires to stop */
   int64_t until_us = mo_clock_us() + (int64_t)grace_ms * 1000;
   while (atomic_load(&http->n_in_flight) > 0 && mo_clock_us() < until_us) {
     struct timespec pause = {.tv_nsec = 5000000};
@@ -261,7 +262,7 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
     pthread_join(http->clock, NULL);
   }
   if (http->service.stop != NULL)
-    http->service.stop(http->service.context); /* from here on no event arrives */
+    http->service.stop(http->service.context); /* from now on no event arrives */
   mo_pool_stop(http);
   destroy(http);
 }

@@ -1,4 +1,4 @@
-/* server.h: all of a server. See http.h for the threads.
+/* server.h: the complete state of a server. See http.h for the threads.
  *
  * Order in which locks may be taken: streams → pool → bodies → clients → connections →
  * libmicrohttpd's own. */
@@ -29,7 +29,7 @@ struct mo_http {
   /* accept.c, connection.c */
   pthread_t acceptor, clock;
   bool acceptor_started, clock_started;
-  int stop_fd;  /* eventfd: ends the acceptor */
+  int stop_fd;  /* eventfd: stops the acceptor */
   int watch_fd; /* epoll: clients that leave, and tick_fd */
   int tick_fd;  /* eventfd: a tick is wanted */
   atomic_bool tick_wanted;
@@ -38,7 +38,8 @@ struct mo_http {
   pthread_mutex_t connections_lock;
   struct mo_connection **connections;       /* by descriptor */
   size_t connections_size, connections_top; /* all descriptors are below connections_top */
-  atomic_uint n_connections, n_leaving; /* of these, cut, but not yet closed by their I/O threads */
+  atomic_uint n_connections, n_leaving;     /* n_leaving: cut, but not closed yet by their I/O
+                                               threads */
   _Atomic int64_t acceptor_us, clock_us;
   atomic_bool clock_stop, ready, stopping;
   struct mo_lingering lingering;
@@ -54,8 +55,8 @@ struct mo_http {
   uint64_t id_key;
 };
 
-/* Writes the last bytes of a connection, and the end of TLS (tls.c), on the I/O thread. Returns
- * whether some were written. */
+/* Writes the last bytes of a connection, and closes TLS (tls.c), on the I/O thread. Returns whether
+ * any were written. */
 bool mo_connection_write_last(struct mo_request *request, const char *bytes, size_t n);
 
 /* Starts libmicrohttpd with its callbacks (dispatch.c). */

@@ -1,9 +1,9 @@
 /* stream.c: see stream.h.
  *
  * A stream is live or behind. Live: mo_streams_send writes each new event into the stream's buffer
- * and wakes its connection. Behind (the client asked for older events, or reads more slowly than
- * events come): mo_streams_send skips the stream. Whenever its buffer is empty, an API thread fills
- * it; when there are no more events, the stream is live again. So the memory of a stream is
+ * and wakes its connection. Behind (the client requested older events, or reads more slowly than
+ * events arrive): mo_streams_send skips the stream. Whenever its buffer is empty, an API thread
+ * fills it; when no more events exist, the stream is live again. So the memory of a stream is
  * bounded, no event is lost or sent twice, and an idle stream costs only its heartbeat.
  *
  * The connection of a stream that waits for events is suspended. One lock guards everything
@@ -19,7 +19,7 @@
 #include "http/server.h"
 
 #define BUFFER_BYTES (256 * 1024) /* a live stream with more unread bytes falls behind */
-#define STALL_US     60000000     /* a reader that takes nothing for this long is dropped */
+#define STALL_US     60000000     /* a client that reads nothing for this long is dropped */
 #define RETRY_MS     2000         /* how long clients should wait before they reconnect */
 
 struct mo_stream {
@@ -28,10 +28,10 @@ struct mo_stream {
   mo_stream_fill fill;
   struct mo_stream_place place; /* after: the newest event in the buffer or already sent */
   bool live;
-  bool news; /* for a stream that is behind: events came since the last call of fill */
+  bool news; /* for a stream that is behind: events arrived since the last call of fill */
   bool ended;
   bool suspended;          /* the connection waits for wake */
-  unsigned tokens_version; /* for which the reader's token was last checked; 0: for none */
+  unsigned tokens_version; /* version for which the client's token was last checked; 0: none */
   bool busy; /* an API thread fills the buffer; the connection stays suspended until then */
   struct mo_text buffer;
   size_t read;        /* bytes of the buffer that were sent */
@@ -68,7 +68,7 @@ void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
 {
   struct mo_text text = {0};
   struct mo_stream *stream;
-  /* A stream that opens only now is behind, and its first fill finds the event. */
+  /* A stream that is just being opened is behind, and its first fill finds the event. */
   if (atomic_load(&http->streams.n) == 0)
     return;
   write(&text, event);
@@ -110,7 +110,7 @@ static bool fill(struct mo_http *http, struct mo_stream *stream)
   int64_t n = stream->fill(stream->request, &place, &text);
   pthread_mutex_lock(&http->streams.lock);
   if (n < 0 || text.failed) {
-    stream->ended = true; /* the client reconnects and asks again from its last event */
+    stream->ended = true; /* the client reconnects and continues from its last event */
   } else {
     stream->place = place;
     if (text.size > 0)
@@ -136,7 +136,7 @@ static void refill(struct mo_request *request)
   wake(stream);
 }
 
-/* Gives libmicrohttpd the next bytes. */
+/* Passes libmicrohttpd the next bytes. */
 static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
 {
   (void)position;
@@ -202,7 +202,7 @@ int mo_stream_open(struct mo_request *request, struct mo_stream_place place, mo_
   }
   mo_reply_static(request, 200, "text/event-stream", "", 0);
   mo_reply_extra(request, "X-Accel-Buffering", "no");
-  /* Streams have their own limit, so they take none of their client's places. */
+  /* Streams have their own limit, so they do not take a place of their client. */
   mo_client_leave(&http->clients, request->client, mo_clock_us());
   request->client = NULL;
   return MO_OK;
@@ -220,7 +220,7 @@ void mo_stream_free(struct mo_request *request)
   request->stream = NULL;
 }
 
-/* Says whether the token with which a stream was opened has been taken away. */
+/* Returns whether the token with which a stream was opened has been revoked. */
 static bool is_revoked(struct mo_http *http, struct mo_stream *stream)
 {
   const unsigned version = atomic_load(&http->tokens.version);

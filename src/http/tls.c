@@ -1,4 +1,4 @@
-/* tls.c: what this room needs of TLS besides libmicrohttpd, which encrypts. */
+/* tls.c: the parts of TLS that libmicrohttpd, which encrypts, does not cover. */
 #include <gnutls/gnutls.h>
 #include <string.h>
 
@@ -14,12 +14,12 @@ int mo_http_check_certificate(const char *certificate, const char *key, struct m
   const gnutls_datum_t chain = datum_of(certificate), secret = datum_of(key);
   gnutls_certificate_credentials_t credentials;
   if (gnutls_certificate_allocate_credentials(&credentials) != GNUTLS_E_SUCCESS)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the certificate");
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the certificate");
   const int status =
       gnutls_certificate_set_x509_key_mem(credentials, &chain, &secret, GNUTLS_X509_FMT_PEM);
   gnutls_certificate_free_credentials(credentials);
   return status >= 0 ? MO_OK
-                     : mo_fail(message, MO_ERR_INVALID, "the certificate and its key: %s",
+                     : mo_fail(message, MO_ERR_INVALID, "invalid certificate or key: %s",
                                gnutls_strerror(status));
 }
 
