@@ -1,6 +1,7 @@
 /* absent.c: devices that only other machines have. Blocks wait in a queue like those of other
- * devices, and remote takers compute all of them. One thread, the keeper, ends what takers do not
- * get: blocks that were cancelled, and blocks that no taker can compute, which go to the workers.
+ * devices, and remote takers compute all of them. One thread, the keeper, handles the blocks that
+ * takers do not get: cancelled blocks, and blocks that no taker can compute, which go to the
+ * workers.
  */
 #include "compute/devices.h"
 
@@ -9,7 +10,7 @@
 
 #include "base/clock.h"
 
-#define LOOK_AGAIN_US 50000 /* a cancellation wakes nobody */
+#define LOOK_AGAIN_US 50000 /* a cancellation does not wake the keeper */
 
 static bool is_for_keeper(const struct mo_block *block, void *context)
 {

@@ -6,7 +6,7 @@
 
 struct mo_compute_controller {
   const struct mo_controller *controller; /* NULL: passive */
-  struct mo_devices *devices;             /* NULL: there are none */
+  struct mo_devices *devices;             /* NULL: none */
   enum mo_isa isa;
   pthread_mutex_t making;
   struct mo_pack *pack[2]; /* by mo_precision; written once, under the mutex */

@@ -2,15 +2,16 @@
  *
  * Workers take blocks from the queues under one mutex, the most urgent first. Batch blocks wait in
  * shares, and fair.h decides which share is next. A share is charged for a block before the block's
- * `done` is called, so that the share may be freed from then on.
+ * `done` is called, so that the share may be freed afterward.
  *
  * A worker inside a block reads atomic counts every few steps. If a more urgent scoring block
- * waits, the worker runs it at once, on its own stack and in another scratch, and then resumes its
- * block, whose bits do not change. Interactive blocks interrupt batch and gradient blocks;
- * immediate ones interrupt interactive ones, too, so that a client with one rollout does not wait
- * for a client with many. A more urgent block waits for a few steps of a rollout, never for a whole
- * block, and one thread per worker is enough. Gradient blocks never run inside another block: a
- * worker has only one gradient scratch, hundreds of megabytes, created at first use.
+ * waits, the worker runs it at once, on its own stack and with other scratch memory, and then
+ * resumes its block; the bits of that block do not change. Interactive blocks interrupt batch and
+ * gradient blocks; immediate blocks also interrupt interactive ones, so that a client with one
+ * rollout does not wait for a client with many. A more urgent block waits for a few steps of a
+ * rollout, never for an entire block, and one thread per worker is enough. Gradient blocks never
+ * run inside another block: a worker has only one gradient scratch, hundreds of megabytes, created
+ * at first use.
  *
  * Shutdown: `stopping` makes running blocks return at their next pause point; the workers then
  * return the queued blocks as cancelled, and exit. Every block's `done` is called exactly once.
@@ -45,7 +46,7 @@ struct worker {
   struct mo_workspace_memory *memory[DEPTHS];
   struct mo_gradient_memory *gradient; /* NULL before the first gradient block */
   uint64_t overtaken_ns;
-  uint_fast32_t trimmed; /* number of the last trim that the worker carried out */
+  uint_fast32_t trimmed; /* number of the last trim that the worker has done */
   bool is_running;
   pthread_t thread;
 };
@@ -82,9 +83,9 @@ static void follow_trims(struct worker *worker)
   worker->gradient = NULL;
 }
 
-/* A block that runs on a worker. It is charged processor time, which other threads on the same
- * cores do not lengthen, less that of urgent blocks inside it. The counters of the share are
- * updated at every pause point, so that a long block counts before its end. */
+/* A block that runs on a worker. It is charged processor time, to which other threads on the same
+ * cores do not add, minus the time of urgent blocks inside it. The counters of the share are
+ * updated at every pause point, so that a long block counts before it ends. */
 struct run {
   struct worker *worker;
   struct mo_block *block;
@@ -117,7 +118,7 @@ static void read_meter(struct run *run)
     atomic_fetch_add_explicit(&run->share->urgent_ns, own_ns, memory_order_relaxed);
 }
 
-/* Returns the least urgent queue, but for gradients, that may interrupt a running block. */
+/* Returns the least urgent queue, other than gradients, that may interrupt a running block. */
 static int first_queue_over(const struct mo_block *block)
 {
   return block->gradient != NULL || block->urgency == MO_BATCH ? INTERACTIVE
@@ -142,7 +143,7 @@ static struct mo_block *pop_more_urgent(struct mo_compute *compute, const struct
 }
 
 /* The pause point of a running block. */
-static int look_up(void *context)
+static int at_pause_point(void *context)
 {
   struct run *run = context;
   struct worker *worker = run->worker;
@@ -156,7 +157,7 @@ static int look_up(void *context)
     if (block == NULL)
       break;
     atomic_fetch_add(&compute->blocks_preempted, 1);
-    /* The time of a block counts once, however deep it runs. */
+    /* The time of a block counts once, at any depth. */
     const uint64_t start_ns = mo_clock_thread_ns(), overtaken_ns = worker->overtaken_ns;
     run_block(worker, block, run->depth + 1, NULL);
     worker->overtaken_ns = overtaken_ns + mo_clock_thread_ns() - start_ns;
@@ -178,8 +179,8 @@ static int simulate(struct run *run)
   }
   if (status != MO_OK || body == NULL)
     return status;
-  const struct mo_pause_point pause = {body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS, look_up,
-                                       run};
+  const struct mo_pause_point pause = {body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS,
+                                       at_pause_point, run};
   status = mo_rollout_block(run->worker->memory[run->depth], pack, body, block->environments,
                             block->n_environments, &block->physics, block->recordings, &pause,
                             block->outcomes);
@@ -201,7 +202,7 @@ static int differentiate(struct run *run)
   for (uint32_t i = 0; i < task->n; i++)
     springs += task->robots[i].body->n_springs;
   const struct mo_pause_point pause = {springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS,
-                                       look_up, run};
+                                       at_pause_point, run};
   return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n,
                            &task->block.physics, &task->options, &pause, task->outcomes,
                            task->d_parameters, &task->counts);
@@ -235,7 +236,7 @@ static void count(struct worker *worker, const struct mo_block *block)
 }
 
 /* Runs a block and charges its share. charge: for a batch block, else NULL; only a batch block's
- * time moves the turn of its share. */
+ * time affects when its share is next. */
 static void run_block(struct worker *worker, struct mo_block *block, int depth,
                       const struct mo_fair_charge *charge)
 {
@@ -261,7 +262,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
   } else {
     atomic_fetch_add(&run.share->blocks_done, 1);
   }
-  block->done(block, block->context); /* the block and its share may be gone now */
+  block->done(block, block->context); /* the block and its share may have been freed now */
   mo_thread_tag = outer_tag;
 }
 
@@ -305,7 +306,7 @@ static void *work(void *argument)
       if (atomic_load(&compute->stopping))
         break;
       follow_trims(worker);
-      /* Blocks that are left to remote takers may be cancelled, which wakes nobody. */
+      /* Blocks that are left to remote takers may be cancelled, which does not wake workers. */
       if (atomic_load(&compute->core.remote.leave) && atomic_load(&compute->fair.waiting) > 0)
         (void)mo_wait_until(&compute->wake, &compute->fair.mutex, mo_clock_us() + LOOK_AGAIN_US);
       else

@@ -1,23 +1,23 @@
-/* device.h: the table of functions that a module offers, which computes on devices.
+/* device.h: the table of functions of a module, which computes on devices.
  *
  * A module is a shared object that is loaded at run time (devices.c). It exports one symbol,
  * mo_device_module. Queues, shares, jobs and the use of several devices belong to this side of the
- * table; a module knows only rows, weights and one device at a time. Calls on one device come from
- * one thread at a time; calls on different devices run concurrently. A device may be opened twice:
- * then it counts as two, and of calls on both the one that began first goes first. `lay_out`,
- * `layout_free`, `allocate`, `release` and `controller_free` may be called from any thread, also
- * during a call on a device.
+ * table; a module deals only with rows, weights and one device at a time. Calls on one device come
+ * from one thread at a time; calls on different devices run concurrently. A device may be opened
+ * twice; it then counts as two, and if calls run on both, the one that began first has priority.
+ * `lay_out`, `layout_free`, `allocate`, `release` and `controller_free` may be called from any
+ * thread, even during a call on a device.
  *
- * What is passed was checked before: a module refuses only what its kernels lack.
+ * Arguments were checked before: a module refuses only what its kernels do not support.
  *
- * Same bits: the outcome of a row depends only on its body, environment, controller, physics
- * and the device's compute capability: not on its neighbors in the call, nor on the
- * device's number. Two runs give the same bits.
+ * Same bits: the outcome of a row depends only on its body, environment, controller, physics and
+ * the device's compute capability, not on its neighbors in the call or the device's number. Two
+ * runs produce the same bits.
  *
  * Errors. After an error the results of the call are undefined; after all but MO_ERR_DEVICE the
  * device still works.
  *   MO_ERR_NO_MEMORY    of the device or the host: the caller tries again with fewer rows
- *   MO_ERR_DEVICE       the device is lost or has failed. After it only `error`,
+ *   MO_ERR_DEVICE       the device is lost or has failed. After that, only `error`,
  *                       `controller_free` and `close` are called, and `lay_out` and `allocate`
  *                       by a thread that has not learned of it yet; its layouts and memory
  *                       are still released
@@ -49,13 +49,13 @@ struct mo_device_layout;     /* rows of a gradient, laid out before their weight
 
 struct mo_device_info {
   char name[96]; /* "NVIDIA H200" */
-  char id[48];   /* the same after a restart: UUID or PCI bus id */
+  char id[48];   /* unchanged after a restart: UUID or PCI bus id */
   uint64_t memory_bytes, free_bytes;
   uint32_t multiprocessors;
   uint32_t capability; /* 90: compute capability 9.0 */
 };
 
-/* Losses of rows. All pointers are borrowed for the call. */
+/* Computes losses of rows. All pointers are borrowed for the call. */
 struct mo_device_score {
   struct mo_device_controller *controller; /* NULL: passive bodies */
   const struct mo_robot
@@ -68,10 +68,12 @@ struct mo_device_score {
   double host_s, device_s;     /* time of host work and of the device */
 };
 
-/* Gradients of rows, in shards of MO_DEVICE_SHARD consecutive rows (the last one may be shorter).
+/* Computes gradients of rows, in shards of MO_DEVICE_SHARD consecutive rows (the last one may be
+ * shorter).
  */
 struct mo_device_gradient {
-  const struct mo_controller *controller; /* uploaded by the call: it changes with each step */
+  const struct mo_controller *controller; /* uploaded by the call, because it changes with each
+                                             step */
   const struct mo_robot *robots;          /* (n) rows */
   uint32_t n;                             /* 1 … MO_DEVICE_ROWS_MAX */
   struct mo_physics physics;
@@ -83,7 +85,7 @@ struct mo_device_gradient {
   float *d_parameters; /* (shards, n_parameters) the sum of each shard; robots that diverged or were
                           zeroed count as 0; faster in memory of `allocate` */
   struct mo_outcome *outcomes;      /* (n) */
-  struct mo_gradient_counts counts; /* of only this call */
+  struct mo_gradient_counts counts; /* of this call only */
   double host_s, device_s;
 };
 
@@ -105,12 +107,12 @@ struct mo_device_module {
   int (*gradient)(struct mo_device *device, struct mo_device_gradient *gradient);
   /* Lays out the rows of a later gradient, for this device and others like it, so that its call
    * starts sooner. The robots must not change until that call. *layout: NULL, or a layout that no
-   * call uses any more, whose memory is reused. The errors of `gradient`, except MO_ERR_DEVICE;
-   * after an error an existing layout remains, but holds no robots. */
+   * call uses any more; its memory is reused. Errors as in `gradient`, except MO_ERR_DEVICE; after
+   * an error an existing layout remains, but holds no robots. */
   int (*lay_out)(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                  const struct mo_physics *physics, struct mo_device_layout **layout);
   void (*layout_free)(struct mo_device_layout *layout); /* before its device is closed; NULL-safe */
-  /* Allocates host memory that devices reach faster, if there is such memory. NULL: out of
+  /* Allocates host memory that devices access faster, if the module has such memory. NULL: out of
    * memory. */
   void *(*allocate)(const struct mo_device *device, size_t bytes);
   void (*release)(void *memory); /* before its device is closed; NULL-safe */

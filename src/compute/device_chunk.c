@@ -2,7 +2,7 @@
  *
  * A chunk is taken from the share that is next, as a worker takes one block, and is filled with the
  * share's other waiting blocks. Waiting work is cut evenly: a job with work for two and a half
- * calls gets three of the same size, and all devices finish at about the same time. */
+ * calls gets three calls of the same size, and all devices finish at about the same time. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -51,8 +51,8 @@ uint32_t mo_unit_held(const struct mo_unit *unit)
   return n;
 }
 
-/* Returns among how many calls what waits is divided: those that could begin now. A device that has
- * a call in flight or to come counts only if there is enough for all. */
+/* Returns the number of calls among which the waiting work is divided: those that could begin now.
+ * A device with a call in flight or pending counts only if there is enough work for all. */
 static uint64_t calls_now(const struct mo_devices *devices, uint64_t waiting)
 {
   uint64_t n = 0, idle = 0;
@@ -69,7 +69,7 @@ static uint64_t calls_now(const struct mo_devices *devices, uint64_t waiting)
   return n > 0 ? n : 1;
 }
 
-/* Returns the rows per call, if all that a share has waiting is cut evenly. */
+/* Returns the rows per call if the waiting work of a share is cut evenly. */
 static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_share *share,
                           const struct mo_block *first)
 {
@@ -123,8 +123,8 @@ static bool same_body(const struct mo_block *a, const struct mo_block *b)
                 mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
 }
 
-/* Marks the blocks that need a body of their own and returns their number. A block that brings a
- * body, or continues that of the previous block that is not cancelled, needs none. */
+/* Marks the blocks that need a body of their own and returns their number. A block that brings its
+ * body, or has the same body as the previous block that is not cancelled, needs none. */
 static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
   const struct mo_block *before = NULL;
@@ -154,7 +154,7 @@ static void build_bodies(void *context, size_t first, size_t end)
 }
 
 /* Lays out the rows, and moves the blocks that have rows before those that already have a result.
- * Environments of one body are neighbors, also across blocks. */
+ * Environments of one body are adjacent, even across blocks. */
 static void lay_out(struct mo_chunk *chunk)
 {
   const uint32_t n = chunk->n_active;

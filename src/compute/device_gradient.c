@@ -1,8 +1,8 @@
-/* device_gradient.c: the gradient of a batch, on devices (gradient.c: on workers).
+/* device_gradient.c: computes the gradient of a batch on devices (gradient.c does so on workers).
  *
  * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and the shards into as many
  * parts as there are working devices, one call each. Every shard has its own float32 sum; shards
- * are added in float64, in order. So the bits do not depend on the number of devices, nor on how a
+ * are added in float64, in order. So the bits depend neither on the number of devices nor on how a
  * call had to be halved.
  *
  * The robots of the next batch do not depend on the weights: another thread may lay out the next
@@ -74,7 +74,7 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
   free(gradients);
 }
 
-/* Returns the p-th working device; NULL: there are fewer. */
+/* Returns the p-th working device; NULL: fewer devices work. */
 static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
 {
   MO_GUARD(&devices->fair.mutex);
@@ -144,7 +144,7 @@ static void lay_out_parts(void *context, size_t first, size_t end)
   }
 }
 
-/* Lays out all parts concurrently. A part uses one thread per shard, and shards are few where there
+/* Lays out all parts concurrently. A part uses one thread per shard, and has few shards if there
  * are many parts. */
 int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots,
                        uint32_t n, const struct mo_physics *physics)
@@ -180,7 +180,7 @@ static bool is_of(const struct laid_out *laid, const struct mo_gradient_batch *b
          mo_physics_equal(&laid->physics, &batch->physics);
 }
 
-/* Returns the ready layout of a batch, in use until give_back; NULL: there is none. */
+/* Returns the ready layout of a batch, which is in use until give_back; NULL: none. */
 static struct laid_out *take(struct mo_device_gradients *gradients,
                              const struct mo_gradient_batch *batch, uint32_t n_parts)
 {
@@ -240,7 +240,7 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
   }
 }
 
-/* Returns the error that ended the batch: that of a part, rather than the cancellation of the
+/* Returns the error that stopped the batch: that of the failed part, not the cancellation of the
  * others. */
 static int result_of(const struct mo_device_task *parts, uint32_t n_parts)
 {

@@ -4,17 +4,17 @@
  * with the previous one, and builds its bodies. Submitters submit one block at a time, but a device
  * needs as long for one block as for a thousand. So the gatherer waits while a submitter announces
  * more blocks, and then a few milliseconds more until no new block arrives. It also cancels a
- * running chunk when all of it was cancelled.
+ * running chunk if all of its blocks were cancelled.
  *
- * Two callers call the module. While the last rollouts of a call end, most of the device would be
- * idle: it begins those of the other call, whose rows are laid out and copied by then. A gradient
- * wants the whole device and its memory, so it has no call beside it. The time of a device is
- * charged once, to the call that began first.
+ * Two callers call the module. While the last rollouts of a call finish, most of the device would
+ * be idle, so it begins the rollouts of the other call, with rows that are laid out and copied by
+ * then. A gradient needs the entire device and its memory, so it runs without another call. The
+ * time of a device is charged once, to the call that began first.
  *
  * When the module lacks memory for a chunk, the caller halves it, and grows chunks again later; the
- * second caller gives its chunk back and takes no more. A caller also halves a chunk that the
- * module does not support, until only the unsupported blocks are left: so the choice does not
- * depend on a block's neighbors. A failure of the device ends its threads; everything without a
+ * second caller returns its chunk and takes no more. A caller also halves a chunk that the module
+ * does not support, until only the unsupported blocks are left, so that the choice does not depend
+ * on a block's neighbors. After a failure of the device its threads exit; everything without a
  * result is requeued. */
 #include "compute/devices.h"
 
@@ -26,9 +26,9 @@
 #include "base/clock.h"
 
 enum {
-  LINGER_IDLE_MS = 2,  /* without a new block, before an idle device starts on what waits */
+  LINGER_IDLE_MS = 2,  /* without a new block, before an idle device starts on the waiting blocks */
   LINGER_BUSY_MS = 10, /* the same for a busy device */
-  LINGER_MAX_MS = 50,  /* upper limit, even if blocks keep coming */
+  LINGER_MAX_MS = 50,  /* upper limit, even if blocks keep arriving */
   WATCH_MS = 20,
   BUILD_THREADS_MAX = 16,
   GROW_AFTER = 8 /* chunks without lack of memory */
@@ -78,7 +78,7 @@ static void watch(struct mo_unit *unit)
       __atomic_store_n(&caller->cancel, 1, __ATOMIC_RELAXED);
 }
 
-/* Waits until no more blocks arrive, or there are enough for all devices. */
+/* Waits until no more blocks arrive, or enough are waiting for all devices. */
 static void linger(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
@@ -114,7 +114,7 @@ static struct mo_caller *idle_caller(struct mo_unit *unit)
   return NULL;
 }
 
-/* Returns whether there is nothing to take, or an idle device should take it instead. */
+/* Returns whether no work is waiting, or an idle device should take it instead. */
 static bool has_to_wait(struct mo_unit *unit)
 {
   const struct mo_devices *devices = unit->devices;
@@ -158,7 +158,7 @@ void *mo_unit_gather(void *context)
     caller->state = MO_CALLER_READY;
     pthread_cond_broadcast(&devices->wake);
   }
-  while (devices->stopping && mo_unit_is_running(unit)) { /* it ends soon */
+  while (devices->stopping && mo_unit_is_running(unit)) { /* it will stop soon */
     watch(unit);
     wait_ms(devices, WATCH_MS);
   }
@@ -236,8 +236,8 @@ static void shrink(_Atomic uint32_t *limit, uint32_t tried, struct mo_unit *unit
   unit->good_chunks = 0;
 }
 
-/* Without memory for the second caller the first one has all. Returns whether that is the case: the
- * blocks without a result are requeued. */
+/* If memory does not suffice for the second caller, the first gets all of it. Returns whether that
+ * is the case; the blocks without a result are then requeued. */
 static bool retires(struct mo_caller *caller, int status)
 {
   struct mo_unit *unit = caller->unit;
@@ -384,7 +384,7 @@ static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
   pthread_mutex_lock(&devices->fair.mutex);
 }
 
-/* Under the mutex: ends what waits, when the back end stops or no device is left. */
+/* Under the mutex: ends waiting work when the back end stops or no device is left. */
 static void drain(struct mo_caller *caller)
 {
   struct mo_devices *devices = caller->unit->devices;
@@ -397,7 +397,7 @@ static void drain(struct mo_caller *caller)
   }
 }
 
-/* Under the mutex. The other caller may find out, too. */
+/* Under the mutex: marks the device as lost. The other caller may also detect it. */
 static void lose(const struct mo_caller *caller)
 {
   struct mo_unit *unit = caller->unit;
@@ -429,7 +429,7 @@ static bool runs_gradient(const struct mo_caller *caller)
 }
 
 /* Returns whether the caller has a chunk that may run now: a gradient uses the first caller's
- * device, and nothing runs beside it. */
+ * device, and nothing else runs at the same time. */
 static bool may_run(const struct mo_caller *caller)
 {
   const struct mo_caller *other = other_of(caller);
@@ -438,7 +438,8 @@ static bool may_run(const struct mo_caller *caller)
                                      : !is_running(other) && other->state != MO_CALLER_ASKS);
 }
 
-/* Under the mutex: the device time of a call that ends, without that of a call before it. */
+/* Under the mutex: returns the device time of a call that has finished, without the time charged to
+ * an earlier call. */
 static uint64_t charge_ns(struct mo_unit *unit, uint64_t start_ns)
 {
   const uint64_t now_ns = mo_clock_ns();
@@ -476,7 +477,7 @@ static void run_chunk(struct mo_caller *caller)
   pthread_cond_broadcast(&devices->wake);
 }
 
-static void look_up_memory(struct mo_caller *caller)
+static void read_free_memory(struct mo_caller *caller)
 {
   struct mo_unit *unit = caller->unit;
   struct mo_devices *devices = unit->devices;
@@ -509,7 +510,7 @@ void *mo_caller_run(void *context)
     if (!has_ended(unit) && may_run(caller))
       run_chunk(caller);
     else if (!has_ended(unit) && wants_memory(caller))
-      look_up_memory(caller);
+      read_free_memory(caller);
     else
       pthread_cond_wait(&devices->wake, &devices->fair.mutex);
     drop_copies(caller);

@@ -87,7 +87,7 @@ static int open_unit(struct mo_devices *devices, struct mo_unit *unit, uint32_t 
   unit->status.multiprocessors = info.multiprocessors;
   unit->status.capability = info.capability;
   if (status == MO_OK && open_caller(unit, &unit->callers[1]) == MO_OK)
-    unit->n_callers = 2; /* without it, calls follow each other */
+    unit->n_callers = 2; /* without a second caller, calls run one after another */
   if (status != MO_OK) {
     unit->status.state = MO_DEVICE_LOST;
     snprintf(unit->status.error, sizeof(unit->status.error), "%s",
@@ -127,7 +127,7 @@ static void write_fingerprints(struct mo_devices *devices)
   atomic_store(&devices->is_named, true);
 }
 
-/* Opens the requested devices, or all that open and have the first one's capability. */
+/* Opens the requested devices, or all that can be opened and have the capability of the first. */
 static int open_units(struct mo_devices *devices, const struct mo_devices_config *config,
                       struct mo_message *message)
 {

@@ -9,10 +9,10 @@
 #include "compute/device.h"
 #include "compute/fair.h"
 
-/* Most rollouts of one call of a module: a second or two. Multiprocessors that a call leaves idle
- * at its end take work of the next one only if that is in flight, so an idle device is given its
- * work in two calls, if each has enough for all multiprocessors. While several shares use the
- * devices, a call takes only some tenths of a second. */
+/* Largest number of rollouts in one call of a module: a second or two. Multiprocessors that become
+ * idle at the end of a call take work from the next call only if that is in flight, so an idle
+ * device gets its work in two calls, if each has enough for all multiprocessors. While several
+ * shares use the devices, a call takes only a few tenths of a second. */
 #define MO_CHUNK_ROWS        98304
 #define MO_CHUNK_ROWS_SHARED 32768
 #define MO_CHUNK_ROWS_ENOUGH 4096
@@ -27,15 +27,16 @@ struct mo_chunk_item {
   bool needs_body;        /* used during the build */
 };
 
-/* What a device computes in one call: blocks of one share, controller and physics; or one part of a
+/* The work of one call on a device: blocks of one share, controller and physics, or one part of a
  * gradient. */
 struct mo_chunk {
   struct mo_fair_charge charge;
   struct mo_device_task *task; /* a gradient; else NULL */
-  uint32_t n_blocks, n_rows;   /* of a gradient: one block */
-  uint32_t n_active;           /* the first blocks, which have rows; the others have a result */
+  uint32_t n_blocks, n_rows;   /* for a gradient: one block */
+  uint32_t n_active;           /* the first blocks, which have rows; the others already have a
+                                  result */
   struct mo_chunk_item *items; /* (n_blocks) */
-  struct mo_robot *robots;     /* (n_rows) those of a block are consecutive */
+  struct mo_robot *robots;     /* (n_rows) consecutive within a block */
   struct mo_outcome *outcomes; /* (n_rows) */
 };
 
@@ -49,7 +50,7 @@ struct mo_device_copy {
 /* A thread that calls the module. For the second one the device is opened once more. */
 struct mo_caller {
   struct mo_unit *unit;
-  struct mo_device *device; /* NULL: there is none */
+  struct mo_device *device; /* NULL: none */
   pthread_t thread;
   bool has_thread;
   enum mo_caller_state {
@@ -70,17 +71,17 @@ enum { MO_CALLERS = 2 };
 struct mo_unit {
   struct mo_devices *devices;
   struct mo_caller callers[MO_CALLERS];
-  uint32_t n_callers;              /* that may be used */
+  uint32_t n_callers;              /* that may be used at present */
   struct mo_device_status status;  /* busy_s and load: as of changed_ns */
-  uint64_t changed_ns, charged_ns; /* charged: up to here the device's time is charged to shares */
+  uint64_t changed_ns, charged_ns; /* charged: time up to which the device is charged to shares */
   bool wants_info;                 /* free memory was requested: read it */
   pthread_t gatherer;
-  bool has_gatherer, gathered_all;         /* all: the gatherer has ended */
+  bool has_gatherer, gathered_all;         /* all: the gatherer has exited */
   _Atomic uint32_t row_limit, shard_limit; /* of a call; read anywhere */
   uint32_t good_chunks;                    /* since a limit was lowered */
 };
 
-/* What the bits of devices depend on; constant. */
+/* The class of the devices, on which their bits depend; constant. */
 struct mo_device_class {
   char scores[128], gradients[128];
 };
@@ -92,14 +93,15 @@ struct mo_devices {
   void (*lost)(void *context, const struct mo_device_status *status);
   void *context;
   struct mo_device_class class;
-  atomic_bool is_named; /* the class is there, and constant; read anywhere */
-  bool is_absent;       /* constant: only other machines have such devices (absent.c) */
+  atomic_bool is_named; /* the class is set, and constant from then on; read anywhere */
+  bool is_absent;       /* constant: only other machines have these devices (absent.c) */
   bool has_keeper;
   pthread_t keeper;
   struct mo_fair fair;
   pthread_cond_t wake;
   struct mo_compute_share own, urgent; /* for blocks that name no share; for interactive blocks */
-  const struct mo_compute_share *last; /* share of the last chunk taken; only compared */
+  const struct mo_compute_share *last; /* share of the last chunk taken; compared, never
+                                          dereferenced */
   bool stopping;
   uint32_t tasks_waiting; /* gradients */
   atomic_uint submitting; /* callers with more blocks to come */
@@ -109,8 +111,8 @@ struct mo_devices {
 };
 
 /* ---- devices.c ---- */
-struct mo_devices *mo_devices_create(struct mo_compute *compute); /* NULL: no memory */
-/* Queues a block. MO_ERR_DEVICE: no device works, or the block needs one of this machine;
+struct mo_devices *mo_devices_create(struct mo_compute *compute); /* NULL: out of memory */
+/* Queues a block. MO_ERR_DEVICE: no device works, or the block needs a device of this machine;
  * MO_ERR_CANCELLED. */
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block);
 /* Cancels what is queued and running, joins the threads, closes the devices. NULL-safe. */
@@ -119,27 +121,27 @@ void mo_devices_free(struct mo_devices *devices);
 /* ---- device_chunk.c ---- */
 int mo_chunk_create(struct mo_chunk *chunk); /* MO_ERR_NO_MEMORY */
 void mo_chunk_destroy(struct mo_chunk *chunk);
-/* Under the mutex: takes the next chunk for a caller of a device. False: nothing waits. */
+/* Under the mutex: takes the next chunk for a caller of a device. False: no work is waiting. */
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk);
 uint32_t mo_unit_held(const struct mo_unit *unit); /* under the mutex: callers that are not idle */
 /* Without the mutex: builds the bodies, on at most n_threads threads, and lays out the rows. */
 void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads);
 /* Returns whether all of the chunk was cancelled. */
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk);
-/* Under the mutex: requeues what is not done, or ends it with an error if no device is left. */
+/* Under the mutex: requeues unfinished work, or ends it with an error if no device is left. */
 void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk);
 /* Without the mutex: calls `done`, or passes the block to the workers. outcomes: of a scoring block
- * that has rows; else NULL. */
+ * with rows; else NULL. */
 void mo_chunk_end_block(struct mo_devices *devices, struct mo_block *block, int status,
                         const struct mo_outcome *outcomes);
-/* Without the mutex: calls `done` of what has a result, and frees the bodies. */
+/* Without the mutex: calls `done` of the blocks with a result, and frees the bodies. */
 void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk);
 
 /* ---- device_run.c ---- */
 void *mo_unit_gather(void *unit);
 void *mo_caller_run(void *caller);
 bool mo_unit_is_running(const struct mo_unit *unit); /* under the mutex */
-/* Under the mutex: brings busy_s and load up to now. */
+/* Under the mutex: updates busy_s and load to the present. */
 void mo_unit_account(struct mo_unit *unit);
 
 #endif

@@ -3,8 +3,8 @@
 
 #define SMOOTHING 0.125
 
-/* Estimates before any block was measured: about the time of one 2.5 GHz core. A first guess that
- * is far too low lets every worker take a long block of the same share. */
+/* Initial estimates, before any block was measured: roughly for one 2.5 GHz core. If they were far
+ * too low, every worker could take a long block of the same share. */
 static const double unit_s_at_first[MO_FAIR_KINDS] = {
     [MO_FAIR_SCORING] = 3e-6, [MO_FAIR_GRADIENT] = 8e-5};
 
@@ -72,7 +72,7 @@ static uint64_t remote_steps_of(const struct mo_block *block)
   return mo_block_suits_remote(block) ? (uint64_t)mo_fair_units(block) : 0;
 }
 
-/* Limits what a share without waiting blocks has gained. */
+/* Limits the credit that a share gained while it had no waiting blocks. */
 static void join(const struct mo_fair *fair, struct mo_compute_share *share)
 {
   const double least_s = fair->virtual_s - fair->credit_s / share->weight;
@@ -97,7 +97,7 @@ static void add_charge(struct mo_fair_charge *charge, double units)
   share->virtual_s += estimate_s / share->weight;
 }
 
-/* Lets a share be next: the queue's virtual time does not stay behind it. */
+/* Makes a share the current one: advances the queue's virtual time to that of the share. */
 static struct mo_fair_charge start_charge(struct mo_fair *fair, struct mo_compute_share *share,
                                           enum mo_fair_kind kind)
 {

@@ -8,11 +8,11 @@
  * share is charged an estimate when its block starts (the share's mean cost per rollout step of
  * such blocks), and the difference when the block ends.
  *
- * The queue's own virtual time is the largest at which a block was started. A share whose queue was
- * empty continues from its own virtual time, but from at most MO_FAIR_CREDIT_S of worker time per
- * worker behind the queue's. Short gaps, between two steps of a training or two refills of a
- * window, thus cost a share nothing, and a long idle time earns it nothing. A lead is never
- * forgotten. The same rule limits a share that cannot use its part because it never has enough
+ * The queue's own virtual time is the largest at which a block was started. A share that had an
+ * empty queue continues from its own virtual time, but at most MO_FAIR_CREDIT_S of worker time per
+ * worker behind the queue's. So short gaps, between two steps of a training or two refills of a
+ * window, cost a share nothing, and a long idle time earns it nothing. A share that is ahead stays
+ * ahead. The same rule limits a share that cannot use its part because it never has enough
  * blocks. */
 #ifndef MORPHO_COMPUTE_FAIR_H
 #define MORPHO_COMPUTE_FAIR_H
@@ -74,16 +74,16 @@ struct mo_compute_share {
 };
 
 struct mo_fair {
-  pthread_mutex_t mutex; /* guards the queue; also whatever its owner says */
+  pthread_mutex_t mutex; /* guards the queue, and anything else that its owner chooses */
   struct mo_compute_share *shares;
   double credit_s; /* of all workers together */
   double virtual_s;
   double unit_s[MO_FAIR_KINDS];      /* initial estimates of a new share */
   atomic_uint_fast64_t waiting;      /* in all shares; read anywhere */
-  atomic_uint_fast64_t remote_steps; /* of those that suit remote takers; read anywhere */
+  atomic_uint_fast64_t remote_steps; /* of blocks suitable for remote takers; read anywhere */
 };
 
-/* What a running block, or several that run together, were charged at their start. */
+/* The charge at the start of a block, or of several blocks that run together. */
 struct mo_fair_charge {
   struct mo_compute_share *share;
   enum mo_fair_kind kind;
@@ -91,7 +91,7 @@ struct mo_fair_charge {
   double units, estimate_s;
 };
 
-/* Says whether a block may be taken. */
+/* Returns whether a block may be taken. */
 typedef bool mo_fair_fits(const struct mo_block *block, void *context);
 
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers);
@@ -99,7 +99,7 @@ void mo_fair_init(struct mo_fair *fair, uint32_t n_workers);
 void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share);
 /* Sets the weight. The share's lead or debt stays the same in worker seconds: an old debt does not
- * grow with a new weight. */
+ * grow with the weight. */
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 
 /* Call these under the mutex. */
@@ -107,11 +107,11 @@ void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct m
 /* Returns the share that is next, among the shares whose first block fits; NULL: none. */
 struct mo_compute_share *mo_fair_next(const struct mo_fair *fair, mo_fair_fits *fits,
                                       void *context);
-/* Charges a share for a gradient of so many rollout steps that has no block in the queue. */
+/* Charges a share for a gradient of `units` rollout steps that has no block in the queue. */
 void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *share, double units,
                              struct mo_fair_charge *charge);
 /* Takes the first block of the share that is next, among the shares whose first block fits. fits
- * NULL: any does. NULL: no such block waits. */
+ * NULL: any block fits. Returns NULL if no such block is waiting. */
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
                               mo_fair_fits *fits, void *context);
 /* Takes the next block of this share, even if another share is next; NULL: none waiting. */
@@ -121,13 +121,13 @@ struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share
  * waits, or it does not fit. */
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
                                    mo_fair_fits *fits, void *context);
-/* Puts blocks of a charge back at the front of its share, in order, and takes the charge back. Part
- * of a charge: `charge` then holds what is charged for these blocks. */
+/* Puts blocks of a charge back at the front of its share, in order, and reverses the charge. For
+ * part of a charge, `charge` holds the charge of these blocks. */
 void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
                       struct mo_block *const *blocks);
-/* Counts rollout steps, to which the cost of a block is about proportional. */
+/* Returns the number of rollout steps, to which the cost of a block is roughly proportional. */
 double mo_fair_units(const struct mo_block *block);
-/* Corrects a charge to the measured worker seconds. `whole`: the block was computed to its end, so
+/* Corrects a charge to the measured worker seconds. `whole`: the block was computed completely, so
  * its cost updates the estimates. */
 void mo_fair_correct(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,
                      bool whole);

@@ -1,12 +1,12 @@
 /* gradient.c: the gradient of a batch, from blocks that the workers compute in any order.
  *
- * The calling thread submits blocks in order, and adds their results in order. Between the two lies
- * a window of at most two blocks per worker, each with its own float32 gradient: a worker never
- * waits for the sum, and memory does not grow with the batch.
+ * The calling thread submits blocks in order, and adds their results in order. In between is a
+ * window of at most two blocks per worker, each with its own float32 gradient, so that a worker
+ * never waits for the sum, and memory does not grow with the batch.
  *
- * Sums are float64: 32 consecutive blocks make the sum of a shard, and the shards' sums make that
- * of the batch. So a shard that a remote taker computed is one sum instead of 32 gradients; it is
- * kept until those before it are added. The bits depend only on the batch. */
+ * Sums are float64: 32 consecutive blocks are added to the sum of a shard, and the sums of the
+ * shards to that of the batch. So a shard from a remote taker is one sum instead of 32 gradients;
+ * it is kept until the shards before it are added. The bits depend only on the batch. */
 #include "compute/device_gradient.h"
 #include "compute/shards.h"
 
@@ -20,10 +20,10 @@ enum { BLOCKS_PER_WORKER = 2 };
 struct slot {
   struct mo_gradient_task task;
   struct mo_waiter waiter;
-  uint32_t shard, first; /* of its robots, the first in the shard */
+  uint32_t shard, first; /* index of its first robot in the shard */
 };
 
-/* Memory that grows to what the calls need. */
+/* Memory that grows as calls need it. */
 struct room {
   void *at;
   size_t bytes;
@@ -36,20 +36,20 @@ struct mo_gradient_state {
   struct slot *slots;                     /* (n_slots); used in turn */
   struct room d_parameters;               /* float: of each slot in use */
   struct room order;                      /* uint32_t (n) */
-  struct mo_device_gradients *on_devices; /* NULL: there are none */
+  struct mo_device_gradients *on_devices; /* NULL: none */
 };
 
-/* A call, as the thread that made it sees it. */
+/* The state of a call, on the calling thread. */
 struct call {
   struct mo_gradient_state *state;
   struct mo_gradient_batch *batch;
   struct mo_offer offer;
   int status;
   uint32_t n_submitted, n_gathered; /* blocks */
-  int shard;                        /* whose blocks are submitted; below 0: none */
-  uint32_t first;                   /* robot in it of the next block */
-  struct mo_shard_result *sum;      /* of the shard whose blocks are gathered */
-  uint32_t n_added;                 /* shards */
+  int shard;                        /* the shard that is being submitted; below 0: none */
+  uint32_t first;                   /* first robot of the next block in that shard */
+  struct mo_shard_result *sum;      /* of the shard that is being gathered */
+  uint32_t n_added;                 /* shards added */
 };
 
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **ret)
@@ -132,7 +132,7 @@ static int prepare(struct mo_gradient_state *state, const struct mo_gradient_bat
 
 /* ---- blocks ---- */
 
-/* Claims the next shard when the last one is submitted, or was computed elsewhere. */
+/* Claims the next shard if the last one is submitted completely, or was computed elsewhere. */
 static bool has_block(struct call *call)
 {
   const struct mo_shard *items = call->offer.items;
@@ -183,7 +183,7 @@ static int add_block(struct call *call, const struct slot *slot)
   const struct mo_gradient_task *task = &slot->task;
   const size_t n = call->batch->controller->n_parameters;
   if (slot->first == 0) {
-    free(call->sum); /* of a shard that a taker finished before */
+    free(call->sum); /* of a shard that a taker finished first */
     call->sum = mo_shard_result_create(n);
   }
   struct mo_shard_result *sum = call->sum;
@@ -198,7 +198,7 @@ static int add_block(struct call *call, const struct slot *slot)
   return MO_OK;
 }
 
-/* Waits for the oldest block. One of a shard that is done, or not needed any more, is ignored. */
+/* Waits for the oldest block. Ignores it if its shard is done or no longer needed. */
 static void gather(struct call *call)
 {
   struct slot *slot = &call->state->slots[call->n_gathered++ % call->state->n_slots];
@@ -208,7 +208,7 @@ static void gather(struct call *call)
   call->status = slot->task.block.status == MO_OK ? add_block(call, slot) : slot->task.block.status;
 }
 
-/* Adds the shards that are done to the batch, in order. */
+/* Adds finished shards to the batch, in order. */
 static void add_shards(struct call *call)
 {
   struct mo_gradient_batch *batch = call->batch;
@@ -281,8 +281,8 @@ static int compute_on_cpu(struct mo_gradient_state *state, struct mo_gradient_ba
   return call.status;
 }
 
-/* Waits until remote takers have computed all shards, as devices compute them: their robots have
- * the order of the batch. */
+/* Waits until remote takers have computed all shards. As on local devices, the robots are in the
+ * order of the batch. */
 static int compute_elsewhere(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   struct call call = {.state = state, .batch = batch};

@@ -1,4 +1,4 @@
-/* internal.h: shared by the files of this room. */
+/* internal.h: declarations shared by the files of this room. */
 #ifndef MORPHO_COMPUTE_INTERNAL_H
 #define MORPHO_COMPUTE_INTERNAL_H
 
@@ -15,29 +15,29 @@
  * tests/unit/compute/gradient.c a changed order of adding blocks. */
 #define MO_GRADIENT_VERSION 5
 
-/* Returns the pack of one precision, made at first use; waits while another thread makes it.
- * MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
+/* Returns the pack of one precision, which is created at first use; waits while another thread
+ * creates it. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
 int mo_compute_controller_pack(struct mo_compute_controller *controller,
                                enum mo_precision precision, const struct mo_pack **pack);
 
 struct mo_devices;
 struct mo_fair;
 struct mo_offer;
-/* A back end begins with this. It lets files that cpu.c calls read it without calling cpu.c. */
+/* The first member of a back end, which files called by cpu.c can read without calling cpu.c. */
 struct mo_compute_core {
   enum mo_isa isa;
   uint32_t n_workers;
   struct mo_fair *fair;       /* the queue of the workers' batch blocks */
-  struct mo_devices *devices; /* NULL: there are none */
+  struct mo_devices *devices; /* NULL: none */
   struct {
-    atomic_uint blocks[2]; /* that takers can hold, by enum mo_back_end */
-    atomic_bool leave;     /* to takers what suits them */
+    atomic_uint blocks[2]; /* blocks that takers can hold, by enum mo_back_end */
+    atomic_bool leave;     /* leave suitable blocks to takers */
     atomic_bool hungry;    /* a taker found nothing since the last arrival */
     void (*arrived)(void *context);
     void *context;
     struct mo_offer *offers[2]; /* gradients, by back end; under the mutex of its queue */
   } remote;                     /* remote.c */
-  /* Queues a block for the workers that was submitted to devices, which cannot compute it.
+  /* Queues a block for the workers that was submitted to devices but that they cannot compute.
    * MO_ERR_CANCELLED. */
   int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);
 };
@@ -47,10 +47,10 @@ static inline struct mo_compute_core *mo_core(const struct mo_compute *compute)
   return (struct mo_compute_core *)compute;
 }
 
-/* Wakes all workers and gatherers, after blocks came back or may be taken now. */
+/* Wakes all workers and gatherers, because blocks were put back or may now be taken. */
 void mo_compute_wake(struct mo_compute *compute);
 
-/* Says whether a remote taker can compute a block. */
+/* Returns whether a remote taker can compute a block. */
 static inline bool mo_block_suits_remote(const struct mo_block *block)
 {
   return block->urgency == MO_BATCH && block->precision == MO_FLOAT32 &&
@@ -58,7 +58,7 @@ static inline bool mo_block_suits_remote(const struct mo_block *block)
          block->shards == NULL && !block->stays;
 }
 
-/* Under the mutex of the queue that work joined: tells takers that found nothing. */
+/* Under the mutex of the queue that received work: notifies takers that found nothing. */
 static inline void mo_remote_call(struct mo_compute_core *core)
 {
   if (core->remote.arrived != NULL &&
@@ -78,7 +78,7 @@ struct mo_waiter {
   pthread_mutex_t mutex;
   pthread_cond_t all_done;
   size_t left;
-  atomic_bool failed; /* the status of one is not MO_OK */
+  atomic_bool failed; /* a block's status is not MO_OK */
 };
 #define MO_WAITER(n)                                                                               \
   {                                                                                                \
@@ -87,15 +87,15 @@ struct mo_waiter {
 void mo_waiter_done(struct mo_block *block, void *context);
 void mo_waiter_wait(struct mo_waiter *waiter); /* and destroys it */
 
-/* A gradient block. Its `block` stands in the queues; physics, urgency, cancel, tag, status, done
- * and context mean the same as in a scoring block. */
+/* A gradient block. Its `block` is what the queues hold; physics, urgency, cancel, tag, status,
+ * done and context mean the same as in a scoring block. */
 struct mo_gradient_task {
   struct mo_block block;
   const struct mo_pack *pack;
   struct mo_robot robots[MO_GRADIENT_ROBOTS];
   uint32_t n;
   struct mo_gradient_options options;
-  const atomic_bool *stop; /* true: same as a set `cancel` */
+  const atomic_bool *stop; /* true: like a set `cancel` */
   /* Results; counts are added to. */
   struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
   float *d_parameters; /* (n_parameters) */

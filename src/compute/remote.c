@@ -1,9 +1,9 @@
-/* remote.c: remote takers: blocks and shards that leave for other machines, and their results.
+/* remote.c: remote takers: blocks and shards that are sent to other machines, and their results.
  *
- * A taker chooses like a worker: the share that is next, of those whose first block suits. It takes
- * more blocks of that share while they have the same controller and physics. Shards of gradients
- * compete with the blocks by the shares of their batches. The share is charged an estimate until
- * the blocks or the shard come back. */
+ * A taker chooses like a worker: the share that is next, among those with a suitable first block.
+ * It takes more blocks of that share while they have the same controller and physics. Shards of
+ * gradients compete with the blocks by the shares of their batches. The share is charged an
+ * estimate until the blocks or the shard are returned. */
 #include "compute/devices.h"
 #include "compute/shards.h"
 
@@ -22,7 +22,7 @@ struct taken {
   struct mo_shard *shard;
 };
 
-static struct taken *mine(struct mo_taken *taken)
+static struct taken *private_of(struct mo_taken *taken)
 {
   return (struct taken *)taken;
 }
@@ -56,7 +56,7 @@ static struct mo_fair *queue_of(struct mo_compute *compute, enum mo_back_end bac
   return core->devices != NULL ? &core->devices->fair : NULL;
 }
 
-/* Makes a place for another block; the array grows by doubling. */
+/* Makes room for another block; the array grows by doubling. */
 static bool reserve(struct taken *taken)
 {
   const uint32_t n = taken->shown.n_blocks;
@@ -92,8 +92,8 @@ static void fill(struct taken *taken, uint64_t max_steps)
   }
 }
 
-/* Under the mutex. Takes a shard, if there is one and its share is next. here: instead of nothing,
- * one that the workers compute. */
+/* Under the mutex. Takes a shard, if one exists and its share is next. here: rather than nothing,
+ * takes a shard that the workers are computing. */
 static bool take_shard(struct mo_compute *compute, struct taken *taken, bool here)
 {
   struct mo_offer *offer = mo_offer_next(mo_core(compute), taken->shown.back_end, here);
@@ -116,7 +116,7 @@ static bool take_shard(struct mo_compute *compute, struct taken *taken, bool her
 static void show(struct taken *taken)
 {
   if (taken->shard != NULL || taken->blocks == NULL)
-    return; /* a shard shows itself */
+    return; /* a shard needs no list of blocks */
   taken->shown.blocks = taken->blocks;
   taken->shown.identity = taken->blocks[0]->controller;
   taken->shown.controller = mo_compute_controller_weights(taken->blocks[0]->controller);
@@ -153,7 +153,7 @@ struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end ba
 
 struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *whole)
 {
-  struct taken *first = mine(whole);
+  struct taken *first = private_of(whole);
   const uint32_t n = whole->n_blocks, n_first = n / 2;
   struct taken *second = n > 1 ? calloc(1, sizeof(*second)) : NULL;
   double units = 0;
@@ -195,8 +195,8 @@ bool mo_taken_is_cancelled(const struct mo_taken *taken)
   return true;
 }
 
-/* Under the mutex. Says that all devices of the queue are lost: its threads have ended what waited,
- * and nobody looks at it again. */
+/* Under the mutex. Returns whether all devices of the queue are lost: their threads have ended the
+ * waiting work, and do not look at the queue again. */
 static bool is_lost(const struct mo_compute *compute, const struct taken *taken)
 {
   const struct mo_devices *devices = mo_core(compute)->devices;
@@ -223,14 +223,14 @@ static void put_back(struct mo_compute *compute, struct taken *taken, bool is_re
 
 void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken)
 {
-  put_back(compute, mine(taken), false);
+  put_back(compute, private_of(taken), false);
 }
 
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken)
 {
   for (uint32_t i = 0; taken->shard == NULL && i < taken->n_blocks; i++)
-    mine(taken)->blocks[i]->stays = true;
-  put_back(compute, mine(taken), true);
+    private_of(taken)->blocks[i]->stays = true;
+  put_back(compute, private_of(taken), true);
 }
 
 static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint32_t row)
@@ -241,7 +241,8 @@ static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint3
                              .com_end_m = {NAN, NAN, NAN}};
 }
 
-/* back_end: whose queue the block came from. What devices cannot compute is queued for workers. */
+/* back_end: the queue from which the block was taken. Blocks that devices cannot compute are queued
+ * for the workers. */
 static void end_block(struct mo_block *block, enum mo_back_end back_end,
                       const struct mo_remote_result *result, uint32_t row)
 {
@@ -250,10 +251,10 @@ static void end_block(struct mo_block *block, enum mo_back_end back_end,
   block->origin = result->origin;
   for (uint32_t i = 0; i < block->n_environments && block->status == MO_OK; i++)
     block->outcomes[i] = outcome_of(result, row + i);
-  block->done(block, block->context); /* the block may be gone now */
+  block->done(block, block->context); /* the block may have been freed now */
 }
 
-/* NULL: there is no result, or no memory for it. */
+/* Returns NULL if there is no result, or no memory for it. */
 static struct mo_shard_result *copy_of(const struct mo_gradient_batch *part,
                                        const struct mo_remote_result *result)
 {
@@ -271,7 +272,7 @@ static struct mo_shard_result *copy_of(const struct mo_gradient_batch *part,
 void mo_compute_deliver(struct mo_compute *compute, struct mo_taken *shown,
                         const struct mo_remote_result *result)
 {
-  struct taken *taken = mine(shown);
+  struct taken *taken = private_of(shown);
   struct mo_shard_result *sum = shown->shard != NULL ? copy_of(shown->shard, result) : NULL;
   uint32_t row = 0;
   (void)compute;

@@ -8,8 +8,8 @@
 #include "base/clock.h"
 
 #define RETURNS_MAX        3
-#define RETURNS_ABSENT_MAX 32  /* of a shard that only takers compute: they come and go */
-#define WORTH_S            0.2 /* a batch that the workers compute in less time is not offered */
+#define RETURNS_ABSENT_MAX 32  /* for a shard that only takers, which come and go, compute */
+#define WORTH_S            0.2 /* seconds on the workers below which a batch is not offered */
 #define WAIT_US            50000
 
 struct mo_shard_result *mo_shard_result_create(size_t n_parameters)
@@ -30,7 +30,7 @@ static double units_of(const struct mo_gradient_batch *batch)
 /* ---- opening and closing ---- */
 
 /* Under the mutex. Returns whether takers should see the shards: they need the genotypes, and a
- * small batch is computed here before they have its weights. */
+ * small batch is computed here before they would have its weights. */
 static bool is_worth_listing(const struct mo_offer *offer)
 {
   const struct mo_compute_core *core = core_of(offer);
@@ -179,7 +179,7 @@ void mo_offer_wait(struct mo_offer *offer, uint32_t number)
     (void)mo_wait_until(&offer->changed, &offer->fair->mutex, mo_clock_us() + WAIT_US);
 }
 
-static bool came_back_too_often(const struct mo_offer *offer, const struct mo_shard *shard)
+static bool was_returned_too_often(const struct mo_offer *offer, const struct mo_shard *shard)
 {
   return shard->n_returned >= (offer->back_end == MO_ON_DEVICE ? RETURNS_ABSENT_MAX : RETURNS_MAX);
 }
@@ -193,7 +193,7 @@ int mo_offer_error(struct mo_offer *offer)
       continue;
     if (shard->is_refused)
       return MO_ERR_UNSUPPORTED;
-    if (came_back_too_often(offer, shard))
+    if (was_returned_too_often(offer, shard))
       return MO_ERR_DEVICE;
   }
   return MO_OK;
@@ -207,7 +207,7 @@ static struct mo_shard *find(const struct mo_offer *offer, bool here)
   for (uint32_t i = 0; i < offer->n; i++) {
     struct mo_shard *shard = &offer->items[i];
     if (shard->is_here == here && !shard->is_taken && !shard->is_refused &&
-        !came_back_too_often(offer, shard) && !mo_shard_is_cancelled(shard))
+        !was_returned_too_often(offer, shard) && !mo_shard_is_cancelled(shard))
       return shard;
   }
   return NULL;
@@ -241,7 +241,7 @@ void mo_offer_return(struct mo_offer *offer, struct mo_shard *shard, bool has_fa
   give(shard, &result);
   free(result);
   offer->n_taken--;
-  pthread_cond_broadcast(&offer->changed); /* the offer may be gone when the mutex is free */
+  pthread_cond_broadcast(&offer->changed); /* the offer may be freed once the mutex is released */
 }
 
 double mo_offers_units(const struct mo_compute_core *core, enum mo_back_end back_end)

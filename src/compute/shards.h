@@ -1,13 +1,14 @@
 /* shards.h: the shards of a gradient while it is computed, by the workers or by remote takers.
  *
- * The calling thread claims the first shard that nobody has and gives its blocks to the workers;
- * remote takers take shards in the same order. So both get work at the rates at which they compute.
- * A taker that finds nothing else takes a shard that the workers compute: the first result counts,
- * and it has the same bits. Shards that takers return again and again are left to the workers.
+ * The calling thread claims the first unassigned shard and gives its blocks to the workers; remote
+ * takers take shards in the same order. So both get work at the rates at which they compute. A
+ * taker that finds nothing else takes a shard that the workers are already computing: the first
+ * result counts, and the bits are the same. Shards that takers return repeatedly are left to the
+ * workers.
  *
- * Shards for absent devices (absent.c) are for takers alone.
+ * Shards for absent devices (absent.c) are for takers only.
  *
- * The mutex of the back end's queue guards everything but what the comments say. */
+ * The mutex of the back end's queue guards everything, unless a comment says otherwise. */
 #ifndef MORPHO_COMPUTE_SHARDS_H
 #define MORPHO_COMPUTE_SHARDS_H
 
@@ -18,19 +19,19 @@ struct mo_shard_result {
   struct mo_outcome outcomes[MO_GRADIENT_SHARD];
   double d_parameters[]; /* (n_parameters) */
 };
-/* d_parameters are zeros; NULL: no memory. */
+/* d_parameters are zeros. Returns NULL if out of memory. */
 struct mo_shard_result *mo_shard_result_create(size_t n_parameters);
 
 struct mo_shard {
   struct mo_gradient_batch part; /* constant: its robots, in order */
-  bool is_here, is_taken;        /* the workers compute it, a taker has it */
-  uint32_t n_returned;           /* by takers */
+  bool is_here, is_taken;        /* the workers are computing it; a taker has it */
+  uint32_t n_returned;           /* how often takers returned it */
   bool is_refused;               /* takers cannot compute it */
-  atomic_bool stop;              /* it is done, or not needed any more; read anywhere */
+  atomic_bool stop;              /* it is done or no longer needed; read anywhere */
   struct mo_shard_result *result;
 };
 
-/* Of one call. Takers see it while it is listed. */
+/* The shards of one call. Takers see them while the offer is listed. */
 struct mo_offer {
   struct mo_compute *compute;
   enum mo_back_end back_end;
@@ -47,30 +48,30 @@ struct mo_offer {
 
 /* ---- for the calling thread; these take the mutex ---- */
 
-/* order: (batch->n), as arranged. MO_ERR_NO_MEMORY; MO_ERR_DEVICE: takers, which alone could, do
- * not see the batch. */
+/* order: (batch->n), as arranged. MO_ERR_NO_MEMORY; MO_ERR_DEVICE: only takers could compute the
+ * batch, but it cannot be offered to them. */
 int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_back_end back_end,
                   const struct mo_gradient_batch *batch, const uint32_t *order, double weight);
-/* Returns the number of a shard that is for the workers now. MO_ERR_EXHAUSTED: there is none. */
+/* Returns the number of the next shard for the workers. MO_ERR_EXHAUSTED: none. */
 int mo_offer_claim(struct mo_offer *offer);
-/* Gives the workers' result of a shard. If a taker was faster, *result stays. */
+/* Delivers the workers' result of a shard. If a taker was faster, *result is not consumed. */
 void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result);
 /* Takes the result of a shard, which the caller frees. NULL: not done yet. */
 struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number);
-/* Waits for the result of a shard, until something changes, or 50 ms: cancellation and the coming
- * and going of takers do not wake. */
+/* Waits for the result of a shard, for any other change, or for 50 ms, because cancellation and the
+ * arrival and departure of takers do not wake it. */
 void mo_offer_wait(struct mo_offer *offer, uint32_t number);
-/* Of shards for takers alone. MO_ERR_UNSUPPORTED: they cannot compute one; MO_ERR_DEVICE: they
- * return one again and again. */
+/* Returns the error of shards for takers only. MO_ERR_UNSUPPORTED: takers cannot compute a shard;
+ * MO_ERR_DEVICE: takers return a shard repeatedly. */
 int mo_offer_error(struct mo_offer *offer);
-void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any more; before close */
-/* Waits until takers have returned all shards, and frees what the offer has. */
+void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any more; call it before close */
+/* Waits until takers have returned all shards, and frees the members of the offer. */
 void mo_offer_close(struct mo_offer *offer);
 
 /* ---- for takers; under the mutex ---- */
 
-/* Returns the offer with a shard for a taker whose share is next; NULL: none. here: a shard that
- * the workers compute. */
+/* Returns the offer with a shard for a taker and with the share that is next; NULL: none. here: a
+ * shard that the workers are computing. */
 struct mo_offer *mo_offer_next(const struct mo_compute_core *core, enum mo_back_end back_end,
                                bool here);
 struct mo_shard *mo_offer_take(struct mo_offer *offer, bool here);
