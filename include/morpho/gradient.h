@@ -130,7 +130,7 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  *
  * float32 overflows before float64, so two rare cases zero robots that the reference would include.
  * An adjoint that leaves float32's range within a step is infinite, and its robot is left out. And
- * where every adjoint is finite but the sum over the block is not, the robots whose own gradient is
+ * if every adjoint is finite but the sum over the block is not, the robots whose own gradient is
  * not below 1/64 of float32's largest number are left out, or, if there are none, all robots: the
  * block's gradient is then 0. The rest is exactly the sum of the other robots (docs/numerics.md,
  * Range).

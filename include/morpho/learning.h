@@ -169,7 +169,7 @@ mo_training_controller(const struct mo_training *training); /* current weights; 
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
  * step t has mo_environment_training(seed, t, i). A restored pretraining first replays its stream:
  * a non-zero `cancel` (nullable) stops that with MO_ERR_CANCELLED; `replayed` (nullable) counts the
- * bodies drawn again so far, out of step × batch. Drawing twice gives the same robots; after an
+ * bodies drawn again so far, out of step × batch. Drawing twice returns the same robots; after an
  * error, the next call continues where the failed call stopped. Memory: the bodies of the step (for
  * a finetuning, of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left;
  * MO_ERR_CORRUPT: the replay needed a different number of draws (the checkpoint is from other

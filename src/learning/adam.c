@@ -3,10 +3,10 @@
  *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²
  *   w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t)) + ε)
  *
- * Only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, or summed in the
- * order of the elements: equal bits on every machine, on any number of threads. An update is
- * computed twice, first to check that all of it is finite, so that it happens completely or not at
- * all. */
+ * It uses only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, and sums in
+ * the order of the elements: equal bits on every machine, with any number of threads. An update is
+ * computed twice, first to check that all of it is finite, so that it is applied completely or not
+ * at all. */
 #include "learning/internal.h"
 
 #include "base/thread.h"
@@ -83,7 +83,7 @@ static inline struct element updated(const struct constants *c, double first, do
   return e;
 }
 
-static void look(void *context, size_t from, size_t end)
+static void check_range(void *context, size_t from, size_t end)
 {
   struct update *u = context;
   const struct constants c = u->c;
@@ -97,7 +97,7 @@ static void look(void *context, size_t from, size_t end)
     atomic_store(&u->is_infinite, true);
 }
 
-static void move(void *context, size_t from, size_t end)
+static void apply_range(void *context, size_t from, size_t end)
 {
   struct update *u = context;
   const struct constants c = u->c;
@@ -128,10 +128,10 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
                           .c = {settings->learning.beta1, settings->learning.beta2,
                                 settings->learning.epsilon, scale, rate, 1.0 - power1,
                                 1.0 - power2}};
-  mo_parallel(n_threads, n, look, &update);
+  mo_parallel(n_threads, n, check_range, &update);
   if (atomic_load(&update.is_infinite))
     return false;
-  mo_parallel(n_threads, n, move, &update);
+  mo_parallel(n_threads, n, apply_range, &update);
   *bounded += atomic_load(&update.bounded);
   adam->beta1_power = power1;
   adam->beta2_power = power2;

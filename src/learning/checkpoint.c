@@ -3,7 +3,7 @@
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the size of the
  * settings (uint32), struct counters, the settings as JSON by their table, then designs (24 bytes
  * each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything
- * before it. Decoding trusts nothing: sizes must agree to the byte, settings must pass the checks
+ * before it. Decoding trusts nothing: sizes must match to the byte, settings must pass the checks
  * of a new training, and numbers must be finite. */
 #include "learning/internal.h"
 
@@ -21,7 +21,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are littl
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
 
-/* What stands before the settings, after the magic. */
+/* The header between the magic and the settings. */
 struct counters {
   uint32_t version, settings_bytes;
   uint32_t kind, sensor, held_out_designs, held_out_environments;
@@ -101,8 +101,8 @@ static void body(struct codec *codec, struct mo_training *training)
 
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size)
 {
-  /* The arrays are passed by address, but writing changes none. A concurrent draw ahead may change
-   * the other members. */
+  /* The arrays are passed by address, but writing does not change them. A concurrent draw ahead may
+   * change the other members. */
   const struct mo_training_settings *settings = &training->settings;
   struct mo_training copy = {.controller = training->controller,
                              .adam = training->adam,
@@ -163,8 +163,7 @@ static int read_settings(const char *text, const struct counters *counters,
     error = mo_training_settings_check(settings, &why);
   if (error == MO_OK || error == MO_ERR_NO_MEMORY)
     return error;
-  return mo_fail(message, MO_ERR_FORMAT, "the checkpoint's settings are not acceptable: %.180s",
-                 why.text);
+  return mo_fail(message, MO_ERR_FORMAT, "the checkpoint has invalid settings: %.180s", why.text);
 }
 
 static int check_header(const struct mo_training_settings *settings,
@@ -174,7 +173,7 @@ static int check_header(const struct mo_training_settings *settings,
     return damaged(message, "it has more steps than its training");
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
   if (finetune != (counters->n_designs > 0) || counters->n_designs > MO_TRAINING_DESIGNS_MAX)
-    return damaged(message, "the number of its designs does not suit its kind");
+    return damaged(message, "its number of designs does not match its kind");
   if ((finetune && counters->draws != 0) ||
       counters->draws < (finetune ? 0 : (uint64_t)counters->step * settings->batch))
     return damaged(message, "its stream of bodies is shorter than its steps");
@@ -209,9 +208,9 @@ static int read_arrays(struct codec *codec, const struct mo_training_settings *s
     return mo_fail(message, r, "the training does not fit in memory");
   const uint64_t n = made->controller->n_parameters;
   if (counters->n_parameters != n)
-    r = damaged(message, "it has another number of parameters");
+    r = damaged(message, "its number of parameters is wrong");
   else if (size != codec->at + body_bytes(counters->n_designs, n) + SUM_BYTES)
-    r = damaged(message, "its size does not agree with its contents");
+    r = damaged(message, "its size does not match its contents");
   if (r == MO_OK) {
     body(codec, made);
     made->step = counters->step;
@@ -248,7 +247,7 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
   if (counters.settings_bytes > size - SUM_BYTES - HEADER_BYTES)
-    return damaged(message, "its settings are longer than it");
+    return damaged(message, "its settings extend past its end");
   int r = read_settings((const char *)bytes + HEADER_BYTES, &counters, &settings, message);
   codec.at += counters.settings_bytes;
   if (r == MO_OK)

@@ -1,13 +1,13 @@
 /* draw.c: the robots of a step.
  *
  * Pretraining: the next bodies of the seed's stream that are not held out. The set of bodies seen
- * is not saved: a restored training draws its earlier bodies again, about 3.5 µs each, and must
- * arrive at the same number of draws. Finetuning: the designs in turn, continuing from one step to
- * the next. After an interrupted draw the next call continues where it stopped.
+ * is not saved: a restored training draws its earlier bodies again, about 3.5 µs each, and must end
+ * at the same number of draws. Finetuning: the designs in turn, continuing from one step to the
+ * next. After an interrupted draw, the next call continues where it stopped.
  *
- * Two hands hold robots: those of the current step and, drawn ahead while their gradient is
- * computed, those of the next. Bodies come from the stream one after the other. Everything else
- * about a robot depends only on its number, and is made on several threads. */
+ * Two hands hold robots: one for the current step, and one for the next step, drawn ahead while the
+ * gradient of the current robots is computed. Bodies are drawn from the stream one after another.
+ * Everything else about a robot depends only on its number, and is built on several threads. */
 #include "learning/internal.h"
 
 #include "base/thread.h"
@@ -83,7 +83,7 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
     r = mo_body_stream_create(MO_DEFAULT_WORKSPACE, training->settings.seed, &training->stream);
     if (r == MO_OK)
       (void)mo_body_stream_set_threads(training->stream,
-                                       training->n_threads); /* on failure only slower */
+                                       training->n_threads); /* a failure only makes it slower */
   }
   if (r < 0)
     return r;
@@ -105,7 +105,7 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
              : MO_OK;
 }
 
-/* What is made from only genotypes and numbers. */
+/* The parts of robots that depend only on genotypes and numbers. */
 struct making {
   const struct mo_training *training;
   const struct mo_hand *hand;
@@ -231,8 +231,8 @@ const struct mo_robot *mo_training_robots_ahead(struct mo_training *training)
   return hand != NULL ? hand->robots : NULL;
 }
 
-/* Freeing the bodies of thousands of robots takes milliseconds: if the next robots are ready, a
- * later draw ahead frees these, while no thread waits. */
+/* Freeing the bodies of thousands of robots takes milliseconds, so if the next robots are ready, a
+ * later draw ahead frees these bodies, while no thread waits. */
 void mo_training_forget_robots(struct mo_training *training)
 {
   struct mo_hand *hand = &training->hands[training->step % 2];

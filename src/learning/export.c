@@ -1,4 +1,4 @@
-/* export.c: exports the controller of a training with its lineage, which depends only on the
+/* export.c: exports the controller of a training with its lineage. The result depends only on the
  * training's state. */
 #include "learning/internal.h"
 

@@ -6,14 +6,14 @@
 
 #include "base/fields.h"
 
-/* Of struct mo_learning: schedule, Adam, limits of the gradient. */
+/* For struct mo_learning: schedule, Adam, limits of the gradient. */
 extern const struct mo_fields mo_learning_fields;
-/* Of struct mo_training_settings: what a controller's metadata store about its training: steps,
- * batch, learning, physics. */
+/* For struct mo_training_settings: the part that a controller's metadata stores: steps, batch,
+ * learning, physics. */
 extern const struct mo_fields mo_recipe_fields;
-/* The same with seed and sensor. */
+/* The same plus seed and sensor. */
 extern const struct mo_fields mo_training_fields;
-/* Of enum mo_training_kind: "pretrain", "finetune", NULL. */
+/* For enum mo_training_kind: "pretrain", "finetune", NULL. */
 extern const char *const mo_training_kind_words[];
 
 #endif

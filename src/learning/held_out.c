@@ -1,9 +1,9 @@
 /* held_out.c: bodies and environments that no training learns from.
  *
  * Whether a body is held out depends only on its canonical form: a hash chooses one form in 16. So
- * the bodies on which two controllers are compared are new to both, whatever seeds they were
- * trained with. The hash is one application of Philox, whose counter and key hold exactly the 192
- * bits of a form of the default workspace. */
+ * the bodies on which two controllers are compared are new to both, regardless of their training
+ * seeds. The hash is one application of Philox, whose counter and key hold exactly the 192 bits of
+ * a form of the default workspace. */
 #include <morpho/learning.h>
 
 #include <string.h>

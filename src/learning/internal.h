@@ -5,7 +5,7 @@
 #include <morpho/learning.h>
 
 struct mo_training {
-  struct mo_training_settings settings; /* its sensor is always the controller's */
+  struct mo_training_settings settings; /* the sensor is always the controller's */
   struct mo_controller *controller;
   struct mo_adam {
     double *first, *second;          /* (n_parameters) moments */
@@ -15,40 +15,41 @@ struct mo_training {
   uint32_t skipped; /* steps that changed no weight; the others are Adam's updates */
   uint32_t n_designs;
   uint64_t *designs; /* finetune: (n_designs, MO_DEFAULT_WORDS) */
-  uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must arrive at
-                     this number */
+  uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must reach this
+                     number */
 
-  /* Made at the first draw; not part of a checkpoint. */
+  /* Created at the first draw; not part of a checkpoint. */
   uint32_t n_threads; /* threads of draw and apply */
   struct mo_lattice *lattice;
   struct mo_body_stream *stream;
   uint64_t taken; /* bodies taken from the stream */
   bool replayed;  /* the stream has reached the start of the current step */
   uint32_t n_bodies;
-  struct mo_body **bodies; /* finetune: (n_bodies) of the designs, NULL where not made yet */
+  struct mo_body **bodies; /* finetune: (n_bodies) of the designs; NULL: not built yet */
   struct mo_hand {
     uint32_t step;
     uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step */
     uint32_t n_drawn;        /* number of bodies drawn so far */
-    struct mo_body **bodies; /* pretrain: (batch), NULL where not made yet */
+    struct mo_body **bodies; /* pretrain: (batch); NULL: not built yet */
     struct mo_environment *environments; /* (batch) */
     struct mo_robot *robots;             /* (batch) */
     uint64_t draws;                      /* pretrain: draws of the stream up to the step's end */
     bool ready;                          /* `robots` is complete */
     bool stale;                          /* its bodies are no longer needed */
-  } hands[2]; /* the current step and the next; the index is the step's lowest bit */
+  } hands[2]; /* the current step and the next; the index is the lowest bit of the step */
 };
 
 /* training.c: allocates everything that a checkpoint holds, but fills in only the settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);
-/* Returns 1 if a design is in one piece (so not empty) and placed; else 0, or MO_ERR_NO_MEMORY. */
+/* Returns 1 if a design is in one piece (and therefore not empty) and placed, else 0; or
+ * MO_ERR_NO_MEMORY. */
 int mo_training_design_is_placed(const uint64_t *design);
 
 /* draw.c */
 struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);
 void mo_training_forget_robots(
-    struct mo_training *training); /* the current step is over: the next draw frees its bodies */
+    struct mo_training *training); /* after the current step: the next draw frees its bodies */
 void mo_training_forget_designs(struct mo_training *training); /* finetune: the designs changed */
 void mo_training_draw_free(struct mo_training *training);
 
@@ -56,10 +57,10 @@ void mo_training_draw_free(struct mo_training *training);
 void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings,
                    uint32_t updates); /* β^updates */
 /* Returns the global L2 norm, computed without overflow or underflow; infinite or NaN if the
- * gradient is. */
+ * gradient has infinite or NaN elements. */
 double mo_gradient_norm(const double *gradient, size_t n);
-/* Performs one update with gradient · scale. If any new moment or weight were not finite, changes
- * nothing and returns false. */
+/* Performs one update with gradient · scale. If any new moment or weight would not be finite,
+ * changes nothing and returns false. */
 bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate,
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);

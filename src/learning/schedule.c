@@ -1,9 +1,10 @@
 /* schedule.c: learning rates: a linear warm-up, then cosine annealing with warm restarts
- * (Loshchilov & Hutter, ICLR 2017); one cosine over the whole training is the case of one cycle.
+ * (Loshchilov & Hutter, ICLR 2017); one cosine over the whole training is the special case of one
+ * cycle.
  *
  * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first
  * step has the peak, and the step after the last would reach the floor. The cosine is computed here
- * from correctly rounded operations only, so that a rate has the same bits on every machine. */
+ * with only correctly rounded operations, so that a rate has the same bits on every machine. */
 #include "learning/fields.h"
 
 #define PI           3.14159265358979323846
@@ -27,7 +28,7 @@ const struct mo_schedule mo_schedule_presets[] = {
                                      .cycle_steps = 100, .cycle_growth = 1},
 };
 
-/* cos(π s/n), 0 ≤ s ≤ n, n > 0. */
+/* Computes cos(π s/n), 0 ≤ s ≤ n, n > 0. */
 static double cosine(uint64_t s, uint64_t n)
 {
   const double sign = 2 * s > n ? -1.0 : 1.0;

@@ -51,7 +51,7 @@ int mo_training_create(const struct mo_training_settings *settings,
 {
   struct mo_training_settings completed = *settings;
   if (parent != NULL && !mo_workspace_equal(parent->workspace, MO_DEFAULT_WORKSPACE))
-    return MO_ERR_UNSUPPORTED; /* one that is stored already, such as by an older import */
+    return MO_ERR_UNSUPPORTED; /* already stored, for example by an older import */
   if (parent != NULL)
     completed.sensor = parent->sensor;
   struct mo_training *made = NULL;

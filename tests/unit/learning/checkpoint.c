@@ -186,18 +186,18 @@ static void wrong_contents(void)
       {KIND,
        4,
        {2},
-       "the checkpoint's settings are not acceptable: kind of training must be 0 (pretrain) or 1 "
+       "the checkpoint has invalid settings: kind of training must be 0 (pretrain) or 1 "
        "(finetune), got 2"},
       {SENSOR, 4, {2}, "sensor must be \"inverse_sqrt\" or \"inverse_square\", got number 2"},
-      {SETTINGS_BYTES, 4, {UINT32_MAX}, "its settings are longer than it"},
-      {SETTINGS_BYTES, 4, {13}, "the checkpoint's settings are not acceptable"},
+      {SETTINGS_BYTES, 4, {UINT32_MAX}, "its settings extend past its end"},
+      {SETTINGS_BYTES, 4, {13}, "the checkpoint has invalid settings"},
       {STEP, 4, {13}, "more steps than its training"},
       {SKIPPED, 4, {13}, "more steps than its training"},
       {DRAWS, 8, {1}, "stream of bodies"},
-      {N_DESIGNS, 8, {0}, "number of its designs"},
-      {N_DESIGNS, 8, {UINT64_MAX}, "number of its designs"},
-      {N_DESIGNS, 8, {13}, "size does not agree"},
-      {N_PARAMETERS, 8, {UINT64_MAX}, "another number of parameters"},
+      {N_DESIGNS, 8, {0}, "its number of designs"},
+      {N_DESIGNS, 8, {UINT64_MAX}, "its number of designs"},
+      {N_DESIGNS, 8, {13}, "size does not match"},
+      {N_PARAMETERS, 8, {UINT64_MAX}, "number of parameters is wrong"},
       {arrays + 16, 8, {UINT64_MAX}, "a design is empty, not in one piece or not placed"},
       {arrays + designs, 4, {.f32 = INFINITY}, "a weight is not finite"},
       {arrays + designs + 4 * (n - 1), 4, {.f32 = 2e6F}, "a weight is not finite or beyond"},
@@ -211,7 +211,7 @@ static void wrong_contents(void)
       {"\"steps\":", "0", "/steps: 0 is given; an integer from 1 to 1000000 is expected"},
       {"\"peak\":", "2", "/schedule/peak: must be above 0 and at most 1, got 2"},
       {"\"adjoint_rule\":", "\"flip\"", "/adjoint_rule: "},
-      {"\"restart_weight\":", "x", "the checkpoint's settings are not acceptable"},
+      {"\"restart_weight\":", "x", "the checkpoint has invalid settings"},
   };
   const size_t n_cases = COUNT(cases), n_settings = COUNT(settings);
   CHECK_INT(blob.size, second + 8 * n + 8);
