@@ -1,13 +1,13 @@
 /* best.c: the k best of many designs, without all their losses.
  *
- * A design is out when the sum of its known losses, over the number of all environments, is above
- * the k-th best of the whole scores so far: k designs are then better, whatever its other losses
- * are. A design that may still equal the k-th best is not out, so that ties need no rule.
+ * A design is out when the sum of its known losses, divided by the number of all environments, is
+ * above the k-th best of the complete scores so far: k designs are then better, whatever its other
+ * losses are. A design that may still equal the k-th best is not out, so ties need no rule.
  *
- * The rounds: a few designs, evenly over the list, in all environments; they tell which
- * environments are hard. Then the hardest one for all designs, and the next two, and the rest. In
- * between, the designs that look best so far get all their losses, which lowers the bound at once.
- * The numbers are those that take the least time with the losses of 10,000 random bodies
+ * The rounds: first a few designs, spread evenly over the list, in all environments, which shows
+ * which environments are hard. Then the hardest one for all designs, then the next two, then the
+ * rest. In between, the most promising designs get all their losses, which lowers the bound at
+ * once. The sizes are those that took the least time with the losses of 10,000 random bodies
  * (docs/performance.md). */
 #include "evolution/internal.h"
 
@@ -116,8 +116,9 @@ static uint32_t sample(const struct mo_best *best, uint32_t i, uint32_t few)
   return (uint32_t)((uint64_t)i * best->n_designs / few);
 }
 
-/* Guesses the k-th best score of all from those of the few, ranked: the one that has as many of
- * them before it, or, beyond their best, the continuation of their first eighth. */
+/* Guesses the k-th best score of all designs from the ranked scores of the few: the score at the
+ * corresponding rank or, if that is better than their best, an extrapolation of their first
+ * eighth. */
 static double guess_bound(const struct mo_best *best, uint32_t few)
 {
   const double place = (double)best->k * (few + 1) / (best->n_designs + 1) - 1;
@@ -130,8 +131,8 @@ static double guess_bound(const struct mo_best *best, uint32_t few)
              : first;
 }
 
-/* Estimates the share of the losses that the race needs, from those first designs: with a guess of
- * the bound, or with the bound itself once the designs that look best have all their losses. */
+/* Estimates the share of the losses that the race needs, from these first designs: with a guess of
+ * the bound, or with the bound itself once the most promising designs have all their losses. */
 static void estimate(struct mo_best *best, uint32_t few, uint32_t round)
 {
   const double bound = round == 1 ? guess_bound(best, few) : best->race.bound;
@@ -143,7 +144,7 @@ static void estimate(struct mo_best *best, uint32_t few, uint32_t round)
 
 /* ---- rounds ---- */
 
-/* Ranks the designs that have whole scores. Sets the bound: the k-th best of these. */
+/* Ranks the designs with complete scores. Sets the bound to the k-th best of them. */
 static void find_bound(struct mo_best *best)
 {
   uint32_t n = 0;
@@ -156,8 +157,8 @@ static void find_bound(struct mo_best *best)
     best->race.bound = best->ranks[best->k - 1].score;
 }
 
-/* Ranks the designs that are neither whole nor out, those that look best first. Returns their
- * number, and counts the losses that the others will never need. */
+/* Ranks the designs that are neither complete nor out, the most promising first. Returns their
+ * number, and counts the losses that will never be needed. */
 static uint32_t rank_open(struct mo_best *best)
 {
   uint32_t n = 0;
@@ -192,7 +193,7 @@ static uint64_t next_wave(struct mo_best *best)
   return wave;
 }
 
-/* Returns how many designs get all their losses first: all where half of them are asked for. */
+/* Returns how many designs get all their losses first: all designs if k is half of them or more. */
 static uint32_t few_of(const struct mo_best *best)
 {
   const uint32_t sixteenth = best->n_designs / 16;
@@ -216,7 +217,7 @@ uint64_t mo_best_ask(struct mo_best *best)
   if (few < best->n_designs && (round == 1 || round > 2))
     estimate(best, few, round);
   const uint32_t n_open = rank_open(best), promising = best->k + best->k / 2 + few;
-  const bool completes = round % 2 == 0 || n_open <= few; /* those that look best */
+  const bool completes = round % 2 == 0 || n_open <= few; /* the most promising designs */
   const uint64_t environments = completes ? all_environments(best) : next_wave(best);
   for (uint32_t i = 0; i < n_open && (i < promising || !completes); i++)
     n_asked += ask(best, (uint32_t)best->ranks[i].number, environments);

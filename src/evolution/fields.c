@@ -72,7 +72,7 @@ static const struct mo_field selection_rows[] = {
 #define N_SELECTION_ROWS (sizeof(selection_rows) / sizeof(selection_rows[0]))
 static const struct mo_fields selection_fields = {selection_rows, N_SELECTION_ROWS};
 
-/* The rows of selection_rows that a kind has besides `kind`: from, n. */
+/* The rows of selection_rows for each kind, besides `kind`: from, n. */
 static const struct {
   size_t from, n;
 } selection_own[] = {{1, 0}, {1, 1}, {2, 1}, {3, 2}};

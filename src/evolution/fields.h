@@ -6,11 +6,12 @@
 
 #include "base/fields.h"
 
-/* Of struct mo_campaign_settings: population, variation, selection, physics. */
+/* For struct mo_campaign_settings: population, variation, selection, physics. */
 extern const struct mo_fields mo_campaign_fields;
-/* Of the same struct: what campaigns that learn add, with the members of `learning`. */
+/* For the same struct: the settings that only campaigns with learning have, including the members
+ * of `learning`. */
 extern const struct mo_fields mo_campaign_learning_fields;
-/* Of enum mo_campaign_mode. */
+/* For enum mo_campaign_mode. */
 extern const char *const mo_campaign_mode_words[];
 
 #endif

@@ -1,18 +1,18 @@
-/* internal.h: shared by the files of this room. */
+/* internal.h: declarations shared by the files of this room. */
 #ifndef MORPHO_EVOLUTION_INTERNAL_H
 #define MORPHO_EVOLUTION_INTERNAL_H
 
 #include <morpho/evolution.h>
 
-/* Index of the stream (seed, SELECTION, generation, index). Part of what a seed means: never
+/* Index of the stream (seed, SELECTION, generation, index). Results of a seed depend on it: never
  * renumber. */
 enum mo_selection_stream {
-  MO_STREAM_GROUPS = 0, /* who mutates, who recombines */
+  MO_STREAM_GROUPS = 0, /* which parents mutate, which recombine */
   MO_STREAM_TOURNAMENTS = 1,
-  MO_STREAM_PARENTS = 2 /* who varies, of a study's population */
+  MO_STREAM_PARENTS = 2 /* which designs of a study's population are parents */
 };
 
-/* After 2^16 attempts in a row without anything new the morphospace counts as exhausted. */
+/* After 2^16 attempts in a row without a new form, the morphospace counts as exhausted. */
 #define MO_FRUITLESS_MAX (UINT32_C(1) << 16)
 
 /* seen.c: same as mo_seen_add, but excluded forms count as new. */
@@ -27,8 +27,8 @@ struct mo_rank {
 /* statistics.c: sorts ascending by score, then by number, so that no two have the same rank. */
 void mo_rank_sort(struct mo_rank *ranks, uint32_t n);
 
-/* racing.c: cuts the environments of a race into waves of these sizes; one that would leave a
- * single environment takes it. */
+/* racing.c: cuts the environments of a race into waves of these sizes; a wave that would leave a
+ * single environment includes it. */
 void mo_race_cut_waves(struct mo_race *race, const uint8_t sizes[MO_RACE_WAVES_MAX]);
 
 #endif

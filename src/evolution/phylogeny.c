@@ -1,6 +1,6 @@
 /* phylogeny.c: ancestors, descendants and the Newick tree. Parents have lower numbers than their
- * children, so one pass over the numbers is enough at any depth of the tree: downwards for
- * ancestors, upwards for descendants. A parent whose number is not lower is ignored. */
+ * children, so one pass over the numbers suffices at any depth of the tree: in descending order for
+ * ancestors, ascending for descendants. A parent whose number is not lower is ignored. */
 #include "evolution/internal.h"
 
 #include <inttypes.h>
@@ -35,13 +35,13 @@ void mo_descendants(const struct mo_descent *descents, uint32_t n, uint32_t numb
 
 /* ---- Newick ---- */
 
-/* The forest: each design hangs on its first parent. */
+/* The forest: each design is a child of its first parent. */
 struct mo_newick {
   const struct mo_descent *descents;
   const uint32_t *born;
-  uint32_t n, root; /* root: the first number that may be the root of a further tree */
-  uint32_t at;      /* the design that is next; MO_NO_PARENT: between two trees */
-  bool is_open;     /* its children are written */
+  uint32_t n, root; /* root: the first number that may be the root of another tree */
+  uint32_t at;      /* the next design; MO_NO_PARENT: between two trees */
+  bool is_open;     /* its children have been written */
   uint32_t *child;  /* (n) first child; MO_NO_PARENT */
   uint32_t *next;   /* (n) next child of the same parent */
 };
@@ -71,7 +71,7 @@ int mo_newick_create(const struct mo_descent *descents, const uint32_t *born, ui
   }
   memset(newick->child, 0xff, bytes);
   memset(newick->next, 0xff, bytes);
-  for (uint32_t i = n; i-- > 0;) { /* from the last on, so that the lists end up ascending */
+  for (uint32_t i = n; i-- > 0;) { /* starting with the last, so that the lists are ascending */
     const uint32_t parent = parent_of(newick, i);
     if (parent == MO_NO_PARENT)
       continue;
@@ -82,7 +82,7 @@ int mo_newick_create(const struct mo_descent *descents, const uint32_t *born, ui
   return MO_OK;
 }
 
-/* Writes the next piece: an opening parenthesis, or a label with what follows it. */
+/* Writes the next piece: an opening parenthesis, or a label and the characters after it. */
 static size_t step(struct mo_newick *newick, char text[MO_NEWICK_PIECE])
 {
   const uint32_t i = newick->at, parent = parent_of(newick, i), *born = newick->born;

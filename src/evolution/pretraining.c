@@ -1,12 +1,12 @@
-/* pretraining.c: draws again the bodies that a pretraining learned from.
+/* pretraining.c: draws the bodies that a pretraining learned from again.
  *
- * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without those held out
- * and those whose form came before. If `set` is empty and of the default workspace, it also detects
- * duplicates, so that ten million forms are held only once.
+ * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without held-out and
+ * repeated forms. If `set` is empty and of the default workspace, it also serves to detect
+ * duplicates, so that ten million forms are in memory only once.
  *
  * A draw depends only on its number, so threads divide a round of draws, and then the detection of
- * duplicates (form_set.h). A round has at most as many draws as bodies are still missing, so it
- * never finds too many new ones. */
+ * duplicates (form_set.h). A round has at most as many draws as there are bodies still missing, so
+ * it never finds too many. */
 #include "evolution/internal.h"
 
 #include "base/thread.h"
@@ -17,8 +17,8 @@
 
 #define ASK_EVERY      64
 #define FRUITLESS_MAX  (UINT32_C(1) << 20) /* as in a body stream */
-#define ROUND          32768 /* draws of a thread, about 30 ms; fewer where a form has more words */
-#define WORTH_A_THREAD 256   /* draws, some 200 µs */
+#define ROUND          32768 /* draws of a thread, about 30 ms; fewer if a form has more words */
+#define WORTH_A_THREAD 256   /* draws, about 200 µs */
 
 struct drawing {
   uint64_t seed;
@@ -60,7 +60,7 @@ static void draw_some(void *context, size_t first, size_t end)
   }
 }
 
-/* Computes the forms, in the target workspace, of new bodies that fit it. */
+/* Computes the forms of new bodies in the target workspace, if they fit it. */
 static void move_some(void *context, size_t first, size_t end)
 {
   struct drawing *drawing = context;
@@ -91,7 +91,7 @@ static uint32_t threads_for(const struct drawing *drawing)
   return drawing->n_threads < enough ? drawing->n_threads : (uint32_t)enough;
 }
 
-/* Counts the round's new bodies, and the draws in a row up to its end that gave nothing new.
+/* Counts the round's new bodies, and the draws in a row up to its end without a new form.
  * MO_ERR_EXHAUSTED: too many in a row. */
 static int count(const struct drawing *drawing, uint64_t *found, uint32_t *fruitless)
 {

@@ -1,16 +1,17 @@
-/* racing.c: which children of a generation cannot survive, before all their losses are known.
+/* racing.c: finds the children of a generation that cannot survive before all their losses are
+ * known.
  *
  * The plan depends only on the parents: their worst score is the bound, and the spread of their
- * losses says which environments tell designs apart. Whether there are waves at all depends on what
- * they would have saved a generation ago. So a child is cut at the same wave whatever else runs,
- * and an interrupted generation repeats with the same bits. A bound that sinks with the scores of
- * children would save one rollout in a hundred more. */
+ * losses shows which environments distinguish designs best. Waves are used only if they would have
+ * saved time in the previous generation. So a child is cut at the same wave regardless of other
+ * jobs, and an interrupted generation repeats with the same bits. Lowering the bound with the
+ * scores of children would save only one more rollout in a hundred. */
 #include "evolution/internal.h"
 
 #include <math.h>
 
-/* Time beside that of rollouts, in rollouts (docs/performance.md): of a processor for a block; of a
- * device for a call that waits for another one. */
+/* Overhead in units of rollouts (docs/performance.md): of a processor per block; of a device per
+ * call that waits for another one. */
 #define BLOCK_LANES    16
 #define BLOCK_ROLLOUTS 2
 #define WAIT_ROLLOUTS  2000
@@ -29,8 +30,8 @@ double mo_race_score(const double *losses, uint32_t n)
   return sum / n;
 }
 
-/* Returns the variance of the parents' losses in an environment. Losses that diverged or are not
- * known do not count. */
+/* Returns the variance of the parents' losses in an environment. Diverged and unknown losses are
+ * ignored. */
 static double spread_of(const double *losses, uint32_t n_parents, uint32_t n_environments)
 {
   double sum = 0, squares = 0;
@@ -76,8 +77,8 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
                   const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race)
 {
-  /* More waves would cost more blocks than they save rollouts: 2 + 8 take the least time of all
-   * cuts of ten environments (docs/performance.md). */
+  /* More waves would cost more time in blocks than they save in rollouts: of all cuts of ten
+   * environments, 2 + 8 takes the least time (docs/performance.md). */
   static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
   *race = (struct mo_race){.bound = INFINITY, .n_environments = n_environments, .is_whole = !pays};
   if (n_parents >= settings->population) {
@@ -110,7 +111,7 @@ int mo_race_saved(const struct mo_race *race, const double *losses, bool on_devi
     known[k] = NAN;
   for (uint32_t wave = 0; wave < race->n_waves; wave++) {
     const uint32_t first = n;
-    bool is_cut = false; /* before this wave, by losses that were stored */
+    bool is_cut = false; /* cut before this wave, by stored losses */
     for (; n < race->ends[wave]; n++) {
       known[race->order[n]] = losses[race->order[n]];
       is_cut = is_cut || isnan(losses[race->order[n]]);

@@ -1,4 +1,4 @@
-/* seen.c: the designs that a campaign has had, by canonical form, on top of those that its
+/* seen.c: the designs that a campaign has seen, by canonical form, and the bodies that its
  * controller was pretrained on. */
 #include "evolution/internal.h"
 

@@ -1,9 +1,9 @@
 /* selection.c: selects the survivors.
  *
- * Candidates are ranked by score, then by number, so no two have the same rank. The order of
- * candidates in memory thus matters to no scheme except novelty's distances, which are exact sums
- * over one number. A scheme receives the candidates that did not diverge, by rank, and chooses the
- * survivors among them. Diverged candidates fill the remaining places, oldest first. */
+ * Candidates are ranked by score, then by number, so no two have the same rank. So the order of
+ * candidates in memory affects only the distances of novelty, which are exact sums divided by one
+ * number. A scheme receives the candidates that did not diverge, by rank, and chooses the survivors
+ * among them. Diverged candidates fill the remaining places, oldest first. */
 #include "evolution/internal.h"
 
 #include <math.h>
@@ -26,7 +26,7 @@ struct choice {
 /* ---- tournament ---- */
 
 /* Tournament: the best survives. Each further survivor is the best of `tournament_size` draws, with
- * repetition, from those left. */
+ * repetition, from the remaining candidates. */
 static int choose_by_tournament(struct choice *choice)
 {
   uint32_t left = choice->n - 1; /* n > places ≥ 1 */
@@ -89,7 +89,7 @@ static int choose_by_novelty(struct choice *choice)
   return r;
 }
 
-/* ---- layers of age ---- */
+/* ---- age layers ---- */
 
 /* Age layers, from the youngest to the last: the best candidates that are within the layer's age
  * limit and not yet chosen take its share of the places; unfilled places go to the next layer. The
@@ -153,7 +153,7 @@ int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
     if (choice.n > places)
       r = choose(&choice);
     else
-      memset(lives, 1, places); /* diverged ones rank last */
+      memset(lives, 1, places); /* diverged candidates rank last */
   }
   if (r == MO_OK)
     *n_survivors = 0;

@@ -4,8 +4,8 @@
  * number of the n genotypes that hold voxel v:
  *   over all pairs          Σ_v c_v (n − c_v)
  *   of one to all others    Σ_v (n − c_v where it holds v, c_v where it does not)
- * Both are integers below 2^53, so they are exact in double too. Columns are summed 64 at a time,
- * which needs no memory. */
+ * Both are integers below 2^53, so they are also exact as doubles. Columns are summed 64 at a time,
+ * which needs no extra memory. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"

@@ -1,6 +1,6 @@
 /* variation.c: the initial population, and the children of a generation (paper, section 2.5).
  *
- * A seed fixes which numbers are taken from which stream: never change it.
+ * Results of a seed depend on which numbers are taken from which stream: never change that.
  *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
  *                 0 … n − 1; its first round(share · n) places mutate, in this order, the
  *                 others recombine
@@ -10,7 +10,7 @@
  *                 others, g the size of the group
  *   fallbacks     (MUTATION, generation, i) for the child at place i: below(g) chooses the
  *                 parent, then as for mutants
- * Only children that are kept take a place; discarded ones take none. */
+ * Only children that are kept take a place. */
 #include "evolution/internal.h"
 
 #include "base/thread.h"
@@ -100,7 +100,7 @@ static bool is_due(const struct nursery *nursery, uint32_t attempts)
   return attempts % ASK_EVERY == 1 && mo_is_cancelled(nursery->cancel);
 }
 
-/* Keeps the child in the next place if it is new: 1; 0: empty or seen. */
+/* Keeps the child in the next place if it is new. Returns 1, or 0 if it is empty or seen. */
 static int try_child(struct nursery *nursery, int made)
 {
   if (made == MO_ERR_EMPTY)
@@ -150,7 +150,7 @@ static struct mo_random mutation_stream(const struct nursery *nursery)
   return random;
 }
 
-/* These three functions return 1 when they are done, 0 when the morphospace is exhausted. */
+/* These three functions return 1 when done, 0 if the morphospace is exhausted. */
 
 static int make_mutants(struct nursery *nursery, const uint32_t *places, uint32_t n)
 {

@@ -1,5 +1,6 @@
-/* holding.c: see holding.h. The mutex guards everything but what only the caller's thread reads. A
- * block's `done` runs on a worker: it copies the losses and submits the next block in its place. */
+/* holding.c: see holding.h. The mutex guards everything except members that only the caller's
+ * thread uses. A block's `done` runs on a worker: it copies the losses and submits the next block
+ * in its place. */
 #include "worker/holding.h"
 
 #include <stdlib.h>
@@ -10,11 +11,11 @@
 #include "worker/weights.h"
 
 #define SLOTS_PER_WORKER 2
-#define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* of a message: 8 MB, which the daemon accepts */
+#define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* per message: 8 MB, which the daemon accepts */
 #define SLOTS_OF_DEVICES 16384                  /* about two chunks */
 
 enum lease_state {
-  WAITING, /* for weights */
+  WAITING, /* waits for weights */
   RUNNING, /* blocks are submitted or will be */
   ENDING   /* nothing more is submitted */
 };
@@ -31,7 +32,7 @@ struct lease {
   uint32_t n_submitted, n_out; /* blocks: submitted so far; in the back end */
   uint32_t next_row;           /* of the next block */
   uint64_t started_ns, ended_ns;
-  struct mo_wire_result result; /* as if it were done */
+  struct mo_wire_result result; /* prepared as for a success */
   pthread_t thread;             /* of a gradient, if has_thread */
   bool has_thread;
   struct lease *next;
@@ -41,7 +42,7 @@ struct slot {
   struct lease *lease; /* NULL: free */
   uint32_t first_row;
   struct mo_block block;
-  struct slot *next; /* a free one */
+  struct slot *next; /* next free slot */
 };
 
 struct mo_holding {
@@ -49,7 +50,7 @@ struct mo_holding {
   struct mo_kept_weights weights;
   struct mo_lattice *lattice;
   pthread_mutex_t mutex;
-  pthread_cond_t quiet; /* the last block is out of the back end */
+  pthread_cond_t quiet; /* the last block has left the back end */
   struct lease *leases; /* in order of arrival */
   struct slot *slots;
   struct slot *free[2]; /* by enum mo_back_end */
@@ -94,13 +95,13 @@ static struct slot *next_block(struct mo_holding *holding, enum mo_back_end back
   return slot;
 }
 
-/* Under the mutex. Returns whether the lease has ended by this. */
+/* Under the mutex: takes the result of a block. Returns whether the lease has ended with it. */
 static bool take_block(struct slot *slot, int status)
 {
   struct lease *lease = slot->lease;
   struct mo_holding *holding = lease->holding;
   if (status == MO_OK && slot->block.computed_on != lease->wire.back_end)
-    status = MO_ERR_UNSUPPORTED; /* the bits of another class */
+    status = MO_ERR_UNSUPPORTED; /* its bits are those of another class */
   for (uint32_t k = 0; status == MO_OK && k < slot->block.n_environments; k++) {
     const struct mo_outcome *outcome = &slot->block.outcomes[k];
     lease->result.losses[slot->first_row + k] = outcome->loss;
@@ -126,8 +127,8 @@ static bool take_block(struct slot *slot, int status)
   return true;
 }
 
-/* Submits blocks while there are slots, and gives the mutex up meanwhile: a block can be done
- * before its submission returns. */
+/* Submits blocks while slots are free, and releases the mutex meanwhile, because a block can be
+ * done before its submission returns. */
 static void submit(struct mo_holding *holding, enum mo_back_end back_end)
 {
   bool ended = false;
@@ -157,7 +158,7 @@ static void block_done(struct mo_block *block, void *context)
 
 /* ---- gradients ---- */
 
-/* Under the mutex. The oldest gradient goes first, and the next one fills the gaps. */
+/* Under the mutex: gives the oldest gradient priority; the next one fills the gaps. */
 static void prefer_first(struct mo_holding *holding)
 {
   double weight = 1;
@@ -245,7 +246,7 @@ static void *compute_gradient(void *argument)
   return NULL;
 }
 
-/* Under the mutex. Its blocks count as one. */
+/* Under the mutex: starts a gradient. Its blocks count as one. */
 static void start_gradient(struct mo_holding *holding, struct lease *lease)
 {
   lease->n_submitted = lease->wire.n_blocks;
@@ -346,7 +347,7 @@ int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *h
                              message);
 }
 
-/* Under the mutex: submits no more of a lease, and cancels what runs. */
+/* Under the mutex: submits no more blocks of a lease, and cancels running ones. */
 static void end(struct lease *lease, bool is_dropped)
 {
   if (has_ended(lease) && !is_dropped)
@@ -439,7 +440,7 @@ void mo_holding_get_status(struct mo_holding *holding, struct mo_holding_status 
   status->leases_done = holding->leases_done;
 }
 
-/* ---- beginning and end ---- */
+/* ---- start and stop ---- */
 
 int mo_holding_create(const struct mo_holding_config *config, struct mo_holding **ret)
 {
@@ -477,7 +478,7 @@ int mo_holding_create(const struct mo_holding_config *config, struct mo_holding 
   return MO_OK;
 }
 
-/* Blocks end at their next pause point. */
+/* Cancels all leases; blocks stop at their next pause point. */
 static void cancel_all(struct mo_holding *holding)
 {
   struct mo_wire_results none;

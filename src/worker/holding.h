@@ -1,9 +1,9 @@
 /* holding.h: the leases that a worker holds, their blocks in its back end, and their results.
  *
- * One thread calls. Blocks are submitted in the order of the leases, a few more than there are
- * workers, by the threads that finish others. So the first lease ends first, and its successor
- * keeps all workers busy meanwhile. A shard of a gradient is computed by a thread of its own, which
- * waits for the workers. */
+ * Only one thread may call these functions. Blocks are submitted in the order of the leases, a few
+ * more than the number of workers, by the threads that finish other blocks. So the first lease
+ * finishes first, and its successor keeps all workers busy meanwhile. A shard of a gradient is
+ * computed by a thread of its own, which waits for the workers. */
 #ifndef MORPHO_WORKER_HOLDING_H
 #define MORPHO_WORKER_HOLDING_H
 
@@ -11,42 +11,44 @@
 
 struct mo_holding_config {
   struct mo_compute *compute;
-  void (*ended)(void *context); /* a lease has; called on any thread */
+  void (*ended)(void *context); /* a lease has ended; called on any thread */
   void *context;
 };
 
 struct mo_holding;
 int mo_holding_create(const struct mo_holding_config *config, struct mo_holding **holding);
-/* Cancels all, and waits for it. NULL-safe; before mo_compute_free. */
+/* Cancels all leases and waits until they have ended. NULL-safe; call it before mo_compute_free. */
 void mo_holding_free(struct mo_holding *holding);
-/* Sets the workspace of later leases, and drops those of another. MO_ERR_NO_MEMORY, MO_ERR_LIMIT.
+/* Sets the workspace of later leases, and drops leases of other workspaces. MO_ERR_NO_MEMORY,
+ * MO_ERR_LIMIT.
  */
 int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace workspace);
 
-/* Takes over a lease with its arrays. MO_ERR_LIMIT: it holds MO_HELD_LEASES_MAX; MO_ERR_NO_MEMORY:
- * the lease still belongs to the caller. */
+/* Takes ownership of a lease and its arrays. MO_ERR_LIMIT: MO_HELD_LEASES_MAX are held already;
+ * MO_ERR_NO_MEMORY: the lease still belongs to the caller. */
 #define MO_HELD_LEASES_MAX 8
 int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *lease);
-/* Starts the leases whose weights are here. Returns whether one lacks its weights: *hash. */
+/* Starts the leases for which weights are in memory. Returns whether a lease lacks its weights,
+ * *hash. */
 bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash);
-/* Adds weights: the errors of mo_kept_weights_add. */
+/* Adds weights. Errors as in mo_kept_weights_add. */
 int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
                            const uint8_t *bytes, size_t size, struct mo_message *message);
-/* Gives back the leases that wait for these weights. */
+/* Returns the leases that wait for these weights. */
 void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 *hash);
 
 /* Ends a lease without a result; id NULL: all. */
 void mo_holding_drop(struct mo_holding *holding, const struct mo_lease_id *id);
-/* Gives back the leases of which no block has started; all: those that run, too. */
+/* Returns the leases of which no block has started; all: also those that are running. */
 void mo_holding_give_back(struct mo_holding *holding, bool all);
 
-/* Moves what has ended into a message; each lease once, a gradient alone in its message. Drops what
- * was dropped. */
+/* Moves finished leases into a message; each lease once, a gradient in a message of its own. Frees
+ * dropped leases. */
 void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results);
 
 struct mo_holding_status {
-  uint32_t n_leases[2]; /* by enum mo_back_end: that compute or wait */
-  uint32_t n_results;   /* ended ones, not taken yet */
+  uint32_t n_leases[2]; /* by enum mo_back_end: computing or waiting */
+  uint32_t n_results;   /* finished leases, not taken yet */
   uint64_t rows_done, leases_done;
 };
 void mo_holding_get_status(struct mo_holding *holding,

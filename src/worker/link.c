@@ -1,4 +1,5 @@
-/* link.c: see link.h. libcurl keeps the connections, and closes that of an aborted request. */
+/* link.c: see link.h. libcurl keeps the connections, and closes the connection of an aborted
+ * request. */
 #include "worker/link.h"
 
 #include <stdio.h>
@@ -25,7 +26,7 @@ struct place {
 struct mo_link {
   CURLM *multi;
   struct mo_link_config config;
-  char *base; /* the server, without a / at its end */
+  char *base; /* the server, without a trailing / */
   bool is_loopback;
   struct place places[MO_CALLS];
 };
@@ -44,7 +45,7 @@ static char *part_of(CURLU *url, CURLUPart part)
   return curl_url_get(url, part, &text, 0) == CURLUE_OK ? text : NULL;
 }
 
-/* Reads "https://host:port", with nothing behind it. */
+/* Reads "https://host:port", without anything after it. */
 static int read_server(struct mo_link *link, struct mo_message *message)
 {
   const char *server = link->config.server;
@@ -65,7 +66,7 @@ static int read_server(struct mo_link *link, struct mo_message *message)
       error = MO_OK;
       if (is_plain && !link->is_loopback && link->config.token != NULL)
         error = mo_fail(message, MO_ERR_INVALID,
-                        "server: the token would travel in clear text; use https://");
+                        "server: the token would be sent in clear text; use https://");
       else if (is_plain && link->config.pin != NULL)
         error = mo_fail(message, MO_ERR_INVALID, "pin: http:// has no key to pin; use https://");
       else if ((link->base = strdup(server)) == NULL)
@@ -174,7 +175,8 @@ static bool make_headers(struct place *place, const struct mo_link_request *requ
          add_header(place, "Expect", ""); /* saves a round trip before a body */
 }
 
-/* Whom to trust: with a pin only its key, with a file its authorities, otherwise the system's. */
+/* Sets the trusted keys: with a pin, only its key; with a file, its authorities; otherwise the
+ * system's. */
 static void set_trust(const struct mo_link *link, CURL *curl)
 {
   const struct mo_link_config *config = &link->config;
@@ -188,7 +190,7 @@ static void set_trust(const struct mo_link *link, CURL *curl)
     curl_easy_setopt(curl, CURLOPT_CAINFO, config->ca);
   if (config->proxy != NULL)
     curl_easy_setopt(curl, CURLOPT_PROXY, config->proxy);
-  else if (link->is_loopback) /* a proxy from the environment is another machine */
+  else if (link->is_loopback) /* a proxy from the environment would be another machine */
     curl_easy_setopt(curl, CURLOPT_PROXY, "");
 }
 
@@ -286,7 +288,7 @@ static void finish(struct mo_link *link, struct place *place, CURLcode code,
       !mo_content_digest_matches(header_of(place->curl, "Content-Digest"), place->body.data,
                                  place->body.size)) {
     reply->error = MO_ERR_CORRUPT;
-    snprintf(reply->why, sizeof(reply->why), "the reply is not what its digest says");
+    snprintf(reply->why, sizeof(reply->why), "the reply does not match its digest");
   }
   if (reply->error == MO_OK) {
     reply->body = (uint8_t *)place->body.data;

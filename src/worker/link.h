@@ -1,4 +1,4 @@
-/* link.h: the worker's requests to the daemon, several at one time, over HTTP/1.1.
+/* link.h: the worker's concurrent requests to the daemon over HTTP/1.1.
  *
  * One thread uses a link; only mo_link_wake may be called from others. Each kind of request has a
  * place of its own, so that at most one of each kind is in flight. */
@@ -13,8 +13,8 @@
 
 enum mo_call {
   MO_CALL_SESSION, /* joins or leaves */
-  MO_CALL_ORDERS,  /* always open: the sign of life */
-  MO_CALL_RESULTS, /* sends results, takes leases if there are some now */
+  MO_CALL_ORDERS,  /* always open: the heartbeat */
+  MO_CALL_RESULTS, /* sends results, takes leases that are available now */
   MO_CALL_LEASES,  /* waits for leases */
   MO_CALL_WEIGHTS,
   MO_CALLS
@@ -29,8 +29,8 @@ struct mo_link_config {
 };
 
 struct mo_link;
-/* MO_ERR_INVALID: the server, the pin or the file of certificates; or a token would travel in clear
- * text beyond loopback. MO_ERR_NO_MEMORY. */
+/* MO_ERR_INVALID: the server, the pin or the file of certificates; or a token would be sent in
+ * clear text beyond loopback. MO_ERR_NO_MEMORY. */
 int mo_link_create(const struct mo_link_config *config, struct mo_link **link,
                    struct mo_message *message);
 void mo_link_free(struct mo_link *link); /* NULL-safe */
@@ -43,7 +43,7 @@ struct mo_link_request {
   uint32_t wait_s;     /* > 0: Prefer: wait */
   uint32_t timeout_ms; /* of the whole request */
   size_t limit;        /* largest reply */
-  bool has_digest;     /* the reply to a success must have its Content-Digest */
+  bool has_digest;     /* a successful reply must have a Content-Digest */
 };
 /* Starts a request in its place, which must be free. MO_ERR_NO_MEMORY. */
 int mo_link_start(struct mo_link *link, enum mo_call call, const struct mo_link_request *request);
@@ -52,16 +52,17 @@ bool mo_link_is_busy(const struct mo_link *link, enum mo_call call);
 void mo_link_abort(struct mo_link *link, enum mo_call call);
 
 struct mo_link_reply {
-  /* MO_OK: there is a reply; MO_ERR_IO: no connection, or it ended; MO_ERR_INVALID: the daemon's
-   * certificate is not the expected one; MO_ERR_CORRUPT: too long, or not what its digest says. */
+  /* MO_OK: a reply has arrived; MO_ERR_IO: no connection, or it was closed; MO_ERR_INVALID: the
+   * daemon's certificate is not the expected one; MO_ERR_CORRUPT: too long, or its digest does not
+   * match. */
   int error;
   int status;
   uint32_t retry_after_s;
-  uint8_t *body; /* malloc, a NUL follows it; owned by the caller */
+  uint8_t *body; /* malloc, followed by a NUL; owned by the caller */
   size_t size;
-  char why[256]; /* with an error */
+  char why[256]; /* reason for an error */
 };
-/* Waits until a request ends, and returns its place; −1: time is up, or mo_link_wake was called. */
+/* Waits until a request ends, and returns its place; −1: timeout, or mo_link_wake was called. */
 int mo_link_next(struct mo_link *link, uint32_t timeout_ms, struct mo_link_reply *reply);
 void mo_link_wake(struct mo_link *link);
 

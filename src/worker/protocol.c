@@ -1,4 +1,4 @@
-/* protocol.c: see protocol.h. Unknown members are skipped: a newer daemon may say more. */
+/* protocol.c: see protocol.h. Unknown members are skipped, because a newer daemon may send more. */
 #include "worker/protocol.h"
 
 #include <stdio.h>
@@ -54,22 +54,22 @@ static struct reading *begin(const char *text, size_t size)
   return reading;
 }
 
-/* what: of which the reply was to be. */
+/* what: the expected kind of reply. */
 static int end(struct reading *reading, bool is_complete, const char *what,
                struct mo_message *message)
 {
   int error = MO_OK;
   if (!mo_json_finish(&reading->json) || reading->faults.n > 0)
-    error = mo_fail(message, MO_ERR_FORMAT, "the daemon's reply is no %s: %.100s: %.80s", what,
-                    reading->faults.items[0].where, reading->faults.items[0].detail);
+    error = mo_fail(message, MO_ERR_FORMAT, "the daemon's reply is not a valid %s: %.100s: %.80s",
+                    what, reading->faults.items[0].where, reading->faults.items[0].detail);
   else if (!is_complete)
-    error =
-        mo_fail(message, MO_ERR_FORMAT, "the daemon's reply is no %s: a member is missing", what);
+    error = mo_fail(message, MO_ERR_FORMAT,
+                    "the daemon's reply is not a valid %s: a member is missing", what);
   free(reading);
   return error;
 }
 
-/* Reads a number of 64 bits, which travels as a string of digits. */
+/* Reads a number of 64 bits, which is sent as a string of digits. */
 static bool read_number(struct mo_json *json, uint64_t *number)
 {
   struct mo_json_slice slice;
@@ -108,7 +108,7 @@ static void read_workspace(struct mo_json *json, struct mo_workspace *workspace)
   *workspace = (struct mo_workspace){sides[0], sides[1], sides[2]};
   if (n != 3 || mo_workspace_check(*workspace) != MO_OK ||
       mo_workspace_words(*workspace) > MO_WIRE_WORDS_MAX)
-    mo_json_fault(json, "must be three sides of at most %d voxels", 64 * MO_WIRE_WORDS_MAX);
+    mo_json_fault(json, "must be three side lengths of at most %d voxels", 64 * MO_WIRE_WORDS_MAX);
 }
 
 int mo_protocol_get_session(const char *text, size_t size, struct mo_worker_session *session,

@@ -1,4 +1,4 @@
-/* protocol.h: the JSON that worker and daemon exchange about a session. */
+/* protocol.h: the JSON that a worker and its daemon exchange about a session. */
 #ifndef MORPHO_WORKER_PROTOCOL_H
 #define MORPHO_WORKER_PROTOCOL_H
 
@@ -13,16 +13,16 @@ void mo_protocol_put_offer(const struct mo_fleet_offer *offer, struct mo_text *t
 struct mo_worker_session {
   char id[24]; /* digits */
   struct mo_workspace workspace;
-  uint32_t silence_ms; /* the daemon gives up a session that is silent for longer */
-  uint32_t wait_s;     /* longest wait for leases that it grants */
+  uint32_t silence_ms; /* the daemon drops a session that is silent for longer */
+  uint32_t wait_s;     /* longest wait for leases that the daemon grants */
 };
-/* These two read what the daemon says, a text that ends with NUL. MO_ERR_FORMAT; MO_ERR_NO_MEMORY.
+/* These two parse the daemon's reply, which is NUL-terminated. MO_ERR_FORMAT; MO_ERR_NO_MEMORY.
  */
 int mo_protocol_get_session(const char *text, size_t size, struct mo_worker_session *session,
                             struct mo_message *message);
 int mo_protocol_get_orders(const char *text, size_t size, struct mo_fleet_orders *orders,
                            struct mo_message *message);
-/* Reads the detail of a problem document, "" if it is none. */
+/* Reads the detail of a problem document; "" if the text is not one. */
 void mo_protocol_get_detail(const char *text, size_t size, struct mo_message *message);
 
 #endif

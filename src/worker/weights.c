@@ -11,7 +11,7 @@ static void forget(struct mo_kept *item)
 int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute)
 {
   *weights = (struct mo_kept_weights){.compute = compute};
-  weights->items[0].users = 1; /* is never forgotten */
+  weights->items[0].users = 1; /* never forgotten */
   return mo_compute_controller_create(compute, NULL, &weights->items[0].prepared);
 }
 
@@ -21,7 +21,8 @@ void mo_kept_weights_clear(struct mo_kept_weights *weights)
     forget(&weights->items[i]);
 }
 
-/* Returns the one that nobody used for the longest time, or a free one; NULL: all are in use. */
+/* Returns a free entry, or the one that has been unused for the longest time; NULL: all are in
+ * use. */
 static struct mo_kept *oldest(struct mo_kept_weights *weights)
 {
   struct mo_kept *found = NULL;
@@ -39,9 +40,10 @@ int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 
   struct mo_kept made = {.hash = *hash}, *place = oldest(weights);
   mo_sha256_of(bytes, size, &actual);
   if (!mo_sha256_equal(&actual, hash))
-    return mo_fail(message, MO_ERR_CORRUPT, "the weights are not what their hash says");
+    return mo_fail(message, MO_ERR_CORRUPT, "the weights do not match their hash");
   if (place == NULL)
-    return mo_fail(message, MO_ERR_EXHAUSTED, "%d controllers are in use", MO_WEIGHTS_KEPT);
+    return mo_fail(message, MO_ERR_EXHAUSTED, "all %d places for controllers are in use",
+                   MO_WEIGHTS_KEPT);
   int error = mo_controller_decode(bytes, size, &made.controller, message);
   if (error != MO_OK)
     return error;

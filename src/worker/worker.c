@@ -1,5 +1,5 @@
-/* worker.c: see worker.h. One thread runs the loop: it handles one reply, then `tend` starts what
- * is to be requested next. Only the numbers at the end of the struct are shared with other threads.
+/* worker.c: see worker.h. One thread runs the loop: it handles one reply, then `tend` starts the
+ * next requests. Only the numbers at the end of the struct are shared with other threads.
  */
 #include "worker/worker.h"
 
@@ -17,14 +17,14 @@
 #define ROUND_MS      1000 /* the longest wait of the loop */
 #define PAUSE_MIN_MS  100
 #define PAUSE_MAX_MS  5000
-#define STEADY_MS     5000 /* after so long a session counts as good */
-#define CALM_MS       50   /* first pause after an empty reply that came at once */
+#define STEADY_MS     5000 /* after this time a session counts as stable */
+#define CALM_MS       50   /* first pause after an empty reply that arrived at once */
 #define CALM_MAX_MS   250
-#define BUSY_MS       1000  /* until weights are asked for again that the daemon could not give */
-#define DRAIN_MS      20000 /* a drain without haste still ends */
-#define LEAVE_MS      5000  /* of the last request: a busy machine is slow */
+#define BUSY_MS       1000  /* before weights that the daemon could not send are requested again */
+#define DRAIN_MS      20000 /* limit of a drain that is not urgent */
+#define LEAVE_MS      5000  /* timeout of the last request: a busy machine is slow */
 #define ORDERS_WAIT_S 2
-#define EXCHANGE_MS   15000 /* of a call that does not wait */
+#define EXCHANGE_MS   15000 /* timeout of a call that does not wait */
 #define JOIN_MS       10000
 #define SMALL_REPLY   65536
 #define LEASES_REPLY  (48u << 20)
@@ -40,17 +40,18 @@ struct mo_worker {
   struct mo_worker_session session;
   enum mo_worker_end end;
   struct mo_message why;
-  int64_t joined_ms, leased_ms; /* leased: when it last held a lease */
-  int64_t lost_ms;              /* since when there is no good session; −1: there is */
+  int64_t joined_ms, leased_ms; /* leased: when the worker last held a lease */
+  int64_t lost_ms;              /* start of the time without a stable session; −1: one exists */
   int64_t next_join_ms, next_leases_ms, next_weights_ms;
   int64_t warned_ms;
-  int64_t give_back_ms, end_ms; /* of a drain: running leases are cancelled; it ends anyway */
+  int64_t give_back_ms, end_ms; /* of a drain: when running leases are cancelled; when the worker
+                                   leaves in any case */
   uint32_t calm_ms, leases_wait_s;
   int64_t leases_asked_ms;
   bool is_draining;
-  char wanted[32]; /* version, of a drain for an upgrade; "": none */
+  char wanted[32]; /* the version that a drain for an upgrade wants; "": none */
   struct mo_sha256 weights_asked;
-  atomic_int phase, stops; /* stops: how often the end was asked for */
+  atomic_int phase, stops; /* stops: number of stop requests */
 };
 
 static int64_t now_ms(void)
@@ -71,7 +72,7 @@ static void finish(struct mo_worker *worker, enum mo_worker_end end, const char 
   worker->phase = ENDED;
 }
 
-/* Ends a drain. */
+/* Finishes a drain. */
 static void finish_leaving(struct mo_worker *worker)
 {
   char why[64];
@@ -91,8 +92,8 @@ static bool out_of_memory(struct mo_worker *worker, int error)
 
 /* ---- losing the daemon ---- */
 
-/* Draws a pause below a quarter of the outage so far, so that a short one costs little and a long
- * one makes no crowd. */
+/* Draws a pause below a quarter of the outage so far, so that a short outage costs little, and
+ * after a long one the workers do not all return at once. */
 static int64_t pause_ms(int64_t outage_ms)
 {
   int64_t most = outage_ms / 4;
@@ -110,7 +111,7 @@ static void warn_of_outage(struct mo_worker *worker, int64_t now, const char *wh
   say(worker, MO_WORKER_WARNING, "no session with the daemon; trying again", why);
 }
 
-/* Ends the session, whatever state it is in, and plans the next one. */
+/* Ends the session in any state, and plans the next one. */
 static void lose(struct mo_worker *worker, uint32_t retry_after_s, const char *why)
 {
   const int64_t now = now_ms();
@@ -139,7 +140,7 @@ static void found(struct mo_worker *worker)
   worker->warned_ms = -1;
 }
 
-/* Handles all that is no success; returns whether the reply is one. */
+/* Handles replies other than success; returns whether the reply is a success. */
 static bool is_good(struct mo_worker *worker, const struct mo_link_reply *reply)
 {
   struct mo_message detail = {""};
@@ -166,7 +167,7 @@ static bool is_good(struct mo_worker *worker, const struct mo_link_reply *reply)
            reply->status != 408 && reply->status != 429)
     finish(worker, MO_WORKER_MISPLACED, why);
   else
-    lose(worker, reply->retry_after_s, reply->status == 404 ? "the session is gone" : why);
+    lose(worker, reply->retry_after_s, reply->status == 404 ? "the session no longer exists" : why);
   return false;
 }
 
@@ -213,7 +214,7 @@ static void ask_for_orders(struct mo_worker *worker)
                                     .limit = SMALL_REPLY});
 }
 
-/* Sends results, or waits for leases: never both, so that a wait can be aborted without loss. */
+/* Sends results or waits for leases, never both, so that a wait can be aborted without loss. */
 static void exchange(struct mo_worker *worker, struct mo_wire_results *results, uint32_t wait_s)
 {
   char path[96];
@@ -252,7 +253,8 @@ static void ask_for_weights(struct mo_worker *worker, const struct mo_sha256 *ha
 static void leave(struct mo_worker *worker)
 {
   char path[96];
-  worker->phase = LEAVING; /* orders stay open: their end would look like a loss */
+  worker->phase = LEAVING; /* the orders request stays open: its end would look like a lost
+                              session */
   request(worker, MO_CALL_SESSION,
           &(struct mo_link_request){.method = "DELETE",
                                     .path = path_of(worker, "", path),
@@ -310,7 +312,7 @@ static void take_leases(struct mo_worker *worker, const struct mo_link_reply *re
     worker->calm_ms = CALM_MS;
     worker->next_leases_ms = now;
   } else if (waited && now - worker->leases_asked_ms < 500 * (int64_t)worker->leases_wait_s) {
-    /* The daemon does not let the request wait. */
+    /* The daemon did not let the request wait. */
     worker->next_leases_ms = now + worker->calm_ms;
     worker->calm_ms = worker->calm_ms * 2 < CALM_MAX_MS ? worker->calm_ms * 2 : CALM_MAX_MS;
   }
@@ -320,8 +322,8 @@ static void take_weights(struct mo_worker *worker, const struct mo_link_reply *r
 {
   struct mo_message why = {""};
   if (reply->error == MO_OK && (reply->status == 404 || reply->status == 503)) {
-    /* 404: its leases are gone, too. 503: they go back, since a lost session with leases makes
-     * their bodies suspects. */
+    /* 404: its leases no longer exist either. 503: the leases are returned, because a lost session
+     * with leases makes their bodies suspect. */
     if (reply->status == 503)
       worker->next_weights_ms = now_ms() + BUSY_MS;
     mo_holding_miss_weights(worker->holding, &worker->weights_asked);
@@ -337,7 +339,7 @@ static void take_weights(struct mo_worker *worker, const struct mo_link_reply *r
     lose(worker, 0, why.text[0] != '\0' ? why.text : mo_error_text(error));
 }
 
-/* Takes no more leases, and leaves when those that it has are done, or after a time. */
+/* Takes no more leases, and leaves when the current ones are done, or at the time limit. */
 static void drain(struct mo_worker *worker, int64_t limit_ms, const char *why)
 {
   const int64_t now = now_ms();
@@ -396,32 +398,32 @@ static void handle(struct mo_worker *worker, enum mo_call call, const struct mo_
 
 /* ---- the loop ---- */
 
-/* Gives up, leaves, or goes on by the clock. */
+/* Gives up, leaves, or continues, depending on the clock. */
 static void watch_clock(struct mo_worker *worker, int64_t now)
 {
   const struct mo_worker_config *config = &worker->config;
   const int stops = worker->stops;
   if (stops > 0)
-    worker->wanted[0] = '\0'; /* it ends because it was asked to here */
+    worker->wanted[0] = '\0'; /* the stop was requested here, not by the daemon */
   if (stops > 1 || (worker->is_draining && now >= worker->end_ms))
     finish_leaving(worker);
   else if (stops == 1 && (!worker->is_draining || worker->give_back_ms > now + MO_WORKER_STOP_MS)) {
-    drain(worker, MO_WORKER_STOP_MS, "asked to end");
+    drain(worker, MO_WORKER_STOP_MS, "stop requested");
     mo_holding_give_back(worker->holding, false);
   } else if (worker->is_draining) {
     if (now >= worker->give_back_ms)
       mo_holding_give_back(worker->holding, true);
   } else if (config->leave_at_us > 0 && mo_clock_wall_us() >= config->leave_at_us) {
-    drain(worker, DRAIN_MS, "the time of the job ends");
+    drain(worker, DRAIN_MS, "the job's time limit is near");
   } else if (config->idle_ms > 0 && now - worker->leased_ms >= (int64_t)config->idle_ms) {
-    drain(worker, MO_WORKER_STOP_MS, "no lease for the time of --leave-when-idle");
+    drain(worker, MO_WORKER_STOP_MS, "no lease for the time set by --leave-when-idle");
   } else if (config->give_up_ms > 0 && worker->lost_ms >= 0 && worker->phase == JOINING &&
              now - worker->lost_ms >= (int64_t)config->give_up_ms) {
-    finish(worker, MO_WORKER_UNREACHABLE, "no session for the time of --give-up");
+    finish(worker, MO_WORKER_UNREACHABLE, "no session for the time set by --give-up");
   }
 }
 
-/* Says whether a class that the worker serves has room for another lease. */
+/* Returns whether a class that the worker serves has room for another lease. */
 static bool has_room(const struct mo_worker *worker, const struct mo_holding_status *status)
 {
   for (size_t back_end = 0; back_end < 2; back_end++)
@@ -505,7 +507,7 @@ enum mo_worker_end mo_worker_run(struct mo_worker *worker, struct mo_message *me
   return worker->end;
 }
 
-/* ---- beginning and end ---- */
+/* ---- start and stop ---- */
 
 static void wake(void *context)
 {

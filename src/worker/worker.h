@@ -1,10 +1,10 @@
-/* worker.h: computes leases of a daemon until told to end.
+/* worker.h: computes leases of a daemon until it is stopped.
  *
  * mo_worker_run joins the daemon and runs the session; when the connection is lost it joins again.
- * A session holds two leases, so that computing never waits for the network: results go up in the
- * call that brings the next lease. One request for orders is open all the time; the daemon drops
- * the session as soon as its connection ends. What is computed for a lost session is thrown away:
- * the daemon has given it to others. */
+ * A session holds two leases, so that computing never waits for the network: the call that sends
+ * results returns the next lease. A request for orders is open all the time; the daemon drops the
+ * session as soon as its connection is closed. Results for a lost session are discarded, because
+ * the daemon has given its work to others. */
 #ifndef MORPHO_WORKER_WORKER_H
 #define MORPHO_WORKER_WORKER_H
 
@@ -27,28 +27,28 @@ struct mo_worker_config {
   struct mo_link_config link;
   struct mo_fleet_offer offer;
   struct mo_compute *compute;
-  uint64_t idle_ms;    /* without a lease for so long: leaves; 0: never */
-  uint64_t give_up_ms; /* without the daemon for so long: ends; 0: never */
-  int64_t leave_at_us; /* of the wall clock: leaves; 0: never */
-  /* Says what happened. Any thread of the worker. */
+  uint64_t idle_ms;    /* leave after this time without a lease; 0: never */
+  uint64_t give_up_ms; /* exit after this time without the daemon; 0: never */
+  int64_t leave_at_us; /* when to leave, by the wall clock; 0: never */
+  /* Reports an event. Called on any thread of the worker. */
   void (*say)(void *context, enum mo_worker_news news, const char *what, const char *detail);
   void *context;
 };
 
 struct mo_worker;
-/* The errors of mo_link_create. */
+/* Errors as in mo_link_create. */
 int mo_worker_create(const struct mo_worker_config *config, struct mo_worker **worker,
                      struct mo_message *message);
 void mo_worker_free(struct mo_worker *worker); /* NULL-safe; before mo_compute_free */
 
-/* Runs until the end; message: why, "" if it was asked for. */
+/* Runs until the worker leaves; message: why, "" if requested. */
 enum mo_worker_end mo_worker_run(struct mo_worker *worker, struct mo_message *message);
-/* Asks for the end, from any thread: the worker gives back what it has not begun, computes at most
- * MO_WORKER_STOP_MS longer, sends what is done, and leaves. Again: at once. */
+/* Stops the worker, from any thread: it returns the work that it has not begun, computes at most
+ * MO_WORKER_STOP_MS longer, sends its results, and leaves. A second call makes it leave at once. */
 #define MO_WORKER_STOP_MS 800
 void mo_worker_stop(struct mo_worker *worker);
 
-/* Writes one line of what it does, from any thread. */
+/* Writes one line about the worker's state. Any thread may call it. */
 void mo_worker_describe(struct mo_worker *worker, char *text, size_t capacity);
 
 #endif
