@@ -1,4 +1,4 @@
-/* faults.h: collects what is wrong with a request.
+/* faults.h: collects the faults of a request.
  *
  * A client gets up to MO_FAULTS_MAX faults at once, each with its place. */
 #ifndef MORPHO_BASE_FAULTS_H
@@ -23,7 +23,7 @@ struct mo_fault {
 struct mo_faults {
   unsigned n;      /* faults kept */
   bool malformed;  /* the body is not JSON at all: 400, not 422 */
-  bool first_only; /* further faults are dropped, and reading goes on */
+  bool first_only; /* further faults are dropped, and reading continues */
   struct mo_fault items[MO_FAULTS_MAX];
 };
 

@@ -11,7 +11,7 @@ static const void *at_const(const void *settings, const struct mo_field *field)
   return (const char *)settings + field->offset;
 }
 
-/* Finds a row by its name. *offset: of the struct that holds the row, within the struct of
+/* Finds a row by its name. *offset: the offset of the row's struct within the struct of
  * `fields`. */
 static const struct mo_field *find(const struct mo_fields *fields, const char *name, size_t size,
                                    size_t *offset)
@@ -270,7 +270,7 @@ static uint64_t count_at(const struct mo_field *field, const void *value)
   return field->type == MO_FIELD_SEED ? *(const uint64_t *)value : *(const uint32_t *)value;
 }
 
-/* Says whether null stands for the value. */
+/* Returns whether null stands for the value. */
 static bool is_null(const struct mo_field *field, const void *value)
 {
   if (!(field->flags & MO_FIELD_NULL))
@@ -434,7 +434,7 @@ int mo_fields_check(const struct mo_fields *fields, const char *above, const voi
         error = field->own->check(path, value, message);
       break;
     case MO_FIELD_TEXT:
-    case MO_FIELD_SEED: /* only requests are bounded; the library takes any seed */
+    case MO_FIELD_SEED: /* only requests are bounded; the library accepts any seed */
     case MO_FIELD_FLAG: break;
     }
   }

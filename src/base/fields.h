@@ -2,7 +2,7 @@
  * its bounds, its unit and one line of help. Requests, replies, the database, checkpoints, the
  * metadata of controllers and the command line use these rows.
  *
- * Numbers are written with enough digits to read back bit for bit. */
+ * Numbers are written with enough digits to be read back bit for bit. */
 #ifndef MORPHO_BASE_FIELDS_H
 #define MORPHO_BASE_FIELDS_H
 
@@ -34,15 +34,16 @@ enum mo_field_type {
 enum mo_field_flag {
   MO_FIELD_ABOVE_MIN = 1, /* the lower bound itself is not allowed */
   MO_FIELD_BELOW_MAX = 2, /* the upper bound itself is not allowed */
-  MO_FIELD_NULL = 4,      /* null stands for 0 or the empty text; of a group whose struct begins
-                             with a bool, for false; of a word, for an index below 0, in writing */
-  MO_FIELD_UTF8 = 8       /* char[4 · max + 1]: a text of any characters but NUL */
+  MO_FIELD_NULL = 4,      /* null stands for 0 or the empty text; for a group with a bool first in
+                             its struct, for false; for a word, when writing, for an index below
+                             0 */
+  MO_FIELD_UTF8 = 8       /* char[4 · max + 1]: a text of any characters except NUL */
 };
 
 struct mo_fields;
 
 /* Functions for a field of its own type. value: the field in its struct. read: reads one JSON value
- * of any kind; a bad one adds a fault at its place and leaves `value` unchanged. check: MO_OK,
+ * of any kind; an invalid one adds a fault at its place and leaves `value` unchanged. check: MO_OK,
  * MO_ERR_INVALID or MO_ERR_RANGE, with a message that begins with `name`, the path of the setting;
  * NULL: nothing to check. */
 struct mo_field_own {
@@ -54,7 +55,7 @@ struct mo_field_own {
 struct mo_field {
   const char *name;
   enum mo_field_type type;
-  unsigned flags; /* of enum mo_field_flag */
+  unsigned flags; /* from enum mo_field_flag */
   size_t offset;
   double min, max;               /* of counts, numbers, and characters of a text */
   uint32_t n, side;              /* of several numbers; side: of a row of a table, or 0 */
@@ -87,8 +88,8 @@ void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *
  * `known`, then the rows' names. known, fields: nullable. */
 void mo_fields_unknown(struct mo_json *json, const char *known, const struct mo_fields *fields);
 
-/* Parses a whole text from mo_fields_write_object. Missing members stay unchanged. MO_ERR_FORMAT,
- * with the first fault in `message`. */
+/* Parses a complete text from mo_fields_write_object. Missing members stay unchanged.
+ * MO_ERR_FORMAT, with the first fault in `message`. */
 int mo_fields_parse(const char *text, size_t size, const struct mo_fields *fields, void *settings,
                     struct mo_message *message);
 
@@ -98,8 +99,8 @@ void mo_fields_write(struct mo_text *text, const struct mo_fields *fields, const
 void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields,
                             const void *settings);
 
-/* Calls `differs` for each row that two structs have with other values: its JSON pointer below
- * `above`, and both values as JSON (NULL: no memory). */
+/* Calls `differs` for each row in which two structs differ, with its JSON pointer below `above` and
+ * both values as JSON (NULL: out of memory). */
 void mo_fields_compare(const struct mo_fields *fields, const char *above, const void *first,
                        const void *second,
                        void (*differs)(void *context, const char *pointer, const char *first,
@@ -107,8 +108,8 @@ void mo_fields_compare(const struct mo_fields *fields, const char *above, const 
                        void *context);
 
 /* Checks all settings against their bounds. MO_ERR_INVALID (not finite, not one of the words) or
- * MO_ERR_RANGE for the first bad one; `message` gives its name, value and bounds. above: what
- * messages call the struct, as in "schedule.peak …"; "": nothing. */
+ * MO_ERR_RANGE for the first invalid one; `message` has its name, value and bounds. above: the
+ * struct's name in messages, as in "schedule.peak …"; "": none. */
 int mo_fields_check(const struct mo_fields *fields, const char *above, const void *settings,
                     struct mo_message *message);
 

@@ -13,7 +13,7 @@
 
 /* ---- places ---- */
 
-/* Reads four hexadecimal digits; −1: they are none. */
+/* Reads four hexadecimal digits; −1: not four digits. */
 static long four_digits(const char *bytes, size_t n)
 {
   long code = 0;
@@ -26,7 +26,7 @@ static long four_digits(const char *bytes, size_t n)
   return code;
 }
 
-/* Reads the escape that `bytes` begins with. Returns the character; −1: *words says what is
+/* Reads the escape at the start of `bytes`. Returns the character; −1: *words says what is
  * wrong. */
 static long read_escape(const char *bytes, size_t n, size_t *size, const char **words)
 {
@@ -69,8 +69,8 @@ static unsigned encode(unsigned long code, char bytes[4])
   return length;
 }
 
-/* Decodes the escapes of a string that was checked before. Writes at most `capacity` bytes; returns
- * the full length. */
+/* Decodes the escapes of a checked string. Writes at most `capacity` bytes; returns the full
+ * length. */
 static size_t decode(struct mo_json_slice raw, char *out, size_t capacity)
 {
   size_t n = 0;
@@ -140,7 +140,7 @@ void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, c
   json->stop = mo_faults_full(json->faults);
 }
 
-/* Reports where the text stops being JSON, and ends the reading. */
+/* Reports where the text stops being JSON, and stops the reading. */
 static bool syntax(struct mo_json *json, const char *words)
 {
   if (json->stop)
@@ -150,7 +150,7 @@ static bool syntax(struct mo_json *json, const char *words)
     column = json->text[i] == '\n' ? 1 : column + 1;
     line += json->text[i] == '\n';
   }
-  json->faults->n = 0; /* earlier faults of a text that is not JSON mean nothing */
+  json->faults->n = 0; /* earlier faults in a text that is not JSON are meaningless */
   json->faults->malformed = true;
   mo_json_fault(json, "line %zu, column %zu: %s", line, column, words);
   json->stop = true;
@@ -190,7 +190,7 @@ bool mo_json_finish(struct mo_json *json)
     return false;
   skip_space(json);
   return json->at == json->size ||
-         syntax(json, "something follows the value; exactly one JSON value is expected");
+         syntax(json, "trailing data after the value; exactly one JSON value is expected");
 }
 
 static bool literal(struct mo_json *json, const char *words)
@@ -225,7 +225,7 @@ enum mo_json_kind mo_json_peek(struct mo_json *json)
   return MO_JSON_NONE;
 }
 
-/* Reads a string between its quotes, without decoding. *plain: it has no escapes. */
+/* Reads a string between its quotes, without decoding. *plain: whether it has no escapes. */
 static bool raw_string(struct mo_json *json, struct mo_json_slice *raw, bool *plain)
 {
   const unsigned char *text = (const unsigned char *)json->text;
@@ -269,7 +269,7 @@ static bool raw_string(struct mo_json *json, struct mo_json_slice *raw, bool *pl
 /* Checks the syntax of a number and moves past it. */
 static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
 {
-  const char *text = json->text; /* text[size] is NUL, which is no digit */
+  const char *text = json->text; /* text[size] is NUL, which is not a digit */
   size_t at = json->at;
   if (text[at] == '-')
     at++;
@@ -292,7 +292,7 @@ static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
       at++;
     good = at > digits;
   }
-  /* Only these characters may follow a number. A NUL inside the text is not its end. */
+  /* Only these characters may follow a number. A NUL within the text does not end it. */
   char c = text[at];
   if (at < json->size && c != ' ' && c != '\t' && c != '\n' && c != '\r' && c != ',' && c != ']' &&
       c != '}')
@@ -308,7 +308,7 @@ static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
 
 /* ---- values ---- */
 
-/* Says whether the next value is of this kind; else adds a fault and skips it. */
+/* Returns whether the next value is of this kind; otherwise adds a fault and skips the value. */
 static bool expect(struct mo_json *json, enum mo_json_kind kind, const char *expected)
 {
   static const char *const words[] = {"nothing",  "an object", "an array", "a string",
@@ -366,7 +366,7 @@ bool mo_json_number(struct mo_json *json, double *value)
   struct mo_json_slice raw;
   if (!expect(json, MO_JSON_NUMBER, "a number") || !raw_number(json, &raw))
     return false;
-  double number = strtod(raw.bytes, NULL); /* strtod stops where the checked number ends */
+  double number = strtod(raw.bytes, NULL); /* strtod stops at the end of the checked number */
   if (!isfinite(number)) {
     mo_json_fault(json, "the number is larger than any float64; a finite number is expected");
     return false;
@@ -389,7 +389,7 @@ bool mo_json_bounded(struct mo_json *json, double min, double max, double *value
   return true;
 }
 
-#define WHOLE_DIGITS_MAX 18 /* of a number that always fits 63 bits */
+#define WHOLE_DIGITS_MAX 18 /* digits of a number that always fits in 63 bits */
 
 /* Reads a whole number by its digits, not as a rounded float64: 3.0 and 3e0 are whole,
  * 3.00000000000000000001 is not. MO_ERR_RANGE: too many digits; MO_ERR_INVALID: it has a
@@ -532,7 +532,7 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
   for (uint32_t i = level->first_key; i < json->n_keys; i++)
     if (same_key(json->keys[i], raw)) {
       level->key = raw;
-      return syntax(json, "a key that stands in this object already");
+      return syntax(json, "a duplicate key in an object");
     }
   if (json->n_keys - level->first_key == MO_JSON_KEYS_MAX)
     return syntax(json, "an object with more than 64 keys");

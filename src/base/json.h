@@ -1,13 +1,13 @@
-/* json.h: a strict JSON reader (RFC 8259) that walks over the text and builds no tree.
+/* json.h: a strict JSON reader (RFC 8259) that reads the text in place, without building a tree.
  *
  * It reads a request of 32 MiB in one pass: the caller asks for the values that it expects.
- * Anything else becomes a fault with the JSON pointer of its place. A syntax error ends the reading
- * (400). A value of the wrong kind or range adds a fault (422) and is skipped, and reading goes on,
- * so that a client gets many faults at once.
+ * Anything else becomes a fault with the JSON pointer of its place. A syntax error stops the
+ * reading (400). A value of the wrong kind or range adds a fault (422) and is skipped, and reading
+ * continues, so that a client gets many faults at once.
  *
  * Strict means: UTF-8 only, no byte-order mark, no NaN or Infinity, no leading zeros, no lone
- * surrogates, no repeated key in an object, nothing after the value, at most MO_JSON_DEPTH_MAX
- * levels and MO_JSON_KEYS_MAX keys per object. */
+ * surrogates, no repeated key in an object, no trailing data, at most MO_JSON_DEPTH_MAX levels and
+ * MO_JSON_KEYS_MAX keys per object. */
 #ifndef MORPHO_BASE_JSON_H
 #define MORPHO_BASE_JSON_H
 
@@ -40,9 +40,9 @@ struct mo_json_slice {
 
 struct mo_json_level {
   bool object;
-  uint32_t index;           /* of the current item; after the last, the number of items */
+  uint32_t index;           /* index of the current item; after the last, the number of items */
   struct mo_json_slice key; /* of the current member, as written; index 0: none yet */
-  uint32_t first_key;       /* place of the object's first key in the reader's list */
+  uint32_t first_key;       /* index of the object's first key in the reader's list */
 };
 
 struct mo_json {
@@ -54,26 +54,26 @@ struct mo_json {
   struct mo_json_level levels[MO_JSON_DEPTH_MAX];
   uint32_t n_keys;
   struct mo_json_slice
-      keys[MO_JSON_DEPTH_MAX * MO_JSON_KEYS_MAX]; /* of all open objects, innermost last */
+      keys[MO_JSON_DEPTH_MAX * MO_JSON_KEYS_MAX]; /* keys of all open objects, innermost last */
   char decoded[MO_JSON_STRING_MAX + 4];
   char key[MO_JSON_KEY_BYTES]; /* decoded; never longer than in the text */
 };
 
-/* Starts reading `size` bytes; text[size] must be readable and NUL. The reader takes 70 kB: do not
- * put it on a small stack. */
+/* Starts reading `size` bytes; text[size] must be readable and NUL. The reader takes 70 kB, so do
+ * not put it on a small stack. */
 void mo_json_start(struct mo_json *json, const char *text, size_t size, struct mo_faults *faults);
-/* Ends reading. True: all of the text was read without a syntax error. There may still be other
+/* Ends reading. True: the whole text was read without a syntax error, although there may be other
  * faults. */
 bool mo_json_finish(struct mo_json *json);
 
 /* Returns the kind of the next value. */
 enum mo_json_kind mo_json_peek(struct mo_json *json);
 
-/* The following functions read one value each. A value of another kind is skipped and adds a fault
- * that says what was expected; they return false. */
+/* The following functions read one value each. They return false for a value of another kind, which
+ * is skipped and adds a fault that says what was expected. */
 bool mo_json_string(struct mo_json *json,
                     struct mo_json_slice *value); /* valid until the next string; a string longer
-                                                     than MO_JSON_STRING_MAX is a fault, too */
+                                                     than MO_JSON_STRING_MAX is also a fault */
 /* Reads a string of any length without escapes; `value` points into the text. */
 bool mo_json_text(struct mo_json *json, struct mo_json_slice *value);
 bool mo_json_bool(struct mo_json *json, bool *value);
@@ -84,8 +84,8 @@ bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *va
 /* Reads a finite number in min … max. */
 bool mo_json_bounded(struct mo_json *json, double min, double max, double *value);
 
-/* Read arrays: if (mo_json_array(json)) while (mo_json_item(json)) read one value. Objects work in
- * the same way, with a key. Each value must be read or skipped before the next item. */
+/* Read arrays: if (mo_json_array(json)) while (mo_json_item(json)) read one value. Objects work the
+ * same way, with a key. Each value must be read or skipped before the next item. */
 bool mo_json_array(struct mo_json *json);
 bool mo_json_item(struct mo_json *json);
 bool mo_json_object(struct mo_json *json);
@@ -93,8 +93,8 @@ bool mo_json_object(struct mo_json *json);
  * with an escaped key, in any object. */
 bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
 
-/* Reads an array of whole numbers from 0 to max into `counts`, up to `room` of them. *n: is raised
- * for each item, also those beyond. A count that is refused leaves its place as it is. */
+/* Reads an array of whole numbers from 0 to max into `counts`, up to `room` of them. *n: is
+ * incremented for each item, including those beyond. A refused count leaves its place unchanged. */
 void mo_json_counts(struct mo_json *json, uint32_t max, uint32_t *counts, uint32_t room,
                     uint32_t *n);
 

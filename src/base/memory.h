@@ -6,8 +6,8 @@
 
 #define MO_CACHE_LINE_BYTES 64
 
-/* Allocates count × size bytes, zeroed and aligned to MO_CACHE_LINE_BYTES. NULL: overflow, or out
- * of memory; never NULL for a product of 0. Release with free(). */
+/* Allocates count × size bytes, zeroed and aligned to MO_CACHE_LINE_BYTES. Returns NULL on overflow
+ * or if out of memory; never NULL for a product of 0. Release it with free(). */
 void *mo_alloc_aligned(size_t count, size_t size);
 
 #endif

@@ -1,8 +1,8 @@
 /* processors.c: see processors.h.
  *
- * A cgroup whose files are not found counts as one without a limit. Inside a container /proc often
- * names a path of the host, while the files of the container's own cgroup are at the top of the
- * mount. The walk up the path ends there and finds them. */
+ * A cgroup without files counts as one without a limit. Inside a container, /proc often names a
+ * path of the host, while the files of the container's own cgroup are at the top of the mount. The
+ * walk up the path ends there and finds them. */
 #include "base/processors.h"
 
 #include <limits.h>
@@ -41,7 +41,7 @@ static bool has_controller(char *controllers, const char *wanted)
   return false;
 }
 
-/* Returns the least of the limits of a cgroup and those above it. */
+/* Returns the least limit among a cgroup and those above it. */
 static uint64_t least_limit(const char *mount, const char *group, bool is_unified,
                             mo_cgroup_limit *limit_of)
 {

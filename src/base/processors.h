@@ -1,4 +1,5 @@
-/* processors.h: how many processors this process can keep busy, and the limits of its cgroups. */
+/* processors.h: the number of processors that this process can keep busy, and the limits of its
+ * cgroups. */
 #ifndef MORPHO_BASE_PROCESSORS_H
 #define MORPHO_BASE_PROCESSORS_H
 
@@ -6,20 +7,20 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Returns the smaller of the processors in the affinity mask and those that the CPU quotas of the
- * process's cgroups pay for; at least 1. */
+/* Returns the number of processors in the affinity mask, or fewer if a CPU quota of the process's
+ * cgroups allows only that; at least 1. */
 uint32_t mo_processors(void);
-/* Returns the smallest quota divided by its period, rounded up, of the process's cgroup and all
+/* Returns the smallest quota divided by its period, rounded up, among the process's cgroup and all
  * cgroups above it (`cpu.max` of version 2, `cpu.cfs_quota_us` of version 1). UINT32_MAX: no quota.
  * root: prefix of /proc and /sys; "" except in tests. */
 uint32_t mo_quota_processors(const char *root);
 
 /* Returns the least limit that `limit_of` finds in the folders of the process's cgroups and all
- * cgroups above them that can be seen: of version 2 (unified), and of version 1's `controller`.
- * UINT64_MAX: none. */
+ * visible cgroups above them: of version 2 (unified), and of version 1's `controller`. UINT64_MAX:
+ * none. */
 typedef uint64_t mo_cgroup_limit(const char *folder, bool is_unified);
 uint64_t mo_cgroups_limit(const char *root, const char *controller, mo_cgroup_limit *limit_of);
-/* Reads up to two numbers from the start of a file; returns how many it found. */
+/* Reads up to two numbers from the start of a file; returns how many it read. */
 size_t mo_read_numbers(const char *folder, const char *name, long long numbers[2]);
 
 #endif

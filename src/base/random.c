@@ -1,4 +1,4 @@
-/* random.c: Philox4x32-10 and the random streams made of it.
+/* random.c: Philox4x32-10 and the random streams based on it.
  *
  * One block is ten rounds of two 32 × 32 → 64 bit products on four counter words; see Salmon et
  * al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011. Blocks are independent, so
@@ -40,7 +40,7 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
   out[3] = c3;
 }
 
-/* Computes LANES blocks with consecutive first counter words, and writes them one after the other.
+/* Computes LANES blocks with consecutive first counter words, and writes them one after another.
  * Each vector has two lanes, in the low halves of its 64-bit words. The product instruction reads
  * only low halves, so the high halves may have any value. */
 static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
@@ -118,7 +118,7 @@ void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n)
     philox_lanes(random->counter, random->key, numbers + i);
     random->counter[0] += LANES;
   }
-  if (n - i > 4) { /* the rest; it costs one group */
+  if (n - i > 4) { /* the rest, at the cost of one group */
     uint32_t group[LANES * 4];
     philox_lanes(random->counter, random->key, group);
     uint32_t whole = (uint32_t)((n - i) / 4);
@@ -143,8 +143,8 @@ double mo_random_uniform(struct mo_random *random)
   return (double)(mo_random_u64(random) >> 11) * 0x1p-53;
 }
 
-/* Multiplies and shifts (Lemire 2019): the low half of the product shows whether the number must be
- * rejected to keep all results equally likely. */
+/* Multiplies and shifts (Lemire 2019): the low half of the product determines whether the number
+ * must be rejected to keep all results equally likely. */
 uint32_t mo_random_below(struct mo_random *random, uint32_t n)
 {
   if (n == 0) {
@@ -160,7 +160,8 @@ uint32_t mo_random_below(struct mo_random *random, uint32_t n)
   return (uint32_t)(product >> 32);
 }
 
-/* Uses 52 bits and a half: the argument is exact, symmetric about ½, and never 0 or 1. */
+/* Uses 52 bits plus one half, so that the argument is exact, symmetric about ½, and never 0 or
+ * 1. */
 double mo_random_normal(struct mo_random *random)
 {
   return mo_normal_quantile(((double)(mo_random_u64(random) >> 12) + 0.5) * 0x1p-52);

@@ -92,7 +92,7 @@ void mo_text_free(struct mo_text *text)
   *text = (struct mo_text){0};
 }
 
-/* Makes room for n more bytes and a NUL. */
+/* Reserves space for n more bytes and a NUL. */
 static bool reserve(struct mo_text *text, size_t n)
 {
   if (text->failed)
@@ -147,7 +147,7 @@ void mo_text_format(struct mo_text *text, const char *format, ...)
   va_end(again);
 }
 
-/* Returns the character, at most U+FFFF, of a sequence of 2 or 3 bytes if it controls a terminal;
+/* Returns the character (at most U+FFFF) of a sequence of 2 or 3 bytes if it controls a terminal,
  * else 0. */
 static unsigned terminal_control(const unsigned char *bytes, unsigned length)
 {
@@ -207,7 +207,7 @@ void mo_text_json_stored(struct mo_text *text, const char *json)
   size_t whole = 0; /* start of the current run of valid UTF-8 */
   for (size_t i = 0; i < n;) {
     const bool is_break =
-        json[i] == '\n' || json[i] == '\r'; /* between values: an event is one line */
+        json[i] == '\n' || json[i] == '\r'; /* between values, because an event is one line */
     unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
     if (length > 0 && !is_break) {
       i += length;
@@ -220,7 +220,7 @@ void mo_text_json_stored(struct mo_text *text, const char *json)
   mo_text_bytes(text, json + whole, n - whole);
 }
 
-/* Writes number / 10^places, without zeros at its end, from the end of the room on. */
+/* Writes number / 10^places, without trailing zeros, backward from the end of the buffer. */
 static size_t write_places(bool is_negative, uint64_t number, int places,
                            char text[MO_NUMBER_BYTES])
 {
@@ -240,9 +240,9 @@ static size_t write_places(bool is_negative, uint64_t number, int places,
 }
 
 /* Writes the same text as write_number(value, 15, text), eight times as fast, for magnitudes that
- * need no exponent. With m of 53 bits the value is m · 2^(e − 53), and 17 digits of it, k of them
- * behind the point, are m · 5^k · 2^−shift: whole numbers of up to 103 bits, and exact. Returns 0
- * if nothing was written. */
+ * need no exponent. With m of 53 bits the value is m · 2^(e − 53), and its 17 digits, k of them
+ * after the point, are m · 5^k · 2^−shift: integers of up to 103 bits, and exact. Returns 0 if
+ * nothing was written. */
 static size_t write_plain(double value, char text[MO_NUMBER_BYTES])
 {
   typedef unsigned __int128 wide;
@@ -267,7 +267,8 @@ static size_t write_plain(double value, char text[MO_NUMBER_BYTES])
     const wide twice = 2 * (exact - whole * step);
     rounded = (whole + (twice > step || (twice == step && whole % 2 == 1))) * unit;
     const wide found = (wide)rounded << shift;
-    /* It reads back if no other float64 is nearer; below a power of two they are closer. */
+    /* It reads back correctly if no other float64 is nearer; just below a power of two they are
+     * closer together. */
     const wide off = found > exact            ? 2 * (found - exact)
                      : m == UINT64_C(1) << 52 ? 4 * (exact - found)
                                               : 2 * (exact - found);
@@ -284,7 +285,7 @@ void mo_text_json_number(struct mo_text *text, double value)
     return;
   }
   char digits[MO_NUMBER_BYTES];
-  /* Fast path with the same text as below: half of a page's numbers are whole. */
+  /* Fast path with the same text as below: half of the numbers on a page are whole. */
   if (fabs(value) < 1e15 && value == trunc(value) && (value != 0 || !signbit(value))) {
     mo_text_format(text, "%lld", (long long)value);
     return;

@@ -12,28 +12,28 @@
 /* Returns the length of the UTF-8 sequence at `words` (n ≥ 1 bytes long), 0 if it is invalid: no
  * overlong forms, no surrogates, nothing past U+10FFFF. */
 unsigned mo_utf8_sequence(const unsigned char *words, size_t n);
-/* Says whether the whole text is UTF-8. */
+/* Returns whether the whole text is UTF-8. */
 bool mo_utf8_is_valid(const char *text);
 /* Returns the number of characters in n bytes of UTF-8. */
 size_t mo_utf8_length(const char *text, size_t n);
 
 #define MO_NUMBER_BYTES 32
 
-/* Writes a number as a short text that reads back as the same number, with six digits or more where
+/* Writes a number as a short text that reads back as the same number, with at least six digits if
  * the number has them. The decimal point does not depend on the locale. */
 const char *mo_number_text(double value, char text[MO_NUMBER_BYTES]);
-/* Makes the same text as an argument of "%s"; valid until the end of the block. */
+/* Produces the same text as an argument for "%s"; valid until the end of the enclosing block. */
 #define MO_NUMBER(value) mo_number_text((value), (char[MO_NUMBER_BYTES]){0})
 
-/* Returns the value of a hexadecimal digit; −1: it is none. */
+/* Returns the value of a hexadecimal digit; −1: not a digit. */
 int mo_hex_digit(char c);
 
 /* ---- the growing text ---- */
 
-/* After a failed allocation `failed` is set and later calls do nothing, so writers check it once,
+/* After a failed allocation, `failed` is set and later calls do nothing, so writers check it once,
  * at the end. */
 struct mo_text {
-  char *data; /* malloc; a NUL follows the last byte when size > 0; may be handed over */
+  char *data; /* malloc; a NUL follows the last byte if size > 0; ownership may be transferred */
   size_t size, capacity;
   bool failed;
   bool is_fixed; /* `data` belongs to the caller, and cannot grow */
@@ -48,8 +48,8 @@ void mo_text_format(struct mo_text *text, const char *format, ...)
 
 /* Appends a JSON string with its quotes. Invalid UTF-8 becomes U+FFFD. */
 void mo_text_json_string(struct mo_text *text, const char *words, size_t n);
-/* The same for a terminal: what would control it is escaped, too (U+0080 to U+009F, and those that
- * change the direction of text). */
+/* The same for a terminal: also escapes characters that would control it (U+0080 to U+009F, and
+ * those that change the direction of text). */
 void mo_text_shown_string(struct mo_text *text, const char *words, size_t n);
 /* Appends a stored JSON text on one line. Invalid UTF-8 in its strings becomes U+FFFD. */
 void mo_text_json_stored(struct mo_text *text, const char *json);
@@ -62,7 +62,7 @@ void mo_text_json_float(struct mo_text *text,
 void mo_text_counts(struct mo_text *text, const uint32_t *counts, size_t n);
 
 /* Appends a comma, unless the text ends with an opening bracket or a colon: before the next item of
- * an array. The functions below do so themselves. */
+ * an array. The functions below do so on their own. */
 void mo_text_next(struct mo_text *text);
 /* Opens an object. */
 void mo_text_object(struct mo_text *text);
@@ -75,10 +75,10 @@ void mo_text_member(struct mo_text *text, const char *name, const char *words); 
 void mo_text_member_number(struct mo_text *text, const char *name,
                            double value); /* null if it is not finite */
 void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value);
-/* Digits in quotes; null below 0. */
+/* Writes digits in quotes; null for a negative id. */
 void mo_text_member_id(struct mo_text *text, const char *name, int64_t id);
 void mo_text_member_bool(struct mo_text *text, const char *name, bool value);
-/* "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
+/* Writes "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
 void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us);
 
 #endif

@@ -40,7 +40,7 @@ const char *mo_words_join(const char *const *words, const char *quote, char text
   return text;
 }
 
-/* Returns how many characters must be put in, taken out or replaced to turn `a` into `b`. */
+/* Returns how many characters must be inserted, removed or replaced to turn `a` into `b`. */
 static size_t distance(const char *a, const char *b)
 {
   size_t row[64];
