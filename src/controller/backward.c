@@ -38,8 +38,8 @@ static void dense_adjoint(const float *weight, const uint32_t *rows, uint32_t n,
   }
 }
 
-/* normal[i] = (h[i] − mean) · scale,   y = normal[i] · gain[i] + shift[i],   h[i] ← y < 0 ? 0 : y
- * The derivative of the ReLU at 0 is taken as 0. */
+/* normal[i] = (h[i] − mean) · scale, y = normal[i] · gain[i] + shift[i], h[i] ← y < 0 ? 0 : y The
+ * derivative of the ReLU at 0 is taken to be 0. */
 static void norm_relu_adjoint(const float *gain, const double *normal, double scale,
                               const double *hidden, const double *d_hidden, double *d_shifted,
                               double *d_dense)

@@ -1,4 +1,4 @@
-/* controller.c: the controller in memory. All parameters lie in one buffer in file order; the named
+/* controller.c: the controller in memory. All parameters are in one buffer in file order; the named
  * views point into it, so that an optimizer, a file and a hash can treat the controller as one
  * array. */
 #include "controller/internal.h"
@@ -215,7 +215,7 @@ int mo_controller_set_metadata(struct mo_controller *controller, const char *key
   if (key == NULL || value == NULL || /* only UTF-8 can be written into a JSON header */
       !mo_utf8_is_valid(key) || !mo_utf8_is_valid(value))
     return MO_ERR_INVALID;
-  /* These describe the parameters; another value would contradict them. */
+  /* These entries describe the parameters, which another value would contradict. */
   static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "workspace"};
   for (size_t i = 0; i < sizeof(fixed) / sizeof(fixed[0]); i++) {
     if (strcmp(key, fixed[i]) != 0)

@@ -1,5 +1,5 @@
 /* file.c: reads controllers from bytes and files, and encodes them. A file is read in pieces
- * directly into the parameters, so that a large controller is in memory only once. */
+ * directly into the parameters, so that a large controller is never in memory twice. */
 #include "controller/internal.h"
 
 #include <errno.h>
@@ -12,9 +12,9 @@
 
 #include "base/text.h"
 
-#define PIECE_BYTES ((size_t)1 << 30) /* for one system call */
+#define PIECE_BYTES ((size_t)1 << 30) /* limit for one system call */
 
-/* What a controller is read from. */
+/* The source of a controller. */
 struct source {
   const uint8_t *bytes; /* NULL: the file `fd` */
   int fd;
@@ -36,7 +36,7 @@ static int read_at(const struct source *source, void *buffer, uint64_t size, uin
     if (n < 0)
       return mo_fail(source->message, MO_ERR_IO, "reading failed: %s", strerrordesc_np(errno));
     if (n == 0)
-      return mo_fail(source->message, MO_ERR_IO, "the file became shorter while it was read");
+      return mo_fail(source->message, MO_ERR_IO, "the file was truncated while it was being read");
     to += n;
     offset += (uint64_t)n;
     size -= (uint64_t)n;
@@ -117,9 +117,9 @@ int mo_controller_read(const char *path, struct mo_controller **controller,
 
 /* ---- writing ----
  *
- * The header is not written by the JSON library, whose printer may return an incomplete text when
- * memory runs out. The bytes of a file, whose hash identifies a controller, should not depend on a
- * library's version either. */
+ * The JSON library does not write the header, because its printer may return an incomplete text
+ * when memory runs out. Moreover, the hash of a file identifies a controller, so its bytes should
+ * not depend on a library's version. */
 
 /* Writes the header, padded to whole parameters. */
 static void write_header(struct mo_text *text, const struct mo_controller *controller)

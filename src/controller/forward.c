@@ -1,5 +1,6 @@
-/* forward.c: the network in float64, as simple as tests' speed permits: each neuron's sum runs in
- * input order; four neurons run side by side so that their chains of additions overlap. */
+/* forward.c: the network in float64, as simple as the speed of the tests permits: each neuron's sum
+ * is in input order; four neurons are computed together so that their chains of additions
+ * overlap. */
 #include "controller/tape.h"
 
 #include <math.h>

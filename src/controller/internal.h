@@ -1,4 +1,5 @@
-/* internal.h: shared by the files of this room: where each tensor lies in the parameter buffer. */
+/* internal.h: shared by the files of this room: the position of each tensor in the parameter
+ * buffer. */
 #ifndef MORPHO_CONTROLLER_INTERNAL_H
 #define MORPHO_CONTROLLER_INTERNAL_H
 
@@ -25,20 +26,20 @@ struct mo_tensor {
 uint64_t mo_controller_tensors(struct mo_workspace workspace,
                                struct mo_tensor tensors[MO_CONTROLLER_TENSORS]);
 
-/* Write the values of metadata entries; 64 bytes each. */
+/* Each writes the value of a metadata entry; 64 bytes. */
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64]);
 void mo_controller_workspace_text(struct mo_workspace workspace, char text[64]);
 #define MO_SPRING_ORDER "lexicographic endpoint pairs"
 
-/* Creates a controller with views and uninitialized parameters, without metadata. MO_ERR_LIMIT,
- * MO_ERR_NO_MEMORY, as mo_workspace_check. */
+/* Creates a controller with views and uninitialized parameters, without metadata. MO_ERR_NO_MEMORY,
+ * and errors as in mo_workspace_check. */
 int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor,
                            struct mo_controller **controller);
 /* Same as mo_controller_set_metadata, without the check of entries that describe the controller
  * itself. */
 int mo_controller_put_metadata(struct mo_controller *controller, const char *key,
                                const char *value);
-/* Adds the entries that every file has, where they are missing: both orders and the sensor. */
+/* Adds the entries that every file has, if they are missing: both orders and the sensor. */
 int mo_controller_complete_metadata(struct mo_controller *controller);
 
 /* safetensors.c: a checked header. offsets[i]: byte of the file at which tensor i of the table

@@ -7,9 +7,9 @@
  *
  * A file is a controller only if it has exactly the expected tensors, in float32, in the shapes of
  * one workspace, and they tile the data without gap or overlap. Their order in header and data is
- * free, since common writers sort by name. Memory in proportion to the file's size is allocated
- * only after the header agrees with the actual number of bytes. Messages quote the file's own text
- * only after `printable` has made it short and plain. */
+ * free, since common writers sort by name. Memory proportional to the file's size is allocated only
+ * after the header has been found to agree with the actual number of bytes. Messages quote text
+ * from the file only after `printable` has shortened it and replaced everything but plain ASCII. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -67,8 +67,8 @@ static int parse_json(const char *header, uint32_t header_size, json_t **ret,
                    "the header is not a JSON object: its first byte must be '{'");
   json_error_t error;
   json_t *root = json_loadb(header, header_size, JSON_REJECT_DUPLICATES, &error);
-  if (root == NULL) { /* or deeper than 2048 levels: the parser recurses. It does not distinguish
-                         lack of memory from invalid text */
+  if (root == NULL) { /* or deeper than 2048 levels, because the parser recurses. It does not
+                         distinguish lack of memory from invalid text */
     return mo_fail(message, MO_ERR_FORMAT, "the header is not valid JSON: %s",
                    printable(error.text).text);
   }
@@ -117,8 +117,9 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
   if (metadata == NULL)
     return MO_OK;
   if (!json_is_object(metadata))
-    return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of texts");
-  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that are added */
+    return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of strings");
+  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that will be
+                                                           added */
     return mo_fail(message, MO_ERR_LIMIT,
                    "\"__metadata__\" has %zu entries; at most %d are accepted",
                    json_object_size(metadata), MO_METADATA_MAX - 4);
@@ -127,7 +128,8 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
   json_object_foreach(metadata, key, value)
   {
     if (!json_is_string(value))
-      return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is not a text", printable(key).text);
+      return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is not a string",
+                     printable(key).text);
     if (strlen(key) > MO_METADATA_BYTES_MAX || json_string_length(value) > MO_METADATA_BYTES_MAX)
       return mo_fail(message, MO_ERR_LIMIT, "metadata \"%s\" is longer than %zu bytes",
                      printable(key).text, MO_METADATA_BYTES_MAX);
@@ -235,7 +237,7 @@ static int check_tensor(const json_t *entry, const struct mo_tensor *tensor, con
   return MO_OK;
 }
 
-/* Checks that the tensors tile the data: sorted by offset, each starts where the one before
+/* Checks that the tensors tile the data: sorted by offset, each starts where the previous one
  * ends. */
 static int check_tiling(const struct mo_tensor *tensors, const uint64_t *begins, uint64_t data_size,
                         struct mo_message *message)
@@ -292,7 +294,7 @@ static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t d
   return check_tiling(file->tensors, file->offsets, data_size, message);
 }
 
-/* Copies the file's metadata in its order, then adds what it lacks. */
+/* Copies the file's metadata in its order, then adds missing entries. */
 static int copy_metadata(struct mo_controller *controller, json_t *metadata)
 {
   const char *key;

@@ -17,7 +17,7 @@ static inline void mo_bits_set(uint64_t *bits, uint32_t i)
   bits[i >> 6] |= UINT64_C(1) << (i & 63);
 }
 
-/* In words, because the baseline instruction set has no population count. */
+/* Counts with arithmetic, because the baseline instruction set has no population count. */
 static inline uint32_t mo_bits_count_word(uint64_t word)
 {
   word -= word >> 1 & UINT64_C(0x5555555555555555);
@@ -44,7 +44,7 @@ static inline int mo_bits_empty(const uint64_t *bits, uint32_t words)
 
 #define MO_SCRATCH_WORDS (MO_SMALL_VOXELS / 64)
 
-/* A zeroed bit array that lives for one call. */
+/* A zeroed bit array for the duration of one call. */
 struct mo_scratch {
   uint64_t local[MO_SCRATCH_WORDS];
   uint64_t *bits;

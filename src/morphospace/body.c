@@ -1,7 +1,7 @@
 /* body.c: the masses and springs that one genotype expresses.
  *
  * Voxels mark their masses and springs in two bit arrays over the lattice; reading the marks in
- * order gives both lists ascending and without duplicates, and counting marks below a mass gives
+ * order yields both lists ascending and without duplicates, and the number of marks below a mass is
  * its position. One allocation holds the body. */
 #include <morpho/morphospace.h>
 
@@ -39,7 +39,7 @@ static uint32_t position(const struct marks *marks, uint32_t mass)
   return marks->mass_below[mass >> 6] + mo_bits_count_word(lower);
 }
 
-/* The arrays of a body, widest elements first, behind the structure itself. */
+/* The arrays of a body, widest elements first, after the structure itself. */
 struct arrays {
   uint32_t *mass_lattice, *spring_lattice, *spring_a, *spring_b;
   uint16_t *mass_xyz;

@@ -1,9 +1,10 @@
 /* form_file.c: see form_file.h.
  *
  * A file holds the tables of a set (form_set.c), filled to 8/9, and ends with their sizes and
- * checksums. So a look-up needs no more than the tables: it reads one place of the file, or two.
- * Opening reads the file by system calls, which report an error of the disk; the mapping would end
- * the process. Checked pages are in the page cache, which may drop them when memory is short. */
+ * checksums. So a look-up needs only the tables: it reads one or two places of the file. Opening
+ * reads the file with system calls, which report disk errors; through the mapping an error would
+ * kill the process. Checked pages are in the page cache, which may drop them when memory is
+ * short. */
 #include "morphospace/form_file.h"
 
 #include "base/thread.h"
@@ -19,7 +20,8 @@
 
 static const char magic[16] = "morphod forms 1";
 
-/* The end of a file. In the byte order of the machine: a file is not for other machines. */
+/* The end of a file. It is in the machine's byte order, because a file is not for other
+ * machines. */
 struct tail {
   char magic[sizeof(magic)];
   uint32_t sides[3], form_bytes;
@@ -27,7 +29,7 @@ struct tail {
   struct {
     uint64_t capacity, used, checksum;
   } tables[MO_FORM_SEGMENTS];
-  uint64_t checksum; /* of the tail before it */
+  uint64_t checksum; /* of the tail before this member */
 };
 
 /* Returns the slots of a table in a file; 0: an empty table. */
@@ -131,7 +133,8 @@ static void check_some(void *context, size_t first, size_t end)
     atomic_store(&checking->error, error);
 }
 
-/* Reads the tail and checks that its tables fill the file before it. *size: that of the file. */
+/* Reads the tail and checks that its tables fill the file before it. *size: the size of the
+ * file. */
 static int read_tail(int fd, struct mo_workspace workspace, const struct mo_form_key *key,
                      struct tail *tail, uint64_t begins[MO_FORM_SEGMENTS], uint64_t *size)
 {

@@ -1,4 +1,4 @@
-/* form_set.c: an exact set of canonical forms, made for tens of millions of them.
+/* form_set.c: an exact set of canonical forms, designed for tens of millions of them.
  *
  * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default
  * workspace). A slot of zeros is free, because no form is empty. The hash's top bits choose one of
@@ -7,8 +7,9 @@
  * one table, and forms take between 1.25 and 1.57 times their own size.
  *
  * Threads that add many forms divide the tables: each thread adds the forms of its own tables, in
- * their order. So no two threads touch one table, and every table gets the same content as on one
- * thread. A form's slot is prefetched some forms ahead: in a set of millions it is in no cache. */
+ * their order. So no two threads touch the same table, and every table gets the same content as
+ * with one thread. A form's slot is prefetched a few forms ahead, because in a set of millions it
+ * is not in any cache. */
 #include "morphospace/form_set.h"
 
 #include "base/thread.h"
@@ -21,7 +22,7 @@
 #define SEGMENT_FIRST  16 /* slots of a table's first size */
 #define SLOTS_MAX      (UINT64_C(1) << 32)
 #define FETCHED        16  /* forms whose slots are being prefetched; a power of two */
-#define WORTH_A_THREAD 512 /* forms that are worth a thread, about 50 µs */
+#define WORTH_A_THREAD 512 /* forms for which a thread pays off, about 50 µs */
 
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
 {
@@ -223,7 +224,7 @@ static void add_to_segments(void *context, size_t first, size_t end)
 {
   struct adding *adding = context;
   const struct mo_form_set *set = adding->set;
-  size_t waiting[FETCHED]; /* the last ones found */
+  size_t waiting[FETCHED]; /* forms that wait to be added */
   size_t found = 0, added = 0;
   int code = MO_OK;
   for (size_t i = 0; i < adding->n && code >= 0; i++) {

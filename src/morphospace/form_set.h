@@ -1,11 +1,12 @@
-/* form_set.h: how a set of forms is laid out, and how many are added at once, on several threads.
+/* form_set.h: the layout of a set of forms, and the addition of many forms on several threads.
  */
 #ifndef MORPHO_MORPHOSPACE_FORM_SET_H
 #define MORPHO_MORPHOSPACE_FORM_SET_H
 
 #include <morpho/morphospace.h>
 
-/* A table of open addressing over bare forms; a slot of zeros is free, and there is one. */
+/* A table with open addressing over bare forms; a slot of zeros is free, and at least one is
+ * free. */
 struct mo_form_segment {
   uint8_t *slots; /* (capacity, form_bytes) */
   uint64_t capacity, used;
@@ -22,23 +23,23 @@ struct mo_form_set {
 
 /* Returns the hash that places a form; also a checksum of many bytes. n ≥ 1. */
 uint64_t mo_form_hash(const uint8_t *bytes, size_t n);
-/* Makes a copy with another capacity, above `used`. n: bytes of a form. MO_ERR_NO_MEMORY. */
+/* Makes a copy with a different capacity, above `used`. n: bytes of a form. MO_ERR_NO_MEMORY. */
 int mo_form_segment_copy(const struct mo_form_segment *segment, size_t n, uint64_t capacity,
                          struct mo_form_segment *copy);
 
 enum mo_form_mark {
   MO_FORM_OUT = 0, /* not to be added; never changes */
-  MO_FORM_IN = 1,  /* to be added; afterwards: was already present */
+  MO_FORM_IN = 1,  /* to be added; afterward: was already present */
   MO_FORM_NEW = 2  /* was added */
 };
 
 /* Returns the hash for mo_form_set_add_many; depends only on the form and the set's workspace. */
 uint64_t mo_form_set_hash(const struct mo_form_set *set, const uint64_t *form);
 
-/* Adds each form marked MO_FORM_IN on up to n_threads threads. The set, and which of equal forms is
- * new, are the same as with mo_form_set_add one after the other. forms: (n, words), canonical,
- * those to be added not empty; hashes: (n) of those; marks: (n). MO_ERR_NO_MEMORY: some of them
- * were added. */
+/* Adds each form marked MO_FORM_IN on up to n_threads threads. The set, and the choice of the new
+ * one among equal forms, are the same as with successive calls of mo_form_set_add. forms: (n,
+ * words), canonical, those to be added not empty; hashes: (n) of those; marks: (n).
+ * MO_ERR_NO_MEMORY: some of them were added. */
 int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const uint64_t *hashes,
                          size_t n, uint32_t n_threads, uint8_t *marks);
 

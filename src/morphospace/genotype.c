@@ -13,7 +13,7 @@ static uint32_t voxel_of(struct mo_workspace workspace, const int64_t cell[3])
   return ((uint32_t)cell[0] * workspace.ny + (uint32_t)cell[1]) * workspace.nz + (uint32_t)cell[2];
 }
 
-static void tell(struct mo_cell_fault *fault, size_t cell, size_t other, int axis)
+static void report_fault(struct mo_cell_fault *fault, size_t cell, size_t other, int axis)
 {
   if (fault != NULL)
     *fault = (struct mo_cell_fault){.cell = cell, .other = other, .axis = axis};
@@ -27,7 +27,7 @@ static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], s
   for (size_t i = 0; i < n; i++) {
     for (int axis = 0; axis < 3; axis++) {
       if (cells[i][axis] < 0 || cells[i][axis] >= side[axis]) {
-        tell(fault, i, 0, axis);
+        report_fault(fault, i, 0, axis);
         return MO_ERR_RANGE;
       }
     }
@@ -36,7 +36,7 @@ static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], s
       size_t earlier = 0;
       while (voxel_of(workspace, cells[earlier]) != voxel)
         earlier++;
-      tell(fault, i, earlier, 0);
+      report_fault(fault, i, earlier, 0);
       return MO_ERR_DUPLICATE;
     }
     mo_bits_set(bits, voxel);
@@ -49,7 +49,7 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
 {
   uint32_t words = mo_workspace_words(workspace);
   if (n == 0) {
-    tell(fault, 0, 0, 0);
+    report_fault(fault, 0, 0, 0);
     return MO_ERR_EMPTY;
   }
   struct mo_scratch all;
@@ -61,7 +61,7 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
     code = mo_shape_component(workspace, all.bits, voxel_of(workspace, cells[0]), reached);
   for (size_t i = 1; code == MO_OK && i < n; i++) {
     if (!mo_bits_get(reached, voxel_of(workspace, cells[i]))) {
-      tell(fault, i, 0, 0);
+      report_fault(fault, i, 0, 0);
       code = MO_ERR_NOT_CONTIGUOUS;
     }
   }
@@ -71,7 +71,7 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
   return code;
 }
 
-/* Finds the first voxel not connected to the lowest one; MO_OK if there is none. */
+/* Finds the first voxel not connected to the lowest one; MO_OK if all are connected. */
 static int find_apart(struct mo_workspace workspace, const uint64_t *bits, uint32_t *apart)
 {
   uint32_t words = mo_workspace_words(workspace);
@@ -111,7 +111,7 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
   uint32_t voxels = mo_workspace_voxels(workspace);
   uint32_t words = mo_workspace_words(workspace);
   if (length != voxels) {
-    tell(fault, length, 0, 0);
+    report_fault(fault, length, 0, 0);
     return MO_ERR_RANGE;
   }
   struct mo_scratch scratch;
@@ -132,7 +132,7 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
   if (code == MO_OK || code == MO_ERR_NOT_CONTIGUOUS)
     memcpy(bits, scratch.bits, words * sizeof(uint64_t));
   if (code != MO_OK && code != MO_ERR_NO_MEMORY)
-    tell(fault, place, 0, 0);
+    report_fault(fault, place, 0, 0);
   mo_scratch_close(&scratch);
   return code;
 }
@@ -152,8 +152,7 @@ uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits)
 
 /* ---- ids ---- */
 
-/* Reads the bits that the digits spell; MO_ERR_FORMAT for another digit or bits past the last
- * voxel. */
+/* Reads bits from the digits; MO_ERR_FORMAT for any other character or bits past the last voxel. */
 static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits)
 {
   for (size_t i = 0; i < n; i++) {

@@ -5,7 +5,8 @@
 
 /* ---- components ---- */
 
-/* Breadth first; returns how many voxels were reached. Every voxel enters the queue once. */
+/* Searches breadth first and returns how many voxels were reached. Every voxel enters the queue
+ * once. */
 static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                       uint64_t *reached, uint32_t *queue)
 {
@@ -116,8 +117,8 @@ static struct extent measure(struct mo_workspace workspace, const uint64_t *bits
   return extent;
 }
 
-/* Moves every bit by `shift` places towards higher indices (negative: lower); bits that would leave
- * the array are 0. */
+/* Moves every bit by `shift` places toward higher indices (negative: lower); bits shifted out of
+ * the array are lost. */
 static void shift_bits(uint64_t *bits, uint32_t words, int64_t shift)
 {
   if (shift > 0) {
@@ -146,7 +147,7 @@ int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, u
   int64_t count = (int64_t)n;
   int64_t lacking =
       count * ((int64_t)side - 1) - 2 * (int64_t)sum; /* the ideal shift is lacking / 2n */
-  /* ceil(lacking / 2n − ½): the nearest integer, the lower one in the middle between two. */
+  /* ceil(lacking / 2n − ½): the nearest integer; halfway between two, the lower one. */
   int64_t above = lacking - count;
   int64_t shift = above >= 0 ? (above + 2 * count - 1) / (2 * count) : -(-above / (2 * count));
   int64_t least = -(int64_t)low;

@@ -1,6 +1,6 @@
-/* grid.h: operations on genotypes of any workspace, one voxel at a time. The word-parallel ones of
- * slabs.inc must agree with them; shape.c chooses. Also what the files of this room share about
- * shapes. */
+/* grid.h: operations on genotypes of any workspace, one voxel at a time. The word-parallel versions
+ * in slabs.inc must agree with them; shape.c chooses. The header also declares functions about
+ * shapes that the files of this room share. */
 #ifndef MORPHO_MORPHOSPACE_GRID_H
 #define MORPHO_MORPHOSPACE_GRID_H
 
@@ -19,16 +19,16 @@ int mo_shape_image(struct mo_workspace workspace, const uint64_t *bits, unsigned
 void mo_body_mark(const struct mo_lattice *lattice, const uint64_t *bits, uint64_t *masses,
                   uint64_t *springs);
 
-/* As mo_shape_component. */
+/* Like mo_shape_component. */
 int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                       uint64_t *reached);
 int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits);
 /* Returns how far to move a body along one axis of `side` voxels. Its `n` voxels have coordinates
- * from `low` to `high`, with the sum `sum`. Of all shifts that stay inside, the one whose centroid
- * sum/n + shift is nearest to (side − 1)/2; the lower of two equal ones. */
+ * from `low` to `high`, with the sum `sum`. Among all shifts that keep it inside, chooses the one
+ * with the centroid sum/n + shift nearest to (side − 1)/2; the lower of two equal ones. */
 int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum);
 void mo_grid_place(struct mo_workspace workspace, uint64_t *bits);
-/* As mo_genotype_move, without placing the result. */
+/* Like mo_genotype_move, without placing the result. */
 int mo_grid_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
                  uint64_t *moved);
 
@@ -44,7 +44,7 @@ struct mo_grid_view {
 /* MO_ERR_RANGE if the image does not fit the workspace. */
 int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
                        struct mo_grid_view *view);
-/* The view of the canonical form. */
+/* Makes the view of the canonical form. */
 void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
                             struct mo_grid_view *view);
 /* Writes the view as a genotype; `image` and `bits` do not overlap. */

@@ -1,5 +1,5 @@
-/* lattice.c: how many voxels, masses and springs a workspace has; all of them, and which of them
- * each voxel expresses.
+/* lattice.c: the numbers of voxels, masses and springs of a workspace; the masses and springs
+ * themselves, and which of them each voxel expresses.
  *
  * From a mass, springs lead to at most nine masses of higher index: three edges and six face
  * diagonals, `steps` below, in the order of the far end. A spring's index is therefore first[a] +
@@ -111,7 +111,7 @@ static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b
   }
 }
 
-/* Corners in ascending order of mass, steps in ascending order of the far end: both lists come out
+/* Corners in ascending order of mass, steps in ascending order of the far end: so both lists are
  * ascending. */
 static void fill_voxel(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z,
                        const uint32_t *first, uint32_t masses[8], uint32_t springs[24])

@@ -143,10 +143,10 @@ int mo_genotype_robot(struct mo_workspace workspace, const uint64_t *bits, char 
     return MO_ERR_NO_MEMORY;
   uint64_t *aligned = form.bits + words, *image = aligned + words;
   mo_genotype_canonical(workspace, bits, form.bits);
-  (void)mo_shape_image(workspace, bits, 0, aligned); /* it fits as it is */
+  (void)mo_shape_image(workspace, bits, 0, aligned); /* always fits */
   while (mo_shape_image(workspace, form.bits, k, image) != MO_OK ||
          memcmp(image, aligned, words * sizeof(uint64_t)) != 0)
-    k++; /* ends: the genotype is an image of its form */
+    k++; /* terminates, because the genotype is an image of its form */
   spell(workspace, form.bits, robot);
   robot += strlen(robot);
   robot[0] = '@';

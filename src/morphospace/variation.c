@@ -1,6 +1,7 @@
 /* variation.c: random bodies, mutation, crossover.
  *
- * A seed fixes which numbers are taken from a stream, and in which order: never change them.
+ * Results of a seed depend on which numbers are taken from a stream, and in which order: never
+ * change that.
  *   random body  one below(volumes), one below(boxes of that volume), one normal, then one
  *                32-bit number per voxel of the box in voxel order; all of it again while no
  *                voxel is active. A voxel is active if its number is below p · 2³²
@@ -16,7 +17,7 @@
 #define ACTIVE_MOST  0.6
 #define CHUNK        256
 
-/* Returns the number below which a 32-bit number is an event of probability p. */
+/* Returns the number that a 32-bit random number is below with probability p. */
 static uint64_t threshold(double p)
 {
   return (uint64_t)(p * 0x1p32);
@@ -90,7 +91,7 @@ static struct box draw_box(struct mo_workspace workspace, struct mo_random *rand
       if (volume % (x * y) == 0 && volume / (x * y) <= workspace.nz && left-- == 0)
         return (struct box){x, y, volume / (x * y)};
   }
-  return (struct box){1, 1, 1}; /* not reached: 1 ≤ boxes */
+  return (struct box){1, 1, 1}; /* not reached, because 1 ≤ boxes */
 }
 
 /* Activates each voxel of a box at the origin with the probability of `limit` (see threshold);
@@ -170,7 +171,7 @@ int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, do
   const uint64_t limit = threshold(rate);
   uint32_t numbers[CHUNK];
   for (uint32_t v = 0; v < voxels;) {
-    uint32_t n = voxels - v < CHUNK ? voxels - v : CHUNK; /* CHUNK is whole words */
+    uint32_t n = voxels - v < CHUNK ? voxels - v : CHUNK; /* CHUNK is a multiple of a word */
     mo_random_fill(random, numbers, n);
     mark_below(numbers, n, limit, made.bits + (v >> 6));
     v += n;

@@ -1,15 +1,15 @@
 /* environments.c: random terrains, training environments, the paper test set.
  *
  * Every number comes from Philox streams and exact algebra (no sine, cosine or logarithm of the C
- * library), so that one name gives the same environment, bit for bit, on every machine.
+ * library), so that the same name yields the same environment, bit for bit, on every machine.
  *
- * Training environment (seed, step, index): the stream LIGHT gives σ, then points of the square
- * around the ring until one lies in the ring; the stream TERRAIN gives the heights. Held out: the
- * same, step 0, from the streams HELD_OUT_LIGHT and HELD_OUT_TERRAIN.
+ * Training environment (seed, step, index): the stream LIGHT supplies σ, then points in the square
+ * around the ring until one lies in the ring; the stream TERRAIN supplies the heights. Held out:
+ * the same with step 0, from the streams HELD_OUT_LIGHT and HELD_OUT_TERRAIN.
  *
  * Paper test set: key MO_PAPER_TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for
- * the ring of 2.0 m, then for that of 1.5 m (Fisher-Yates from the top); index 1 + i gives the
- * heights of environment i. */
+ * the ring of 2.0 m, then for the ring of 1.5 m (Fisher-Yates from the top); index 1 + i supplies
+ * the heights of environment i. */
 #include <morpho/random.h>
 
 #include "world/environment.h"
