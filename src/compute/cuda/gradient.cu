@@ -1,5 +1,5 @@
-/* gradient.cu: calls for gradients, and what they need of a device: checked here, laid out by
- * gradient_layout.cu, run by gradient_run.cu. */
+/* gradient.cu: entry points of gradients, and their state on a device. Calls are checked here, laid
+ * out by gradient_layout.cu, and run by gradient_run.cu. */
 #include "compute/cuda/device.cuh"
 
 #include <math.h>
@@ -39,8 +39,8 @@ int place_weights(mo_device *device)
   return MO_OK;
 }
 
-/* float16 holds the weights, and what the hidden layers can come to; no bias is so large that
- * LayerNorm's squares leave float32. */
+/* Returns whether the weights and all possible values of the hidden layers fit in float16, and no
+ * bias is so large that LayerNorm's squares exceed float32. */
 bool fits_half(const mo_controller *c)
 {
   const float limit = 6e4f;
@@ -83,7 +83,7 @@ int mo_cuda_gradient_open(mo_device *device)
         return (int)created;
       },
       [&] { return (int)cudaMalloc((void **)&s->cancel, sizeof(*s->cancel)); });
-  s->shared_bytes = std::min(forward, back); /* what a launch of either way can have */
+  s->shared_bytes = std::min(forward, back); /* the limit of a launch in both directions */
   return mo_cuda_check(device, (cudaError_t)status, "opening: gradient");
 }
 
@@ -137,8 +137,8 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
       },
       [&] { return s->weights.memory == nullptr ? place_weights(device) : MO_OK; },
       [&] {
-        /* Physics is compared by the caller, who says that it is the same; a device with another
-         * size of shared memory forms other groups. */
+        /* The caller has compared the physics and guarantees that it is the same; a device with a
+         * different size of shared memory forms different groups. */
         if (layout != nullptr && layout->robots == call->robots && layout->n == call->n &&
             layout->shared_bytes == s->shared_bytes)
           return (int)MO_OK;
@@ -152,7 +152,7 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
   s->profile.plan_s = now_s() - since;
   try {
     r = mo_gradient_run_plan(device, call, layout->plan, memory_bytes);
-  } catch (const std::bad_alloc &) { /* of the host */
+  } catch (const std::bad_alloc &) { /* out of host memory */
     cudaStreamSynchronize(device->stream);
     r = MO_ERR_NO_MEMORY;
   }

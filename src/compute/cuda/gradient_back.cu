@@ -1,10 +1,11 @@
-/* gradient_back.cu: the way back through physics, sensors and network, from a launch's last step to
- * its first. Leaves ∂loss/∂ what each layer sums for the products that give the parameters'
- * gradient. A row whose adjoint is not finite becomes zeros from there on and is reported; the host
- * then walks back again without it, so that nothing of it is left in the sums. */
+/* gradient_back.cu: the backward pass through physics, sensors and network, from a launch's last
+ * step to its first. It stores ∂loss/∂(sums of each layer) for the products that form the gradient
+ * of the parameters. A row with an adjoint that is not finite is zeroed from there on and reported;
+ * the host then repeats the backward pass without it, so that it contributes nothing to the
+ * sums. */
 #include "compute/cuda/gradient_back_physics.cuh"
 
-/* ∂loss/∂ outputs on their way to the tape: of each eight tiles, sixteen bytes for each thread. */
+/* Copies ∂loss/∂outputs to the tape: for each eight tiles, sixteen bytes per thread. */
 struct output_copy {
   uint32_t from; /* in shared memory */
   uint4 *to;
@@ -26,8 +27,8 @@ struct output_copy {
   }
 };
 
-/* As load_weights, and where it is written: the compiler would put loads last, to have their
- * registers for something else. */
+/* Like load_weights, but the load stays where it is written: the compiler would move loads to the
+ * end, to use their registers for something else. */
 static __device__ __forceinline__ uint4 load_weights_here(const uint4 *p)
 {
   uint4 w;
@@ -38,7 +39,7 @@ static __device__ __forceinline__ uint4 load_weights_here(const uint4 *p)
   return w;
 }
 
-/* A tile's activations, and what is multiplied with them. */
+/* Multiplies a tile's activations. */
 template <int MT> struct left_tile {
   uint32_t a[MT][4];
   __device__ __forceinline__ void load(uint32_t left, uint32_t row_bytes)
@@ -58,8 +59,8 @@ template <int MT> struct left_tile {
   }
 };
 
-/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first
- * of them, and in the end those from `next` on (MORE). */
+/* Adds the sixteen consecutive tiles at `now`; the ring has the first of them and, at the end,
+ * those at `next` (MORE). */
 template <int MT, bool MORE, int N>
 static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_ahead<N> &ahead,
                                                    uint32_t left, uint32_t row_bytes,
@@ -79,7 +80,7 @@ static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_
   }
 }
 
-/* The tile whose number is the k-th byte of `four`. */
+/* The tile with the number in the k-th byte of `four`. */
 static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t four, int k)
 {
   return load_weights_here(
@@ -97,9 +98,9 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       own::ROWS, own::scale_at, own::sense_back, own::springs_back, own::start, own::tape,
       own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
   using typename own::held;
-  /* What this block has of the group's chunks: the first, and how many. */
+  /* This block's share of the group's chunks: the first, and how many. */
   int block_chunk, block_chunks;
-  float *norm_sums; /* (halves, layers, 2, 256) of all steps */
+  float *norm_sums; /* (halves, layers, 2, 256) sums over all steps */
 
   __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group,
                                   unsigned char *shared, const mo_gk_task &task)
@@ -113,11 +114,11 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       output_tile[lead() + threadIdx.x] = g.output_tile[threadIdx.x];
     if (threadIdx.x < MO_GK_AHEAD_BACK)
       output_tile[lead() + n_outputs + threadIdx.x] =
-          (uint8_t)threadIdx.x; /* then the first of a hidden layer */
+          (uint8_t)threadIdx.x; /* then the first tiles of a hidden layer */
   }
 
-  /* Which of the block's halves row 16 m + 8 h + lane / 4 is of, and whether it is this lane's
-   * first of it. */
+  /* The half of the block that row 16 m + 8 h + lane / 4 belongs to, and whether it is this lane's
+   * first row of that half. */
   static __device__ __forceinline__ int half_of(int h)
   {
     return MT > 1 ? h : 0;
@@ -127,9 +128,9 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     return m == 0 && (MT > 1 || h == 0);
   }
 
-  /* Sums over rows of this lane's four columns, by halves, added to those of all steps. Lanes 4, 8
-   * and 16 apart have other rows of the same columns; each of them ends with one column, of one
-   * half. */
+  /* Sums this lane's four columns over rows, by halves, and adds them to the sums over all steps.
+   * Lanes 4, 8 and 16 apart have other rows of the same columns; each of them ends up with one
+   * column of one half. */
   __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[MT][2])
   {
     const bool odd = lane & 4, second = lane & 8, upper = lane & 16;
@@ -156,7 +157,7 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     }
   }
 
-  /* The first of the tiles of springs for this warp's neurons; of its sixteen tiles of a hidden
+  /* The first of the tiles of springs for this warp's neurons, and of its sixteen tiles of a hidden
    * layer. */
   __device__ __forceinline__ const uint4 *last_tiles() const
   {
@@ -167,14 +168,14 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     return k.weights.back[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
 
-  /* Springs' tiles go by the ring's length, the first time fewer: so many are left out before the
-   * first. */
+  /* Tiles of springs are processed in rounds of the ring's length, with fewer in the first round:
+   * returns how many places are skipped before the first tile. */
   __device__ __forceinline__ int lead() const
   {
     return (MO_GK_AHEAD_BACK - n_outputs % MO_GK_AHEAD_BACK) % MO_GK_AHEAD_BACK;
   }
 
-  /* The ring's first places are those left out, or hold nothing that is used. */
+  /* The ring's first places are skipped, or their content is not used. */
   __device__ __forceinline__ void start_ahead(weights_ahead<MO_GK_AHEAD_BACK> &ahead) const
   {
     const int before = lead();
@@ -211,8 +212,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       }
   }
 
-  /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape
-   * where n was. */
+  /* sums: ∂loss/∂(outputs of ReLU). Stores ∂loss/∂(sums of the layer) in `left`, and on the tape in
+   * place of n. */
   __device__ __forceinline__ void norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
                                                  const __half2 (&n)[MT][2][2],
                                                  const float (&factors)[MT][2],
@@ -273,8 +274,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     __syncthreads();
   }
 
-  /* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`.
-   * FIRST: the first `before` are left out. */
+  /* Processes as many tiles as the ring holds, which then holds those numbered by the bytes of
+   * `then`. FIRST: skips the first `before`. */
   template <bool FIRST>
   __device__ __forceinline__ void
   add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead, left_tile<MT> (&a)[2],
@@ -283,15 +284,15 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
 #pragma unroll
     for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
       a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32,
-                          width * 2); /* beyond the last: not used */
+                          width * 2); /* not used beyond the last */
       if (!FIRST || i >= before)
         a[i % 2].add(sums, ahead.w[i]);
       ahead.w[i] = load_tile(from, i < 4 ? then.x : then.y, i % 4);
     }
   }
 
-  /* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a
-   * load from its place. */
+  /* The addresses of tiles are known two rounds before they are multiplied, so that loads are not
+   * delayed. */
   __device__ __forceinline__ void add_last(uint32_t step, warp_sums<MT> &sums,
                                            weights_ahead<MO_GK_AHEAD_BACK> &ahead)
   {
@@ -368,7 +369,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     __syncthreads();
   }
 
-  /* What the step before this one will read: of a half, its own masses, chunks and rows. */
+  /* Prefetches the data that the previous step will read: for a half, its own masses, chunks and
+   * rows. */
   __device__ __forceinline__ void fetch_step(uint32_t step)
   {
     enum { ROW_BYTES = MO_HIDDEN * 2 };
@@ -449,7 +451,7 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       start_ahead(ahead);
       __syncthreads();
       fetch(k.springs + (g.first_chunk + block_chunk) * 32,
-            128 * block_chunks); /* they may be gone until the next step */
+            128 * block_chunks); /* they may be evicted before the next step */
       control_back(step, ahead);
       forget();
       sense_back(inputs);

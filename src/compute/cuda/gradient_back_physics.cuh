@@ -1,23 +1,23 @@
-/* gradient_back_physics.cuh: a group on the way back: where its numbers are, and the way through a
- * step's contact, springs and sensors, for the warp that has the two bodies. */
+/* gradient_back_physics.cuh: a group in the backward pass: where its numbers are, and a step back
+ * through contact, springs and sensors, for the warp with the two bodies. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_BACK_PHYSICS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_BACK_PHYSICS_CUH
 
 #include "compute/cuda/gradient_kernels.cuh"
 
-/* What a launch finds out about a row. */
+/* The results of a launch for a row. */
 struct back_row {
   double scale_squared, largest; /* squares, too: largest of the adjoints' norms times scale_m */
   uint32_t steps, clipped;
   int zeroed, padding;
 };
 
-/* What a spring asks of the mass at its other end. */
+/* The data that a spring needs from the mass at its other end. */
 struct back_mass {
   float2 xy, z_gx, gyz; /* position; ∂loss/∂ velocity */
 };
 
-/* Read once: the first-level cache is left to others. */
+/* Data that is read once bypasses the first-level cache, which is left to other data. */
 static __device__ __forceinline__ uint32_t load_once(const uint32_t *p)
 {
   uint32_t x;
@@ -31,7 +31,7 @@ static __device__ __forceinline__ int16_t load_once(const int16_t *p)
   return x;
 }
 
-/* A number that stays in a register: the compiler would make it again each time. */
+/* Keeps a number in a register, which the compiler would otherwise compute again each time. */
 static __device__ __forceinline__ uint32_t kept_value(uint32_t x)
 {
   asm volatile("" : "+r"(x));
@@ -55,7 +55,7 @@ static __device__ __forceinline__ void add_shared(uint32_t at, float x)
   asm volatile("st.shared.f32 [%0], %1;" ::"r"(at), "f"(sum + x) : "memory");
 }
 
-/* As bfloat16. */
+/* Stores a number as bfloat16. */
 static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uint32_t to, float x)
 {
   asm volatile("{ .reg .pred p; .reg .b16 h; setp.lt.u32 p, %0, %1; cvt.rn.bf16.f32 h, %3; @p "
@@ -72,7 +72,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
       own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
       own::position_at, own::ROWS, own::rows, own::tape, own::velocity_at, own::warp, own::width;
   enum { HELD = 4 };
-  /* The first of a lane's masses, on their way from the tape. */
+  /* The first of a lane's masses, being loaded from the tape. */
   struct held {
     float v[HELD][3];
   };
@@ -97,8 +97,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     gx = (float *)(mass + n_own);
   }
 
-  /* What follows from these is made again where it is needed: the compiler would make it before the
-   * first step, and have no registers for it. */
+  /* Values derived from these are computed again where they are needed: the compiler would compute
+   * them before the first step, and have no registers for them. */
   __device__ __forceinline__ void forget()
   {
     asm volatile(""
@@ -106,8 +106,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
                    "+r"(n1), "+r"(n_outputs));
   }
 
-  /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has
-   * read. */
+  /* The i-th mass put aside: stored in the rows of the network's last adjoint that only this warp
+   * reads. */
   __device__ __forceinline__ uint16_t *aside(int i)
   {
     return (uint16_t *)left + own_row(i >> 8) * MO_GK_ROW + (i & 255);
@@ -149,8 +149,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
   }
 
-  /* Row r's adjoint restarts, with the masses where they are before the step: rare, and small
-   * rather than fast. */
+  /* Restarts row r's adjoint, with the masses at their positions before the step. This is rare, and
+   * optimized for size rather than speed. */
   __device__ __forceinline__ void restart(int r)
   {
     const int n = own_masses(r), from = first + own_begin(r);
@@ -170,8 +170,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     aim(r, mo_away{dx / n, dy / n}, k.restart_weight);
   }
 
-  /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's
-   * were: they come while something else goes on. */
+  /* Starts to load the positions of this warp's masses before `step`, and the velocities of each
+   * lane's first masses, while other work continues. */
   __device__ __forceinline__ void hold(uint32_t step, held &h)
   {
     const float *position =
@@ -194,8 +194,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
   }
 
-  /* Measures the adjoints of this warp's rows' states, says by what to scale them, or, by bits,
-   * which are to restart. Compared are squares. */
+  /* Measures the adjoints of the states of this warp's rows, and returns the factors to scale them,
+   * or bits for those that must restart. It compares squares. */
   __device__ __forceinline__ uint32_t limit(float (&scale)[2])
   {
     uint32_t restarts = 0;
@@ -250,7 +250,7 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     return restarts;
   }
 
-  /* The masses that strike the ground, of which all are known: each lane has one. */
+  /* Processes masses that strike the ground, one per lane. */
   __device__ __forceinline__ void strikes_back(uint32_t step, int n, const float (&scale)[2])
   {
     const float *velocity =
@@ -276,7 +276,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
   }
 
-  /* A mass that does not strike; one that does is put aside: few do, and it takes long. */
+  /* Processes a mass that does not strike the ground, and puts aside one that does: these are few,
+   * and take long. */
   __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2],
                                            int &n_aside)
   {
@@ -342,10 +343,10 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
     __syncwarp();
     strikes_back(step, n_aside, scale);
-    pair_sync(); /* springs are of both rows */
+    pair_sync(); /* springs belong to both rows */
   }
 
-  /* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
+  /* As in the forward pass. One of a spring's ends writes ∂loss/∂(the spring's output). */
   __device__ __forceinline__ void springs_back(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD_BACK };
@@ -427,8 +428,8 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     }
   }
 
-  /* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses,
-   * their places among the network's inputs. */
+  /* ∂loss/∂(what a mass senses), minus its row's mean. inputs: the places of the first of this
+   * lane's masses among the network's inputs. */
   __device__ __forceinline__ void sense_back(uint32_t inputs)
   {
     float d[HELD], sum[2] = {0, 0};

@@ -1,9 +1,9 @@
-/* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, keeping on the
- * tape what the way back needs. */
+/* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, which keep on the
+ * tape the data that the backward pass needs. */
 #include "compute/cuda/gradient_kernels.cuh"
 
-/* Masses that strike the ground, of a warp's: few, and a strike takes long. So they are put aside
- * until there are 32, one for each lane. */
+/* A warp's masses that strike the ground: they are few, and a strike takes long, so they are
+ * collected until there are 32, one for each lane. */
 struct strikes {
   uint16_t *mass; /* (64) in shared memory */
   int n;
@@ -17,7 +17,7 @@ struct strikes {
     __syncwarp();
   }
 
-  /* Those that come after the first 32 take their places. */
+  /* Moves those after the first 32 to the front. */
   __device__ __forceinline__ void done(int lane)
   {
     const uint16_t rest = mass[32 + lane];
@@ -41,9 +41,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
   float4 *x;      /* (n_own) */
-  float *v;       /* (n_own, 3) as the springs find it, after drag and gravity */
-  uint8_t *input; /* (n_own) each mass's place among the inputs */
-  bool dead[2];   /* rows of this warp whose rollout has ended */
+  float *v;       /* (n_own, 3) as the springs read it, after drag and gravity */
+  uint8_t *input; /* (n_own) each mass's index among the inputs */
+  bool dead[2];   /* rows of this warp with a rollout that has ended */
 
   __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group,
                                      unsigned char *shared, const mo_gk_task &task)
@@ -105,7 +105,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   }
 
-  /* What a layer is given, to the tape at `to`: (rows, 256) bfloat16. A warp writes whole rows. */
+  /* Writes a layer's inputs to the tape at `to`: (rows, 256) bfloat16. A warp writes complete
+   * rows. */
   __device__ __forceinline__ void keep_left(unsigned char *to) const
   {
 #pragma unroll
@@ -187,13 +188,13 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   {
     return k.weights.forward[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
-  /* And of a tile of springs. */
+  /* The first tile for a tile of springs. */
   __device__ __forceinline__ const uint4 *output_tiles(int u) const
   {
     return k.weights.forward[3] + (uint32_t)output_tile[min(u, n_outputs - 1)] * (16 * 32) + lane;
   }
 
-  /* The weights of T tiles, whose parts come in turn. */
+  /* The weights of T tiles, with interleaved parts. */
   template <int T> struct in_turn {
     const uint4 *at[T];
     __device__ __forceinline__ const uint4 *operator()(int i) const
@@ -202,10 +203,10 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   };
 
-  /* Multiplies T tiles of columns, sixteen tiles deep, whose first weights the ring has; in the end
-   * it has those of coming() (MORE). What the layer is given is loaded once for all T, and one tile
-   * ahead: to load it for each took longer than to load the weights. All of it is one run of
-   * instructions, so that loads stand about where they are written. */
+  /* Multiplies T tiles of columns, sixteen tiles deep. The ring has their first weights and, at the
+   * end, those of coming() (MORE). The layer's inputs are loaded once for all T, one tile ahead:
+   * loading them for each took longer than loading the weights. It is all straight-line code, so
+   * that loads stay roughly where they are written. */
   template <int T, bool MORE, class Next>
   __device__ __forceinline__ void add_run(warp_sums<MT> (&sums)[T],
                                           weights_ahead<MO_GK_AHEAD> &ahead, uint32_t left_at,
@@ -242,7 +243,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   }
 
-  /* What a tile of springs does. */
+  /* Applies the activation to a tile of springs. */
   __device__ __forceinline__ void act(int u, const warp_sums<MT> &sums)
   {
     const float4 bias =
@@ -289,7 +290,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       act(u, sums[0]);
       act(u + MO_GP_WARPS, sums[1]);
     }
-    /* One to three tiles are left. Where it is one, another is multiplied with it for nothing. */
+    /* One to three tiles remain. A single tile is multiplied together with another, which is not
+     * used. */
     if (u < n_outputs) {
       warp_sums<MT> sums[2];
       add_run<2, true>(sums, ahead, left_at,
@@ -307,8 +309,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   }
 
-  /* tanh, 1 − 2 / (1 + exp(2 y)), in units of 1/32767: rounded by the addition, which leaves it in
-   * the sum's lowest bits. The instructions give 0 and infinity where y is large, which is right.
+  /* Computes tanh, 1 − 2 / (1 + exp(2 y)), in units of 1/32767: the addition rounds it and leaves
+   * it in the sum's lowest bits. For large y the instructions return 0 and infinity, which is
+   * correct.
    */
   static __device__ __forceinline__ uint32_t activation(float y)
   {
@@ -324,7 +327,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   }
 
   struct spring {
-    float4 other; /* its place */
+    float4 other; /* its position */
     int16_t a;
   };
 
@@ -336,9 +339,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     return p;
   }
 
-  /* The chunks' springs come N at a time, some of them beyond the pair's own, while those before
-   * are computed: one of several loads in flight is not had before the last of them. What they ask
-   * for in shared memory is fetched one chunk ahead. */
+  /* The springs of the chunks are loaded N at a time, some of them beyond the pair's own, while the
+   * previous ones are computed, because one of several loads in flight is not available before the
+   * last of them. The data that they need from shared memory is fetched one chunk ahead. */
   __device__ __forceinline__ void springs(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD };
@@ -518,7 +521,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       control(step, ahead);
       __syncthreads();
       springs(step);
-      pair_sync(); /* the other warp's springs, too */
+      pair_sync(); /* also waits for the other warp's springs */
       move(step);
     }
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {

@@ -1,9 +1,9 @@
-/* gradient_kernels.cuh: what the kernels of the gradient share: their arguments, matrix
+/* gradient_kernels.cuh: shared by the kernels of the gradient: their arguments, matrix
  * instructions, a group's shared memory.
  *
- * In every product the sixteen warps of a block take sixteen columns (neurons or springs) each, for
- * all rows. Activations are the left factor, in shared memory; weights are the right one, straight
- * from global memory in the order in which the lanes' registers want them: 16 bytes per lane for a
+ * In every product each of the sixteen warps of a block takes sixteen columns (neurons or springs),
+ * for all rows. Activations are the left factor, in shared memory; weights are the right factor,
+ * read directly from global memory in the order of the lanes' registers: 16 bytes per lane for a
  * tile of 16 × 16. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
@@ -17,17 +17,18 @@
 
 enum {
   MO_GK_THREADS = MO_GP_WARPS * MO_GP_LANES,
-  MO_GK_AHEAD = 8,              /* tiles of weights on their way, forward */
-  MO_GK_AHEAD_BACK = 8,         /* and back, where registers are fewer */
-  MO_GK_SPRINGS_AHEAD = 8,      /* chunks of springs, forward */
-  MO_GK_SPRINGS_AHEAD_BACK = 4, /* and back: as many at once */
-  MO_GK_ROW = MO_HIDDEN + 8,    /* of activations in shared memory: rows start in different banks */
-  MO_GK_PART = MO_GP_WARPS + 2  /* of a row's partial sums: likewise */
+  MO_GK_AHEAD = 8,              /* tiles of weights loaded ahead, forward */
+  MO_GK_AHEAD_BACK = 8,         /* and backward, with fewer registers */
+  MO_GK_SPRINGS_AHEAD = 8,      /* chunks of springs loaded ahead, forward */
+  MO_GK_SPRINGS_AHEAD_BACK = 4, /* and backward: this many at once */
+  MO_GK_ROW = MO_HIDDEN + 8,    /* a row of activations in shared memory: rows start in different
+                                   banks */
+  MO_GK_PART = MO_GP_WARPS + 2  /* a row of partial sums: rows start in different banks */
 };
 #define MO_GK_LARGE                                                                                \
-  1e30f /* a larger ∂loss/∂ something counts as not finite: sums of smaller ones stay finite */
+  1e30f /* a larger derivative counts as not finite: sums of smaller ones are finite */
 
-/* Weights as tiles; the first index is the one that a warp owns. */
+/* Weights as tiles; the first index is the one that is divided among warps. */
 struct mo_gk_weights {
   uint4 *forward[MO_HIDDEN_LAYERS + 1]; /* (16, 16) × 3, (103, 16): [out tile][in tile], float16 */
   uint4 *back[MO_HIDDEN_LAYERS + 1];    /* (16, 16) × 3: [in tile][out tile]; (16, 103): [in
@@ -39,8 +40,8 @@ struct mo_gk_result {
   double com_end[3]; /* x, y from the world's center */
   double largest;
   int32_t diverged;
-  int32_t excluded; /* by the host: contributes nothing */
-  int32_t zeroed;   /* found on this way back */
+  int32_t excluded; /* set by the host: contributes nothing */
+  int32_t zeroed;   /* found in this backward pass */
   uint32_t steps, clipped;
 };
 
@@ -48,40 +49,41 @@ struct mo_gk {
   const struct mo_gp_group *groups;
   const struct mo_gp_row *rows;
   const uint32_t
-      *order; /* (n_walks) MO_GK_WALK, some with MO_GK_HALVED: those that take longest first */
+      *order; /* (n_walks) MO_GK_WALK, some with MO_GK_HALVED: the most expensive first */
   const uint8_t *input;
   const uint32_t *springs;
   const float *generators; /* (n_steps, 5) */
   unsigned char *tape;
   float *sums;
-  float *position, *velocity;   /* (n_masses, 3) between parts: the state, or ∂loss/∂ it */
+  float *position, *velocity;   /* (n_masses, 3) between parts: the state, or ∂loss/∂state */
   struct mo_gk_result *results; /* (n_rows) */
   struct mo_gk_weights weights;
   struct lane_physics physics;
   enum mo_sensor sensor;
   double bound, restart_weight;
   bool restarts; /* MO_ADJOINT_RESTART */
-  int walked;    /* MO_GK_WHOLE … : how groups of 32 rows are walked */
+  int walked;    /* MO_GK_WHOLE … : how groups of 32 rows are computed */
   uint32_t n_steps, n_walks;
-  uint32_t part_steps; /* of a task */
+  uint32_t part_steps; /* steps of a task */
   uint32_t *tickets;   /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
-  const volatile int *cancel; /* not 0: end soon. On the device: the host's memory is read so slowly
-                               * (1.3 µs each, one after the other) that products waited three times
-                               * as long for it as they took */
+  const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
+                               * so slowly (1.3 µs each, one after the other) that products waited
+                               * three times as long for it as they took */
 };
 
-/* What one block at a time walks through all steps: a group, or half of one. */
+/* A walk: a group, or half of one, which one block at a time takes through all steps. */
 #define MO_GK_WALK(group, half) ((uint32_t)(group) << 1 | (uint32_t)(half))
-#define MO_GK_HALVED            (UINT32_C(1) << 31) /* it is half of one */
+#define MO_GK_HALVED            (UINT32_C(1) << 31) /* the walk is half of a group */
 enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
 
-/* A way through all steps falls into *tasks*, a part of the steps of one walk each, so that no
- * multiprocessor waits long for the last. A block does one. Tasks are handed out part by part, in
- * each the walks that take longest first; a task's block waits until its walk's part before it is
- * done, which an earlier ticket's block does: so it is never waited for in vain. */
+/* A forward or backward pass is divided into *tasks*, each a part of the steps of one walk, so that
+ * no multiprocessor waits long for the last one. A block does one task. Tasks are handed out part
+ * by part, the most expensive walks first within each part. The block of a task waits until the
+ * previous part of its walk is done. A block with an earlier ticket does that part, so the wait
+ * always ends. */
 struct mo_gk_task {
-  uint32_t
-      walk; /* MO_GK_WALK, with MO_GK_HALVED: told apart here, it costs the kernels registers */
+  uint32_t walk; /* MO_GK_WALK, with MO_GK_HALVED: separating them here would cost the kernels
+                    registers */
   uint32_t part;
 };
 
@@ -122,8 +124,8 @@ static __device__ __forceinline__ void multiply(float c[4], const uint32_t a[4],
                  : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
 }
 
-/* Weights are read by every block at every step: they stay in the second-level cache and leave the
- * first to others. */
+/* Every block reads the weights at every step: they stay in the second-level cache and leave the
+ * first level to other data. */
 static __device__ __forceinline__ uint4 load_weights(const uint4 *p)
 {
   uint4 w;
@@ -134,8 +136,8 @@ static __device__ __forceinline__ uint4 load_weights(const uint4 *p)
 }
 
 /* A warp's sums: c[m][j][2 h + e] is row 16 m + 8 h + lane/4, column 4 (lane % 4) + 2 j + e of its
- * sixteen: the columns of the instruction are dealt out so that a lane has four that follow one
- * another (pack_kernel). */
+ * sixteen: the columns of the instruction are distributed so that a lane has four consecutive ones
+ * (pack_kernel). */
 template <int MT> struct warp_sums {
   float c[MT][2][4];
   __device__ __forceinline__ void clear()
@@ -156,8 +158,8 @@ template <class T> static __device__ __forceinline__ uint2 four(const T &a, cons
   return make_uint2(*(const uint32_t *)&a, *(const uint32_t *)&b);
 }
 
-/* Weights on their way: a ring of N tiles, asked for before they are needed, also before what they
- * are multiplied with is there. */
+/* Weights in flight: a ring of N tiles, requested before they are needed, even before the other
+ * factor is available. */
 template <int N> struct weights_ahead {
   uint4 w[N];
   /* tile(k): this lane's part of the k-th tile. */
@@ -169,7 +171,7 @@ template <int N> struct weights_ahead {
   }
 };
 
-/* This lane's address of activations whose rows are `row_bytes` long. */
+/* Returns this lane's address of activations in rows of `row_bytes`. */
 static __device__ __forceinline__ uint32_t left_address(const void *activations, uint32_t row_bytes,
                                                         int lane)
 {
@@ -177,7 +179,7 @@ static __device__ __forceinline__ uint32_t left_address(const void *activations,
          (uint32_t)(lane >> 4) * 16;
 }
 
-/* The next task; all threads call. false: cancelled. `ticket`: a word of shared memory. */
+/* Gets the next task; all threads call it. false: cancelled. `ticket`: a word of shared memory. */
 static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticket, mo_gk_task *task)
 {
   if (threadIdx.x == 0) {
@@ -215,8 +217,8 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   }
 }
 
-/* Lets every launch of the kernel have what a block can: the attribute is the device's, whichever
- * handle sets it, so it is never set to what one launch needs. */
+/* Allows every launch of the kernel the maximum of a block: the attribute belongs to the device,
+ * whichever handle sets it, so it is never set to the needs of one launch. */
 template <class Kernel>
 static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
@@ -229,8 +231,7 @@ static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_b
                                    (int)*dynamic_bytes);
 }
 
-/* A spring's activation from the tape; its length without one, and the length that it wants to
- * have. */
+/* A spring's activation from the tape, its length without actuation, and its target length. */
 static __device__ __forceinline__ float activation_of(int16_t kept)
 {
   return (float)kept * (1.0f / 32767.0f);
@@ -256,10 +257,10 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
   return x;
 }
 
-/* What a block walks: a group, whose warps have a pair each (SHARE 1), two rows of 32 or one of 16;
- * or half of a group of 32 rows (SHARE 2), where two warps have a pair: one of its rows each, and
- * each some of the springs of both. Rows and masses are counted in the block; on the tape and in
- * the tables they are the group's. */
+/* The walk of a block: a group, in which each warp has a pair (SHARE 1), two rows of 32 or one of
+ * 16; or half of a group of 32 rows (SHARE 2), in which two warps share a pair: each has one of its
+ * rows, and some of the springs of both. Rows and masses are numbered within the block; on the tape
+ * and in the tables, within the group. */
 template <int MT, int SHARE> struct walker {
   const mo_gk &k;
   const mo_gp_group &g;
@@ -268,32 +269,32 @@ template <int MT, int SHARE> struct walker {
     TAPE_ROWS = SHARE > 1 ? MO_GP_ROWS_MAX : ROWS,
     PAIRS = MO_GP_WARPS / SHARE
   };
-  int warp, lane, half, half_begin; /* its first mass, of the group's */
-  int first, n0, n1, n_own; /* the pair's first mass; masses of its rows; of all of the block */
+  int warp, lane, half, half_begin; /* half_begin: its first mass, within the group */
+  int first, n0, n1, n_own; /* the pair's first mass; masses of its rows; masses of the block */
   int own_chunks;
   uint32_t first_chunk; /* of the group's */
-  /* Copies of what the group says: a store might change the original, as far as the compiler
-   * knows. */
+  /* Copies of the group's members: as far as the compiler knows, a store might change the
+   * originals. */
   int n_masses, n_chunks, n_outputs;
   uint32_t first_row;
   const uint32_t *list; /* this lane's springs */
   uint32_t chunk_at;
   unsigned char *tape;
-  /* On the group's tape, in bytes; layer_bytes: from one layer to the next. */
+  /* Offsets on the group's tape, in bytes; layer_bytes: from one layer to the next. */
   uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at, scale_at,
       output_at;
   uint32_t layer_bytes;
-  uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂ them */
+  uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂outputs */
   uint32_t first_step, end_step;
   /* In shared memory. */
   uint8_t *output_tile; /* (128) */
-  void *left_memory;    /* (rows, MO_GK_ROW) what a layer is given, 16 bits each */
+  void *left_memory;    /* (rows, MO_GK_ROW) the inputs of a layer, 16 bits each */
   float2 *part;
   mo_plan_scene *rows;
   void *output_memory;   /* (rows, width) 16 bits each */
-  unsigned char *behind; /* of the way's own */
+  unsigned char *behind; /* memory for this direction's own use */
 
-  /* part_number: which steps of the walk are the task's. */
+  /* part_number: selects the steps of the walk for the task. */
   __device__ __forceinline__ walker(const mo_gk &args, const mo_gp_group &group,
                                     unsigned char *shared, const mo_gk_task &task,
                                     uint32_t part_number)
@@ -343,7 +344,7 @@ template <int MT, int SHARE> struct walker {
   {
     return SHARE > 1 && (warp & 1);
   }
-  /* The masses of this warp's rows, of the pair's. */
+  /* The range of this warp's masses within the pair. */
   __device__ __forceinline__ int begin() const
   {
     return has_second() ? n0 : 0;
@@ -352,7 +353,7 @@ template <int MT, int SHARE> struct walker {
   {
     return SHARE > 1 && !has_second() ? n0 : n0 + n1;
   }
-  /* The pair's first mass, of the group's. */
+  /* The pair's first mass, within the group. */
   __device__ __forceinline__ int group_first() const
   {
     return SHARE > 1 ? half_begin + first : first;
@@ -372,7 +373,7 @@ template <int MT, int SHARE> struct walker {
     return SHARE == 1 ? row : row % PAIRS + PAIRS * half + 16 * (row / PAIRS);
   }
 
-  /* The masses of this warp's r-th row: how many, and where they begin among the pair's. */
+  /* The number of masses in this warp's r-th row, and where they begin within the pair. */
   __device__ __forceinline__ int own_masses(int r) const
   {
     return SHARE > 1 ? end() - begin() : r == 0 ? n0 : n1;
@@ -381,13 +382,13 @@ template <int MT, int SHARE> struct walker {
   {
     return SHARE > 1 ? begin() : r == 0 ? 0 : n0;
   }
-  /* Which of this warp's rows the pair's m-th mass is of. */
+  /* Returns which of this warp's rows the pair's m-th mass belongs to. */
   __device__ __forceinline__ bool is_second(int m) const
   {
     return MT > 1 && m >= n0;
   }
-  /* This lane's first mass of this warp's: a lane has the same of a row's, whether its warp has one
-   * row or two. */
+  /* This lane's first mass among the warp's: a lane has the same masses of a row, whether its warp
+   * has one row or two. */
   __device__ __forceinline__ int lane_begin() const
   {
     return SHARE == 1 ? lane : begin() + ((lane - begin()) & 31);
@@ -395,7 +396,7 @@ template <int MT, int SHARE> struct walker {
 
   __device__ __forceinline__ void pair_sync() const
   {
-    __syncwarp(); /* the barrier is for warps whose lanes come together */
+    __syncwarp(); /* the barrier requires warps with converged lanes */
     if (SHARE > 1)
       asm volatile("bar.sync %0, %1;" ::"r"(1 + warp / SHARE), "n"(32 * SHARE) : "memory");
   }
@@ -409,7 +410,7 @@ template <int MT, int SHARE> struct walker {
   }
 };
 
-/* Of 16 rows: rare, and with registers of its own. */
+/* Groups of 16 rows: rare, with registers of their own. */
 template <template <int, int> class Way>
 static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g,
                                                unsigned char *shared, const mo_gk_task &task)
@@ -417,7 +418,7 @@ static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group
   Way<1, 1>(k, g, shared, task).run();
 }
 
-/* WALKED: how groups of 32 rows are. */
+/* WALKED: how groups of 32 rows are computed. */
 template <template <int, int> class Way, int WALKED>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
     way_kernel(const __grid_constant__ mo_gk k)
@@ -436,12 +437,12 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
   end_task(k, task);
 }
 
-/* A way's kernels, by MO_GK_WHOLE … . */
+/* The kernels of one direction, by MO_GK_WHOLE … . */
 template <template <int, int> class Way> struct way_kernels {
   static constexpr void (*kernels[])(const mo_gk) = {
       way_kernel<Way, MO_GK_WHOLE>, way_kernel<Way, MO_GK_HALVES>, way_kernel<Way, MO_GK_MIXED>};
 
-  /* What each of them can have of shared memory. */
+  /* Finds how much shared memory each of them can use. */
   static int open(uint32_t block_bytes, uint32_t *dynamic_bytes)
   {
     int status = 0;
@@ -462,7 +463,7 @@ template <template <int, int> class Way> struct way_kernels {
   }
 };
 
-/* What a lane's four columns of a normalized layer are given: columns 2 j, 2 j + 1 in [j]. */
+/* Gains and shifts for a lane's four columns of a normalized layer: columns 2 j, 2 j + 1 in [j]. */
 struct norm_columns {
   float2 gain[2], shift[2];
   __device__ __forceinline__ void load(const mo_gk_weights &w, int layer, int column)
@@ -476,8 +477,8 @@ struct norm_columns {
   }
 };
 
-/* Two sums over each row's 256 columns, from what each lane has of them: part is (rows, MO_GK_PART)
- * in shared memory. Synchronizes the block. */
+/* Computes two sums over each row's 256 columns, from each lane's share of them: part is (rows,
+ * MO_GK_PART) in shared memory. Synchronizes the block. */
 template <int MT>
 static __device__ __forceinline__ void sum_rows(float2 *part, int warp, int lane,
                                                 float2 (&s)[MT][2])
@@ -519,8 +520,8 @@ static __device__ __forceinline__ void sum_rows(float2 *part, int warp, int lane
 #ifdef __cplusplus
 extern "C" {
 #endif
-/* Once for the present device, before the first launch. block_bytes: the shared memory that a block
- * can have there. dynamic_bytes: what of it a launch can ask for. */
+/* Call once for the current device, before the first launch. block_bytes: the shared memory of a
+ * block there. dynamic_bytes: the part of it that a launch can request. */
 int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes);
 int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes);
 int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes);

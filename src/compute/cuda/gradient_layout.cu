@@ -1,6 +1,6 @@
-/* gradient_layout.cu: batches laid out before their weights are known, in memory that devices reach
- * faster. Any thread may do that, while the device is in a call: of the device it asks for
- * constants alone. */
+/* gradient_layout.cu: lays out batches before their weights are known, in memory that devices
+ * access faster. Any thread may do this during a call on the device, because it reads only
+ * constants of the device. */
 #include "compute/cuda/device.cuh"
 
 #include <stdlib.h>
@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <thread>
 
-/* In front of what is handed out: how it is to be given back. */
+/* The header before an allocation, which says how to free it. */
 struct header {
   bool is_plain;
   int device;
@@ -43,7 +43,7 @@ void mo_cuda_gradient_release(void *memory)
     free(all);
     return;
   }
-  cudaSetDevice(of.device); /* a thread that has called no device yet would open the first, which
+  cudaSetDevice(of.device); /* a thread that has not used a device yet would open the first, which
                                may not be ours */
   cudaFreeHost(all);
 }

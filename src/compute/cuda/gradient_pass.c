@@ -1,13 +1,13 @@
-/* gradient_pass.c: what of a plan fits the device's memory at a time, and which of its groups two
- * blocks walk. */
+/* gradient_pass.c: chooses the part of a plan that fits the device's memory at a time, and the
+ * groups that two blocks compute. */
 #include "compute/cuda/gradient_pass.h"
 
 enum { N_PARAMETERS = 620912 };
 
-/* What walking groups in halves comes to, so that the times of 1024 to 8192 robots on a H200 come
- * out: half a group's time in hundredths of the group's (more where the kernel has code for whole
- * ones, too), and the time that multiprocessors take for all, with their waiting, in hundredths of
- * what they would without. */
+/* The effect of computing groups in halves, fitted to the times of 1024 to 8192 robots on an H200:
+ * the time of half a group, in hundredths of the group's (more if the kernel also has code for
+ * whole groups), and the time of all multiprocessors, including waiting, in hundredths of the time
+ * without waiting. */
 struct measured {
   uint64_t half, packing;
 };
@@ -64,8 +64,8 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
   return ret->end > first ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
-/* In clocks of a step, both ways, fitted to those of 128 groups of random bodies (to a hundredth,
- * root mean square). All warps wait for the pair that has most springs and masses. */
+/* In clocks per step, forward and backward, fitted to those of 128 groups of random bodies (to one
+ * hundredth, root mean square). All warps wait for the pair with the most springs and masses. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g)
 {
   uint32_t most_chunks = 0, most_masses = 0;
@@ -79,8 +79,8 @@ uint64_t mo_gradient_cost(const struct mo_gp_group *g)
          360 * (uint64_t)most_chunks + 80 * (uint64_t)most_masses;
 }
 
-/* When all are through, in hundredths of a clock, if so many of those that can be are walked in
- * halves. */
+/* Returns when all groups are finished, in hundredths of a clock, if n_halved of the wide groups
+ * are computed in halves. */
 static uint64_t ends(const struct mo_gradient_load *loads, uint32_t n, uint32_t n_halved,
                      const struct measured *m, uint32_t multiprocessors)
 {
@@ -101,7 +101,7 @@ uint32_t mo_gradient_halved(const struct mo_gradient_load *loads, uint32_t n,
 {
   uint64_t soonest = UINT64_MAX;
   uint32_t n_wide = 0, ret = 0;
-  if (n > 2 * multiprocessors) /* they keep all of them busy */
+  if (n > 2 * multiprocessors) /* enough groups to keep all multiprocessors busy */
     return 0;
   for (uint32_t i = 0; i < n; i++)
     n_wide += loads[i].wide;

@@ -1,5 +1,6 @@
-/* gradient_plan.c: robots to groups, groups to tables. Several threads form the groups, a shard
- * each; when all are known, and so where each goes, the threads fill them. */
+/* gradient_plan.c: divides robots into groups, and groups into tables. Several threads form the
+ * groups, one shard each; when all are known, and with them the place of each, the threads fill
+ * them. */
 #include "compute/cuda/gradient_plan.h"
 
 #include "compute/cuda/plan.h"
@@ -14,10 +15,10 @@
 
 enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, LARGE_LEAST = 4 };
 
-/* The tables, then what is used only while they are made. */
+/* The tables, then memory that is used only while they are made. */
 enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, TABLES, STARTS = TABLES, ORDER, FORMED, SHARDS };
 
-/* A group that has no place yet, and the robots of its rows. */
+/* A group without a place yet, and the robots of its rows. */
 struct formed {
   struct mo_gp_group group;
   uint32_t robot[MO_GP_ROWS_MAX];
@@ -29,8 +30,9 @@ struct shard {
   const struct mo_gp_options *options;
   uint32_t number, first, n; /* robots */
   uint32_t *order;           /* larger bodies first */
-  uint32_t at, end;          /* those not placed yet */
-  uint32_t from_back; /* of the group being formed: how many are the last of them, not the first */
+  uint32_t at, end;          /* robots that are not placed yet */
+  uint32_t from_back; /* for the group being formed: how many robots are taken from the end of that
+                         range, not from its start */
   struct formed *formed; /* (n_groups) */
   uint32_t n_groups, first_group;
   const struct mo_physics *physics;
@@ -38,14 +40,15 @@ struct shard {
   int status;
 };
 
-/* At least `bytes`, of any content; the tables' from where the plan says. NULL: none to be had. */
+/* Reserves at least `bytes`, with undefined content; for tables, from the plan's allocator. NULL:
+ * out of memory. */
 static void *reserve(struct mo_gradient_plan *plan, int which, uint64_t bytes)
 {
   struct mo_gp_memory *m = &plan->memory[which];
   const bool is_own = which < TABLES && plan->allocate != NULL;
   if (m->bytes < bytes) {
     (is_own ? plan->release : free)(m->at);
-    const uint64_t wanted = bytes + bytes / 8 + 64; /* batches differ */
+    const uint64_t wanted = bytes + bytes / 8 + 64; /* batches vary in size */
     m->at = is_own ? plan->allocate(plan->context, wanted) : malloc(wanted);
     m->bytes = m->at != NULL ? wanted : 0;
   }
@@ -57,17 +60,17 @@ static void *reserve(struct mo_gradient_plan *plan, int which, uint64_t bytes)
 uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs)
 {
   const uint32_t rows =
-      n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
-                + 2 * (MO_HIDDEN + 8)            /* what a layer is given */
+      n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂activations */
+                + 2 * (MO_HIDDEN + 8)            /* the inputs of a layer */
                 + 8 * (MO_GP_WARPS + 2)          /* partial sums */
                 + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
-                + 4 + 32);                       /* flags; what is counted */
+                + 4 + 32);                       /* flags and counters */
   const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS,
                  back = n_masses * 36;
   return rows + (forward > back ? forward : back) + 1024;
 }
 
-/* The i-th of a group of n, of the shard's robots. */
+/* Returns the i-th robot of a group of n, among the shard's robots. */
 static uint32_t member(const struct shard *s, uint32_t n, uint32_t i)
 {
   return s->order[i + s->from_back < n ? s->at + i : s->end - n + i];
@@ -78,7 +81,7 @@ static const struct mo_body *body_of(const struct shard *s, uint32_t n, uint32_t
   return s->robots[s->first + member(s, n, i)].body;
 }
 
-/* What a group of n robots has together: its tiles and its masses. */
+/* Counts the tiles and masses of a group of n robots. */
 static void measure(const struct shard *s, uint32_t n, struct mo_gp_group *g)
 {
   bool outputs[MO_GP_OUTPUT_TILES] = {false};
@@ -99,13 +102,13 @@ static void measure(const struct shard *s, uint32_t n, struct mo_gp_group *g)
 
 /* ---- springs ---- */
 
-/* A pair's masses by falling number of springs. */
+/* A pair's masses in descending order of their number of springs. */
 struct by_springs {
   uint16_t n[PAIR_MASSES];     /* springs of a mass */
-  uint16_t mass[PAIR_MASSES];  /* in that order */
-  uint16_t place[PAIR_MASSES]; /* of a mass in it */
+  uint16_t mass[PAIR_MASSES];  /* masses in that order */
+  uint16_t place[PAIR_MASSES]; /* place of a mass in that order */
   uint32_t n_masses, n_chunks;
-  uint32_t chunk[PAIR_MASSES / MO_GP_LANES + 1]; /* the first of each 32 masses */
+  uint32_t chunk[PAIR_MASSES / MO_GP_LANES + 1]; /* the first chunk of each 32 masses */
 };
 
 static void sort_masses(const struct mo_body *const bodies[2], struct by_springs *s)
@@ -135,8 +138,8 @@ static void sort_masses(const struct mo_body *const bodies[2], struct by_springs
   s->chunk[(from + MO_GP_LANES - 1) / MO_GP_LANES] = s->n_chunks;
 }
 
-/* Returns the first of two warps' part of a pair's chunks: half, but a mass's springs stay
- * together. */
+/* Returns the number of a pair's chunks for the first of two warps: half, but the springs of a mass
+ * stay together. */
 static uint32_t split_of(const struct by_springs *order)
 {
   const uint32_t n = order->n_chunks;
@@ -150,7 +153,7 @@ static uint32_t split_of(const struct by_springs *order)
   return split;
 }
 
-/* The chunks of the masses of a pair's bodies. */
+/* Fills in the chunks of the masses of a pair's bodies. */
 static void fill_springs(const struct mo_gp_group *g, const struct mo_gp_pair *pair,
                          const struct mo_body *const bodies[2], uint32_t *chunks)
 {
@@ -185,8 +188,8 @@ static void fill_springs(const struct mo_gp_group *g, const struct mo_gp_pair *p
 
 /* ---- forming ---- */
 
-/* Puts n robots into a group's rows; rows beyond them stay empty. The second half goes the other
- * way round, so that a warp's two bodies are together about as large as another's. */
+/* Puts n robots into a group's rows; rows beyond them stay empty. The second half is in reverse
+ * order, so that all warps' pairs of bodies have about the same total size. */
 static void form(const struct shard *s, struct formed *f, uint32_t n)
 {
   struct mo_gp_group *g = &f->group;
@@ -215,9 +218,9 @@ static bool fits(const struct shard *s, const struct mo_gp_group *g)
   return mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= s->options->shared_bytes;
 }
 
-/* Whether 32 of the largest bodies that are left fit if the smallest take the place of some of
- * them; s->from_back says of how many: of sixteen at least, so that no pair has two large ones,
- * which all would wait for. */
+/* Returns whether 32 of the largest remaining bodies fit if some of them are replaced by the
+ * smallest. s->from_back: the number replaced, at least sixteen, so that no pair has two large
+ * bodies, for which all others would wait. */
 static bool mixes(struct shard *s)
 {
   uint32_t masses = 0;
@@ -234,10 +237,10 @@ static bool mixes(struct shard *s)
   return true;
 }
 
-/* How many robots form the next group, which is measured: 32, the largest that are left or, where
- * they do not fit, some of them and some of the smallest: the weights that a group loads are for
- * all its rows. Else 16; where the shared memory is too small for sixteen large bodies, fewer in
- * sixteen rows. 0: not even one fits. */
+/* Returns how many robots form the next group, and measures it. 32 if possible, because the weights
+ * that a group loads serve all its rows: the largest remaining robots or, if these do not fit, some
+ * of them and some of the smallest. Otherwise 16, or fewer in sixteen rows if the shared memory is
+ * too small for sixteen large bodies. 0: not even one fits. */
 static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
 {
   const uint32_t left = s->end - s->at;
@@ -259,7 +262,8 @@ static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
   return n;
 }
 
-/* Of a shard: every group but the last has as many as of the largest bodies fit in sixteen rows. */
+/* Returns an upper bound of the groups of a shard: every group except the last has at least as many
+ * robots as bodies of the largest size fit in sixteen rows. */
 static size_t groups_at_most(const struct mo_gp_options *options)
 {
   uint32_t fewest = HALF;
@@ -288,7 +292,7 @@ static void form_shards(void *context, size_t first, size_t end)
 
 /* ---- filling ---- */
 
-/* A row that has a robot, and its masses, which have their place from `at` on. */
+/* Fills in a row with a robot, and its masses, starting at `at`. */
 static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
 {
   const struct mo_body *body = s->robots[row->robot].body;
@@ -338,9 +342,9 @@ static void fill_shards(void *context, size_t first, size_t end)
       fill_group(s, s->plan->groups + s->first_group + k, s->formed[k].robot);
 }
 
-/* ---- the whole ---- */
+/* ---- the plan ---- */
 
-/* Says where each group goes, and has the memory for all of them. */
+/* Determines the place of each group, and reserves memory for all of them. */
 static int place(struct mo_gradient_plan *plan, struct shard *shards)
 {
   plan->n_groups = plan->n_rows = 0;

@@ -1,10 +1,10 @@
 /* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a
  * shard's groups, and weights as tiles.
  *
- * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times
- * what the layer was given, over all rows of the group and the launch's steps in order, and times
- * ones, which gives the biases' sums; the launches are added in order too, and the groups in
- * collect. So no sum depends on which other groups there are, nor on the device. */
+ * A block computes 128 × 256 numbers of one matrix of one group: ∂loss/∂(sums of the layer)ᵀ times
+ * the inputs of the layer, over all rows of the group and the launch's steps in order, and times
+ * ones, which yields the sums for biases; the launches are also added in order, and the groups in
+ * collect_kernel. So no sum depends on other groups or on the device. */
 #include "compute/cuda/gradient_products.cuh"
 
 enum {
@@ -20,12 +20,12 @@ enum {
 static_assert(DEPTH * LEFT == THREADS * 8 && DEPTH * RIGHT == 2 * THREADS * 8,
               "a thread copies three times 16 bytes of a stage");
 
-/* What a thread copies, stage by stage: 16 bytes of the left operand, and of the right one in two
- * rows. */
+/* The copies of a thread, stage by stage: 16 bytes of the left operand, and 16 bytes in each of two
+ * rows of the right one. */
 struct copies {
   const __nv_bfloat16 *left, *right;
   uint32_t left_to, right_to;
-  int left_step, left_rows, right_rows; /* rows: those that are left */
+  int left_step, left_rows, right_rows; /* rows: remaining ones */
   bool left_there;
 
   __device__ __forceinline__ explicit copies(const operands &o)
@@ -43,7 +43,7 @@ struct copies {
     right_rows = o.depth - right_at;
   }
 
-  /* Rows beyond the last are zeros, and nothing is read there. */
+  /* Rows beyond the last are filled with zeros, without reading anything. */
   __device__ __forceinline__ void next(uint32_t stage)
   {
     copy_ahead(stage + left_to, left, left_there && left_rows > 0);
@@ -192,7 +192,7 @@ static __global__ void collect_kernel(const mo_gp_group *groups, const float *su
 
 /* ---- weights ---- */
 
-/* Value of a matrix (n_out, n_in), 0 beyond it. */
+/* Returns an element of a matrix (n_out, n_in), 0 beyond it. */
 static __device__ __forceinline__ float at(const float *w, uint32_t n_out, uint32_t n_in,
                                            uint32_t out, uint32_t in)
 {
@@ -223,7 +223,7 @@ static __global__ void pack_kernel(const float *w, uint32_t n_out, uint32_t n_in
                  t = lane % 4 * 2;
   uint32_t f[4], b[4];
   for (uint32_t k = 0; k < 4; k++) {
-    const uint32_t n = g / 2 * 4 + k / 2 * 2 + g % 2, m = k % 2 * 8 + t; /* warp_sums says why */
+    const uint32_t n = g / 2 * 4 + k / 2 * 2 + g % 2, m = k % 2 * 8 + t; /* see warp_sums */
     f[k] = pair_half(at(w, n_out, n_in, out + n, in + m), at(w, n_out, n_in, out + n, in + m + 1));
     b[k] =
         pair_bfloat(at(w, n_out, n_in, out + m, in + n), at(w, n_out, n_in, out + m + 1, in + n));
@@ -260,8 +260,8 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   return (int)cudaGetLastError();
 }
 
-/* Whether the present device has what the wide kernel needs: that of capability 9.0 alone, no later
- * one's. */
+/* Sets *wide to whether the current device has the features that the wide kernel needs: those of
+ * capability 9.0 only, not of later ones. */
 static cudaError_t has_wide(bool *wide)
 {
   int device = 0, major = 0, minor = 0;

@@ -1,13 +1,13 @@
-/* gradient_products.cuh: what a block of the products multiplies, and the kernel for devices of
+/* gradient_products.cuh: the operands of a block of the products, and the kernel for devices of
  * compute capability 9.0.
  *
  * There a group of four warps multiplies 64 × 256 numbers by 16 rows in one instruction, which
- * reads both operands from shared memory itself; so a block of two such groups has 128 × 256
- * numbers, as on other devices, with a quarter of the warps and no loads between. The instruction
- * takes operands whose columns follow one another, as they do on the tape: 64 columns (128 bytes)
- * to a line, lines by rows, the 16-byte pieces of a line in an order that depends on its row, so
- * that no bank is met twice. It adds rows sixteen at a time in their order, as the other kernel
- * does, and was found to give the same bits. */
+ * reads both operands directly from shared memory; so a block of two such groups computes 128 × 256
+ * numbers, as on other devices, with a quarter of the warps and no loads in between. The
+ * instruction takes operands with consecutive columns, as they are on the tape: 64 columns (128
+ * bytes) per line, lines by rows, the 16-byte pieces of a line in an order that depends on its row,
+ * so that there are no bank conflicts. It adds rows sixteen at a time in order, like the other
+ * kernel, and was found to produce the same bits. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PRODUCTS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PRODUCTS_CUH
 
@@ -23,7 +23,7 @@ struct operands {
   const __nv_bfloat16 *left, *right; /* (depth, left_row), (depth, 256) */
   int left_row, left_columns, depth;
   float *to;   /* (left_columns, 256) */
-  float *bias; /* (left_columns) sums of the left one over its rows */
+  float *bias; /* (left_columns) sums of the left operand over its rows */
 };
 
 static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t job, uint32_t first,
@@ -66,7 +66,7 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
   return o;
 }
 
-/* Two numbers of a sum, added to those of earlier launches. */
+/* Adds two numbers of a sum to those of earlier launches. */
 static __device__ __forceinline__ void add_pair(const operands &o, int row, int column,
                                                 bool is_first, float x, float y)
 {
@@ -83,7 +83,7 @@ static __device__ __forceinline__ void add_bias(const operands &o, int row, bool
     o.bias[row] = (is_first ? 0.0f : o.bias[row]) + x;
 }
 
-/* Two bfloat16: what the left operand is multiplied with for its sums. */
+/* Two bfloat16 ones, by which the left operand is multiplied for its sums. */
 enum { ONES = 0x3f803f80 };
 
 /* ---- compute capability 9.0 ---- */
@@ -95,16 +95,16 @@ enum {
   WIDE_STAGE = WIDE_LINES * (MO_GK_JOB_COLUMNS + MO_HIDDEN) / 64,
   WIDE_THREADS = 256,
   WIDE_ONES = 256, /* bytes: eight columns of sixteen rows */
-  WIDE_SHARED = WIDE_STAGES * WIDE_STAGE + WIDE_ONES + 1024 /* for the first line's place */
+  WIDE_SHARED = WIDE_STAGES * WIDE_STAGE + WIDE_ONES + 1024 /* to align the first line */
 };
 
 #ifdef __CUDA_ARCH_FEAT_SM90_ALL
 
-/* What a thread copies, stage by stage. */
+/* The copies of a thread, stage by stage. */
 struct wide_copies {
   const __nv_bfloat16 *left, *right;
   uint32_t left_to, right_to;
-  int left_row, left_rows, right_rows; /* rows: those that are left */
+  int left_row, left_rows, right_rows; /* rows: remaining ones */
   bool left_there;
 
   __device__ __forceinline__ explicit wide_copies(const operands &o)
@@ -121,13 +121,13 @@ struct wide_copies {
     right_to = place(MO_GK_JOB_COLUMNS / 8 + right_piece, right_row);
   }
 
-  /* Of eight columns in a row. */
+  /* The place of eight columns in a row. */
   static __device__ __forceinline__ uint32_t place(int piece, int row)
   {
     return (uint32_t)(piece / 8 * WIDE_LINES + row * 128 + ((piece ^ row) & 7) * 16);
   }
 
-  /* Rows beyond the last are zeros, and nothing is read there. */
+  /* Rows beyond the last are filled with zeros, without reading anything. */
   __device__ __forceinline__ void next(uint32_t stage)
   {
 #pragma unroll
@@ -144,22 +144,22 @@ struct wide_copies {
   }
 };
 
-/* How the instruction finds an operand: where it starts, how far 64 columns and 8 rows are from the
- * next, that pieces are in that order. */
+/* The descriptor of an operand: its start, the distances between sets of 64 columns and of 8 rows,
+ * and the order of pieces. */
 static __device__ __forceinline__ uint64_t wide_operand(uint32_t address)
 {
   return (uint64_t)(address >> 4) | (uint64_t)(WIDE_LINES >> 4) << 16 |
          (uint64_t)(1024 >> 4) << 32 | (uint64_t)1 << 62;
 }
 
-/* Of ones, in any order. */
+/* The descriptor of the ones, in any order. */
 static __device__ __forceinline__ uint64_t wide_ones(uint32_t address)
 {
   return (uint64_t)(address >> 4) | (uint64_t)(128 >> 4) << 16 | (uint64_t)(128 >> 4) << 32;
 }
 
-/* Adds sixteen rows of the left one to its sums: c[2 h] is row 16 (warp % 4) + 8 h + lane/4, the
- * rest is the same again. */
+/* Adds sixteen rows of the left operand to its sums: c[2 h] is row 16 (warp % 4) + 8 h + lane/4;
+ * the other elements repeat it. */
 static __device__ __forceinline__ void wide_sum(float (&c)[4], uint64_t left, uint64_t ones)
 {
   asm volatile(
@@ -173,8 +173,8 @@ static __device__ __forceinline__ void wide_sum(float (&c)[4], uint64_t left, ui
       "+f"((c)[(i) + 5]), "+f"((c)[(i) + 6]), "+f"((c)[(i) + 7])
 #define WIDE_32(c, i) WIDE_8(c, i), WIDE_8(c, (i) + 8), WIDE_8(c, (i) + 16), WIDE_8(c, (i) + 24)
 
-/* Adds sixteen rows of both. c[4 j + 2 h + e] is row 16 (warp % 4) + 8 h + lane/4, column 8 j + 2
- * (lane % 4) + e. */
+/* Adds the product of sixteen rows of both operands. c[4 j + 2 h + e] is row 16 (warp % 4) + 8 h +
+ * lane/4, column 8 j + 2 (lane % 4) + e. */
 static __device__ __forceinline__ void wide_multiply(float (&c)[128], uint64_t left, uint64_t right)
 {
   asm volatile("wgmma.mma_async.sync.aligned.m64n256k16.f32.bf16.bf16 {"
@@ -195,8 +195,8 @@ static __device__ __forceinline__ void wide_multiply(float (&c)[128], uint64_t l
                : "l"(left), "l"(right));
 }
 
-/* A stage is filled again two rounds after it was multiplied: by then all warps have seen its
- * product done. */
+/* A stage is refilled two rounds after it was multiplied: by then all warps have seen its product
+ * finish. */
 static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t job, uint32_t first,
                                                      uint32_t end, unsigned char *shared)
 {
@@ -269,7 +269,7 @@ static __global__ void __launch_bounds__(WIDE_THREADS, 1)
   if (*k.cancel == 0)
     wide_products(k, jobs[blockIdx.x], first, end, shared);
 #else
-  __trap(); /* another device's: not called */
+  __trap(); /* for another device: never called */
 #endif
 }
 

@@ -1,9 +1,10 @@
-/* gradient_run.cu: what was laid out, from rows to shards' sums.
+/* gradient_run.cu: computes a laid-out batch, from rows to the sums of shards.
  *
- * It is cut into passes of whole shards that fit the device's memory; nearly always it is one. A
- * pass runs forward over all steps, back again, which leaves what the products need where the tape
- * was, and takes the products. A row whose adjoint turns out not to be finite was added until then:
- * both ways are walked again without it. That is rare. */
+ * The batch is divided into passes of whole shards that fit the device's memory; nearly always, one
+ * pass suffices. A pass runs forward over all steps, then backward, which replaces the tape by the
+ * operands of the products, and then computes the products. If a row's adjoint turns out not to be
+ * finite, the row has contributed until then, so both directions run again without it. That is
+ * rare. */
 #include "compute/cuda/device.cuh"
 #include "compute/cuda/gradient_pass.h"
 extern "C" {
@@ -20,7 +21,8 @@ extern "C" {
 
 namespace {
 
-/* Of a task on the way forward or back; of a launch of products: shorter ones take longer. */
+/* Steps of a forward or backward task, and of a launch of products: shorter ones would take longer
+ * in total. */
 enum { PART_STEPS = 50, PRODUCT_STEPS = 1000, RESERVE_BYTES = 768 << 20 };
 
 struct work {
@@ -31,7 +33,7 @@ struct work {
   mo_gradient_pass p;
   mo_gk k;
   uint32_t n_jobs, n_halved;
-  bool told;             /* the device, that the call is cancelled */
+  bool told;             /* whether the device has been told that the call is cancelled */
   mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 
@@ -40,8 +42,8 @@ int check(work &w, int status, const char *what)
   return mo_cuda_check(w.device, (cudaError_t)status, what);
 }
 
-/* How many of the wide groups, those first that take longest, are walked by two blocks each. loads:
- * by falling cost. */
+/* Returns how many of the wide groups, starting with the most expensive, are computed by two blocks
+ * each. loads: in descending order of cost. */
 uint32_t count_halved(const mo_device *device, const std::vector<mo_gradient_load> &loads)
 {
   const uint32_t n_wide = (uint32_t)std::count_if(
@@ -54,7 +56,8 @@ uint32_t count_halved(const mo_device *device, const std::vector<mo_gradient_loa
                                                               (uint32_t)device->multiprocessors);
 }
 
-/* One that is handed out, and the parts done of each half of each group. */
+/* The bytes of the ticket counter, and of the counts of finished parts for each half of each
+ * group. */
 uint64_t tickets_bytes(const mo_gradient_plan &plan)
 {
   return (1 + 2 * (uint64_t)plan.n_groups) * 4;
@@ -159,8 +162,8 @@ int upload_pass(work &w)
   w.k.weights = s->tiles;
   w.k.tickets = s->buffers[TICKETS].of<uint32_t>();
   w.k.cancel = s->cancel;
-  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns.
-   * What is pinned stays until the pass ends. */
+  /* The vectors are freed here: copies from pageable memory are staged before cudaMemcpyAsync
+   * returns. Pinned memory stays until the pass ends. */
   return check(w, mo_gk_pack(s->buffers[PARAMETERS].of<float>(), &s->tiles, w.device->stream),
                "weights");
 }
@@ -170,7 +173,7 @@ bool cancelled(const work &w)
   return w.call->cancel != nullptr && *w.call->cancel != 0;
 }
 
-/* Passes the caller's flag on to the device: once. Whether it is set. */
+/* Passes the caller's flag on to the device, once. Returns whether it is set. */
 bool pass_on(work &w)
 {
   if (!w.told && cancelled(w)) {
@@ -180,7 +183,7 @@ bool pass_on(work &w)
   return w.told;
 }
 
-/* Waits for what has been asked for up to `mark`. */
+/* Waits for the work queued before `mark`. */
 int wait_for(work &w, cudaEvent_t mark)
 {
   cudaError_t status;
@@ -193,7 +196,7 @@ int wait_for(work &w, cudaEvent_t mark)
   return pass_on(w) ? MO_ERR_CANCELLED : MO_OK;
 }
 
-/* A way through all steps: no task has been handed out, and none is done. */
+/* Runs one direction through all steps, starting with no task handed out or done. */
 int walk(work &w, int (*way)(const mo_gk *k, uint32_t shared_bytes, void *stream),
          cudaEvent_t after, const char *what)
 {
@@ -223,7 +226,7 @@ int multiply(work &w, cudaEvent_t after)
   return r == MO_OK ? check(w, cudaEventRecord(after, w.device->stream), "products") : r;
 }
 
-/* Memory that the device writes to while the host does something else. */
+/* Returns whether the device can write to this memory while the host does something else. */
 bool is_pinned(const void *memory)
 {
   cudaPointerAttributes attributes = {};
@@ -232,7 +235,8 @@ bool is_pinned(const void *memory)
   return known && attributes.type == cudaMemoryTypeHost;
 }
 
-/* What came of the rows, to the host, which reports it while the products are taken. */
+/* Copies the results of the rows to the host, which reports them while the products are
+ * computed. */
 int copy_results(work &w, cudaEvent_t after)
 {
   const uint64_t bytes = w.plan->n_rows * sizeof(mo_gk_result);
@@ -247,7 +251,7 @@ int copy_results(work &w, cudaEvent_t after)
                "copy from the device");
 }
 
-/* Sums of the shards, to the host. */
+/* Copies the sums of the shards to the host. */
 int collect(work &w, float *to, cudaEvent_t after)
 {
   mo_cuda_gradient_state *s = w.s;
@@ -267,7 +271,7 @@ int collect(work &w, float *to, cudaEvent_t after)
       "sums");
 }
 
-/* All of a pass, one after the other on the device: it never waits for the host. */
+/* Queues a complete pass on the device, which never waits for the host. */
 int ask_for_pass(work &w, float *to)
 {
   const cudaEvent_t *marks = w.s->marks;
@@ -321,8 +325,8 @@ void report(work &w)
   mo_gradient_counts_add(&w.call->counts, &counts);
 }
 
-/* Again until no more rows turn out to be left out. The way back leaves no tape: before another
- * one, there is another way forward. */
+/* Repeats the pass until no more rows have to be excluded. The backward pass overwrites the tape,
+ * so another one requires another forward pass. */
 int run_until_finite(work &w, float *to)
 {
   std::vector<mo_gk_result> before;
@@ -365,8 +369,7 @@ int run_until_finite(work &w, float *to)
   }
 }
 
-/* The pass's sums to their place in the caller's memory, through memory of one's own where that is
- * not pinned. */
+/* Copies the pass's sums to the caller's memory, by way of our own memory if that is not pinned. */
 int compute(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
@@ -383,7 +386,7 @@ int compute(work &w)
   return r;
 }
 
-/* What of `bytes` the buffers may take, each a little larger than it is asked to be. */
+/* Returns how many of `bytes` the buffers may use, since each is slightly larger than requested. */
 uint64_t share_of(uint64_t bytes)
 {
   return bytes > RESERVE_BYTES ? (bytes - RESERVE_BYTES) / 65 * 64 : 0;
@@ -397,8 +400,8 @@ uint64_t held(const mo_device *device)
   return sum;
 }
 
-/* What a pass may take of the device's memory. The driver is asked only where the buffers may have
- * to grow: now and then it takes ten milliseconds to answer. */
+/* Finds how much of the device's memory a pass may use. It queries the driver only if the buffers
+ * may have to grow, because an answer occasionally takes ten milliseconds. */
 int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most,
                 uint64_t *budget)
 {
@@ -456,8 +459,8 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.k.part_steps = PART_STEPS;
     const double since = now_s();
     r = upload_pass(w);
-    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are
-                                    asked for again */
+    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: free all of them
+                                    and allocate them again */
       cudaStreamSynchronize(device->stream);
       mo_cuda_gradient_trim(device);
       r = upload_pass(w);

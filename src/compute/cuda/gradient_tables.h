@@ -1,20 +1,21 @@
-/* gradient_tables.h: a batch of robots as the device that differentiates them reads it. C and CUDA.
+/* gradient_tables.h: the tables from which the device reads a batch of robots for their gradient. C
+ * and CUDA.
  *
- * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a
- * row is a robot in its environment), larger bodies first; where sixteen large ones exceed a
- * block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps.
- * Warp w simulates rows w and w + 16 of its group, as one body: a *pair*. A lane takes a mass and
- * adds up its springs, each of which is computed from both ends: so no two lanes write one number.
- * Its masses go by falling number of springs, 32 at a time, and the springs of 32 masses as
- * *chunks*, the n-th of each mass in the n-th.
+ * The batch is divided into shards of consecutive robots, and a shard into groups of 32 or 16 rows
+ * (a row is a robot in its environment), larger bodies first; if sixteen large bodies exceed a
+ * block's shared memory, some rows stay empty. A group belongs to one thread block of sixteen
+ * warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*. A lane takes a
+ * mass and adds up its springs, each of which is computed from both ends, so that no two lanes
+ * write the same number. Masses are taken in descending order of their number of springs, 32 at a
+ * time. The springs of 32 masses form *chunks*: chunk n has the n-th spring of each mass.
  *
- * Where a device has multiprocessors for it, a group of 32 rows can be walked by two blocks, each
- * of which has half of the pairs and two warps to a pair. What these sum over rows themselves is
- * summed by such *halves* in any case, so that the bits are the same: pairs 0 … 7, 8 … 15.
+ * If a device has enough multiprocessors, two blocks can compute a group of 32 rows: each has half
+ * of the pairs, with two warps per pair. Sums that the kernels take over rows are always formed by
+ * *halves*, pairs 0 … 7 and 8 … 15, so that the bits are the same in both cases.
  *
- * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has;
- * the first for all inputs: groups lack none that would be worth leaving out. How a shard is laid
- * out depends on its robots alone. */
+ * The last layer is multiplied only for the *tiles* of sixteen springs that some row of the group
+ * has; the first layer for all inputs, because groups lack too few to be worth skipping. The layout
+ * of a shard depends only on its robots. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_TABLES_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_TABLES_H
 
@@ -30,18 +31,18 @@ enum {
   MO_GP_LANES = 32,
   MO_GP_ROWS_MAX = 32,
   MO_GP_HALF_ROWS = 16,
-  MO_GP_NORM_FLOATS = MO_HIDDEN_LAYERS * 2 * MO_HIDDEN, /* what a half sums over its rows */
+  MO_GP_NORM_FLOATS = MO_HIDDEN_LAYERS * 2 * MO_HIDDEN, /* sums of a half over its rows */
   MO_GP_TILE = 16,
-  MO_GP_INPUTS = 256,       /* 245 masses, 5 generators, 6 places that stay empty */
+  MO_GP_INPUTS = 256,       /* 245 masses, 5 generators, 6 unused places */
   MO_GP_OUTPUT_TILES = 103, /* 1648 springs */
   MO_GP_NONE = 0xff
 };
 #define MO_GP_NO_ROBOT UINT32_MAX
 
-/* A spring of one of a pair's masses: that mass and the one at the other end, place among the
- * group's outputs, which row, whether it is a diagonal, whether it is in the last chunk of these 32
- * masses. A mass with fewer springs than the first of the 32 is tied to itself, which gives
- * nothing; lanes without a mass have MO_GP_NO_MASS. */
+/* A spring of one of a pair's masses: that mass and the mass at the other end, the index among the
+ * group's outputs, the row, whether it is a diagonal, and whether it is in the last chunk of these
+ * 32 masses. A mass with fewer springs than the first of the 32 is padded with springs to itself,
+ * which have no effect; lanes without a mass have MO_GP_NO_MASS. */
 #define MO_GP_SPRING(own, other, output, row, diagonal)                                            \
   ((uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 |                 \
    (uint32_t)(other) << 9 | (uint32_t)(own))
@@ -54,19 +55,19 @@ enum {
 #define MO_GP_NO_MASS            0x1ffu
 
 struct mo_gp_pair {
-  uint32_t first_mass;            /* of the group's masses */
+  uint32_t first_mass;            /* index among the group's masses */
   uint32_t n_masses[2];           /* of row w and of row w + 16 */
-  uint32_t first_chunk, n_chunks; /* of the group's chunks */
-  uint32_t split;                 /* how many of them the first of two warps has */
+  uint32_t first_chunk, n_chunks; /* indices among the group's chunks */
+  uint32_t split;                 /* how many of them belong to the first of two warps */
 };
 
 struct mo_gp_group {
   uint32_t n_rows;    /* 32 or 16 */
-  uint32_t first_row; /* of all rows */
+  uint32_t first_row; /* among all rows */
   uint32_t shard;
   uint32_t n_masses, n_chunks;
   uint32_t n_outputs;               /* tiles */
-  uint64_t first_mass, first_chunk; /* of those of all groups */
+  uint64_t first_mass, first_chunk; /* among those of all groups */
   uint64_t tape_at,
       sum_at; /* bytes from the start of the tape; floats from the start of the sums */
   uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];
@@ -77,24 +78,24 @@ struct mo_gp_row {
   double light_m[2]; /* from the world's center */
   struct mo_goal goal;
   struct mo_plan_scene scene;
-  uint32_t robot; /* of the batch; MO_GP_NO_ROBOT: an empty row */
+  uint32_t robot; /* index in the batch; MO_GP_NO_ROBOT: an empty row */
   uint32_t n_masses;
 };
 
-/* Where in a group's part of the tape things lie, in bytes; each is (n_steps, …) of its own. */
+/* Offsets in a group's part of the tape, in bytes; each array has its own (n_steps, …). */
 struct mo_gp_tape {
   uint64_t position;                 /* float (3, n_masses) */
   uint64_t velocity;                 /* float (3, n_masses) before contact */
   uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
   uint64_t input;                    /* bfloat16 (n_rows, 256) */
-  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the
-                                        layer sums there, bfloat16 */
+  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the backward pass replaces it by
+                                        ∂loss/∂(sums of the layer), bfloat16 */
   uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
   uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
-  uint64_t d_output; /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂ what the last layer sums */
+  uint64_t d_output; /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂(sums of the last layer) */
   uint64_t bytes;
 };
-/* And in a group's sums, in floats. */
+/* Offsets in a group's sums, in floats. */
 struct mo_gp_sum {
   uint64_t output;      /* (16 n_outputs, 256) */
   uint64_t hidden[2];   /* (256, 256) */

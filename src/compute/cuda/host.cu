@@ -1,4 +1,4 @@
-/* host.cu: buffers, errors, waiting: what all calls on a device share. */
+/* host.cu: buffers, errors and waiting, for all calls on a device. */
 #include "compute/cuda/device.cuh"
 
 #include <math.h>
@@ -11,7 +11,8 @@ int mo_cuda_check(mo_device *device, cudaError_t status, const char *what)
   if (status == cudaSuccess)
     return MO_OK;
   snprintf(device->error, sizeof(device->error), "%s: %s", what, cudaGetErrorString(status));
-  cudaGetLastError(); /* an error that does not stick is not to be found again by the next call */
+  cudaGetLastError(); /* clear it, so that the next call does not report an error that does not
+                         persist */
   if (status == cudaErrorMemoryAllocation)
     return MO_ERR_NO_MEMORY;
   device->lost = true;
@@ -30,9 +31,9 @@ void mo_cuda_release_pinned(mo_cuda_buffer *buffer)
   *buffer = mo_cuda_buffer{};
 }
 
-/* A little more than asked for, so that calls of nearly equal size do not each grow it: to give
- * back and get the gradient's tape takes as long as a way through it. Where there is no room for
- * that, less. */
+/* Allocates slightly more than requested, so that calls of nearly equal size do not grow the buffer
+ * each time: freeing and allocating the gradient's tape takes as long as a pass over it. If memory
+ * does not suffice for that, allocates less. */
 int mo_cuda_reserve(mo_device *device, mo_cuda_buffer *buffer, size_t bytes)
 {
   if (bytes <= buffer->bytes)

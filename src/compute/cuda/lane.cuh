@@ -1,13 +1,13 @@
-/* lane.cuh: rollout/lane_physics.inc and lane_adjoint.inc for a lane of a device: a vector of one
+/* lane.cuh: rollout/lane_physics.inc and lane_adjoint.inc for one lane of a device: a vector of one
  * float.
  *
- * What they leave to the kernels is here: which cell of the terrain a lane gets, segments that
- * leave their cell, which are cut at its borders, and whole moves of a mass, forward and back.
- * Scoring and the gradient include the same lines. So does a test without a device: this file is
- * valid C17, too.
+ * This file adds what they leave to the kernels: the choice of a terrain cell for a lane, segments
+ * that leave their cell, which are cut at its borders, and complete moves of a mass, forward and
+ * backward. Scoring and the gradient include the same lines, and so does a test without a device:
+ * this file is also valid C17.
  *
- * Operations are fused where v_fma says so and nowhere else: this file is to be compiled without
- * contraction (nvcc -fmad=false), so that the way back sees every strike that the way forward saw.
+ * Operations are fused only where v_fma is written: this file must be compiled without contraction
+ * (nvcc -fmad=false), so that the backward pass sees every strike of the forward pass.
  */
 #ifndef MORPHO_COMPUTE_CUDA_LANE_CUH
 #define MORPHO_COMPUTE_CUDA_LANE_CUH
@@ -43,8 +43,8 @@ typedef bool M;
 #define v_sel(m, a, b)   ((m) ? (a) : (b))
 #define v_keep(m, a)     ((m) ? (a) : 0.0f)
 
-/* Divisions and roots are the device's own instructions, within two units of the last place, as is
- * float32 arithmetic around them; their subnormal operands count as 0. */
+/* Divisions and roots are the device's own instructions, accurate to two units in the last place,
+ * like the float32 arithmetic around them; their subnormal operands count as 0. */
 MO_INLINE V v_div(V a, V b)
 {
 #ifdef __CUDA_ARCH__
@@ -68,7 +68,7 @@ MO_INLINE V v_sqrt(V a)
 }
 
 #ifdef __CUDACC__
-#pragma nv_diag_suppress 1675 /* their loops are unrolled without being asked for */
+#pragma nv_diag_suppress 1675 /* their loops are unrolled without a request */
 #endif
 #define LANE_HEIGHT float
 #include "rollout/lane_adjoint.inc"
@@ -91,7 +91,8 @@ MO_INLINE struct lane_cell lane_cell_at(const float *heights, V i, V j)
   return g;
 }
 
-/* The cell under a place in meters from the world's center; returns the height there. */
+/* Finds the cell under a position in meters from the world's center, and returns the height
+ * there. */
 MO_INLINE V lane_ground(const float *heights, V x, V y, struct lane_cell *g)
 {
   const V u = lane_coordinate(x), w = lane_coordinate(y);
@@ -99,7 +100,7 @@ MO_INLINE V lane_ground(const float *heights, V x, V y, struct lane_cell *g)
   return lane_height(g, u - g->i, w - g->j);
 }
 
-/* The gradient of g's polynomial at that place. */
+/* Computes the gradient of g's polynomial at that position. */
 MO_INLINE void lane_slope(const struct lane_cell *g, V x, V y, V slope[2])
 {
   slope[0] = lane_slope_x(g, lane_coordinate(y) - g->j);
@@ -108,7 +109,7 @@ MO_INLINE void lane_slope(const struct lane_cell *g, V x, V y, V slope[2])
 
 /* ---- time of impact ---- */
 
-/* When a segment at `start` with `speed`, in cells, leaves cell `cell`. */
+/* Returns when a segment from `start` with `speed`, in cells, leaves cell `cell`. */
 MO_INLINE V lane_leave_time(V start, V speed, V cell)
 {
   if (speed > 0 && cell < MO_TERRAIN_SIDE - 1)
@@ -118,12 +119,12 @@ MO_INLINE V lane_leave_time(V start, V speed, V cell)
   return INFINITY;
 }
 
-/* When a segment strikes, and in which cell. */
+/* When a segment strikes the ground, and in which cell. */
 struct lane_impact {
   V time, i, j;
 };
 
-/* From p with velocity v, in closed form: the segment leaves its cell. */
+/* Finds the impact from p with velocity v in closed form, for a segment that leaves its cell. */
 MO_INLINE struct lane_impact lane_impact_across(const float *heights, V dt, const V p[3],
                                                 const V v[3])
 {
@@ -154,7 +155,7 @@ MO_INLINE struct lane_impact lane_impact_across(const float *heights, V dt, cons
   return impact;
 }
 
-/* The same by n halvings of the step, wherever the segment leads. */
+/* Finds it by n halvings of the step, for any segment. */
 MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uint32_t n,
                                                  const V p[3], const V v[3])
 {
@@ -175,15 +176,16 @@ MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uin
 
 /* ---- moves ---- */
 
-/* A strike as a lane sees it. */
+/* The strike of a lane's mass. */
 struct lane_hit {
   struct lane_cell cell; /* where it struck */
   struct lane_strike strike;
-  bool crosses,
-      stays; /* the segment leaves its cell; the strike ends in the cell where it struck */
+  bool crosses, stays; /* crosses: the segment leaves its cell; stays: the strike ends in the cell
+                          where it struck */
 };
 
-/* From p with velocity v; next: the ground under the end of the straight segment. */
+/* Computes the strike from p with velocity v; next: the ground under the end of the straight
+ * segment. */
 MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, const float *heights,
                                       const struct lane_cell *next, const V p[3], const V v[3])
 {
@@ -208,8 +210,8 @@ MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, const float 
   return hit;
 }
 
-/* Whether a mass at p with velocity v strikes the ground; no ground is above `highest`. next: where
- * its straight segment ends, g: the ground there. */
+/* Returns whether a mass at p with velocity v strikes the ground, which is nowhere above `highest`.
+ * next: the end of its straight segment; g: the ground there. */
 MO_INLINE bool lane_strikes(const struct lane_physics *k, const float *heights, V highest,
                             const V p[3], const V v[3], V next[3], struct lane_cell *g)
 {
@@ -218,7 +220,7 @@ MO_INLINE bool lane_strikes(const struct lane_physics *k, const float *heights, 
   return next[2] < highest && next[2] < lane_ground(heights, next[0], next[1], g);
 }
 
-/* A mass moves from p with velocity v for one step; p and v become those after it. true: it struck
+/* Moves a mass from p with velocity v for one step, and updates p and v. Returns true if it struck
  * the ground. */
 MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V highest, V p[3],
                          V v[3])
@@ -244,8 +246,8 @@ MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V h
   return true;
 }
 
-/* The derivative of lane_move at the p and v that it was given. dp, dv: ∂loss/∂ what it made of
- * them; replaced by ∂loss/∂ what it was given. */
+/* Computes the derivative of lane_move at its inputs p and v. dp, dv: ∂loss/∂(its outputs),
+ * replaced by ∂loss/∂(its inputs). */
 MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights, V highest,
                               const V p[3], const V v[3], V dp[3], V dv[3])
 {
@@ -268,7 +270,7 @@ MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights
 
   const bool lies = p[2] <= lane_ground(heights, p[0], p[1], &g);
   lane_lies_back(&hit.cell, s, v, lies, &b);
-  if (lies && hit.crosses) { /* the gradients at the impact and at p are of two cells */
+  if (lies && hit.crosses) { /* the gradients at the impact and at p belong to two cells */
     lane_slope(&g, p[0], p[1], slope);
     b.dp[0] = b.hit[0] + b.push * (s->gx - slope[0]);
     b.dp[1] = b.hit[1] + b.push * (s->gy - slope[1]);

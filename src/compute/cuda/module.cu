@@ -1,4 +1,4 @@
-/* module.cu: the table of functions that the service loads: devices and controllers. */
+/* module.cu: the table of functions that the service loads, with devices and controllers. */
 #include "compute/cuda/device.cuh"
 #include "compute/cuda/score.cuh"
 
@@ -9,9 +9,9 @@
 
 namespace {
 
-constexpr int kMajor = 8; /* compute capability 8.0 and newer, those with enough shared memory */
+constexpr int kMajor = 8; /* compute capability 8.0 or newer, with enough shared memory */
 
-/* Devices that the kernels run on, by number among them. */
+/* Finds a device that the kernels support, by its number among these. */
 int find(uint32_t index, int *ordinal, uint32_t *n)
 {
   int count = 0;
@@ -69,7 +69,7 @@ void close(mo_device *device)
   delete device;
 }
 
-/* Whether the device can score rows by the wide kernel. */
+/* Returns whether the device can score rows with the wide kernel. */
 bool can_wide(int index)
 {
   int major = 0, minor = 0, bytes = 0;
@@ -80,7 +80,7 @@ bool can_wide(int index)
         return cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index);
       });
   if (status != cudaSuccess)
-    cudaGetLastError(); /* opening will tell */
+    cudaGetLastError(); /* opening will report the error */
   return status == cudaSuccess && 10 * major + minor == MO_CUDA_SCORE_WIDE_CAPABILITY &&
          bytes >= MO_CUDA_SCORE_WIDE_BYTES;
 }
@@ -99,7 +99,7 @@ bool all_can_wide()
 }
 
 /* The two kernels that score rows differ in the last digits, and a score must not depend on the
- * device's number: all devices of a machine have the same one. */
+ * device's number, so all devices of a machine use the same kernel. */
 bool is_wide()
 {
   static const bool wide = all_can_wide();
@@ -199,7 +199,8 @@ int upload(mo_device *device, const mo_controller *controller, char **weights)
       status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
     }
   }
-  if (status == MO_OK) /* in the stream of the kernels that read them: they wait for no other */
+  if (status == MO_OK) /* in the stream of the kernels that read them, which wait for no other
+                          stream */
     status = mo_cuda_check(
         device, cudaMemcpyAsync(*weights, packed, bytes, cudaMemcpyHostToDevice, device->stream),
         "upload of weights");
@@ -234,7 +235,7 @@ int score(mo_device *device, mo_device_score *score)
     status = mo_cuda_score_rows(device, score);
   if (status != MO_ERR_NO_MEMORY || device->lost)
     return status;
-  mo_cuda_gradient_trim(device); /* its tape is most of what is taken */
+  mo_cuda_gradient_trim(device); /* its tape is most of the allocated memory */
   return mo_cuda_score_rows(device, score);
 }
 

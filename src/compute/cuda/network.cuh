@@ -1,6 +1,6 @@
-/* network.cuh: what the kernels for all devices (network_narrow.cuh) and for those with wgmma
- * (network_wide.cuh) share of the network: one of the two is included before. Activations are pairs
- * of float16: values g and g + 8 of a tile stand side by side (weights.h). */
+/* network.cuh: the part of the network that is shared by the kernels for all devices
+ * (network_narrow.cuh) and for those with wgmma (network_wide.cuh), one of which is included first.
+ * Activations are pairs of float16: values g and g + 8 of a tile are adjacent (weights.h). */
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_CUH
 
@@ -10,10 +10,11 @@
 #include <cuda_fp16.h>
 #include <stdint.h>
 
-#define MO_CUDA_UNIT_BYTES   512 /* of one column */
+#define MO_CUDA_UNIT_BYTES   512 /* per column */
 #define MO_CUDA_COLUMN_BYTES (MO_WEIGHTS_UNITS * MO_CUDA_UNIT_BYTES)
 
-/* Two values of the activations, and what rounding them left, `low` bytes further on. */
+/* Stores two values of the activations, and the remainders of rounding them `low` bytes after
+ * them. */
 __device__ __forceinline__ void mo_cuda_store_pair(char *place, uint32_t low, float first,
                                                    float second)
 {
@@ -23,7 +24,7 @@ __device__ __forceinline__ void mo_cuda_store_pair(char *place, uint32_t low, fl
   *reinterpret_cast<__half2 *>(place + low) = __floats2half2_rn(first - back.x, second - back.y);
 }
 
-/* One of them. */
+/* Stores one value. */
 __device__ __forceinline__ void mo_cuda_store_one(char *place, uint32_t low, float value)
 {
   const __half high = __float2half_rn(value);
@@ -40,7 +41,7 @@ __device__ __forceinline__ uint4 mo_cuda_load_weights(const char *address)
   return v;
 }
 
-/* Within 3e-7 of tanh. */
+/* Returns tanh with an error of at most 3e-7. */
 __device__ __forceinline__ float mo_cuda_tanh(float x)
 {
   return fmaf(-2.0f, __fdividef(1.0f, 1.0f + __expf(2.0f * x)), 1.0f);

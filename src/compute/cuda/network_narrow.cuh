@@ -1,14 +1,14 @@
-/* network_narrow.cuh: products and LayerNorm for at most 40 rows of one thread block of 256
- * threads, by mma.sync.
+/* network_narrow.cuh: products and LayerNorm for at most 40 rows in one thread block of 256
+ * threads, with mma.sync.
  *
- * Activations lie in shared memory as right operands: (columns of 8 rows, units, 32 slots) of 16
- * bytes. Slot n·4 + t of a unit holds what the lane (n, t) multiplies: registers r0, r1 of the
+ * Activations are in shared memory as right operands: (columns of 8 rows, units, 32 slots) of 16
+ * bytes. Slot n·4 + t of a unit holds the operands of the lane (n, t): registers r0, r1 of the
  * unit's first half, then of its second (weights.h): the high and low parts of one tile. Slots are
- * swizzled, so that a warp's loads meet no bank twice.
+ * swizzled, so that a warp's loads have no bank conflicts.
  *
  * A warp computes 32 outputs (two tiles of 16) of a hidden layer for all rows. Each output of each
- * row is its own sum, in a fixed order over the units; units of inputs that no mass of the group
- * has are left out, which changes no bit, since they would add products with 0. */
+ * row is a separate sum, in a fixed order over the units; units of inputs that no mass of the group
+ * has are skipped, which changes no bit, because they would add products with 0. */
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_NARROW_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_NARROW_CUH
 
@@ -17,20 +17,20 @@
 #define MO_CUDA_THREADS   256
 #define MO_CUDA_WARPS     8
 #define MO_CUDA_ROWS      40
-#define MO_CUDA_BLOCKS    2   /* on a multiprocessor */
-#define MO_CUDA_CHUNKS    352 /* of 32 places: more than fit the shared memory */
+#define MO_CUDA_BLOCKS    2   /* per multiprocessor */
+#define MO_CUDA_CHUNKS    352 /* of 32 places: more than fit in shared memory */
 #define MO_CUDA_BYTES     MO_CUDA_SCORE_NARROW_BYTES
-#define MO_CUDA_PAD_BYTES 0 /* behind the activations' columns */
+#define MO_CUDA_PAD_BYTES 0 /* after the activations' columns */
 
-/* Byte offset within a unit of what the lane (n, t) multiplies. */
+/* Returns the byte offset within a unit of the operands of the lane (n, t). */
 __device__ __forceinline__ uint32_t mo_cuda_slot(uint32_t n, uint32_t t)
 {
   const uint32_t slot = n * 4 + t;
   return (slot ^ (slot >> 3 << 1)) * 16;
 }
 
-/* Byte offset within a column of output pair (g, g + 8) of tile `tile`, of the column's row n: of
- * the high parts; the low ones stand 8 bytes further on. */
+/* Returns the byte offset within a column of output pair (g, g + 8) of tile `tile`, for the
+ * column's row n: of the high parts; the low parts are 8 bytes after them. */
 __device__ __forceinline__ uint32_t mo_cuda_place(uint32_t n, uint32_t tile, uint32_t g)
 {
   return tile * MO_CUDA_UNIT_BYTES + mo_cuda_slot(n, g >> 1) + (g & 1) * 4;
@@ -51,13 +51,13 @@ __device__ __forceinline__ char *mo_cuda_column(const mo_cuda_activations &x, ui
   return x.memory + (r >> 3) * MO_CUDA_COLUMN_BYTES;
 }
 
-/* What a thread does after it has written activations, before the barrier after which others read
+/* Called by a thread after it has written activations, before the barrier after which others read
  * them. */
 __device__ __forceinline__ void mo_cuda_activations_written()
 {
 }
 
-/* Zeros for a row, by sixteen lanes, of which this is lane `own`. */
+/* Fills a row with zeros, using sixteen lanes, of which this is lane `own`. */
 __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r,
                                                   uint32_t own)
 {
@@ -67,7 +67,7 @@ __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, 
                                mo_cuda_slot(r & 7, own & 3)) = make_uint4(0, 0, 0, 0);
 }
 
-/* A value of a row's first layer. */
+/* Stores an input of a row's first layer. */
 __device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r,
                                                   uint32_t input, float value)
 {
@@ -85,7 +85,7 @@ __device__ __forceinline__ void mo_cuda_mma(float (&c)[4], const uint4 &a, uint3
       : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b0), "r"(b1));
 }
 
-/* One unit: TILES tiles of outputs × COLUMNS columns. */
+/* Multiplies one unit: TILES tiles of outputs × COLUMNS columns. */
 template <int TILES, int COLUMNS>
 __device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4],
                                                  const uint4 (&a)[TILES][2], const char *x,
@@ -95,7 +95,8 @@ __device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4]
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++)
     b[c] = *reinterpret_cast<const uint4 *>(x + column[c]);
-    /* High · low, low · high, high · high. All columns in turn: no product waits for another. */
+    /* High · low, low · high, high · high. Columns are taken in turn, so that no product waits for
+     * another. */
 #pragma unroll
   for (int turn = 0; turn < 3; turn++) {
     const int half = turn == 1;    /* of the weights */
@@ -120,7 +121,7 @@ __device__ __forceinline__ void mo_cuda_load_unit(uint4 (&a)[TILES][2],
   }
 }
 
-/* How many units ahead weights are loaded: as many as there are registers for. */
+/* The number of units by which weights are loaded ahead: as many as registers allow. */
 template <int SUMS> struct mo_cuda_ahead {
   static constexpr int UNITS = SUMS <= 8 ? 2 : 1;
 };
@@ -150,7 +151,7 @@ __device__ __forceinline__ void mo_cuda_product(float (&sum)[TILES][COLUMNS][4],
     }
 }
 
-/* The same over the units whose bits are set in `units` (one at least). */
+/* Does the same over the units with bits set in `units` (at least one). */
 template <int HALF, int TILES, int COLUMNS>
 __device__ __forceinline__ void
 mo_cuda_product_of(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TILES], const char *x,
@@ -173,8 +174,8 @@ mo_cuda_product_of(float (&sum)[TILES][COLUMNS][4], const char *const (&row)[TIL
       }
 }
 
-/* Sum and sum of squared deviations from their own mean, of a warp's 32 outputs, for rows 2t and 2t
- * + 1 of each column: into partial (warps, MO_CUDA_ROWS). */
+/* Computes the sum and the sum of squared deviations from the mean of a warp's 32 outputs, for rows
+ * 2t and 2t + 1 of each column, into partial (warps, MO_CUDA_ROWS). */
 template <int COLUMNS>
 __device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLUMNS][4],
                                                         float2 *partial, uint32_t warp,
@@ -209,7 +210,7 @@ __device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLU
   }
 }
 
-/* Mean and 1 / √(variance + epsilon) from the warps' parts, for one row. */
+/* Returns the mean and 1 / √(variance + epsilon) of one row from the warps' parts. */
 __device__ __forceinline__ float2 mo_cuda_moments(const float2 (&part)[MO_CUDA_WARPS],
                                                   float epsilon)
 {
@@ -226,8 +227,8 @@ __device__ __forceinline__ float2 mo_cuda_moments(const float2 (&part)[MO_CUDA_W
   return make_float2(mean, rsqrtf(fmaf(square, 1.0f / MO_HIDDEN, epsilon)));
 }
 
-/* LayerNorm and ReLU of a hidden layer's sums, into `x`. Two barriers: all warps have read the old
- * x, and all have written the new. */
+/* Applies LayerNorm and ReLU to a hidden layer's sums, into `x`. Has two barriers: after all warps
+ * have read the old x, and after all have written the new. */
 template <int COLUMNS>
 __device__ __forceinline__ void
 mo_cuda_normalize(float (&h)[2][COLUMNS][4], const float *gain, const float *shift, float epsilon,

@@ -1,12 +1,12 @@
-/* network_wide.cuh: products and LayerNorm for at most 80 rows of one thread block of 512 threads,
- * by wgmma.
+/* network_wide.cuh: products and LayerNorm for at most 80 rows in one thread block of 512 threads,
+ * with wgmma.
  *
  * A warp computes sixteen outputs of a layer for all rows; four warps, a warpgroup, multiply
  * together. Weights go from the L2 cache to registers, in the same order as for mma.sync
- * (weights.h), two to four units ahead of their use, over the end of one matrix into the next.
- * Activations are read by the matrix unit itself: shared memory holds, unit by unit and half by
- * half of a unit, two *chunks* of eight inputs: for each column eight rows of sixteen bytes.
- * Sixteen bytes between chunks keep a warp's stores out of each other's banks. */
+ * (weights.h), two to four units ahead of their use, across the end of one matrix into the next.
+ * The matrix unit reads activations directly: shared memory holds, for each unit and each half of a
+ * unit, two *chunks* of eight inputs: for each column, eight rows of sixteen bytes. Sixteen bytes
+ * between chunks prevent bank conflicts among a warp's stores. */
 #ifndef MORPHO_COMPUTE_CUDA_NETWORK_WIDE_CUH
 #define MORPHO_COMPUTE_CUDA_NETWORK_WIDE_CUH
 
@@ -15,10 +15,10 @@
 #define MO_CUDA_THREADS   512
 #define MO_CUDA_WARPS     16
 #define MO_CUDA_ROWS      80
-#define MO_CUDA_BLOCKS    1   /* on a multiprocessor */
-#define MO_CUDA_CHUNKS    672 /* of 32 places: more than fit the shared memory */
+#define MO_CUDA_BLOCKS    1   /* per multiprocessor */
+#define MO_CUDA_CHUNKS    672 /* of 32 places: more than fit in shared memory */
 #define MO_CUDA_BYTES     MO_CUDA_SCORE_WIDE_BYTES
-#define MO_CUDA_PAD_BYTES (MO_WEIGHTS_UNITS * 4 * 16) /* behind the activations' columns */
+#define MO_CUDA_PAD_BYTES (MO_WEIGHTS_UNITS * 4 * 16) /* after the activations' columns */
 #define MO_CUDA_MOMENTS   17                          /* float2 from row to row: sixteen warps' */
 
 /* A group's activations. */
@@ -33,22 +33,22 @@ __device__ __forceinline__ mo_cuda_activations mo_cuda_activations_of(char *memo
   return mo_cuda_activations{memory, columns * 128 + 16};
 }
 
-/* Where values g and g + 8 of tile `tile` of a row stand: the high parts; the low ones two chunks
- * further on. */
+/* Returns the place of values g and g + 8 of tile `tile` of a row: of the high parts; the low parts
+ * are two chunks after them. */
 __device__ __forceinline__ char *mo_cuda_place(const mo_cuda_activations &x, uint32_t r,
                                                uint32_t tile, uint32_t g)
 {
   return x.memory + (tile * 4 + (g & 1)) * x.chunk + r * 16 + (g >> 1) * 4;
 }
 
-/* What a thread does after it has written activations, before the barrier after which the matrix
+/* Called by a thread after it has written activations, before the barrier after which the matrix
  * unit reads them. */
 __device__ __forceinline__ void mo_cuda_activations_written()
 {
   asm volatile("fence.proxy.async.shared::cta;" ::: "memory");
 }
 
-/* Zeros for a row, by sixteen lanes, of which this is lane `own`. */
+/* Fills a row with zeros, using sixteen lanes, of which this is lane `own`. */
 __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r,
                                                   uint32_t own)
 {
@@ -58,7 +58,7 @@ __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, 
         make_uint4(0, 0, 0, 0);
 }
 
-/* A value of a row's first layer. */
+/* Stores an input of a row's first layer. */
 __device__ __forceinline__ void mo_cuda_put_input(const mo_cuda_activations &x, uint32_t r,
                                                   uint32_t input, float value)
 {
@@ -117,8 +117,8 @@ MO_CUDA_WGMMA(10, "80", MO_CUDA_S10, "%40", "%41", "%42", "%43", "%44", MO_CUDA_
               MO_CUDA_SUM(1), MO_CUDA_SUM(2), MO_CUDA_SUM(3), MO_CUDA_SUM(4), MO_CUDA_SUM(5),
               MO_CUDA_SUM(6), MO_CUDA_SUM(7), MO_CUDA_SUM(8), MO_CUDA_SUM(9))
 
-/* Two chunks of the activations as the matrix unit is told of them: where they start; from chunk to
- * chunk and from column to column. */
+/* The matrix unit's descriptor of two chunks of the activations: their start, and the distances
+ * from chunk to chunk and from column to column. */
 struct mo_cuda_descriptor {
   uint32_t low, high;
 };
@@ -129,27 +129,28 @@ __device__ __forceinline__ mo_cuda_descriptor mo_cuda_descriptor_of(const mo_cud
   return mo_cuda_descriptor{start >> 4 | x.chunk >> 4 << 16, 128 >> 4};
 }
 
-/* Of what stands 16 · offset bytes further on. */
+/* Returns the descriptor of data 16 · offset bytes after it. */
 __device__ __forceinline__ uint64_t mo_cuda_descriptor_at(const mo_cuda_descriptor &d,
                                                           uint32_t offset)
 {
   return (uint64_t)d.high << 32 | (d.low + offset);
 }
 
-/* This lane's weights of an output or a pair of springs: from unit to unit 2 · half bytes. */
+/* This lane's weights of an output or a pair of springs, 2 · half bytes from unit to unit. */
 struct mo_cuda_stream {
   const char *next;
   uint32_t half;
 };
 
-/* The ring of units that weights are loaded into: one that is multiplied, the others ahead of it.
- * Fewer for more sums: all must have registers, or the compiler waits for each product. */
+/* The ring of units into which weights are loaded: one that is being multiplied, and others ahead
+ * of it. It is shorter for more sums: all must be in registers, or the compiler waits for each
+ * product. */
 template <int COLUMNS> struct mo_cuda_ring {
   static constexpr int SLOTS = COLUMNS <= 5 ? 5 : COLUMNS <= 8 ? 4 : 3;
   static constexpr int AHEAD = SLOTS - 1;
   static constexpr int TURN =
       MO_WEIGHTS_UNITS %
-      SLOTS; /* where the product before ended, and this one finds its first unit */
+      SLOTS; /* where the previous product ended, and this one finds its first unit */
   uint4 slot[SLOTS][2];
 };
 
@@ -163,8 +164,8 @@ __device__ __forceinline__ uint4 mo_cuda_load_ahead(const char *address)
   return v;
 }
 
-/* The barrier of the warp, which is no instruction, keeps the loads where they are written: the
- * assembler moves them behind the products that they are to hide behind. */
+/* The warp barrier, which is not an instruction, keeps the loads where they are written: the
+ * assembler would move them after the products that should hide their latency. */
 __device__ __forceinline__ void mo_cuda_load_unit(uint4 (&slot)[2], mo_cuda_stream &stream)
 {
   slot[0] = mo_cuda_load_ahead(stream.next);
@@ -183,8 +184,8 @@ __device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring,
     mo_cuda_load_unit(ring.slot[(i + Ring::TURN) % Ring::SLOTS], stream);
 }
 
-/* Adds to `sum` over all units, and loads the first units of what is multiplied after it. `stream`
- * becomes that. Written out: at the end of a loop all loads would be waited for. */
+/* Adds to `sum` over all units, and loads the first units of the next matrix, to which it sets
+ * `stream`. It is unrolled, because at the end of a loop all loads would be waited for. */
 template <int COLUMNS>
 __device__ __forceinline__ void
 mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_stream &stream,
@@ -203,7 +204,8 @@ mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_s
 #pragma unroll
   for (int u = 0; u < MO_WEIGHTS_UNITS; u++) {
     const uint4(&a)[2] = ring.slot[u % Ring::SLOTS];
-    /* Else the descriptors of all units are computed beforehand, for which there is no room. */
+    /* Otherwise the descriptors of all units would be computed in advance, without registers for
+     * them. */
     asm volatile("" : "+r"(b.low));
     const uint64_t first = mo_cuda_descriptor_at(b, 0), second = mo_cuda_descriptor_at(b, half);
     asm volatile("wgmma.fence.sync.aligned;" ::: "memory");
@@ -212,7 +214,7 @@ mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_s
     mo_cuda_wgmma<COLUMNS>(sum, a[0], first);
     asm volatile("wgmma.commit_group.sync.aligned;" ::: "memory");
     b.low += 2 * half;
-    /* The unit before has been multiplied: its slot is free. */
+    /* The previous unit has been multiplied: its slot is free. */
     asm volatile("wgmma.wait_group.sync.aligned 1;" ::: "memory");
     if (u + Ring::AHEAD == MO_WEIGHTS_UNITS)
       stream = after;
@@ -223,8 +225,8 @@ mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_s
 
 /* ---- LayerNorm ---- */
 
-/* A lane hands half of its sums and sums of squares to the lane `MASK` away, and adds what it is
- * handed to the other half: sums of COUNT values each become sums of twice as many. */
+/* A lane passes half of its sums and sums of squares to the lane `MASK` away, and adds the values
+ * that it receives to the other half: sums of COUNT values become sums of twice as many. */
 template <int HALF, int MASK, int COUNT, int ROOM>
 __device__ __forceinline__ void mo_cuda_halve(float (&sum)[ROOM], float (&square)[ROOM], bool upper)
 {
@@ -241,9 +243,9 @@ __device__ __forceinline__ void mo_cuda_halve(float (&sum)[ROOM], float (&square
   }
 }
 
-/* Sum and sum of squared deviations from their own mean, of a warp's sixteen outputs, for each row
- * of columns FIRST … END − 1: into `partial`, (rows, MO_CUDA_MOMENTS). The lanes g share the rows:
- * in the end each has the sums of an eighth of them. */
+/* Computes the sum and the sum of squared deviations from the mean of a warp's sixteen outputs, for
+ * each row of columns FIRST … END − 1, into `partial`, (rows, MO_CUDA_MOMENTS). The lanes g share
+ * the rows: at the end each has the sums of an eighth of them. */
 template <int FIRST, int END, int COLUMNS>
 __device__ __forceinline__ void
 mo_cuda_partial_moments(const float (&h)[COLUMNS][4], float2 *partial, uint32_t warp, uint32_t lane)
@@ -271,13 +273,13 @@ mo_cuda_partial_moments(const float (&h)[COLUMNS][4], float2 *partial, uint32_t 
               warp] = make_float2(sum[v], square[v]);
 }
 
-/* Mean and 1 / √(variance + epsilon) of a row from the warps' parts, by four lanes each: into
- * `moments` (rows). */
+/* Computes the mean and 1 / √(variance + epsilon) of each row from the warps' parts, with four
+ * lanes per row, into `moments` (rows). */
 __device__ __forceinline__ void mo_cuda_moments(const float2 *partial, float2 *moments,
                                                 uint32_t n_rows, float epsilon)
 {
   const uint32_t r = threadIdx.x >> 2, quarter = threadIdx.x & 3;
-  if (r >= n_rows) /* whole warps: rows are counted by columns */
+  if (r >= n_rows) /* entire warps, because rows are counted in columns */
     return;
   float2 part[4];
 #pragma unroll
@@ -299,9 +301,9 @@ __device__ __forceinline__ void mo_cuda_moments(const float2 *partial, float2 *m
     moments[r] = make_float2(mean, rsqrtf(fmaf(square, 1.0f / MO_HIDDEN, epsilon)));
 }
 
-/* LayerNorm and ReLU of a hidden layer's sums, into the activations. Three barriers: all warps have
- * read the old activations and written their moments; the rows' moments are there; all have written
- * the new activations. */
+/* Applies LayerNorm and ReLU to a hidden layer's sums, into the activations. Has three barriers:
+ * after all warps have read the old activations and written their moments; after the rows' moments
+ * are available; after all have written the new activations. */
 template <int COLUMNS>
 __device__ __forceinline__ void mo_cuda_normalize(float (&h)[COLUMNS][4], const float *gain,
                                                   const float *shift, float epsilon,

@@ -1,8 +1,8 @@
-/* plan.c: rows, bodies and environments laid out for the device.
+/* plan.c: lays out rows, bodies and environments for the device.
  *
- * mo_plan_create and mo_plan_cut do what depends on all rows and is cheap: which bodies there are,
- * which rows form a group, where everything will lie. mo_plan_measure and mo_plan_fill do the work,
- * body by body and group by group, each independent of the others. */
+ * mo_plan_create and mo_plan_cut do the cheap part, which depends on all rows: they find the
+ * bodies, form groups of rows, and assign offsets. mo_plan_measure and mo_plan_fill do the rest of
+ * the work, for each body and group independently of the others. */
 #include "compute/cuda/plan.h"
 
 #include "base/thread.h"
@@ -29,7 +29,7 @@ struct distinct {
   uint32_t mask, n;
 };
 
-/* Room for n keys; with c->base NULL only counts. */
+/* Takes memory for n keys; with c->base NULL, only counts it. */
 static void carve_distinct(struct distinct *set, struct carver *c, uint32_t n)
 {
   uint32_t size = 64;
@@ -41,7 +41,7 @@ static void carve_distinct(struct distinct *set, struct carver *c, uint32_t n)
     memset(set->key, 0, size * sizeof(*set->key));
 }
 
-/* The number of `key`, in order of first appearance. */
+/* Returns the number of `key`, in order of first appearance. */
 static uint32_t distinct_add(struct distinct *set, const void *key)
 {
   uint64_t hash = (uint64_t)(uintptr_t)key * UINT64_C(0x9e3779b97f4a7c15);
@@ -58,7 +58,7 @@ static uint32_t distinct_add(struct distinct *set, const void *key)
 
 /* ---- groups ---- */
 
-/* What `rows` more rows of a body make of a group. */
+/* Returns a group with `rows` more rows of a body. */
 static struct mo_plan_group with_rows(const struct mo_plan_group *group,
                                       const struct mo_plan_body *body, uint32_t rows)
 {
@@ -78,7 +78,7 @@ static int fits(const struct mo_plan_options *options, const struct mo_plan_grou
          options->group_bytes;
 }
 
-/* Most rows of a body, up to `wanted`, that fit beside what the group has. */
+/* Returns the largest number of rows of a body, up to `wanted`, that fit in the group. */
 static uint32_t rows_that_fit(const struct mo_plan_options *options,
                               const struct mo_plan_group *group, const struct mo_plan_body *body,
                               uint32_t wanted)
@@ -90,7 +90,7 @@ static uint32_t rows_that_fit(const struct mo_plan_options *options,
     if (fits(options, &more))
       break;
   }
-  /* A column that would stay nearly empty for want of memory is not begun. */
+  /* A column that would stay nearly empty for lack of memory is not begun. */
   if (take < wanted && take < room) {
     const uint32_t rows = group->n_rows + take, full = rows / MO_PLAN_COLUMN * MO_PLAN_COLUMN;
     if (full > group->n_rows && rows - full < MO_PLAN_COLUMN / 2)
@@ -99,7 +99,7 @@ static uint32_t rows_that_fit(const struct mo_plan_options *options,
   return take;
 }
 
-/* Cuts the rows, which stand body by body in plan->rows, into groups. */
+/* Cuts the rows, which plan->rows lists body by body, into groups. */
 static int cut_groups(struct mo_plan *plan, const struct mo_plan_options *options)
 {
   struct mo_plan_group *group = plan->groups;
@@ -140,13 +140,13 @@ static size_t place(size_t *used, size_t n, size_t size)
   return at;
 }
 
-/* Every mass may leave all but one of its last links unused. */
+/* Assumes that every mass leaves all but one of its last links unused. */
 static uint32_t quads_at_most(const struct mo_body *body)
 {
   return (2 * body->n_springs + (MO_PLAN_LINKS - 1) * body->n_masses) / MO_PLAN_LINKS;
 }
 
-/* What a body needs of the block, and which pairs it has. */
+/* Returns the space that a body needs in the block, and finds its pairs. */
 static struct mo_plan_body measure(const struct mo_plan *plan, const struct mo_body *body,
                                    struct mo_plan_pairs *pairs)
 {
@@ -198,9 +198,9 @@ static void lay_out(struct mo_plan *plan)
   block->bytes = used;
 }
 
-/* Bodies of nearly one size whose boxes are alike share most of their springs: they go together,
- * the largest first, so that the last groups to be taken up are short. Along each axis the order
- * goes there and back, so that neighbors in the order differ little. */
+/* Bodies of nearly the same size with similar boxes share most of their springs, so they are
+ * adjacent in the order, the largest first, so that the last groups to start are short. Along each
+ * axis the order alternates in direction, so that neighbors in the order differ little. */
 static uint32_t body_key(const struct mo_body *body)
 {
   uint32_t low[3] = {UINT16_MAX, UINT16_MAX, UINT16_MAX}, high[3] = {0, 0, 0}, key;
@@ -222,7 +222,7 @@ static int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Bodies, with what was measured of them, by body_key, then by appearance; then the rows by body.
+/* Sorts bodies and their measurements by body_key, then by appearance; then sorts the rows by body.
  */
 static void arrange(struct mo_plan *plan)
 {
@@ -264,8 +264,8 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   return MO_OK;
 }
 
-/* The plan's own memory, most of which is touched only as far as there are bodies; with base NULL
- * only counts. */
+/* Lays out the plan's own memory, most of which is touched only in proportion to the number of
+ * bodies; with base NULL, only counts it. */
 static size_t carve_plan(struct mo_plan *plan, struct distinct *bodies,
                          struct distinct *environments, char *base)
 {
@@ -335,8 +335,8 @@ void mo_plan_free(struct mo_plan *plan)
 
 /* ---- the first layer's inputs ---- */
 
-/* Twice the horizontal distance of a lattice column from the middle, by the larger axis, then by
- * the other; the floor first. */
+/* A sort key: twice the horizontal distance of a lattice column from the middle, by the larger
+ * axis, then by the other; the floor first. */
 static int input_key(int mass)
 {
   const int x = mass / (SIDE_Y * SIDE_Z) - SIDE_X / 2, y = mass / SIDE_Z % SIDE_Y - SIDE_Y / 2,
@@ -371,8 +371,8 @@ int mo_plan_input_mass(uint32_t input)
 
 /* ---- pairs of springs ---- */
 
-/* What the springs of a pair have in common, and what comes first: edges by direction and line,
- * then diagonals by the middle of their face. */
+/* Returns a sort key that the springs of a pair share: edges first, by direction and line, then
+ * diagonals, by the middle of their face. */
 static uint32_t pair_key(uint32_t a, uint32_t b, int diagonal)
 {
   const uint32_t xyz_a[3] = {a / (SIDE_Y * SIDE_Z), a / SIDE_Z % SIDE_Y, a % SIDE_Z};
@@ -432,7 +432,7 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment)
   return scene;
 }
 
-/* A body's own slot of a slot of the lattice. */
+/* Returns a body's own slot for a slot of the lattice. */
 static uint32_t own_slot(const struct mo_plan_pairs *pairs, uint32_t slot)
 {
   const uint32_t pair = slot / 2, before = pairs->has[pair / 32] & ((UINT32_C(1) << pair % 32) - 1);
@@ -479,15 +479,15 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     links[MO_PLAN_LINKS * quad_of[a] + used[a]++] = MO_PLAN_LINK(slot, ranks[b]);
     links[MO_PLAN_LINKS * quad_of[b] + used[b]++] = MO_PLAN_LINK(slot, ranks[a]);
   }
-  for (uint32_t m = 0; m < n; m++) /* of no length: such a link pulls nowhere, whatever its spring,
-                                      which is one of the mass's */
+  for (uint32_t m = 0; m < n; m++) /* of length 0: such a link has no force, whichever of the mass's
+                                      springs it names */
     for (uint32_t *first = links + MO_PLAN_LINKS * quad_of[m]; used[m] % MO_PLAN_LINKS != 0;
          used[m]++)
       first[used[m]] = MO_PLAN_LINK(MO_PLAN_LINK_SLOT(first[0]), ranks[m]);
 }
 
-/* The pairs of a group, by the columns that have them: patterns in the order of a Gray code, so
- * that a tile that holds the end of one and the start of the next wastes little. */
+/* Fills in the pairs of a group, sorted by the columns that have them, in Gray-code order of these
+ * patterns, so that a tile with the end of one pattern and the start of the next wastes little. */
 static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_group *group,
                            struct mo_plan_tile *tiles, uint16_t *columns)
 {
@@ -544,8 +544,8 @@ static uint32_t input_tiles_of(const struct mo_plan *plan, const struct mo_plan_
   return tiles;
 }
 
-/* Share `share` of n: every n-th body, environment and group from there on, since the first ones
- * are larger. */
+/* Fills share `share` of n: every n-th body, environment and group, starting with that number,
+ * because the first ones are larger. */
 static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share, uint32_t n_shares)
 {
   const struct mo_plan_block *block = &plan->block;

@@ -1,8 +1,8 @@
-/* plan.h: rows (a robot in an environment each) laid out for the device. Plain C, no CUDA.
+/* plan.h: lays out rows (a robot in an environment each) for the device. Plain C, no CUDA.
  *
- * Rows are cut into groups of at most MO_PLAN_ROWS_MAX; a group lives its whole life in one thread
- * block. Each body and each environment that the rows name is laid out once. What the device reads
- * is one block of memory (struct mo_plan_block says where what lies). */
+ * Rows are divided into groups of at most MO_PLAN_ROWS_MAX; a group is simulated entirely in one
+ * thread block. Each body and each environment of the rows is laid out once. The device reads one
+ * block of memory (struct mo_plan_block has the offsets). */
 #ifndef MORPHO_COMPUTE_CUDA_PLAN_H
 #define MORPHO_COMPUTE_CUDA_PLAN_H
 
@@ -13,10 +13,10 @@ extern "C" {
 #endif
 
 struct mo_plan_options {
-  uint32_t rows;       /* wanted in a group, 1 … MO_PLAN_ROWS_MAX */
-  size_t group_bytes;  /* memory of a group: what follows, times how many there are, must not exceed
-                          it */
-  size_t column_bytes; /* of eight rows' activations */
+  uint32_t rows;       /* desired rows per group, 1 … MO_PLAN_ROWS_MAX */
+  size_t group_bytes;  /* memory of a group, which the sizes below, times their counts, must not
+                          exceed */
+  size_t column_bytes; /* of the activations of eight rows */
   size_t part_bytes;
   size_t place_bytes;  /* of one mass in one row */
   size_t length_bytes; /* of one of a body's own slots in one row */
@@ -25,10 +25,10 @@ struct mo_plan_options {
 struct mo_plan {
   uint32_t n, n_bodies, n_environments, n_groups, n_parts;
   struct mo_plan_block block;
-  /* The plan's own: one piece of memory. */
+  /* The plan's own memory, one allocation. */
   void *memory;
   const struct mo_robot *robots;
-  const struct mo_body **bodies; /* (n_bodies), in the order in which their rows stand */
+  const struct mo_body **bodies;              /* (n_bodies), in the order of their rows */
   const struct mo_environment **environments; /* (n_environments) */
   struct mo_plan_body *headers;               /* (n_bodies) */
   struct mo_plan_pairs *pairs;                /* (n_bodies) */
@@ -36,41 +36,43 @@ struct mo_plan {
   struct mo_plan_group *groups;
   struct mo_plan_part *parts;
   struct mo_plan_row *rows;
-  /* From one function to the next: bodies in the order of appearance, and their numbers by row. */
+  /* Passed from one function to the next: bodies in the order of appearance, and their numbers by
+   * row. */
   const struct mo_body **found;
   struct mo_plan_body *measured;
   struct mo_plan_pairs *measured_pairs;
   uint32_t *body_of, *environment_of; /* (n) */
   uint32_t *rows_of_body, *number;
-  uint64_t *keys; /* (n_bodies): by which bodies are ordered */
+  uint64_t *keys; /* (n_bodies): sort keys of bodies */
 };
 
-/* In this order: mo_plan_create, mo_plan_measure, mo_plan_cut, mo_plan_fill. `robots` and what they
- * point to must stay until the plan is freed. It may be freed after an error, too. */
+/* Call in this order: mo_plan_create, mo_plan_measure, mo_plan_cut, mo_plan_fill. `robots` and
+ * everything they point to must stay valid until the plan is freed. It may also be freed after an
+ * error. */
 
-/* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of another
- * workspace than the default; MO_ERR_NO_MEMORY. */
+/* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of a
+ * workspace other than the default; MO_ERR_NO_MEMORY. */
 int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n);
 void mo_plan_free(struct mo_plan *plan);
 
-/* Looks at the bodies, on up to n_threads threads. */
+/* Measures the bodies, on up to n_threads threads. */
 void mo_plan_measure(struct mo_plan *plan, uint32_t n_threads);
 
-/* Cuts the rows into groups. MO_ERR_UNSUPPORTED: a body that does not fit group_bytes by itself;
+/* Cuts the rows into groups. MO_ERR_UNSUPPORTED: a single body does not fit in group_bytes;
  * MO_ERR_NO_MEMORY. */
 int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options);
 
 /* Writes the block, 8-byte aligned and plan->block.bytes long, on up to n_threads threads. */
 void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t n_threads);
 
-/* The lattice mass whose sensor stands at place `input` of the first layer's inputs, or −1: sixteen
- * places are masses that tend to be used together, those in the middle of the lattice's floor
- * first. */
+/* Returns the lattice mass with its sensor at place `input` of the first layer's inputs, or −1.
+ * Every sixteen places are masses that tend to be used together, those in the middle of the
+ * lattice's floor first. */
 int mo_plan_input_mass(uint32_t input);
 
 struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment);
 
-/* Slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
+/* Writes the slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
 int mo_plan_slots(uint16_t *slots);
 
 #ifdef __cplusplus

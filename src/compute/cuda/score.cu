@@ -1,4 +1,4 @@
-/* score.cu: the kernel of whole rollouts for any device (score_live.cuh). */
+/* score.cu: the kernel that runs entire rollouts, for any device (score_live.cuh). */
 #include "compute/cuda/score_think_narrow.cuh"
 
 #include "compute/cuda/score_live.cuh"

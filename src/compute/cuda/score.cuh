@@ -1,4 +1,4 @@
-/* score.cuh: what the kernel of whole rollouts is given, and how it is launched. */
+/* score.cuh: the arguments of the kernel that runs entire rollouts, and its launch. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_CUH
 
@@ -8,7 +8,7 @@
 
 #include <cuda_runtime.h>
 
-/* What a row's life came to; the host makes the loss of it. */
+/* The outcome of a row's rollout, from which the host computes the loss. */
 struct mo_cuda_outcome {
   double com_start_m[3], com_end_m[3];
   int32_t diverged_step, unused;
@@ -38,21 +38,21 @@ struct mo_cuda_score {
   uint32_t n_groups, n_steps, max_places;
 };
 
-/* A kernel: rows of a group, blocks on a multiprocessor, the memory of a group (mo_plan_options),
- * and how it is launched. */
+/* A kernel: rows per group, blocks per multiprocessor, the memory of a group (mo_plan_options), and
+ * how to launch it. */
 struct mo_cuda_score_kernel {
   uint32_t rows, blocks;
   size_t group_bytes, column_bytes;
   cudaError_t (*prepare)(); /* once per device */
   cudaError_t (*launch)(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream);
 };
-/* For any device, and for those of one capability. */
+/* Kernels for any device, and for devices of one capability. */
 extern const mo_cuda_score_kernel mo_cuda_score_narrow, mo_cuda_score_wide;
 
 /* Dynamic shared memory of a block. */
 #define MO_CUDA_SCORE_NARROW_BYTES (113 * 1024)
 #define MO_CUDA_SCORE_WIDE_BYTES   (227 * 1024)
-/* Of which capability the wide kernel is. */
+/* The capability that the wide kernel requires. */
 #define MO_CUDA_SCORE_WIDE_CAPABILITY 90
 
 #endif

@@ -1,6 +1,6 @@
-/* score_group.cuh: a group of rows in the memory of its block: what it is, how its lives begin and
- * end. The network of one kind of device, network_narrow.cuh or network_wide.cuh, is included
- * before. */
+/* score_group.cuh: a group of rows in the memory of its block, and the start and end of its
+ * rollouts. The network for one kind of device, network_narrow.cuh or network_wide.cuh, is included
+ * first. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
 
@@ -14,7 +14,7 @@ constexpr uint32_t kChunks = MO_CUDA_CHUNKS;
 constexpr uint32_t kCancelSteps = 16;
 constexpr unsigned kAll = 0xffffffffu;
 
-/* A part of the group, as the physics reads it. */
+/* A part of the group, as read by the physics. */
 struct Part {
   uint32_t first_place, n_rows, n_masses, first_quad, first_mass, first_row, first_length;
   float per_row; /* 1 / n_rows */
@@ -25,7 +25,7 @@ struct Row {
   uint32_t n_masses, body, part;
 };
 
-/* Where the last layer finds a row: its pairs, and where its lengths are. */
+/* A row for the last layer: its pairs, and the place of its lengths. */
 struct __align__(8) Home
 {
   uint32_t first_length; /* length of own slot s: first_length + s · stride */
@@ -33,12 +33,12 @@ struct __align__(8) Home
 };
 
 struct Shared {
-  float first[MO_HIDDEN]; /* what the first layer's sums start from */
+  float first[MO_HIDDEN]; /* initial values of the first layer's sums */
   float4 light[kRows];    /* and the terrain's highest point */
   float com[2][kRows][3]; /* at the start of even and odd steps */
   Part parts[kRows];
   Row rows[kRows];
-  __align__(16) Home homes[kRows]; /* those of no row have the pairs of no part: none */
+  __align__(16) Home homes[kRows]; /* unused rows refer to the empty pairs after the last part */
   const float *heights[kRows];
   uint32_t chunks[kChunks]; /* part << 16 | number */
   int insane[kRows], diverged[kRows];
@@ -47,12 +47,12 @@ struct Shared {
   mo_plan_group plan;
   mo_weights_scalars scalars;
   mo_cuda_score
-      score; /* a copy: what reads it here holds no registers for it (score_think_wide.cuh) */
+      score; /* a copy, so that its readers hold no registers for it (score_think_wide.cuh) */
 };
 
 constexpr size_t kSharedBytes = (sizeof(Shared) + 127) / 128 * 128;
 
-/* ---- the beginning of a life, in float64 as rollout/scene.c has it ---- */
+/* ---- the start of a rollout, in float64 as in rollout/scene.c ---- */
 
 struct Corner {
   int cell;
@@ -83,13 +83,13 @@ __device__ double terrain_height(const double *heights, double x_m, double y_m)
   return near + y.fraction * (far - near);
 }
 
-/* Where along an axis a mass starts. */
+/* Returns where along an axis a mass starts. */
 __device__ double start_of(uint32_t cell, int side)
 {
   return MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * side + MO_VOXEL_M * cell;
 }
 
-/* A warp places one row. */
+/* Places one row, with one warp. */
 __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint32_t r,
                           float *position, uint32_t lane)
 {
@@ -132,19 +132,19 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   }
 }
 
-/* Of an unactuated spring. */
+/* Returns the rest length of an unactuated spring. */
 __device__ __forceinline__ float rest_length(bool is_edge)
 {
   return is_edge ? (float)MO_VOXEL_M : (float)(MO_VOXEL_M * 1.41421356237309504880);
 }
 
-/* What lies behind the block's Shared. */
+/* The memory after the block's Shared. */
 struct Memory {
   mo_cuda_activations x;
   float *position;      /* (places, 3) */
-  mo_plan_pairs *pairs; /* (parts + 1): the last has none */
-  float *lengths;       /* that springs want to have (lengths) */
-  float2 *partial;      /* what LayerNorm sums up: before there are lengths, in their place */
+  mo_plan_pairs *pairs; /* (parts + 1): the last is empty */
+  float *lengths;       /* (lengths) the target lengths of springs */
+  float2 *partial;      /* partial sums of LayerNorm, in the memory of lengths before these exist */
   float *velocity;      /* (places, 3), in global memory */
 };
 
@@ -155,7 +155,7 @@ __device__ __forceinline__ Shared &shared_of_block()
   return *reinterpret_cast<Shared *>(block_memory);
 }
 
-/* Of the group that the block has. */
+/* Returns the memory of the block's group. */
 __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
 {
   const mo_plan_group &plan = shared_of_block().plan;
@@ -166,7 +166,7 @@ __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
                                               MO_CUDA_PAD_BYTES);
   memory.pairs = reinterpret_cast<mo_plan_pairs *>(memory.position + 3 * plan.n_places);
   memory.lengths = reinterpret_cast<float *>(memory.pairs + plan.n_parts + 1);
-  /* There is room: a group that fills the memory has at least as many bytes of lengths as of
+  /* The space suffices: a group that fills the memory has at least as many bytes of lengths as of
    * positions. */
   const uint32_t behind = (uint32_t)(reinterpret_cast<char *>(memory.lengths) - block_memory);
   memory.partial = reinterpret_cast<float2 *>(block_memory + (behind + 15) / 16 * 16);
@@ -174,8 +174,8 @@ __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
   return memory;
 }
 
-/* Orders the chunks by falling number of links, then there and back, so that the warps, which take
- * them in turn, have equally many. */
+/* Sorts the chunks in descending order of their number of links, then arranges them in alternating
+ * direction, so that the warps, which take them in turn, have about the same number of links. */
 __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
 {
   constexpr uint32_t kCost = 24, kTurns = (MO_CUDA_CHUNKS + MO_CUDA_THREADS - 1) / MO_CUDA_THREADS;
@@ -184,7 +184,7 @@ __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
   for (uint32_t c = threadIdx.x; c < n; c += MO_CUDA_THREADS) {
     const Part &part = shared.parts[shared.chunks[c] >> 16];
     const uint32_t mass =
-        (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* those after it have no more */
+        (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* those after it do not have more */
     shared.chunks[c] |= MO_PLAN_MASS_QUADS(__ldg(score.masses + part.first_mass + mass)) << kCost;
   }
   __syncthreads();
@@ -207,7 +207,7 @@ __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
       shared.chunks[place[i]] = chunk[i] & ((1u << kCost) - 1);
 }
 
-/* What the group's rows and parts are, once per group. */
+/* Sets up the group's rows and parts, once per group. */
 __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Memory &memory)
 {
   const uint32_t thread = threadIdx.x, lane = thread & 31, warp = thread >> 5;
@@ -286,7 +286,7 @@ __device__ void end_group(const mo_cuda_score &score, const Shared &shared, cons
     if (axis == 0)
       outcome->diverged_step = shared.diverged[r];
     if (shared.diverged[r] != 0)
-      continue; /* com_end was written then */
+      continue; /* com_end was written at that time */
     const uint8_t *ranks = score.ranks + shared.parts[row.part].first_mass;
     double sum = 0;
     for (uint32_t i = 0; i < row.n_masses; i++)

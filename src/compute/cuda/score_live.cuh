@@ -1,4 +1,4 @@
-/* score_live.cuh: whole rollouts in one kernel.
+/* score_live.cuh: entire rollouts in one kernel.
  *
  * A block takes a group of rows and lives its lives from the first step to the last, then takes the
  * next group. Positions, activations and the springs' lengths stay in shared memory; velocities are
@@ -10,10 +10,10 @@
  *   move     the same thread moves the mass
  * A row's numbers come from its own inputs in a fixed order, wherever it stands.
  *
- * There are two of it. For any device: 256 threads and at most 40 rows, two blocks on a
- * multiprocessor, so that one's physics runs beside the other's products (score_think_narrow.cuh,
- * which is included before). For capability 9.0: 512 threads and at most 80 rows, for which the
- * weights are loaded once, not twice (score_think_wide.cuh). */
+ * The kernel has two versions. For any device: 256 threads and at most 40 rows, two blocks per
+ * multiprocessor, so that the physics of one runs alongside the products of the other
+ * (score_think_narrow.cuh, which is included first). For capability 9.0: 512 threads and at most 80
+ * rows, for which the weights are loaded once, not twice (score_think_wide.cuh). */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 
@@ -91,7 +91,7 @@ cudaError_t launch_live(const mo_cuda_score &score, uint32_t blocks, cudaStream_
   return cudaGetLastError();
 }
 
-/* The kernel that score.cu or score_wide.cu makes of this file. */
+/* The kernel that score.cu or score_wide.cu compiles from this file. */
 constexpr mo_cuda_score_kernel kLive = {MO_CUDA_ROWS,
                                         MO_CUDA_BLOCKS,
                                         MO_CUDA_BYTES - kSharedBytes - sizeof(mo_plan_pairs) -

@@ -1,4 +1,4 @@
-/* score_move.cuh: from lengths to positions: springs, then motion and contact. */
+/* score_move.cuh: computes positions from lengths: springs, then motion and contact. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_MOVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_MOVE_CUH
 
@@ -8,7 +8,7 @@ namespace {
 
 /* A thread's mass and row within a chunk. */
 struct Item {
-  uint32_t mass, row; /* row: of the part */
+  uint32_t mass, row; /* row: within the part */
   uint32_t place;
   bool used;
 };
@@ -24,21 +24,20 @@ __device__ __forceinline__ Item item_of(const Part &part, uint32_t chunk, uint32
   return item;
 }
 
-/* What a block has in global memory is read past the first-level cache, which holds links and
- * terrain. */
+/* A block's own global memory bypasses the first-level cache, which holds links and terrain. */
 __device__ __forceinline__ float3 load_velocity(const float *v)
 {
   return make_float3(__ldcg(v), __ldcg(v + 1), __ldcg(v + 2));
 }
 
-/* What the links of a mass in a row count from, and how far it is from one mass or length to the
- * next, in bytes. */
+/* The bases of the links of a mass in a row, and the distances between masses and lengths, in
+ * bytes. */
 struct Reach {
   const char *masses, *lengths;
   uint32_t mass_stride, length_stride;
 };
 
-/* Lengths that the springs of four links want to have. */
+/* Loads the target lengths of the springs of four links. */
 __device__ __forceinline__ void load_lengths(const uint4 &quad, const Reach &reach,
                                              float (&length)[MO_PLAN_LINKS])
 {
@@ -49,7 +48,7 @@ __device__ __forceinline__ void load_lengths(const uint4 &quad, const Reach &rea
                                                  MO_PLAN_LINK_SLOT(link[i]) * reach.length_stride);
 }
 
-/* Four links of a mass at p: adds up what their springs pull. */
+/* Adds up the forces of four links of a mass at p. */
 __device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
                                           const float (&length)[MO_PLAN_LINKS], const float (&p)[3],
                                           float (&j)[3])
@@ -72,8 +71,8 @@ __device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
   }
 }
 
-/* A thread's item of a warp's chunk c; past the last chunk, and past the part's last place, one
- * that exists and is not used. */
+/* Returns a thread's item of a warp's chunk c; past the last chunk, and past the part's last place,
+ * an existing item that is not used. */
 __device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32_t lane,
                                         const Part **part)
 {
@@ -87,14 +86,14 @@ __device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32
   return item;
 }
 
-/* A pointer of the call, read again: else it is computed once and kept in local memory, which is
- * farther away. */
+/* Reads a pointer of the call again: otherwise it would be computed once and kept in local memory,
+ * which is slower. */
 template <typename T> __device__ __forceinline__ T read_again(T const &pointer)
 {
   return *const_cast<T const volatile *>(&pointer);
 }
 
-/* All links of a mass, four at a time; those that it has not are its last ones again. */
+/* All links of a mass, four at a time; missing ones repeat its last ones. */
 constexpr int kTurns = (MO_PLAN_DEGREES_MAX + MO_PLAN_LINKS - 1) / MO_PLAN_LINKS;
 
 __device__ __forceinline__ void load_links(const uint32_t *links, const Part &part, uint32_t mass,
@@ -108,8 +107,8 @@ __device__ __forceinline__ void load_links(const uint32_t *links, const Part &pa
     quad[i] = __ldg(quads + min(i, last));
 }
 
-/* What is loaded for one chunk hides behind the computing of those before: the links of the next
- * one, the mass of the one after it. */
+/* The loads for a chunk are hidden behind the computation of previous chunks: the links of the next
+ * chunk, and the mass of the one after it, are in flight. */
 __device__ __forceinline__ void pull(const Shared &shared, const float *position,
                                      const float *all_lengths, float *velocity)
 {

@@ -1,4 +1,4 @@
-/* score_rows.cu: from rows to outcomes: plan, upload, launch, losses. */
+/* score_rows.cu: computes outcomes from rows: plan, upload, launch, losses. */
 #include "compute/cuda/device.cuh"
 #include "compute/cuda/plan.h"
 #include "compute/cuda/score.cuh"
@@ -18,8 +18,8 @@ namespace {
 
 constexpr uint32_t kThreadsMax = 8, kBodiesPerThread = 256;
 
-/* Rows of a group: few enough that all blocks have work, and that the last of several rounds of
- * groups is a full one. */
+/* Returns the rows per group: few enough that all blocks have work, and that the last of several
+ * rounds of groups is full. */
 uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
 {
   const uint64_t round = (uint64_t)blocks * most, rounds = (n + round - 1) / round;
@@ -27,7 +27,7 @@ uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
   return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
 }
 
-/* As many as there is work on a plan for. */
+/* Returns the number of threads that pay off for a plan. */
 uint32_t threads_for(const mo_plan &plan)
 {
   const uint32_t processors = std::max(1u, std::thread::hardware_concurrency());
@@ -35,7 +35,7 @@ uint32_t threads_for(const mo_plan &plan)
   return std::min({useful, processors, kThreadsMax});
 }
 
-/* From rows to groups. */
+/* Divides rows into groups. */
 int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options &options)
 {
   const int status = mo_plan_create(plan, score->robots, score->n);
@@ -112,7 +112,7 @@ void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
   }
 }
 
-/* From the plan to outcomes in pinned memory. */
+/* Computes outcomes, in pinned memory, from a plan. */
 int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t blocks,
         float *device_ms)
 {
@@ -126,8 +126,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   mo_plan_fill(&plan, block, threads_for(plan));
   if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
     return MO_ERR_CANCELLED;
-  status = mo_cuda_generators(device,
-                              &score->physics); /* begins a copy: from here on it is waited for */
+  status =
+      mo_cuda_generators(device, &score->physics); /* begins a copy, which must be waited for */
   if (status != MO_OK)
     return status;
   const cudaStream_t stream = device->stream;
@@ -145,7 +145,7 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
       },
       [&] { return cudaEventRecord(device->end, stream); });
   const int launched = mo_cuda_check(device, error, "launch");
-  /* Whatever was launched must have ended before its buffers are used again. */
+  /* Launched work must have finished before its buffers are used again. */
   status = mo_cuda_wait(device, score->cancel);
   if (launched != MO_OK || status != MO_OK)
     return launched != MO_OK ? launched : status;

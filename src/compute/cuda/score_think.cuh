@@ -1,5 +1,5 @@
-/* score_think.cuh: from positions to the first layer's inputs, and from the last layer's sums to
- * lengths: what the kernels share of sensing and of acting. */
+/* score_think.cuh: sensing and acting for both kernels: from positions to the first layer's inputs,
+ * and from the last layer's sums to lengths. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_THINK_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_THINK_CUH
 
@@ -13,8 +13,8 @@ __device__ __forceinline__ float light_at(mo_sensor sensor, const float *p, cons
   return lane_light(sensor, lane_squared(d));
 }
 
-/* Two rows per warp, sixteen lanes each (lane bit 3 is the row's). A lane computes the light at
- * every sixteenth mass, and keeps it until the row's mean is known. */
+/* Handles two rows per warp, with sixteen lanes each (bit 3 of the lane selects the row). A lane
+ * computes the light at every sixteenth mass, and keeps it until the row's mean is known. */
 __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sensor,
                                       const float *position, const mo_cuda_activations &x,
                                       uint32_t step)
@@ -24,7 +24,7 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
                  own = (lane & 7) | (lane >> 4) << 3;
   for (uint32_t pair = warp; 2 * pair < shared.plan.n_rows; pair += MO_CUDA_WARPS) {
     const uint32_t r = 2 * pair + (lane >> 3 & 1);
-    const bool used = r < shared.plan.n_rows; /* if not, its place takes a copy of the other row */
+    const bool used = r < shared.plan.n_rows; /* if not, its place gets a copy of the other row */
     const Row row = shared.rows[used ? r : 2 * pair];
     const float4 light = shared.light[used ? r : 2 * pair];
     const uint4 inputs = __ldg(
@@ -33,7 +33,7 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
     const uint32_t most = max(row.n_masses, __shfl_xor_sync(kAll, row.n_masses, 8));
     if (score.weights != nullptr)
       mo_cuda_clear_row(x, r, own);
-    /* Four masses at a time, without a branch: those that there are not count nothing. */
+    /* Four masses at a time, without a branch: missing ones count as 0. */
     float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f}, value[kMost];
 #pragma unroll
     for (int first = 0; first < kMost; first += 4) {
@@ -63,7 +63,7 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
     if (score.weights == nullptr)
       continue;
     const float mean = __fdividef(sum[3], n);
-    __syncwarp(); /* the zeros are there */
+    __syncwarp(); /* the zeros have been written */
 #pragma unroll
     for (int i = 0; i < kMost; i++) {
       if (16 * i >= most)
@@ -74,8 +74,8 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
   }
 }
 
-/* What the first layer's sums start from, bias and generators, of this thread's output. Loaded
- * before sensing, computed after it. */
+/* The initial value of the first layer's sum for this thread's output, from bias and generators.
+ * Loaded before sensing, computed after it. */
 struct Start {
   float bias, generator[MO_CPG_INPUTS], weight[MO_CPG_INPUTS];
 };
@@ -104,10 +104,10 @@ __device__ __forceinline__ float start_of_first_layer(const Start &start)
   return sum;
 }
 
-/* What a hidden layer is computed from. */
+/* The inputs of a hidden layer. */
 struct Layer {
   const char *matrix;
-  const float *start; /* what its sums start from */
+  const float *start; /* initial values of its sums */
   const float *gain, *shift;
   float epsilon;
 };
@@ -124,7 +124,7 @@ __device__ __forceinline__ Layer layer_of(const mo_cuda_score &score, const Shar
   return layer;
 }
 
-/* What the last layer is computed from, and where its lengths go. */
+/* The inputs of the last layer, and the destination of its lengths. */
 struct Output {
   const char *matrix;
   const float2 *bias;
@@ -134,7 +134,7 @@ struct Output {
   float *lengths;
 };
 
-/* Where a row's length of a pair's first spring is put; kNowhere, if the row's body has none of the
+/* The place of a row's length of a pair's first spring; kNowhere if the row's body lacks the
  * pair. */
 constexpr uint32_t kNowhere = UINT32_MAX;
 
@@ -148,13 +148,13 @@ __device__ __forceinline__ uint32_t length_of(const mo_plan_pairs *pairs, const 
   return (word & bit) != 0 ? home.first_length + slot * home.stride : kNowhere;
 }
 
-/* Lengths of a pair's springs in rows 2t and 2t + 1 of a column. */
+/* Stores the lengths of a pair's springs in rows 2t and 2t + 1 of a column. */
 __device__ __forceinline__ void put_lengths(const Output &output, const Home (&home)[2],
                                             uint32_t pair, const float (&wanted)[4])
 {
   const uint32_t first = length_of(output.pairs, home[0], pair);
   uint32_t second = first + (first != kNowhere ? 1 : 0);
-  if (home[1].part != home[0].part) /* seldom */
+  if (home[1].part != home[0].part) /* rare */
     second = length_of(output.pairs, home[1], pair);
   if (first != kNowhere) {
     output.lengths[first] = wanted[0];
@@ -178,7 +178,7 @@ __device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Sh
                 memory.lengths};
 }
 
-/* From a pair's sums in rows 2t and 2t + 1 of a column to lengths. */
+/* Converts a pair's sums in rows 2t and 2t + 1 of a column to lengths. */
 __device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t pair,
                                          const float2 &bias, const float (&sum)[4])
 {

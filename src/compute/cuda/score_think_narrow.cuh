@@ -1,4 +1,4 @@
-/* score_think_narrow.cuh: the network of a group by mma.sync: two tiles of sixteen outputs per
+/* score_think_narrow.cuh: the network of a group with mma.sync: two tiles of sixteen outputs per
  * warp. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_THINK_NARROW_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_THINK_NARROW_CUH
@@ -8,7 +8,7 @@
 
 namespace {
 
-/* One hidden layer for all rows, in place. */
+/* Computes one hidden layer for all rows, in place. */
 template <int COLUMNS>
 __device__ __forceinline__ void hidden_layer(const Layer &layer, uint32_t units, float2 *partial,
                                              char *x)
@@ -66,8 +66,8 @@ struct Tiles {
   uint32_t pair[2], columns;
 };
 
-/* The round-th tiles of a warp, and how many: rounds of two tiles per warp; the last round spreads
- * what is left. */
+/* Finds the tiles of a warp in a round, and returns how many: rounds have two tiles per warp; the
+ * last round distributes the remaining ones. */
 __device__ __forceinline__ uint32_t tiles_of(const mo_cuda_score &score, const Shared &shared,
                                              uint32_t round, Tiles *ret)
 {
@@ -91,7 +91,7 @@ __device__ __forceinline__ uint32_t tiles_of(const mo_cuda_score &score, const S
   return count;
 }
 
-/* TILES tiles of springs for the columns that have them: COLUMNS of them. */
+/* Computes TILES tiles of springs for the COLUMNS columns that have them. */
 template <int TILES, int COLUMNS>
 __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &tiles, const char *x)
 {
@@ -145,7 +145,7 @@ __device__ __forceinline__ void act_tiles_of(const Output &output, const Tiles &
   }
 }
 
-/* The last layer. */
+/* Computes the last layer. */
 __device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &shared,
                                     const Memory &memory)
 {
@@ -164,7 +164,7 @@ __device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &sh
   }
 }
 
-/* Between two barriers, after sensing. */
+/* Computes the network, between two barriers, after sensing. */
 __device__ __forceinline__ void think(const mo_cuda_score &score, Shared &shared,
                                       const Memory &memory)
 {

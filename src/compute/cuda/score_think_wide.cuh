@@ -1,4 +1,4 @@
-/* score_think_wide.cuh: the network of a group by wgmma: a tile of sixteen outputs per warp, for
+/* score_think_wide.cuh: the network of a group with wgmma: a tile of sixteen outputs per warp, for
  * all rows. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_THINK_WIDE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_THINK_WIDE_CUH
@@ -26,8 +26,8 @@ __device__ __forceinline__ Tile tile_of(const mo_cuda_score &score, const Shared
   return tile;
 }
 
-/* The weights of a hidden layer's tile, and of a tile of springs; those of no pair are the first
- * pair's. */
+/* Returns the weights of a hidden layer's tile, or of a tile of springs; without a pair, those of
+ * the first pair. */
 __device__ __forceinline__ mo_cuda_stream stream_of(const Layer &layer)
 {
   constexpr uint32_t kHalf = 8 * MO_WEIGHTS_PAIR_BYTES / 2;
@@ -44,9 +44,9 @@ __device__ __forceinline__ mo_cuda_stream stream_of(const Output &output, const 
                         MO_WEIGHTS_PAIR_BYTES / 2};
 }
 
-/* The network for a group of COLUMNS columns. What it needs of the call and of the group it reads
- * from shared memory itself: what the rest of the kernel held in registers for it would be missing,
- * and the compiler would wait for each product. */
+/* Computes the network for a group of COLUMNS columns. It reads the arguments and the group from
+ * shared memory itself: if the rest of the kernel held them in registers, these would be missing
+ * here, and the compiler would wait for each product. */
 template <int COLUMNS> __device__ __forceinline__ void think_of()
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, g = lane >> 2, t = lane & 3;
@@ -75,7 +75,7 @@ template <int COLUMNS> __device__ __forceinline__ void think_of()
     mo_cuda_normalize<COLUMNS>(sum, layer.gain, layer.shift, layer.epsilon, memory.partial,
                                memory.x);
   }
-  /* Rounds of sixteen tiles; a warpgroup ends when there is none left for its first warp. */
+  /* Rounds of sixteen tiles; a warpgroup stops when no tile is left for its first warp. */
   const uint32_t rounds = (shared.plan.n_tiles + MO_CUDA_WARPS - 1 - (warp & ~3u)) / MO_CUDA_WARPS;
 #pragma unroll 1
   for (uint32_t round = 0; round < rounds; round++) {
@@ -100,7 +100,7 @@ template <int COLUMNS> __device__ __forceinline__ void think_of()
   }
 }
 
-/* Between two barriers, after sensing. */
+/* Computes the network, between two barriers, after sensing. */
 __device__ __forceinline__ void think(const mo_cuda_score &, const Shared &shared, const Memory &)
 {
   switch ((shared.plan.n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN) {

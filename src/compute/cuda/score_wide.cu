@@ -1,5 +1,5 @@
-/* score_wide.cu: the kernel of whole rollouts for devices that have wgmma (score_live.cuh).
- * Compiled only for them: sm_90a. */
+/* score_wide.cu: the kernel that runs entire rollouts, for devices with wgmma (score_live.cuh). It
+ * is compiled only for these: sm_90a. */
 #include "compute/cuda/score_think_wide.cuh"
 
 #include "compute/cuda/score_live.cuh"

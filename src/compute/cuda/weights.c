@@ -1,4 +1,4 @@
-/* weights.c: a controller laid out for the device's matrix instructions. */
+/* weights.c: lays out a controller for the device's matrix instructions. */
 #include "compute/cuda/weights.h"
 
 #include "compute/cuda/plan.h"
@@ -9,10 +9,10 @@
 enum {
   TILE = 16,
   PAIR_HALVES = MO_WEIGHTS_PAIR_BYTES / 2,
-  LARGEST_EXPONENT = 12 /* scaled values lie below 2^12 */
+  LARGEST_EXPONENT = 12 /* scaled values are below 2^12 */
 };
 
-#define HIDDEN_LIMIT   60000.0f /* float16 ends at 65504 */
+#define HIDDEN_LIMIT   60000.0f /* float16's largest number is 65504 */
 #define EXPONENT_LIMIT 50       /* LayerNorm's epsilon, scaled, stays a normal float32 */
 #define BIAS_LIMIT     1e15f    /* scaled; its square is summed in float32 */
 
@@ -35,10 +35,10 @@ uint16_t mo_weights_half(float value)
   const uint32_t bits = bits_of(value), sign = bits >> 16 & 0x8000, magnitude = bits & 0x7fffffff;
   if (magnitude > 0x7f800000) /* not a number */
     return (uint16_t)(sign | 0x7e00);
-  if (magnitude >= 0x477ff000) /* from 65520 on */
+  if (magnitude >= 0x477ff000) /* 65520 or more */
     return (uint16_t)(sign | 0x7c00);
-  if (magnitude < 0x38800000) { /* below 2^-14: adding 1/2 leaves the value in units of 2^-24 in the
-                                   last bits, rounded */
+  if (magnitude < 0x38800000) { /* below 2^-14: adding 1/2 leaves the value, rounded, in units of
+                                   2^-24 in the last bits */
     const uint32_t shifted = bits_of(float_of(magnitude) + 0.5f);
     return (uint16_t)(sign | (shifted - 0x3f000000));
   }
@@ -84,7 +84,8 @@ struct mo_weights_layout mo_weights_layout(void)
   return layout;
 }
 
-/* Registers of the outputs with weights row[0] (g) and row[1] (g + 8) for one tile of inputs. */
+/* Writes the registers of the outputs with weights row[0] (g) and row[1] (g + 8) for one tile of
+ * inputs. */
 static void put_tile(const float *const row[2], uint32_t tile, float scale, int low, uint16_t *out)
 {
   for (uint32_t t = 0; t < 4; t++)
@@ -98,8 +99,8 @@ static void put_tile(const float *const row[2], uint32_t tile, float scale, int 
         }
 }
 
-/* A pair of outputs; unit_halves: from unit to unit; half_halves: from a unit's first half to its
- * second. */
+/* Writes a pair of outputs. unit_halves: distance from unit to unit; half_halves: from a unit's
+ * first half to its second. */
 static void put_pair(const float *const row[2], float scale, uint16_t *out, size_t unit_halves,
                      size_t half_halves)
 {
@@ -109,7 +110,7 @@ static void put_pair(const float *const row[2], float scale, uint16_t *out, size
   }
 }
 
-/* The power of two that brings the largest magnitude into [2^11, 2^12). */
+/* Returns the power of two that scales the largest magnitude into [2^11, 2^12). */
 static int scale_exponent(const float *values, size_t n)
 {
   float largest = 0;
@@ -119,7 +120,7 @@ static int scale_exponent(const float *values, size_t n)
   if (largest > 0)
     frexpf(largest, &exponent);
   const int scale = LARGEST_EXPONENT - exponent;
-  return scale > 30 ? 30 : scale; /* a matrix next to zero needs no more */
+  return scale > 30 ? 30 : scale; /* a matrix close to zero needs no more */
 }
 
 static void put_scaled(const float *values, size_t n, float scale, float *out)
