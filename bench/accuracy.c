@@ -1,12 +1,12 @@
 /* accuracy.c: run time against error.
  *
- * Every combination of precision, impact mode and time step lives the same 4 seconds; the truth for
- * a time step dt is the float64 `exact` life at dt/16. Errors are the distance of the center of
- * mass from the truth's, the largest up to a time, and the difference in loss. Contact makes the
- * lives chaotic: a difference of rounding grows by orders of magnitude per second, so the error of
- * the path is given after 0.2 s and 1 s as well: there it still separates the methods. The time
- * step outweighs all else; so that precision and impact mode can be seen behind it, the last
- * columns compare with float64 `exact` at the same time step. */
+ * Every combination of precision, impact mode and time step simulates the same 4 seconds. The
+ * reference for a time step dt is the float64 `exact` rollout at dt/16. The errors are the largest
+ * distance of the center of mass from the reference up to a time, and the difference in loss.
+ * Contact makes rollouts chaotic: a rounding difference grows by orders of magnitude per second.
+ * The path error is therefore also reported after 0.2 s and 1 s, where it still separates the
+ * methods. The time step dominates everything else, so the last columns compare with float64
+ * `exact` at the same time step to show the effect of precision and impact mode. */
 #include "bench.h"
 
 #include <math.h>
@@ -31,18 +31,18 @@ static const struct {
 static const char *const precision_names[] = {"float32", "float64"};
 static const int frame_ends[TIMES] = {10, 50, 200}; /* 0.2 s, 1 s, 4 s */
 
-/* The lives of all bodies, each in one environment, in one configuration. */
-struct lives {
+/* The rollouts of all bodies, each in one environment, in one configuration. */
+struct rollouts {
   double (*com_m)[FRAMES][3];
   double *loss;
   uint8_t *diverged;
 };
 
-static void lives_create(struct lives *lives, uint32_t n)
+static void rollouts_create(struct rollouts *rollouts, uint32_t n)
 {
-  lives->com_m = bench_zeros(n, sizeof(*lives->com_m));
-  lives->loss = bench_zeros(n, sizeof(*lives->loss));
-  lives->diverged = bench_zeros(n, 1);
+  rollouts->com_m = bench_zeros(n, sizeof(*rollouts->com_m));
+  rollouts->loss = bench_zeros(n, sizeof(*rollouts->loss));
+  rollouts->diverged = bench_zeros(n, 1);
 }
 
 static struct mo_physics physics_at(double dt_s, int mode)
@@ -55,16 +55,16 @@ static struct mo_physics physics_at(double dt_s, int mode)
   return physics;
 }
 
-static void live(struct lives *lives, const struct bench_scene *scene, struct mo_compute *compute,
-                 struct mo_compute_controller *controller, double dt_s, int mode,
-                 enum mo_precision precision)
+static void simulate(struct rollouts *rollouts, const struct bench_scene *scene,
+                     struct mo_compute *compute, struct mo_compute_controller *controller,
+                     double dt_s, int mode, enum mo_precision precision)
 {
   const uint32_t n = scene->n_bodies;
   struct mo_block *blocks = bench_zeros(n, sizeof(*blocks));
   struct mo_recording *recordings = bench_zeros(n, sizeof(*recordings));
   for (uint32_t i = 0; i < n; i++) {
     recordings[i] = (struct mo_recording){.stride = (uint32_t)lround(FRAME_S / dt_s),
-                                          .com_m = lives->com_m[i][0]};
+                                          .com_m = rollouts->com_m[i][0]};
     blocks[i] = (struct mo_block){.body = scene->bodies[i],
                                   .controller = controller,
                                   .environments = {scene->list[i % MO_PAPER_TEST_COUNT]},
@@ -75,15 +75,15 @@ static void live(struct lives *lives, const struct bench_scene *scene, struct mo
   }
   bench_check(mo_compute_run(compute, blocks, n), "rollouts");
   for (uint32_t i = 0; i < n; i++) {
-    lives->loss[i] = blocks[i].outcomes[0].loss;
-    lives->diverged[i] = blocks[i].outcomes[0].diverged_step > 0;
+    rollouts->loss[i] = blocks[i].outcomes[0].loss;
+    rollouts->diverged[i] = blocks[i].outcomes[0].diverged_step > 0;
   }
   free(recordings);
   free(blocks);
 }
 
-/* Milliseconds per rollout on one core, a body's whole test set at once, as evaluations run them.
- */
+/* Returns milliseconds per rollout on one core. The whole test set of a body runs at once, as in
+ * evaluations. */
 static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double dt_s, int mode,
                       enum mo_precision precision)
 {
@@ -105,7 +105,7 @@ static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double d
   return ms;
 }
 
-/* Median, 90th percentile and maximum; a life that diverged counts as infinitely wrong. */
+/* Median, 90th percentile and maximum. The error of a rollout that diverged is infinite. */
 struct spread {
   double median, p90, most;
 };
@@ -118,20 +118,20 @@ static struct spread spread_of(double *errors, uint32_t n)
 
 struct row {
   double ms;
-  struct spread path[TIMES], loss; /* against the truth */
-  struct spread same_dt_path,
-      same_dt_loss; /* against float64 `exact` at the same time step; the path's first second */
+  struct spread path[TIMES], loss;          /* against the reference */
+  struct spread same_dt_path, same_dt_loss; /* against float64 `exact` at the same time step; the
+                                               path only in its first second */
   uint32_t diverged;
 };
 
-/* Of the center of mass up to frame `end`. */
-static struct spread path_error(const struct lives *lives, const struct lives *truth, uint32_t n,
-                                int end, double *errors)
+/* Returns the error of the center of mass up to frame `end`. */
+static struct spread path_error(const struct rollouts *rollouts, const struct rollouts *truth,
+                                uint32_t n, int end, double *errors)
 {
   for (uint32_t i = 0; i < n; i++) {
-    errors[i] = lives->diverged[i] || truth->diverged[i] ? INFINITY : 0;
+    errors[i] = rollouts->diverged[i] || truth->diverged[i] ? INFINITY : 0;
     for (int f = 0; f <= end; f++) {
-      const double *a = lives->com_m[i][f], *b = truth->com_m[i][f];
+      const double *a = rollouts->com_m[i][f], *b = truth->com_m[i][f];
       errors[i] =
           fmax(errors[i], sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
                                (a[2] - b[2]) * (a[2] - b[2])));
@@ -140,12 +140,13 @@ static struct spread path_error(const struct lives *lives, const struct lives *t
   return spread_of(errors, n);
 }
 
-static struct spread loss_error(const struct lives *lives, const struct lives *truth, uint32_t n,
-                                double *errors)
+static struct spread loss_error(const struct rollouts *rollouts, const struct rollouts *truth,
+                                uint32_t n, double *errors)
 {
   for (uint32_t i = 0; i < n; i++)
-    errors[i] =
-        lives->diverged[i] || truth->diverged[i] ? INFINITY : fabs(lives->loss[i] - truth->loss[i]);
+    errors[i] = rollouts->diverged[i] || truth->diverged[i]
+                    ? INFINITY
+                    : fabs(rollouts->loss[i] - truth->loss[i]);
   return spread_of(errors, n);
 }
 
@@ -187,30 +188,30 @@ int bench_accuracy(const struct bench_options *options)
 {
   const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 10 : 100;
   struct bench_scene scene;
-  struct lives truth, same_dt, lives;
+  struct rollouts truth, same_dt, rollouts;
   struct mo_compute_controller *controller = NULL;
   bench_scene_create(&scene, options, n);
-  lives_create(&truth, n);
-  lives_create(&same_dt, n);
-  lives_create(&lives, n);
+  rollouts_create(&truth, n);
+  rollouts_create(&same_dt, n);
+  rollouts_create(&rollouts, n);
   double *errors = bench_zeros(n, sizeof(*errors));
   struct mo_compute *compute = bench_compute(options->workers, options->isa);
   bench_check(mo_compute_controller_create(compute, scene.controller, &controller), "controller");
   print_header();
   for (int d = 0; d < DTS; d++) {
-    live(&truth, &scene, compute, controller, dts_s[d] / REFINEMENT, 0, MO_FLOAT64);
-    live(&same_dt, &scene, compute, controller, dts_s[d], 0, MO_FLOAT64);
+    simulate(&truth, &scene, compute, controller, dts_s[d] / REFINEMENT, 0, MO_FLOAT64);
+    simulate(&same_dt, &scene, compute, controller, dts_s[d], 0, MO_FLOAT64);
     for (int s = 0; s < 2 * MODES; s++) {
       const enum mo_precision precision = s / MODES == 0 ? MO_FLOAT32 : MO_FLOAT64;
-      live(&lives, &scene, compute, controller, dts_s[d], s % MODES, precision);
+      simulate(&rollouts, &scene, compute, controller, dts_s[d], s % MODES, precision);
       struct row row = {.ms = time_ms(&scene, options->isa, dts_s[d], s % MODES, precision)};
       for (int t = 0; t < TIMES; t++)
-        row.path[t] = path_error(&lives, &truth, n, frame_ends[t], errors);
-      row.loss = loss_error(&lives, &truth, n, errors);
-      row.same_dt_path = path_error(&lives, &same_dt, n, frame_ends[1], errors);
-      row.same_dt_loss = loss_error(&lives, &same_dt, n, errors);
+        row.path[t] = path_error(&rollouts, &truth, n, frame_ends[t], errors);
+      row.loss = loss_error(&rollouts, &truth, n, errors);
+      row.same_dt_path = path_error(&rollouts, &same_dt, n, frame_ends[1], errors);
+      row.same_dt_loss = loss_error(&rollouts, &same_dt, n, errors);
       for (uint32_t i = 0; i < n; i++)
-        row.diverged += lives.diverged[i];
+        row.diverged += rollouts.diverged[i];
       print_row(precision_names[precision], modes[s % MODES].name, dts_s[d], n, &row);
     }
     fprintf(stderr, "dt %g ms done\n", 1e3 * dts_s[d]);

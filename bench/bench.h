@@ -1,4 +1,4 @@
-/* bench.h: what the benchmarks share. A benchmark is a process: what it makes lasts to its end. */
+/* bench.h: what the benchmarks share. A benchmark is a process, and never frees what it creates. */
 #ifndef MORPHO_BENCH_H
 #define MORPHO_BENCH_H
 
@@ -8,7 +8,7 @@
 #include <stdio.h>
 
 struct bench_options {
-  uint32_t bodies; /* 0: the benchmark's own number */
+  uint32_t bodies; /* 0: the default of the benchmark */
   uint64_t seed;
   uint32_t workers; /* 0: one per processor */
   enum mo_isa isa;
@@ -27,14 +27,14 @@ int bench_stream(int argc, char **argv);
 int bench_evolution(int argc, char **argv);
 int bench_fleet_model(int argc, char **argv);
 
-/* Everything that rollouts need; ends the program with a message if it cannot be had. */
+/* Everything that rollouts need. Creating it ends the program with a message if anything is
+ * missing. */
 struct bench_scene {
   struct mo_lattice *lattice;
   struct mo_controller *controller;
   struct mo_controller *random; /* of the same sensor, weights of the seed */
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  const struct mo_environment
-      *list[MO_BLOCK_LANES]; /* the paper test set, then from its start again */
+  const struct mo_environment *list[MO_BLOCK_LANES]; /* the paper test set, repeated */
   uint32_t n_bodies;
   struct mo_body **bodies;         /* distinct random bodies of the seed's stream */
   struct mo_environment *training; /* of the seed's first step, one for each body */
@@ -45,29 +45,30 @@ void bench_scene_create(struct bench_scene *scene, const struct bench_options *o
 /* A box of nx × ny × nz voxels in the middle of the default workspace. */
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz);
 
-/* One core's matrix products: the yardstick of the speeds of `rollout` and `gradient`. */
+/* Matrix products on one core: the reference for the speeds of `rollout` and `gradient`. */
 struct bench_sgemm {
   float *a, *b, *c;
 };
-/* Starts the program again if OpenBLAS has taken kernels that are not for this processor. Call it
- * before anything else. */
+/* Restarts the program if OpenBLAS chose kernels that do not suit this processor. Call it before
+ * anything else. */
 void bench_sgemm_choose(char **argv);
 void bench_sgemm_create(struct bench_sgemm *sgemm);
 /* Best rate of OpenBLAS on this thread over square sizes from 256 to 1024, FLOP per second. */
 double bench_sgemm_best(const struct bench_sgemm *sgemm);
-/* Arithmetic of one step of the controller restricted to the body's masses and springs. */
+/* Returns the FLOP of one step of the controller, restricted to the body's masses and springs. */
 double bench_controller_flop(const struct mo_body *body);
 
-/* The index of a word; ends the program if the list, which ends with NULL, has none such. */
+/* Returns the index of a word. Ends the program if the list, which ends with NULL, does not have
+ * it. */
 int bench_word(const char *const *words, const char *word);
 enum mo_isa bench_isa(const char *name);
 
-/* A whole number; ends the program if the text is none from `least` to `most`. */
+/* Returns a whole number. Ends the program if the text is not one from `least` to `most`. */
 uint64_t bench_number(const char *text, uint64_t least, uint64_t most);
 
-/* n elements, all zeros; ends the program if memory is short. To be freed. */
+/* Returns n elements, all zeros, to be freed. Ends the program if memory is short. */
 void *bench_zeros(size_t n, size_t size);
-/* Workers; ends the program if they cannot be had. 0: one per processor. */
+/* Starts workers; 0: one per processor. Ends the program if this fails. */
 struct mo_compute *bench_compute(uint32_t workers, enum mo_isa isa);
 double bench_peak_mib(void); /* largest resident memory of this process so far; 0: unknown */
 

@@ -4,16 +4,16 @@
  * cuda-gradient reference FILE WEIGHTS [WORKERS]
  *     writes the float64 gradient of 256 robots, computed on the processor, into FILE
  * cuda-gradient check [WEIGHTS FILE]…
- *     compares with such files, and the bits of two runs, of one shard, of little memory and of
+ *     compares with these files, and the bits of two runs, of one shard, of little memory and of
  *     groups in halves; robots that diverge or whose adjoints do; cancelled calls
  * cuda-gradient alone [WORKERS]
  *     robots whose adjoints restart, one by one, against float64 with the same weight and with
  *     another
  * cuda-gradient time [ROBOTS]…
- *     learning steps of so many robots (1024 and 8192 unless given), with whole groups, with some
- *     in halves, and with all in halves
+ *     learning steps of this many robots (default 1024 and 8192), with whole groups, with some in
+ *     halves, and with all in halves
  * cuda-gradient short [ROBOTS STEPS]
- *     a few steps of everything, in these three ways, for compute-sanitizer and profilers
+ *     a few steps of everything, in the same three ways, for compute-sanitizer and profilers
  *
  * WEIGHTS is the seed of random weights, or a controller's file. With "restart:" before it adjoints
  * restart above the bound with the usual weight ("restart=2:": with 2). Robots are distinct random
@@ -106,7 +106,7 @@ static struct mo_controller *weights_of(const char *weights)
 
 /* ---- the reference ---- */
 
-/* Robots i, i + 16, … make one sum; the sums are added in their order. */
+/* Robots i, i + 16, … form one sum; the sums are added in order. */
 struct reference {
   struct scene scene;
   const struct mo_controller *controller;
@@ -169,7 +169,7 @@ struct result {
   double total_s;
 };
 
-/* Versions that compute the same have the same. */
+/* Returns a hash of the result: versions that compute the same bits have the same hash. */
 static uint64_t hash_of(const float *values, size_t n)
 {
   uint64_t hash = UINT64_C(14695981039346656037);
@@ -197,14 +197,14 @@ static void run_with(struct result *r, const struct mo_controller *controller,
                .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
   r->call.options.weight = 1.0 / n;
   memset(r->call.d_parameters, 0,
-         shards * controller->n_parameters * sizeof(float)); /* as a caller's, which lasts */
+         shards * controller->n_parameters * sizeof(float)); /* like a caller's, which it keeps */
   const double start = now_s();
   must(mo_cuda_gradient_run(device, &r->call, memory_bytes), "gradient");
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(device);
   printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums "
          "%.4f), host %.3f (layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u "
-         "passes, %u ways back; bits %016llx\n",
+         "passes, %u backward passes; bits %016llx\n",
          n, physics->scheme.n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s,
          p->products_s, p->collect_s, r->call.host_s, p->plan_s, p->upload_s,
          (double)p->device_bytes * 1e-9, p->groups, p->halved, p->passes, p->walks,
@@ -282,9 +282,9 @@ static void check_likeness(const char *weights, const char *path, const struct s
   print_counts("float64", &counts);
   char *end;
   (void)strtoull(after_rule(weights), &end, 10);
-  /* With a trained controller 1000 steps are chaotic for part of the robots. A restart is a jump,
-   * which other rounding makes at another step: with a large weight these few robots decide the
-   * batch (docs/numerics.md). check_alone compares them one by one. */
+  /* With a trained controller, 1000 steps are chaotic for some robots. A restart is a jump, and
+   * with different rounding it happens at a different step. With a large weight, these few robots
+   * dominate the batch (docs/numerics.md). check_alone compares them one by one. */
   if (*end == 0 && (options.adjoint_rule == MO_ADJOINT_CLIP || options.restart_weight <= 1))
     expect(like.cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
   drop(&r);
@@ -292,15 +292,15 @@ static void check_likeness(const char *weights, const char *path, const struct s
   mo_controller_free(controller);
 }
 
-/* ---- robots alone ---- */
+/* ---- single robots ---- */
 
-/* Where adjoints restart, a few robots decide a batch's gradient, and float16 changes their
- * rollouts most. So compare each of them by itself: the device's gradient with one weight, against
- * float64's with that weight and with another. */
+/* Where adjoints restart, a few robots dominate the gradient of a batch, and float16 changes their
+ * rollouts most. Therefore each of them is compared separately: the device's gradient with one
+ * weight, against the float64 gradient with that weight and with another. */
 struct alone {
   const struct scene *scene;
   const struct mo_controller *controller;
-  double *gradients[LIKE][2]; /* with each weight; NULL where the adjoint stays within the bound */
+  double *gradients[LIKE][2]; /* with each weight; NULL if the adjoint stays within the bound */
   uint64_t clipped[LIKE];     /* steps */
   uint32_t next;
 };
@@ -363,10 +363,10 @@ static void check_alone(const struct scene *s, uint32_t workers)
     nearer += like[0].error < like[1].error;
     drop(&r);
   }
-  printf("%u robots restart: relative error of each alone, median %.3g, p90 %.3g; %u of them "
-         "nearer to float64 with their weight than with another\n",
+  printf("%u robots restart: relative error of single robots, median %.3g, p90 %.3g; %u of them "
+         "are closer to float64 with their weight than with another\n",
          n, n > 0 ? quantile(differ, n, 0.5) : 0, n > 0 ? quantile(differ, n, 0.9) : 0, nearer);
-  expect(n > 0 && nearer * 4 >= n * 3, "at least three in four are nearer to what they should be");
+  expect(n > 0 && nearer * 4 >= n * 3, "at least three in four are closer to the right reference");
   mo_controller_free(controller);
 }
 
@@ -388,14 +388,14 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   struct result a, b;
   run(&a, controller, s, 0, all, n_steps, 0);
   run(&b, controller, s, 0, all, n_steps, 0);
-  expect(same_result(&a, &b), "two runs give the same bits");
+  expect(same_result(&a, &b), "two runs produce the same bits");
   drop(&b);
   run(&b, controller, s, n, n, n_steps, 0);
   const float *with = a.call.d_parameters + controller->n_parameters;
   int same = 1;
   for (size_t k = 0; k < controller->n_parameters; k++)
     same &= b.call.d_parameters[k] == 2 * with[k]; /* its weight is 1/1024, not 1/2048 */
-  expect(same, "a shard has the same bits alone");
+  expect(same, "a shard has the same bits when computed separately");
   drop(&b);
   mo_cuda_gradient_trim(device);
   run(&b, controller, s, 0, all, n_steps, UINT64_C(3) << 30);
@@ -406,17 +406,16 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   mo_controller_free(controller);
 }
 
-/* Groups by one block, by two, and some by each, where robots end in a group of 16, where some of a
- * group's 32 rows are empty, where adjoints restart, where some diverge, and where some are left
- * out.
- */
+/* Groups computed by one block, by two, and some by each: where the last group has 16 robots, where
+ * some of a group's 32 rows are empty, where adjoints restart, where some robots diverge, and where
+ * some are left out. */
 static void check_halves(const struct scene *s)
 {
   const struct {
     const char *name;
     const char *options;
     uint32_t n;
-    double stiffness, bound, last_layer; /* times the usual */
+    double stiffness, bound, last_layer; /* relative to the usual */
   } cases[] = {{"clipped", "", 300, 1, 1, 1},
                {"empty rows", "", 50, 1, 1, 1},
                {"restarts", "restart:", 256, 1, 1, 1},
@@ -442,7 +441,7 @@ static void check_halves(const struct scene *s)
            "whole groups, some in halves, all in halves");
     expect(same_result(&ways[0], &ways[2]), "whole groups and halves have the same bits: %s",
            cases[i].name);
-    expect(same_result(&ways[0], &ways[1]), "so have some of both: %s", cases[i].name);
+    expect(same_result(&ways[0], &ways[1]), "some of both have the same bits: %s", cases[i].name);
     print_counts(cases[i].name, &ways[0].call.counts);
     for (int way = 0; way < 3; way++)
       drop(&ways[way]);
@@ -458,8 +457,8 @@ static int is_finite(const struct result *r)
   return 1;
 }
 
-/* Bodies of springs too stiff for the step diverge; without a bound, and with large weights,
- * adjoints leave float32's range. */
+/* Bodies with springs too stiff for the step diverge. Without a bound, and with large weights,
+ * adjoints leave the range of float32. */
 static void check_rare(const struct scene *s)
 {
   enum { FEW = 200 };
@@ -474,7 +473,7 @@ static void check_rare(const struct scene *s)
   print_counts("springs 1.7 times as stiff", &a.call.counts);
   expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW && is_finite(&a),
          "some diverge, the others' gradient is finite");
-  expect(same_result(&a, &b), "twice the same");
+  expect(same_result(&a, &b), "two runs are the same");
   drop(&a);
   drop(&b);
   physics = mo_default_physics();
@@ -488,10 +487,10 @@ static void check_rare(const struct scene *s)
     zeroed = a.call.counts.zeroed_robots;
     print_counts("no bound", &a.call.counts);
     expect(is_finite(&a) && (walks > 1) == (zeroed > 0),
-           "the gradient is finite, and taken again where a robot is left out");
+           "the gradient is finite, and computed again where a robot is left out");
     if (zeroed > 0) {
       run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
-      expect(same_result(&a, &b), "twice the same");
+      expect(same_result(&a, &b), "two runs are the same");
       drop(&b);
     }
     drop(&a);
@@ -525,11 +524,11 @@ static void check_cancel(const struct scene *s)
   const double start = now_s();
   const int status = mo_cuda_gradient_run(device, &call, 0);
   const double took = now_s() - start;
-  expect(status == MO_ERR_CANCELLED && took < 0.1, "cancelled after 0.030 s: ended after %.3f s",
+  expect(status == MO_ERR_CANCELLED && took < 0.1, "cancelled after 0.030 s: returned after %.3f s",
          took);
   pthread_join(thread, NULL);
   run(&after, controller, s, 0, n, 1000, 0);
-  expect(same_result(&before, &after), "the call after it gives what the one before gave");
+  expect(same_result(&before, &after), "the next call returns what the previous one returned");
   free(call.d_parameters);
   free(call.outcomes);
   drop(&before);
@@ -559,7 +558,7 @@ static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves ha
          quantile(total, REPEATS, 0.5), quantile(device_s, REPEATS, 0.5));
   if (bound_s > 0)
     expect(quantile(device_s, REPEATS, 0.5) <= bound_s,
-           "a learning step of 8192 within 0.25 s of the device");
+           "a learning step of 8192 within 0.25 s of device time");
   mo_controller_free(controller);
 }
 

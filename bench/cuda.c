@@ -6,7 +6,7 @@
  * cuda-bench MODULE time
  *     8192 bodies × 10 environments, evolved bodies, smaller batches
  * cuda-bench MODULE spread
- *     8192 bodies × 10 environments over all devices, and in parts on one
+ *     8192 bodies × 10 environments on all devices, and in parts on one
  * cuda-bench MODULE short
  *     a few steps of everything, for compute-sanitizer
  *
@@ -43,7 +43,7 @@ static struct mo_body *body_of(const uint64_t *bits)
   return body;
 }
 
-/* What a population looks like after some time: descendants of a few bodies. */
+/* Makes a population as it looks after some time: descendants of a few bodies. */
 static struct mo_body **evolved_bodies(uint32_t n)
 {
   enum { FOUNDERS = 24 };
@@ -66,7 +66,7 @@ static struct mo_body **evolved_bodies(uint32_t n)
   return bodies;
 }
 
-/* Rows: each body in `each` environments of the paper's test, one after the other. */
+/* Makes rows: each body in `each` environments of the paper's test set, one after the other. */
 struct rows {
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   struct mo_robot *robots;
@@ -110,7 +110,7 @@ static struct mo_device_score run(struct mo_device_controller *controller,
 
 /* ---- agreement ---- */
 
-/* |Δloss| and Δloss of rows whose truth is finite. */
+/* Compares the losses of rows with a finite reference. */
 static void compare(const char *name, const struct mo_outcome *outcomes, const double *truth,
                     uint32_t n)
 {
@@ -127,8 +127,8 @@ static void compare(const char *name, const struct mo_outcome *outcomes, const d
   mean /= used;
   const double median = quantile(error, used, 0.5);
   expect(median <= 1e-3 && fabs(mean) <= 0.003 && apart == 0,
-         "%s: %u rollouts, |d loss| median %.2e, 90 %% %.2e, max %.2e, mean d %+.2e, diverged "
-         "apart %u",
+         "%s: %u rollouts, |d loss| median %.2e, 90 %% %.2e, max %.2e, mean d %+.2e, diverged in "
+         "only one %u",
          name, used, median, quantile(error, used, 0.9), error[used - 1], mean, apart);
   free(error);
 }
@@ -213,8 +213,8 @@ static void check_random(struct mo_device_controller *controller, const char *pa
   free_bodies(bodies, RANDOM);
 }
 
-/* Starts on rough ground, which some bodies touch with more than their lowest layer: the same as
- * on the processors, and outside of the ground, so that the first step moves nothing far. */
+/* Starts on rough ground, which some bodies touch with more than their lowest layer, must be the
+ * same as on the processors, and above the ground, so that the first step moves nothing far. */
 static void check_starts(struct mo_device_controller *controller)
 {
   struct mo_body **bodies = random_bodies(golden.lattice, RANDOM, 20251102);
@@ -265,7 +265,8 @@ static struct mo_body *box(const int size[3])
   return body_of(bits);
 }
 
-/* Short lives of bodies of all sizes against float64: there the paths have not parted yet. */
+/* Compares short rollouts of bodies of all sizes with float64: their paths have not diverged yet.
+ */
 static void check_sizes(uint32_t n_steps)
 {
   static const int sizes[][3] = {{1, 1, 1}, {2, 1, 1}, {3, 2, 1}, {3, 3, 3},
@@ -333,24 +334,24 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
   physics.scheme.n_steps = n_steps;
   run(controller, rows->robots, n, &physics, rows->outcomes);
   run(controller, rows->robots, n, &physics, again);
-  expect(memcmp(rows->outcomes, again, n * sizeof(*again)) == 0, "two runs give the same bits");
+  expect(memcmp(rows->outcomes, again, n * sizeof(*again)) == 0, "two runs produce the same bits");
   run(controller, turned, n, &physics, again);
   for (uint32_t i = 0; i < n; i++)
     same &= memcmp(rows->outcomes + i, again + n - 1 - i, sizeof(*again)) == 0;
-  expect(same, "so does the reverse order");
+  expect(same, "the reverse order produces the same bits");
   same = 1;
   for (uint32_t i = 0; i < n; i += n / 7 + 1) {
     run(controller, rows->robots + i, 1, &physics, again);
     same &= memcmp(rows->outcomes + i, again, sizeof(*again)) == 0;
   }
-  expect(same, "and a row alone");
+  expect(same, "a single row has the same bits");
   free(again);
   free(turned);
   free_rows(rows);
   free_bodies(bodies, n_bodies);
 }
 
-/* Springs too stiff for the time step: which rows diverge, when, and where they were last. */
+/* Springs too stiff for the time step: compares which rows diverge, when, and at which position. */
 static void check_divergence(struct mo_device_controller *controller)
 {
   enum { N = 64 };
@@ -411,7 +412,7 @@ static void check_cancel(struct mo_device_controller *controller)
   const double took = now_s() - start;
   pthread_join(thread, NULL);
   expect(status == MO_ERR_CANCELLED && took < 0.2,
-         "a flag raised after 20 ms ends a call after %.0f ms", 1e3 * took);
+         "a flag set after 20 ms stops a call after %.0f ms", 1e3 * took);
   flag = 0;
   score.physics.scheme.n_steps = 10;
   expect(module->score(device, &score) == MO_OK && isfinite(outcome.loss), "the next call works");
@@ -419,7 +420,7 @@ static void check_cancel(struct mo_device_controller *controller)
 
 /* ---- time ---- */
 
-/* Of all outcomes' bits: versions that compute the same have the same. */
+/* Returns a hash of all outcomes: versions that compute the same bits have the same hash. */
 static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
 {
   uint64_t hash = UINT64_C(14695981039346656037);
@@ -481,11 +482,11 @@ static void time_all(struct mo_device_controller *controller)
   free_bodies(bodies, N);
 }
 
-/* ---- devices beside each other ---- */
+/* ---- several devices ---- */
 
 enum { PARTS_MAX = 8 };
 
-/* A device's share of the rows, as the daemon would cut them. */
+/* A device's share of the rows, split as by the daemon. */
 struct part {
   pthread_t thread;
   struct mo_device *device;
@@ -503,8 +504,8 @@ static void *score_part(void *context)
   return NULL;
 }
 
-/* Parts on devices of their own, at once, or one after the other on the first. The longest; the
- * best of three. */
+/* Runs the parts on separate devices at the same time, or one after the other on the first. Returns
+ * the time of the longest; the best of three. */
 static double time_parts(struct mo_device *const *devices,
                          struct mo_device_controller *const *controllers, struct rows *rows,
                          uint32_t n_parts, int at_once)
@@ -582,7 +583,8 @@ static void load(const char *path)
   if (library != NULL)
     *(void **)(void *)&entry = dlsym(library, "mo_device_module");
   if (entry == NULL || entry()->abi != MO_DEVICE_ABI) {
-    fprintf(stderr, "cuda-bench: %s: %s\n", path, entry == NULL ? dlerror() : "of another version");
+    fprintf(stderr, "cuda-bench: %s: %s\n", path,
+            entry == NULL ? dlerror() : "it has another version");
     exit(1);
   }
   module = entry();

@@ -1,8 +1,9 @@
 #!/usr/bin/python3
-"""Holds the dashboard to its budgets: prints a line for each with what was measured and its bound.
+"""Checks the dashboard against its budgets: prints a line for each, with the measurement and its
+bound.
 
-Starts a daemon of its own on a free port with its state in a temporary folder, fills it with real
-designs, a phylogeny of a million of them and a thousand jobs, and drives Debian's Chromium, which
+Starts its own daemon on a free port with its state in a temporary folder, fills it with real
+designs, a phylogeny of a million designs and a thousand jobs, and drives Debian's Chromium, which
 renders without a GPU. Pages are loaded with an empty cache. Exit status 1 if a bound is missed."""
 import argparse
 import json
@@ -20,8 +21,8 @@ from dashboard_data import N_JOBS, Filled  # noqa: E402
 from dashboard_streams import daemon_share  # noqa: E402
 
 RUNS = 7
-# Times from the start of the navigation to what a page draws first: robots on a stage, the curve of
-# a chart. A chart without values strokes nothing.
+# Times from the start of the navigation to the first drawing of a page: robots on a stage, the
+# curve of a chart. A chart without values strokes nothing.
 FIRST_DRAWS = """
 window.firstStroke = window.firstTiles = undefined;
 const { stroke } = CanvasRenderingContext2D.prototype;
@@ -49,16 +50,16 @@ class Page(Browser):
         return self.driver.execute_cdp_cmd(command, parameters or {})
 
     def load(self, view, value):
-        """The value of a script once it has one, on a page that is loaded with an empty cache."""
+        """Loads a page with an empty cache. Returns the value of a script once it is defined."""
         self.driver.get("about:blank")
         self.send("Network.clearBrowserCache")
-        time.sleep(1.5)  # without a GPU what the page before has yet to draw takes the cores
+        time.sleep(1.5)  # without a GPU, pending drawing of the previous page occupies the cores
         self.driver.get(self.base + "#/" + view)
         self.until(f"({value}) !== undefined")
         return self.run(f"return {value}")
 
     def script(self, text, *arguments):
-        """What an asynchronous script passes to `done`."""
+        """Returns what an asynchronous script passes to `done`."""
         result = self.driver.execute_async_script(
             "const done = arguments[arguments.length - 1];"
             f"(async () => {{ {text} }})().then(done, (no) => done({{ error: String(no) }}));",
@@ -71,7 +72,7 @@ class Page(Browser):
 # ---- measurements: each yields (what, measured, unit, bound or None) ----
 
 def assets(data, _):
-    """What a visit of every page would bring, as it is sent."""
+    """The bytes that a visit to every page would transfer."""
     folder = SOURCE / "clients" / "dashboard"
     names = [file.relative_to(folder).as_posix() for kind in ("js", "css", "svg")
              for file in folder.rglob("*." + kind)]
@@ -127,7 +128,7 @@ return await new Promise((resolve) => {
 
 
 def editor(_, page):
-    """Clicks that add and remove voxels of a body of 38 to 40, no body twice."""
+    """Clicks that add and remove voxels of a body of 38 to 40 voxels. No body occurs twice."""
     body = [(x, y, 0) for x in range(6) for y in range(6)] + [(0, 0, 1), (1, 0, 1)]
     voxels = "".join("1" if (i // 24, i // 4 % 6, i % 4) in body else "0" for i in range(144))
     page.load("editor?voxels=" + voxels, "firstPicture()")
@@ -183,7 +184,7 @@ def phylogeny(data, page):
     yield "a million designs, laid out", median("layoutMs") / 1e3, "s", 0.5
     yield "a million designs, drawn", median("first") / 1e3, "s", 3
     yield "a million designs, drawn again", median("drawMs") / 1e3, "s", 3
-    # A touch on a design of the real page: it finds it, and the robot walks.
+    # A link to a design on the real page: the page finds it, and the robot walks.
     page.load(f"campaigns/{campaign}/phylogeny?design=900001", "firstPicture()")
     assert page.texts("h2")[0] == "Design #900001"
 
@@ -239,7 +240,7 @@ return seen;
 
 
 def jobs(data, page):
-    """Nothing runs between the check of the rows and the painting of the frame."""
+    """No script runs between the check of the rows and the painting of the frame."""
     data.with_jobs()
     page.load("", "firstTiles")
     page.until("document.querySelectorAll('tbody tr').length > 100")
@@ -291,7 +292,7 @@ def main():
     parser.add_argument("--only", action="append", choices=MEASURES, metavar="NAME",
                         help="one of " + ", ".join(MEASURES) + "; can be repeated")
     parser.add_argument("--seconds", type=int, default=60, help="of the streams (default 60)")
-    parser.add_argument("--json", type=pathlib.Path, help="also write what was measured here")
+    parser.add_argument("--json", type=pathlib.Path, help="also write the measurements here")
     ARGUMENTS = parser.parse_args()
     results = []
     with tempfile.TemporaryDirectory(prefix="morphod-bench-") as folder:

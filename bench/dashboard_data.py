@@ -1,4 +1,5 @@
-"""What the benchmark of the dashboard shows: real designs, and more than evolve in minutes."""
+"""The data that the benchmark of the dashboard shows: real designs, and more than evolve in
+minutes."""
 
 import json
 import random
@@ -9,7 +10,7 @@ from contract import SOURCE
 from service import Service, run
 
 ONE_ENVIRONMENT = [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
-# Some 300 designs within seconds: each walks for the tenth part of a usual rollout.
+# About 300 designs within seconds: each walks for a tenth of a usual rollout.
 POPULATION = {
     "mode": "zero-shot", "population": 64, "generations": 8, "physics": {"n_steps": 100},
     "exclude_pretraining": False, "label": "population", "environments": ONE_ENVIRONMENT
@@ -22,10 +23,10 @@ CROSSOVER, MUTATION, RANDOM = 4, 3, 0
 NONE = 2**32 - 1
 
 
-def lives(generator):
-    """A phylogeny as selection makes it, by rows of campaign_designs without job and genotype:
-    (number, operator, parent, other parent, born, died, score, size). Of parents and children the
-    best live on; a child is a little better or worse than its parents."""
+def rows_of_designs(generator):
+    """Yields a phylogeny like one made by selection, as rows of campaign_designs without job and
+    genotype: (number, operator, parent, other parent, born, died, score, size). The best of parents
+    and children survive; a child is a little better or worse than its parents."""
     scores, died, rows = [], [], []
     living = []
     for generation in range(GENERATIONS + 1):
@@ -58,8 +59,8 @@ def lives(generator):
 
 
 def write_phylogeny(state, campaign):
-    """Puts a million designs in the place of a campaign's own. Their bodies are those of the
-    campaign, in turn: the picture needs none, and a touch shows a real one."""
+    """Replaces the designs of a campaign with a million. They get the bodies of the campaign in
+    turn: the picture needs no bodies, and a click shows a real one."""
     with sqlite3.connect(state / "morphod.db") as database:
         bodies = [row[0] for row in database.execute(
             "SELECT genotype FROM campaign_designs WHERE job=? ORDER BY number", (campaign, ))]
@@ -69,7 +70,7 @@ def write_phylogeny(state, campaign):
 
         def rows():
             nonlocal newest
-            for row in lives(random.Random(1)):
+            for row in rows_of_designs(random.Random(1)):
                 number, operator, *parents, born, died, score, _ = row
                 births[born] += struct.pack(
                     "<B2I", operator, *(NONE if parent is None else parent for parent in parents))
@@ -91,7 +92,7 @@ def write_phylogeny(state, campaign):
 
 
 class Filled:
-    """A daemon with that data. Parts are made when they are first asked for."""
+    """A daemon with this data. Parts are made when they are first requested."""
     def __init__(self, state, *flags):
         self.state, self.flags = state, flags
         self.service = Service(*flags, state=state)
@@ -102,7 +103,7 @@ class Filled:
         self.phylogeny = None
 
     def with_phylogeny(self):
-        """The daemon is stopped while the database is written to."""
+        """The daemon is stopped while the database is modified."""
         if self.phylogeny is None:
             self.phylogeny = run(self.service, "campaigns", PHYLOGENY)["id"]
             self.service.close()
@@ -111,7 +112,7 @@ class Filled:
         return self.phylogeny
 
     def with_jobs(self):
-        """Evaluations of one design: all but the first find their score in the store."""
+        """Evaluations of one design. All except the first find their score in the store."""
         design = {"cells": [[2, 2, 0], [3, 2, 0], [2, 3, 0], [2, 2, 1]]}
         connection = self.service.connection()
         n = len(self.service.pages("/v1/jobs"))

@@ -1,5 +1,5 @@
-"""What ten open pages cost the daemon: requests of real pages are recorded, then sent by ten
-clients while a campaign commits about a generation a second."""
+"""The cost of ten open pages for the daemon: requests of real pages are recorded, then sent by ten
+clients while a campaign commits about one generation per second."""
 
 import http.client
 import json
@@ -24,7 +24,7 @@ window.fetch = (path, options = {}) => {
 
 
 def paced_campaign(service, generations):
-    """Starts a campaign that commits about a generation a second on this machine."""
+    """Starts a campaign that commits about one generation per second on this machine."""
     body = {"mode": "zero-shot", "population": 32, "generations": 4, "exclude_pretraining": False,
             "environments": ONE_ENVIRONMENT, "label": "pace"}
     trial = service.post("/v1/campaigns", body)["id"]
@@ -42,7 +42,7 @@ def newest_generation(service, campaign):
 
 
 def cpu_s(pid):
-    """Seconds of processor time of the threads that do not compute rollouts."""
+    """Returns seconds of processor time of the threads that do not compute rollouts."""
     total = 0
     for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
         try:
@@ -56,7 +56,7 @@ def cpu_s(pid):
 
 
 def record(page, view, seconds):
-    """The requests of a page from its start, with their times."""
+    """Returns the requests of a page from its start, with their times."""
     added = page.send("Page.addScriptToEvaluateOnNewDocument", {"source": RECORD})
     page.open(view)
     time.sleep(seconds)
@@ -69,7 +69,7 @@ def record(page, view, seconds):
 
 class Stream:
     """A client that sends recorded requests at their times, with the cursors that a page would have
-    by now, and tags of what it has."""
+    by then, and with the tags of the replies that it has."""
     def __init__(self, service, requests, span_s, until):
         self.service, self.requests, self.span_s, self.until = service, requests, span_s, until
         self.tags, self.cursors, self.sent, self.read = {}, {}, 0, 0
@@ -100,7 +100,7 @@ class Stream:
                     connection.close()
                     return
                 time.sleep(max(0, due - time.monotonic()))
-                # A page is loaded once; then it only follows.
+                # A page is loaded once; after that it only follows.
                 if request is not self.listens and (rounds == 0 or request["at"] > 2):
                     self.send(connection, request)
             rounds += 1
@@ -112,7 +112,7 @@ class Stream:
             path = re.sub(r"cursor=\d+", f"cursor={self.cursors[name]}", path)
         headers = {**request["headers"], "Accept-Encoding": "gzip"}
         if name.endswith("/generations"):
-            del headers["Accept-Encoding"]  # its rows are read here
+            del headers["Accept-Encoding"]  # this client reads its rows
         if path in self.tags:
             headers["If-None-Match"] = self.tags[path]
         connection.request(request["method"], path, body=request["body"], headers=headers)
@@ -131,8 +131,8 @@ class Stream:
 
 
 def daemon_share(service, page, seconds):
-    """(share of a core that ten open pages cost, generations a second meanwhile, requests a
-    second). What the daemon's serving threads need without pages is subtracted."""
+    """Returns (share of a core that ten open pages cost, generations per second meanwhile, requests
+    per second). The time of the daemon's serving threads without pages is subtracted."""
     span_s = max(10, seconds / 2)
     campaign = paced_campaign(service, int(8 * seconds) + 60)
     while newest_generation(service, campaign) < 2:
@@ -154,7 +154,7 @@ def daemon_share(service, page, seconds):
     for stream in streams:
         stream.join()
     service.act(campaign, "cancel")
-    assert all(stream.read for stream in streams if stream.listens), "no event came"
+    assert all(stream.read for stream in streams if stream.listens), "no event arrived"
     assert sum(stream.sent for stream in streams) > CLIENTS * seconds / 4
     rate = sum(stream.sent for stream in streams) / took
     return max(0, spent / took - alone), pace, rate

@@ -1,4 +1,4 @@
-/* device.c: what the benches of the CUDA module share. */
+/* device.c: shared by the benchmarks of the CUDA module. */
 #include "device.h"
 
 #include <pthread.h>

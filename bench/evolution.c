@@ -1,11 +1,11 @@
-/* evolution.c: what the bookkeeping of a campaign costs beside its rollouts; `morpho-bench
+/* evolution.c: the cost of a campaign's bookkeeping, without its rollouts; `morpho-bench
  * evolution`.
  *
- * Real variation of a real population against a set of as many forms as a large pretraining has,
- * real selection and statistics. Only the scores are not rollouts': they come from a landscape over
- * the voxels (made up, but heritable, so that the population converges and children that were seen
- * become frequent, as in a real campaign). With --store each generation is committed, too, with ten
- * losses per design. */
+ * Variation of a real population against a set of as many forms as a large pretraining has,
+ * selection and statistics are real. Only the scores do not come from rollouts, but from an
+ * artificial landscape over the voxels. They are heritable, so that the population converges and
+ * children that were seen before become frequent, as in a real campaign. With --store, each
+ * generation is also committed, with ten losses per design. */
 #include "bench.h"
 #include "evolution_store.h"
 
@@ -23,15 +23,11 @@
 #define BOUND_MIB 600.0
 
 static const char usage[] =
-    "Usage: morpho-bench evolution [OPTION…]\n"
-    "\n"
-    "  --population N    default 8192\n"
-    "  --generations N   default 100\n"
-    "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
-    "  --threads N       that draw these (default 1)\n"
-    "  --selection NAME  one of docs/evolution.md (default truncation)\n"
-    "  --seed N          of the campaign (default 1)\n"
-    "  --store PATH      commit every generation to a new state folder there, and read it back\n";
+    "Usage: morpho-bench evolution [OPTION…]\n\n  --population N    default 8192\n  --generations "
+    "N   default 100\n  --forms N         bodies of a pretraining that count as seen (default "
+    "12000000)\n  --threads N       threads that draw these (default 1)\n  --selection NAME  one "
+    "of docs/evolution.md (default truncation)\n  --seed N          of the campaign (default 1)\n  "
+    "--store PATH      commit every generation to a new state folder there, and read it back\n";
 
 enum phase { VARIATION, SELECTION, STATISTICS, STORING, PHASES };
 static const char *const phase_names[PHASES] = {"variation", "selection", "statistics", "storing"};
@@ -39,7 +35,7 @@ static const char *const phase_names[PHASES] = {"variation", "selection", "stati
 struct evolution {
   struct mo_campaign_settings settings;
   uint64_t n_forms;
-  uint32_t n_threads;              /* that draw them */
+  uint32_t n_threads;              /* that draw the forms */
   const char *store_path;          /* nullable */
   struct bench_campaign *campaign; /* with store_path */
 
@@ -60,7 +56,8 @@ struct evolution {
   struct mo_variation_counts counts; /* of all generations */
 };
 
-/* 1 / (1 + e^f), f a sum over voxels and pairs of neighbors in their order, of random weights. */
+/* Returns 1 / (1 + e^f), where f is a sum of random weights over voxels and pairs of neighbors, in
+ * their order. */
 static double made_up_score(const uint64_t *genotype)
 {
   static double weights[2][MO_DEFAULT_VOXELS];
@@ -84,7 +81,7 @@ static double made_up_score(const uint64_t *genotype)
   return 1.0 / (1.0 + exp(0.1 * sum));
 }
 
-/* Scores and sizes of the designs at places from … to − 1, born in this generation. */
+/* Computes scores and sizes of the designs at places from … to − 1, born in this generation. */
 static void describe(struct evolution *evolution, uint32_t generation, uint32_t from, uint32_t to)
 {
   for (uint32_t i = from; i < to; i++) {
@@ -213,7 +210,7 @@ static void advance(struct evolution *evolution, uint32_t generation)
   const struct mo_variation_counts counts = vary(evolution, generation);
   *seconds[VARIATION] = bench_now_s() - start;
   describe(evolution, generation, evolution->n,
-           evolution->n + evolution->n_children); /* not measured: rollouts' work */
+           evolution->n + evolution->n_children); /* not measured: takes the place of rollouts */
   start = bench_now_s();
   measure_sizes(evolution, evolution->n, evolution->n + evolution->n_children);
   *seconds[STATISTICS] = bench_now_s() - start;
@@ -227,7 +224,7 @@ static void advance(struct evolution *evolution, uint32_t generation)
               "statistics");
   *seconds[STATISTICS] += bench_now_s() - start;
   if (evolution->campaign !=
-      NULL) { /* parents and children, as before the selection, are in the other arrays now */
+      NULL) { /* the other arrays now hold parents and children as they were before the selection */
     const struct bench_generation stored = {generation,
                                             n_parents,
                                             evolution->n_children,
@@ -264,7 +261,7 @@ static int report(struct evolution *evolution)
   }
   const double worst = evolution->total[n - 1];
   printf("\n");
-  printf("%llu designs; attempts per mutant %.2f, per recombinant %.2f; %u mutants in place of "
+  printf("%llu designs; attempts per mutant %.2f, per recombinant %.2f; %u mutants instead of "
          "recombinants\n",
          (unsigned long long)evolution->n_designs,
          (double)counts->mutation_attempts / (counts->mutants > 0 ? counts->mutants : 1),
@@ -321,8 +318,8 @@ int bench_evolution(int argc, char **argv)
                                 .n_threads = 1};
   setvbuf(stdout, NULL, _IOLBF, 0);
   read_options(&evolution, argc, argv);
-  printf("population %u, %u generations, selection by %s; real variation; scores made up: a random "
-         "landscape over voxels, no rollouts\n",
+  printf("population %u, %u generations, selection by %s; real variation; artificial scores: a "
+         "random landscape over voxels, no rollouts\n",
          evolution.settings.population, evolution.settings.generations,
          mo_selection_words[evolution.settings.selection.kind]);
   create(&evolution);

@@ -1,5 +1,5 @@
-/* evolution_store.c: what it costs to keep a campaign: commits, the database, the pages that
- * clients read. */
+/* evolution_store.c: the cost of storing a campaign: commits, the database, the pages that clients
+ * read. */
 #include "evolution_store.h"
 
 #include "bench.h"
@@ -197,7 +197,7 @@ static int take(void *context, const struct mo_bits *genotype)
   return status < 0 ? status : MO_OK;
 }
 
-/* What a process does that takes the campaign up again. */
+/* Does what a process does when it resumes the campaign. */
 static void resume(struct bench_campaign *campaign)
 {
   struct mo_campaign_state *state = NULL;
@@ -208,7 +208,7 @@ static void resume(struct bench_campaign *campaign)
   start = bench_now_s();
   bench_check(mo_seen_create(MO_DEFAULT_WORKSPACE, NULL, &seen), "seen");
   bench_check(mo_store_campaign_each(campaign->store, campaign->id, take, seen), "designs");
-  printf("taken up again: the population in %.3f s, the forms of %llu designs in %.2f s\n", state_s,
+  printf("resumed: the population in %.3f s, the forms of %llu designs in %.2f s\n", state_s,
          (unsigned long long)mo_seen_count(seen), bench_now_s() - start);
   mo_campaign_state_free(state);
   mo_seen_free(seen);

@@ -1,5 +1,5 @@
-/* evolution_store.h: `morpho-bench evolution --store`: each generation is committed to a store, as
- * the daemon does it. */
+/* evolution_store.h: `morpho-bench evolution --store`: commits each generation to a store, as the
+ * daemon does. */
 #ifndef MORPHO_BENCH_EVOLUTION_STORE_H
 #define MORPHO_BENCH_EVOLUTION_STORE_H
 
@@ -7,12 +7,12 @@
 
 struct bench_campaign;
 
-/* A new state folder in `folder`, with a zero-shot campaign that runs. */
+/* Makes a new state folder in `folder`, with a running zero-shot campaign. */
 struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings,
                                              const char *folder);
 
-/* A generation as it was before its selection: parents, then children. Losses are the scores, ten
- * times. */
+/* A generation before its selection: parents, then children. The losses are the scores, ten times.
+ */
 struct bench_generation {
   uint32_t generation, n_parents, n_children, n_survivors;
   const uint64_t *genotypes;             /* (n_parents + n_children, MO_DEFAULT_WORDS) */

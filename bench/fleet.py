@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-"""Measures what idle workers cost: a morphod of its own holds sessions that wait for work, each
-with a request for orders and one for leases. How long does /healthz take meanwhile, how much of a
-core does the daemon use, and does the number of its descriptors stay the same?"""
+"""Measures the cost of idle workers. Its own morphod holds sessions that wait for work, each with a
+request for orders and one for leases. How long does /healthz take meanwhile, how much of a core
+does the daemon use, and does the number of its descriptors stay constant?"""
 import argparse
 import asyncio
 import json
@@ -19,7 +19,7 @@ from workers import Workers, digest, results  # noqa: E402
 
 TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 PAUSE_S = 0.005  # between two probes
-# Runs in a process of its own, so that the work of the sessions here does not delay it.
+# Runs in its own process, so that the work of the sessions here does not delay it.
 PROBE = """
 import http.client, sys, time
 host, port, seconds, pause = sys.argv[1], *map(float, sys.argv[2:])
@@ -35,7 +35,7 @@ while time.monotonic() < end:
 
 
 class Connection:
-    """One connection of a worker; a request after the other."""
+    """One connection of a worker, for one request after the other."""
     def __init__(self, workers):
         self.workers, self.reader, self.writer = workers, None, None
 
@@ -74,20 +74,20 @@ async def session(workers, offer, number, ready):
 
 
 def used(pid):
-    """Processor seconds, and descriptors of a process."""
+    """Returns processor seconds and descriptors of a process."""
     fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
     return TICK_S * (int(fields[11]) + int(fields[12])), len(os.listdir(f"/proc/{pid}/fd"))
 
 
 async def measure(workers, n, seconds):
-    """The 99th percentile of /healthz in seconds, the share of a core, and by how many the
-    descriptors grew, while n sessions are idle."""
+    """Returns the 99th percentile of /healthz in seconds, the share of a core, and the growth in
+    descriptors, while n sessions are idle."""
     service, ready = workers.service, asyncio.Semaphore(0)
     pid, offer = service.process.pid, workers.offer()
     tasks = [asyncio.create_task(session(workers, offer, i, ready)) for i in range(n)]
     for _ in range(n):
         await asyncio.wait_for(ready.acquire(), 60)
-    await asyncio.sleep(min(3, seconds))  # each has asked for orders again
+    await asyncio.sleep(min(3, seconds))  # by now each has requested orders again
     before, begun = used(pid), time.monotonic()
     probe = await asyncio.create_subprocess_exec(
         sys.executable, "-c", PROBE, service.host, str(service.port), str(seconds), str(PAUSE_S),
@@ -118,7 +118,7 @@ def main():
     missed = 0
     for what, value, bound, unit in (("/healthz, 99th percentile", 1e3 * p99_s, 50, "ms"),
                                      ("of a core", 100 * share, 10, "%"),
-                                     ("descriptors more than at the begin", grown, 8, "")):
+                                     ("more descriptors than at the start", grown, 8, "")):
         missed += value > bound
         print(f"{what:<40} {value:10.1f} {unit:<3} bound {bound:6.0f}  "
               f"{'ok' if value <= bound else 'MISSED'}", flush=True)

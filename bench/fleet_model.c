@@ -1,12 +1,13 @@
 /* fleet_model.c: a daemon with up to 10,000 cores of workers, as a simulation of events.
  *
- * The sessions and leases are the real ones of src/fleet, on a clock that jumps from event to
- * event. Hosts, the network and the rest of the daemon are a few numbers: rates and costs that were
- * measured (docs/fleet.md). The daemon serves exchanges on some threads; what was delivered then
- * passes one thread that stores it. Printed: what the cores do, and how busy both stages are.
+ * Sessions and leases are the real code of src/fleet, on a clock that jumps from event to event.
+ * Hosts, the network and the rest of the daemon are a few numbers: measured rates and costs
+ * (docs/fleet.md). The daemon serves exchanges on several threads; a single thread then stores the
+ * results. Prints the throughput of the cores and the load of both stages.
  *
- * With `forecast WORKERS CORES RATE ROLLOUTS`: the seconds in which so many new workers of one
- * thread, which share so many cores of that rate, compute one evaluation (fleet_workers.py). */
+ * With `forecast WORKERS CORES RATE ROLLOUTS`, prints the seconds in which this many new workers
+ * with one thread each, which share this many cores of that rate, compute one evaluation
+ * (fleet_workers.py). */
 #include "../tests/unit/fleet/fake.h"
 
 #include "bench.h"
@@ -32,7 +33,7 @@ struct event {
 };
 
 struct host {
-  uint64_t session, free_ns; /* free: when its cores have done all that it holds */
+  uint64_t session, free_ns; /* free: when its cores will have computed everything that it holds */
   struct {
     struct mo_lease_id id;
     uint32_t rows;
@@ -47,9 +48,9 @@ struct model {
   struct host *hosts;
   struct event *heap;
   size_t n_events, capacity;
-  uint32_t n_hosts, cores, campaigns; /* campaigns 0: evaluations without end */
+  uint32_t n_hosts, cores, campaigns; /* campaigns 0: endless evaluations */
   double host_rate;                   /* rollouts per second */
-  bool is_finite;                     /* one evaluation, which is there from the start */
+  bool is_finite;                     /* one evaluation, which exists from the start */
   uint64_t api_free_ns[API_THREADS], store_free_ns, api_ns, submitted;
 };
 
@@ -97,14 +98,14 @@ static uint64_t store_cost_ns(const struct model *model)
   return model->campaigns > 0 ? COMMIT_NS : EVALUATION_NS;
 }
 
-/* Rows that were delivered and are not stored yet. */
+/* Returns the number of rows that were delivered but are not stored yet. */
 static uint64_t unstored(const struct model *model)
 {
   const uint64_t now_ns = model->fake->now_ns;
   return model->store_free_ns > now_ns ? (model->store_free_ns - now_ns) / store_cost_ns(model) : 0;
 }
 
-/* The rows that were delivered since go through the storing thread. */
+/* Passes the rows that were delivered since then to the storing thread. */
 static void store(struct model *model, uint64_t rows)
 {
   struct fake *fake = model->fake;
@@ -112,7 +113,7 @@ static void store(struct model *model, uint64_t rows)
   model->store_free_ns = begin + rows * store_cost_ns(model);
 }
 
-/* Evaluations keep the wanted blocks in flight, but for what waits to be stored. */
+/* Evaluations keep the wanted number of blocks in flight, minus those that wait to be stored. */
 static void refill(struct model *model)
 {
   struct fake *fake = model->fake;
@@ -123,13 +124,14 @@ static void refill(struct model *model)
     submit(model, (uint32_t)(fake->wanted - there));
 }
 
-/* Campaigns are alike and in step: a generation ends when all that is out was delivered. */
+/* Campaigns are alike and in step: a generation ends when all its rows were delivered. */
 static void end_generation(struct model *model)
 {
   struct fake *fake = model->fake;
   if (model->campaigns == 0 || fake->n_waiting + fake->n_taken > 0)
     return;
-  /* The next one begins while this is committed, but not before the last was. */
+  /* The next one begins while this one is committed, but not before the previous one was committed.
+   */
   const uint64_t begin = fake->now_ns + GAP_NS;
   const uint64_t cost = (uint64_t)GENERATION * BODY_ROWS * model->campaigns * COMMIT_NS;
   push(model,
@@ -137,7 +139,7 @@ static void end_generation(struct model *model)
                       false});
 }
 
-/* Sends what is ready to the daemon, which serves it when a thread is free. */
+/* Sends finished results to the daemon, which serves them when a thread is free. */
 static void exchange(struct model *model, int number)
 {
   struct host *host = &model->hosts[number];
@@ -179,7 +181,7 @@ static void exchange(struct model *model, int number)
     end_generation(model);
 }
 
-/* Sessions that were woken ask again. */
+/* Sessions that were woken send their requests again. */
 static void follow_wakes(struct model *model, uint32_t before)
 {
   struct fake *fake = model->fake;
@@ -230,7 +232,7 @@ static struct model *make_model(uint32_t n_hosts, uint32_t threads, double host_
   return model;
 }
 
-/* ---- a run that is measured, too ---- */
+/* ---- the forecast of a measured run ---- */
 
 static int forecast(char **argv)
 {
@@ -265,12 +267,12 @@ static void simulate(uint32_t cores, uint32_t campaigns, double seconds)
   struct fake *fake = model->fake;
   model->cores = cores;
   model->campaigns = campaigns;
-  /* Trusted ones: audits of the first 500 leases cost a tenth. */
+  /* Sessions are trusted already: audits of the first 500 leases would cost a tenth. */
   for (uint32_t h = 0; h < model->n_hosts; h++)
     mo_session_find(fake->fleet, model->hosts[h].session)->leases_done = 501;
   if (campaigns > 0)
     push(model, (struct event){fake->now_ns, -2, false});
-  /* A fifth of the time is the start, in which rates are found. */
+  /* The first fifth of the time is left out: rates are still being found. */
   const uint64_t begin_ns = fake->now_ns + (uint64_t)(2e8 * seconds);
   const uint64_t end_ns = fake->now_ns + (uint64_t)(1e9 * seconds);
   uint64_t rows = 0, api_ns = 0, leases = 0;

@@ -1,9 +1,9 @@
 #!/usr/bin/python3
-"""Measures how many rollouts per second a daemon can take from its workers: a morphod of its own
-computes nothing (compute=fleet), and a worker here answers every lease at once with the same row.
-All of the daemon's work is real: queues, leases, the messages with their digests, and the store.
-The time ends when the last evaluation has succeeded, that is, when its last score is committed.
-With --gradients it is a training, whose shards get a canned sum of 5 MB each."""
+"""Measures how many rollouts per second a daemon can accept from its workers. Its own morphod
+computes nothing (compute=fleet), and a worker here answers every lease immediately with the same
+row. All of the daemon's work is real: queues, leases, the messages with their digests, and the
+store. The measurement ends when the last evaluation has succeeded, that is, when its last score is
+committed. With --gradients, it measures a training; each shard gets a canned sum of 5 MB."""
 import argparse
 import json
 import pathlib
@@ -26,7 +26,7 @@ COUNTS = struct.Struct("<Q6Qd")
 
 
 def answers(leases):
-    """A message of canned results."""
+    """Returns a message of canned results."""
     parts = [HEADER.pack(b"MOFLEETR", 1, len(leases), HEADER.size + sum(
         RESULT.size + 12 * rows for _, rows in leases))]
     for (epoch, number), rows in leases:
@@ -36,7 +36,7 @@ def answers(leases):
 
 
 def shards(n_parameters):
-    """What answers leases of gradients."""
+    """Returns a function that answers leases of gradients."""
     total = struct.pack("<d", 1e-6) * n_parameters
 
     def answer(leases):
@@ -53,8 +53,8 @@ def shards(n_parameters):
 
 
 class Canned(threading.Thread):
-    """A worker that computes nothing; `connection` lasts for all of its requests. most: results of
-    a message."""
+    """A worker that computes nothing. All of its requests use `connection`. most: results per
+    message."""
     def __init__(self, workers, n_threads, answer=answers, most=8):
         super().__init__(daemon=True)
         self.workers, self.over, self.rows, self.leases = workers, False, 0, 0
@@ -89,7 +89,7 @@ class Canned(threading.Thread):
 
 
 def train(service, steps):
-    """A training of many shards in each step, of bodies that need not be drawn."""
+    """Submits a training with many shards per step, on bodies that need not be drawn."""
     drawn = service.post("/v1/bodies/random", {"count": SHARD, "seed": 1})["items"]
     return [service.post("/v1/trainings", {
         "kind": "finetune", "name": "canned", "steps": steps, "batch": BATCH,
@@ -98,7 +98,8 @@ def train(service, steps):
 
 
 def submit(service, n, seed):
-    """Evaluations of new designs in the paper's test set, which wait: nobody computes yet."""
+    """Submits evaluations of new designs in the paper's test set. They wait, because nothing
+    computes yet."""
     jobs = []
     for i in range(n):
         drawn = service.post("/v1/bodies/random", {"count": N_DESIGNS, "seed": seed + i})["items"]
@@ -133,7 +134,7 @@ def main():
         workers = Workers(service)
         jobs = train(service, asked.gradients) if asked.gradients else \
             submit(service, asked.evaluations, 1)
-        # They join last: a session that says nothing for six seconds is lost.
+        # They join last: a session that sends nothing for six seconds is lost.
         canned = [Canned(workers, 1000 + i, **how) for i in range(asked.sessions)]
         begun, used = time.monotonic(), used_s(service.process.pid)
         for one in canned:
@@ -141,7 +142,7 @@ def main():
         for job in jobs:
             while service.get(f"/v1/jobs/{job}")["state"] not in ("succeeded", "failed"):
                 if not all(one.is_alive() for one in canned):
-                    return 1  # the thread has said why
+                    return 1  # the thread has printed the reason
                 time.sleep(0.05)
         took, used = time.monotonic() - begun, used_s(service.process.pid) - used
         states = [service.get(f"/v1/jobs/{job}")["state"] for job in jobs]

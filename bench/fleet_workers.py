@@ -1,14 +1,15 @@
 #!/usr/bin/python3
-"""Measures what the way to workers costs: a morphod of its own leaves an evaluation to one worker
-with one thread, to three of them, and to one behind 150 ms of delay. The bounds: three compute at
-least 95 % of one's rollouts per processor second, and behind the delay the one has work for at
-least 95 % of the time. What three compute twice is counted and shown: audits take one lease in ten
-of a new session. Other load on the machine changes rates, but hardly the two ratios.
+"""Measures the cost of the transport to workers. Its own morphod leaves an evaluation to one worker
+with one thread, to three of them, and to one behind a delay of 150 ms. The bounds: three workers
+compute at least 95 % of the rollouts per processor second of one, and the worker behind the delay
+has work for at least 95 % of the time. Rollouts that three workers compute twice are counted and
+shown: audits take one lease in ten of a new session. Other load on the machine changes the rates,
+but hardly the two ratios.
 
-With --model: rollouts per second of one, two, four and more workers (--counts), as many as leave
-the daemon a core, beside what the model of a fleet (fleet_model.c) says for so many on the cores of
-this machine, when a core computes as many per processor second as in the same run. The bound: they
-differ by at most 10 %, on an idle machine."""
+With --model: measures rollouts per second of one, two, four and more workers (--counts), as many as
+leave the daemon a core, and compares them with the forecast of the model of a fleet (fleet_model.c)
+for the cores of this machine. The model uses the rollouts per processor second of the same run. The
+bound: they differ by at most 10 % on an idle machine."""
 import argparse
 import os
 import pathlib
@@ -25,21 +26,21 @@ from fleet import used  # noqa: E402
 from machines import Worker, fleet_address  # noqa: E402
 from network import Delay  # noqa: E402
 
-N_ENVIRONMENTS = 10  # the service's own
+N_ENVIRONMENTS = 10  # the default of the service
 LEAST = 0.95
 DIFFERENCE = 0.1
 
 
 def runnable_s(worker):
-    """For how long the thread that computes had work: it ran, or waited for a processor."""
+    """Returns how long the computing thread had work: it ran, or waited for a processor."""
     tasks = pathlib.Path(f"/proc/{worker.process.pid}/task").iterdir()
     return max(sum(map(int, (task / "schedstat").read_text().split()[:2])) for task in tasks) / 1e9
 
 
 def rates(n_workers, delay_s, designs):
-    """Rollouts per processor second of the workers, and new ones per second; the share computed
-    twice; the share of the time in which the first worker had work; the processors that they
-    had."""
+    """Returns rollouts per processor second of the workers, new rollouts per second, the share
+    computed twice, the share of the time in which the first worker had work, and the processors
+    that they had."""
     with tempfile.TemporaryDirectory(prefix="morphod-bench-") as folder:
         settings = {"workers": 1, "compute": "fleet", "fleet_listen": "127.0.0.1:0"}
         workers = []
@@ -67,17 +68,17 @@ def rates(n_workers, delay_s, designs):
 
 
 def modeled(n_workers, cores, rate, n_designs):
-    """Rollouts per second, as the model says."""
+    """Returns rollouts per second according to the model."""
     n = n_designs * N_ENVIRONMENTS
-    told = subprocess.run([BUILD / "bench" / "morpho-bench", "fleet-model", "forecast",
+    done = subprocess.run([BUILD / "bench" / "morpho-bench", "fleet-model", "forecast",
                            str(n_workers), str(cores), str(rate), str(n)], check=True,
                           capture_output=True, text=True).stdout
-    return n / float(told)
+    return n / float(done)
 
 
 def compare(n_designs, counts):
-    """Measured rates beside those of the model, with so many designs for each worker; how many of
-    them differ too much."""
+    """Prints measured rates next to those of the model, with this many designs per worker. Returns
+    how many of them differ too much."""
     missed, cores = 0, os.cpu_count()
     for n_workers in counts:
         designs = bodies(1, n_designs * n_workers)
@@ -95,7 +96,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--designs", type=int, default=2000)
     parser.add_argument("--delay-s", type=float, default=0.15)
-    parser.add_argument("--model", action="store_true", help="beside the model's forecast")
+    parser.add_argument("--model", action="store_true", help="compare with the model's forecast")
     parser.add_argument("--counts", help="of workers, with --model: 1,2,4,…")
     asked = parser.parse_args()
     if asked.model:

@@ -1,12 +1,12 @@
-/* gradient.c: how fast one core differentiates rollouts, and what memory it takes.
+/* gradient.c: how fast one core differentiates rollouts, and how much memory it needs.
  *
  * The sample: the first distinct bodies of the seed's stream, each in one training environment,
- * with a trained controller and with random weights. The yardstick: the time that one core's best
- * OpenBLAS sgemm rate, measured in the same run, would need for three times the arithmetic of the
- * controller restricted to each body's masses and springs: once forward, and going back once for
- * the inputs' and once for the weights' gradient. Blocks and products alternate, so that both see
- * the same moods of the machine; both are counted in processor time of the one thread that runs
- * them. */
+ * with a trained controller and with random weights. The reference: the time that OpenBLAS sgemm on
+ * one core, at its best rate in the same run, would need for three times the arithmetic of the
+ * controller restricted to each body's masses and springs: once for the forward pass, and in the
+ * backward pass once for the gradient of the inputs and once for that of the weights. Blocks and
+ * products alternate, so that both run under the same conditions. Both are counted in processor
+ * time of the thread that runs them. */
 #include "bench.h"
 
 #include <math.h>
@@ -25,7 +25,7 @@ enum { SAMPLE = 256, BUDGETS = 5 };
 struct sample {
   const struct bench_scene *scene;
   uint32_t n, n_blocks;
-  struct mo_robot *ordered; /* (n) the scene's, as arranged */
+  struct mo_robot *ordered; /* (n) those of the scene, rearranged */
   float *d_parameters;
   struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
   struct mo_gradient_options options;
@@ -52,7 +52,7 @@ static uint32_t block_size(const struct sample *s, uint32_t block)
   return left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
 }
 
-/* FLOP of three times the controller for one block. */
+/* Returns the FLOP of three times the controller for one block. */
 static double block_flop(const struct sample *s, uint32_t block)
 {
   double flop = 0;
@@ -118,15 +118,15 @@ static void print_report(const struct report *r, const char *name)
          "%.3f, worst %.3f)\n",
          r->ratio, r->ratio_median, r->ratio_worst);
   printf("scratch: %.1f MiB\n", r->mib);
-  printf("steps of the way back that were clipped: %.2f %%, in %llu robots; zeroed %llu, diverged "
-         "%llu\n",
+  printf("steps of the backward pass that were clipped: %.2f %%, in %llu robots; zeroed %llu, "
+         "diverged %llu\n",
          100 * clipped, (unsigned long long)r->counts.clipped_robots,
          (unsigned long long)r->counts.zeroed_robots,
          (unsigned long long)r->counts.diverged_robots);
 }
 
-/* Smaller budgets: more is computed twice, and not a bit changes. Two blocks, the better of two
- * times. False if a bit did. */
+/* Smaller budgets: more is computed twice, but no bit may change. Measures two blocks, the better
+ * of two times each. Returns false if a bit changed. */
 static bool print_budgets(struct sample *s, const struct mo_controller *controller, enum mo_isa isa,
                           const struct bench_sgemm *sgemm)
 {
@@ -162,7 +162,8 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   return same;
 }
 
-/* While the workers differentiate: how long an urgent block of one step takes, waiting included. */
+/* Measures how long an urgent block of one step takes while the workers differentiate, including
+ * its wait. */
 struct urgent {
   const struct sample *sample;
   struct mo_compute *compute;
@@ -191,7 +192,8 @@ static void *submit_urgent(void *argument)
   return NULL;
 }
 
-/* The whole sample as one batch, by n workers; with `urgent`, while urgent blocks come. Seconds. */
+/* Computes the whole sample as one batch, with n workers; with `urgent`, while urgent blocks
+ * arrive. Returns seconds. */
 static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t workers,
                           struct urgent *urgent, double *d_parameters, double *worker_mib)
 {
@@ -256,14 +258,11 @@ static void measure_back_end(struct back_end *b, const struct sample *s, enum mo
 
 static void print_back_end(const struct back_end *b, const struct sample *s)
 {
-  printf(
-      "\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the same "
-      "bits: %s\n"
-      "%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f robots/s beside "
-      "them\n"
-      "a worker's scratch: %.1f MiB\n",
-      s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent,
-      1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
+  printf("\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the "
+         "same bits: %s\n%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f "
+         "robots/s meanwhile\na worker's scratch: %.1f MiB\n",
+         s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent,
+         1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
 }
 
 int bench_gradient(const struct bench_options *options)

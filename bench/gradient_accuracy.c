@@ -1,9 +1,9 @@
 /* gradient_accuracy.c: the float32 gradient of a batch against the float64 reference, at full size:
  * distinct random bodies, each in one training environment, 1000 steps, trained and random
- * controller, with clipping, where adjoints restart, and without a bound. The bound is for
- * random weights, where learning starts. What a trained controller makes of 1000 steps is chaos for
- * part of the robots: float64 does not agree with itself there once the lights are moved by 1e-7 m,
- * which is printed beside. */
+ * controller, with clipping, with restarting adjoints, and without a bound. The bound applies to
+ * random weights, where learning starts. With a trained controller, 1000 steps are chaotic for some
+ * robots: there float64 does not agree with itself once the lights are moved by 1e-7 m. This is
+ * printed for comparison. */
 #include "bench.h"
 
 #include <math.h>
@@ -22,7 +22,7 @@ static const char *const tensor_names[MO_CONTROLLER_TENSORS] = {
     "net.3.bias",   "net.4.weight", "net.4.bias",   "net.6.weight", "net.6.bias",
     "net.7.weight", "net.7.bias",   "net.9.weight", "net.9.bias"};
 
-/* A batch, its gradients (n_parameters) and what its robots gave (n). */
+/* A batch, its gradients (n_parameters) and the results of its robots (n). */
 struct comparison {
   const struct bench_scene *scene;
   const struct mo_controller *controller;
@@ -36,7 +36,8 @@ struct comparison {
   struct mo_gradient_counts fast_counts, counts;
 };
 
-/* The robots t, t + threads, …, each alone, by the reference and by the fast path. */
+/* Differentiates the robots t, t + threads, …, each separately, with the reference and with the
+ * fast path. */
 struct share {
   struct comparison *comparison;
   uint32_t first;
@@ -103,7 +104,7 @@ static void *run_share(void *argument)
   return NULL;
 }
 
-/* Sums of all robots, thread by thread. */
+/* Adds the sums of all robots, thread by thread. */
 static void run_reference(struct comparison *c)
 {
   struct share shares[THREADS_MAX];
@@ -157,7 +158,7 @@ static void print_counts(const char *name, const struct mo_gradient_counts *coun
          (unsigned long long)counts->diverged_robots, counts->largest, seconds);
 }
 
-/* Robot by robot: 1 − cosine, and the share of robots below 1e-3. */
+/* Prints 1 − cosine robot by robot, and the share of robots below 1e-3. */
 static void print_spread(const char *words, double *difference, uint32_t n)
 {
   uint32_t alike = 0;
@@ -168,7 +169,7 @@ static void print_spread(const char *words, double *difference, uint32_t n)
          bench_quantile(difference, n, 0.9), 100.0 * alike / n);
 }
 
-/* Of the robots that neither path saw diverge. */
+/* Prints the difference in loss of the robots that diverged in neither path. */
 static void print_losses(const struct comparison *c)
 {
   double *differences = bench_zeros(c->n, sizeof(double));
@@ -260,11 +261,11 @@ int bench_gradient_accuracy(const struct bench_options *options)
     restart.restart_weight = i == 0 ? 1 : MO_RESTART_WEIGHT;
     restarted = compare(&scene, scene.random, "random weights", options, restart) && restarted;
   }
-  restart.adjoint_bound = 8; /* of the shipped controller's recipe */
+  restart.adjoint_bound = 8; /* from the recipe of the shipped controller */
   (void)compare(&scene, scene.random, "random weights", options, restart);
   (void)compare(&scene, scene.controller, "trained controller", options, restart);
   printf("\nbound: cosine with clipping, random weights ≥ %.3f %s\n", COSINE_BOUND,
          random ? "ok" : "MISSED");
-  printf("bound: the same where adjoints restart above 2 %s\n", restarted ? "ok" : "MISSED");
+  printf("bound: the same with adjoints that restart above 2 %s\n", restarted ? "ok" : "MISSED");
   return random && restarted ? 0 : 1;
 }

@@ -1,14 +1,14 @@
 #!/usr/bin/python3
-"""Measures from outside what a morphod of its own does while its cores compute.
+"""Measures from outside how its own morphod behaves while the cores compute.
 
-load: a batch of 10,000 designs in the paper's test set keeps the cores busy. How long does a
-request of so many take to be accepted, that is, durable, idle and under load; what is the latency
-of /healthz over 64 connections without pauses; how long does one interactive design take from the
+load: a batch of 10,000 designs in the paper's test set keeps the cores busy. How long does it take
+until such a request is accepted, that is, durable, when idle and under load? What is the latency of
+/healthz over 64 connections without pauses? How long does one interactive design take from the
 request to its score?
 
-shares: a batch evaluation of 10,000 designs, a training and four zero-shot campaigns, of different
-weights. Does each get its part of the cores, and do small evaluations keep their speed? The
-training's rollouts are short: a block of gradients over 1000 steps takes seconds, and with it a
+shares: a batch evaluation of 10,000 designs, a training and four zero-shot campaigns, with
+different weights. Does each get its share of the cores, and do small evaluations keep their speed?
+The rollouts of the training are short: a block of gradients over 1000 steps takes seconds, so a
 fair measurement would take many minutes."""
 import argparse
 import json
@@ -37,14 +37,14 @@ def quantile(values, share):
 
 
 def verdict(what, value, bound, unit="ms"):
-    """1 if the bound is missed."""
+    """Prints a measurement. Returns 1 if the bound is missed."""
     print(f"{what:<58} {value:10.1f} {unit:<3} bound {bound:6.0f}  "
           f"{'ok' if value <= bound else 'MISSED'}", flush=True)
     return value > bound
 
 
 def timed(function, *arguments):
-    """Milliseconds, and what it returns."""
+    """Returns the milliseconds of a call, and its result."""
     begun = time.monotonic()
     value = function(*arguments)
     return 1e3 * (time.monotonic() - begun), value
@@ -57,7 +57,7 @@ class Busy:
         self.daemon, self.seed = daemon, seed
 
     def evaluation(self, n, wait="", **more):
-        """How long a request of n bodies takes, and the reply."""
+        """Returns how long a request of n bodies takes, and the reply."""
         self.seed += 1
         drawn = self.daemon.call("/v1/bodies/random", {"count": n, "seed": self.seed})["items"]
         body = {"designs": [{"voxels": one["genotype"]} for one in drawn], **more}
@@ -70,7 +70,7 @@ class Busy:
         return self.evaluation(N_DESIGNS, priority="batch", **more)
 
     def interactive(self, n, pause_s):
-        """How long one design takes, n times."""
+        """Returns how long one design takes, n times."""
         taken = []
         for _ in range(n):
             took, reply = self.evaluation(1, "wait=30")
@@ -82,7 +82,7 @@ class Busy:
 
 
 def ask_health(address, duration_s):
-    """64 connections that ask again as soon as they are answered: latencies in ms."""
+    """64 connections that send the next request after each reply. Returns latencies in ms."""
     url, selector = urllib.parse.urlsplit(address), selectors.DefaultSelector()
     taken, begun = [], {}
     end = time.monotonic() + duration_s
@@ -147,7 +147,7 @@ def shares(busy, quick):
             daemon.call("/v1/trainings", training) | {"kind_of": "trainings"}]
     jobs += [daemon.call("/v1/campaigns", campaign | {"seed": i + 1, "weight": weight})
              | {"kind_of": "campaigns"} for i, weight in enumerate(WEIGHTS)]
-    until = time.monotonic() + 120  # what the first blocks cost is a guess
+    until = time.monotonic() + 120  # the cost of the first blocks is only estimated
     while min(busy_s(daemon, job) for job in jobs) <= 1:
         if time.monotonic() > until:
             sys.exit("not every job computes")
@@ -159,7 +159,7 @@ def shares(busy, quick):
     got = [busy_s(daemon, job) - start for job, start in zip(jobs, before)]
     weights = [job["weight"] for job in jobs]
     print(f"worker seconds in {seconds} s\n"
-          "job              weight  worker s     part  by weight  off by")
+          "job              weight  worker s    share  by weight  off by")
     most = 0
     for job, weight, worker_s in zip(jobs, weights, got):
         part, wanted = worker_s / sum(got), weight / sum(weights)
@@ -171,7 +171,7 @@ def shares(busy, quick):
     taken = busy.interactive(60, 0.1)
     missed += verdict("one interactive design × 10 environments, 95th percentile",
                       quantile(taken, 0.95), 1500)
-    print(f"  (60 times beside them: median {statistics.median(taken):.0f} ms, longest "
+    print(f"  (60 times meanwhile: median {statistics.median(taken):.0f} ms, longest "
           f"{max(taken):.0f} ms)")
     return missed
 

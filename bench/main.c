@@ -7,34 +7,25 @@
 static const char usage[] =
     "Usage: morpho-bench "
     "rollout|gradient|gradient-accuracy|accuracy|stability|space|store|stream|evolution "
-    "[OPTION…]\n"
-    "\n"
-    "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its "
-    "best sgemm rate\n"
-    "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; "
-    "memory; the back end\n"
-    "  gradient-accuracy  float32 against float64 gradient of 256 rollouts\n"
-    "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
-    "  stability  time steps and stiffnesses that rollouts survive, beside the linear bound, as "
-    "CSV\n"
-    "  space     speed of drawing, naming and varying random bodies\n"
-    "  store     speed of durable submissions, saves and queries, in a new folder of the folder "
-    "named (default /tmp)\n"
-    "  stream    the distinct bodies of a pretraining: time and memory\n"
-    "  evolution  a campaign's bookkeeping beside its rollouts; `morpho-bench evolution --help`\n"
-    "\n"
-    "  --bodies N         another number of bodies\n"
-    "  --seed N           seed of the bodies' stream (default 1)\n"
-    "  --workers N        threads of `accuracy`, `gradient-accuracy`, `stability` (default: one "
-    "per processor)\n"
-    "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
-    "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
-    "  --quick            a tenth of the bodies\n";
+    "[OPTION…]\n\n  rollout   speed of one core on 200 distinct random bodies × the paper test "
+    "set, against its best sgemm rate\n  gradient  speed of one core differentiating 256 rollouts, "
+    "against its best sgemm rate; memory; the back end\n  gradient-accuracy  float32 against "
+    "float64 gradient of 256 rollouts\n  accuracy  run time against error for precisions, impact "
+    "modes and time steps, as CSV\n  stability  time steps and stiffnesses that rollouts survive, "
+    "with the linear bound, as CSV\n  space     speed of drawing, naming and varying random "
+    "bodies\n  store     speed of durable submissions, saves and queries, in a new folder in the "
+    "given folder (default /tmp)\n  stream    the distinct bodies of a pretraining: time and "
+    "memory\n  evolution  a campaign's bookkeeping without its rollouts; `morpho-bench evolution "
+    "--help`\n\n  --bodies N         another number of bodies\n  --seed N           seed of the "
+    "bodies' stream (default 1)\n  --workers N        threads of `accuracy`, `gradient-accuracy`, "
+    "`stability` (default: one per processor)\n  --isa NAME         x86-64, avx2 or avx512 "
+    "(default: the best that runs here)\n  --controller PATH  safetensors file (default "
+    "data/controllers/bootstrap.safetensors)\n  --quick            a tenth of the bodies\n";
 
 static const struct {
   const char *name;
   int (*run)(const struct bench_options *options);
-  int (*run_with)(int argc, char **argv); /* in its place: takes what follows its name */
+  int (*run_with)(int argc, char **argv); /* or this one, which gets the arguments after the name */
 } benchmarks[] = {
     {"rollout", bench_rollout, NULL},   {"fleet-model", NULL, bench_fleet_model},
     {"gradient", bench_gradient, NULL}, {"gradient-accuracy", bench_gradient_accuracy, NULL},
@@ -55,7 +46,7 @@ int main(int argc, char **argv)
   struct bench_options options = {
       .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
   bench_sgemm_choose(argv);
-  if (argc > 1 && strcmp(argv[1], "evolution") == 0) /* has options of its own */
+  if (argc > 1 && strcmp(argv[1], "evolution") == 0) /* has its own options */
     return bench_evolution(argc - 1, argv + 1);
   int option;
   while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)

@@ -1,9 +1,9 @@
 #!/usr/bin/python3
-"""Measures what racing saves: the same campaign without and with it, each in a state folder of its
-own. Prints rollouts and seconds of both, and whether all their lives are the same: births, deaths,
-populations, statistics, learned weights. For a zero-shot campaign also what could be saved:
-reckoned beforehand from the losses of the campaign without racing, for several ways to cut the
-environments into waves, and for three orders of the environments. With --best, the same for an
+"""Measures the savings of racing: the same campaign without and with it, each in its own state
+folder. Prints rollouts and seconds of both, and whether their histories are the same: births,
+deaths, populations, statistics, learned weights. For a zero-shot campaign, also prints an estimate
+of the savings from the losses of the campaign without racing, for several ways to split the
+environments into waves, and for three orders of the environments. With --best, does the same for an
 evaluation of the best of random bodies."""
 import argparse
 import csv
@@ -26,7 +26,7 @@ WAVES = ((2, 8), (4, 6), (2, 3, 5), (2, 2, 2, 4), (1,) * 10)  # of ten environme
 
 
 def start(options, folder):
-    """A daemon with a state folder of its own."""
+    """Starts a daemon with its own state folder."""
     daemon = Daemon(folder, workers=options.workers, log_level="error",
                     devices="auto" if options.device == "gpu" else "none",
                     default_controller=options.controller)
@@ -35,9 +35,9 @@ def start(options, folder):
 
 
 def run(daemon, options, racing):
-    """Runs the campaign to its end. Returns rollouts and seconds of its generations but the first,
-    the seconds of cores and devices, and its history. Prints what the device did: how long no call
-    was in flight is the host's time between calls."""
+    """Runs the campaign to its end. Returns rollouts and seconds of its generations except the
+    first, the seconds of cores and devices, and its history. Prints the activity of the device: the
+    time without a call in flight is the host's time between calls."""
     value = {"mode": options.mode, "seed": options.seed, "exclude_pretraining": False,
              "racing": racing}
     if options.mode != "zero-shot":
@@ -74,7 +74,7 @@ def read_losses(folder):
             for born, died, losses, n in rows]
 
 
-def reckon(designs, waves, order_of):
+def estimate(designs, waves, order_of):
     """Returns the share of the children's rollouts that a race would compute."""
     n = len(designs[0][2])
     computed = whole = 0
@@ -110,14 +110,15 @@ def hardest(parents):
     return sorted(range(len(parents[0])), key=lambda k: -mean(k))
 
 
-def print_reckoned(designs):
-    print("reckoned beforehand, rollouts of children by order of the environments:")
+def print_estimates(designs):
+    print("estimated rollouts of children, by order of the environments:")
     print("waves       largest spread first   hardest first   as in the set")
     for waves in WAVES:
         if sum(waves) == len(designs[0][2]):
             print(f"{'+'.join(map(str, waves)) if len(set(waves)) > 1 else 'single':12}"
-                  f"{reckon(designs, waves, spread):20.3f}{reckon(designs, waves, hardest):16.3f}"
-                  f"{reckon(designs, waves, lambda parents: range(len(parents[0]))):16.3f}")
+                  f"{estimate(designs, waves, spread):20.3f}"
+                  f"{estimate(designs, waves, hardest):16.3f}"
+                  f"{estimate(designs, waves, lambda parents: range(len(parents[0]))):16.3f}")
 
 
 def main():
@@ -126,8 +127,8 @@ def main():
     parser.add_argument("--preset", help="its population and generations")
     parser.add_argument("--population", type=int, help="default: the preset's, or 512")
     parser.add_argument("--generations", type=int, help="default: the preset's, or 100")
-    parser.add_argument("--best", type=int, help="an evaluation that asks for so many")
-    parser.add_argument("--designs", type=int, default=10000, help="of so many random bodies")
+    parser.add_argument("--best", type=int, help="an evaluation of this many best designs")
+    parser.add_argument("--designs", type=int, default=10000, help="random bodies of it")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--device", choices=("cpu", "gpu"), default="cpu")
     parser.add_argument("--workers", type=int, default=0, help="0: one per processor")
@@ -152,9 +153,9 @@ def main():
     cut = check_same_lives(raced[3], whole[3])
     print(f"share     {raced[0] / whole[0]:9.3f} of the rollouts, {raced[1] / whole[1]:.3f} of the"
           f" time, {raced[2] / whole[2]:.3f} of that of cores and devices; {cut} children cut"
-          " short; all lives the same")
+          " short; the same histories")
     if options.mode == "zero-shot":
-        print_reckoned(designs)
+        print_estimates(designs)
     return 0
 
 

@@ -1,5 +1,5 @@
-"""What an evaluation of the best designs saves (src/evolution/best.c): of N random bodies, with all
-scores and with those of the K best, each in a state folder of its own."""
+"""The savings of an evaluation of the best designs (src/evolution/best.c): N random bodies, with
+all scores and with those of the K best, each in its own state folder."""
 import math
 import sqlite3
 import struct
@@ -11,12 +11,12 @@ PLANS = ((1, 2, 7), (1, 3, 6), (2, 3, 5), (2, 8), (4, 6), (1,) * 10)  # waves of
 
 def evaluate(daemon, value):
     begin = time.monotonic()
-    told = daemon.score(value, timeout_s=86400)
-    return told, time.monotonic() - begin
+    status = daemon.score(value, timeout_s=86400)
+    return status, time.monotonic() - begin
 
 
 def read_losses(folder):
-    """The losses of every body, in the order of the request."""
+    """Returns the losses of every body, in the order of the request."""
     connection = sqlite3.connect(f"file:{folder}/state/morphod.db?mode=ro", uri=True)
     rows = connection.execute(
         "SELECT s.losses,length(c.environments)/8 FROM job_designs d"
@@ -30,9 +30,9 @@ def worst_of_best(scores, k):
     return sorted(scores)[k - 1] if len(scores) >= k else math.inf
 
 
-def reckon(designs, k, waves, hardest_first):
-    """Returns the share of the rollouts that a race in rounds computes, and that of its time on a
-    core where a block costs as much as two rollouts more than it has."""
+def estimate(designs, k, waves, hardest_first):
+    """Returns the share of the rollouts that a race in rounds computes, and the share of its time
+    on a core, where a block costs as much as its rollouts plus two."""
     n, m = len(designs), len(designs[0])
     n_few = min(max(n // 16, 4), 64)
     few = [i * n // n_few for i in range(n_few)]
@@ -64,8 +64,8 @@ def reckon(designs, k, waves, hardest_first):
 
 
 def ceiling(designs, k):
-    """The share that is needed even if the bound were known, and with it the environment in which
-    each body is worst."""
+    """Returns the share that would be needed even if the bound, and the worst environment of each
+    body, were known."""
     m = len(designs[0])
     bound = worst_of_best([sum(losses) for losses in designs], k)
     needed = 0
@@ -80,7 +80,8 @@ def ceiling(designs, k):
 
 
 def is_exact(raced, full, k):
-    """Whether the best and their equals are the same, and bounds are bounds."""
+    """Returns whether the best designs and their equals are the same, and whether all bounds
+    hold."""
     def score(row):
         return math.inf if row["score"] is None else row["score"]
 
@@ -90,7 +91,7 @@ def is_exact(raced, full, k):
 
 
 def measure(options, start):
-    """start: makes a daemon in a folder. Returns the exit status."""
+    """start: starts a daemon in a folder. Returns the exit status."""
     found = {}
     for best in (None, options.best):
         with tempfile.TemporaryDirectory(prefix="morphod-racing-") as folder:
@@ -98,13 +99,13 @@ def measure(options, start):
                 bodies = daemon.post("/v1/bodies/random", {"count": options.designs,
                                                            "seed": options.seed})["items"]
                 value = {"designs": [{"voxels": body["genotype"]} for body in bodies]}
-                told, seconds = evaluate(daemon, value | ({"best": best} if best else {}))
+                status, seconds = evaluate(daemon, value | ({"best": best} if best else {}))
                 daemon.stop()
             if best is None:
                 designs = read_losses(folder)
-        rollouts = told["rollouts_total"] - told["rollouts_cut"]
-        cores = told["core_seconds"] + told["device_seconds"]
-        found[best] = (rollouts, seconds, cores, told["results"])
+        rollouts = status["rollouts_total"] - status["rollouts_cut"]
+        cores = status["core_seconds"] + status["device_seconds"]
+        found[best] = (rollouts, seconds, cores, status["results"])
         print(f"{f'best {best}' if best else 'all':9} {rollouts:9} rollouts, {seconds:8.2f} s,"
               f" {cores:8.2f} s of cores and devices", flush=True)
     (rollouts, seconds, cores, full), (raced_rollouts, raced_seconds, raced_cores,
@@ -115,11 +116,11 @@ def measure(options, start):
           f" {raced_cores / cores:.3f} of that of cores and devices;"
           f" {'exact' if exact else 'NOT EXACT'};"
           f" ceiling {ceiling(designs, options.best):.3f} of the rollouts")
-    print("reckoned beforehand, rollouts (and time of a core) by order of the environments:")
+    print("estimated rollouts (and time of a core), by order of the environments:")
     print("waves        hardest first    as in the set")
     for waves in PLANS:
         if sum(waves) == len(designs[0]):
-            one, other = (reckon(designs, options.best, waves, first) for first in (True, False))
+            one, other = (estimate(designs, options.best, waves, first) for first in (True, False))
             print(f"{'+'.join(map(str, waves)) if len(set(waves)) > 1 else 'single':11}"
                   f"{one[0]:8.3f} ({one[1]:.3f}){other[0]:9.3f} ({other[1]:.3f})")
     return 0 if exact else 1

@@ -1,11 +1,10 @@
-/* rollout.c: how fast one core scores bodies, and how that compares with what its matrix products
- * could do.
+/* rollout.c: how fast one core scores bodies, compared with the speed of its matrix products.
  *
- * The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would
+ * The reference: the time that OpenBLAS sgemm on one core, at its best rate in the same run, would
  * need for the arithmetic of the controller restricted to the body's masses and springs, 2 ·
  * [(masses + 5) · 256 + 2 · 256 · 256 + 256 · springs] per step. Rollouts and products alternate,
- * so that both see the same moods of the machine; both are counted in processor time of the one
- * thread that runs them. */
+ * so that both run under the same conditions. Both are counted in processor time of the thread that
+ * runs them. */
 #include "bench.h"
 
 #include <stdlib.h>
@@ -28,7 +27,7 @@ static void runner_create(struct runner *runner, const struct bench_scene *scene
   bench_check(mo_workspace_memory_create(&runner->memory), "scratch");
 }
 
-/* Seconds for one body in the first n environments of the paper test set. */
+/* Returns the seconds for one body in the first n environments of the paper test set. */
 static double run_s(const struct runner *runner, const struct mo_pack *pack,
                     const struct bench_scene *scene, const struct mo_body *body, uint32_t n,
                     const struct mo_physics *physics)
@@ -61,11 +60,11 @@ struct report {
   double rollouts_per_s, rollouts_per_s_best; /* median and best round */
   double sgemm_median, sgemm_best;            /* FLOP/s over the rounds */
   double ratio, ratio_median,
-      ratio_worst; /* whole sample against the best sgemm; per round against the round's own */
+      ratio_worst; /* whole sample against the best sgemm; per round against that of the round */
   double active_share;
 };
 
-/* The sample in ROUNDS parts, a measurement of sgemm before and after each. */
+/* Measures the sample in ROUNDS parts, with a measurement of sgemm before and after each. */
 static void measure_sample(struct report *report, const struct runner *runner,
                            const struct bench_scene *scene, const struct mo_physics *physics)
 {
@@ -125,7 +124,7 @@ static void print_sample(const struct report *r)
          100 * r->active_share);
 }
 
-/* Time against the size of the body. Returns largest over smallest. */
+/* Measures the time against the size of the body. Returns largest over smallest. */
 static double print_sizes(const struct runner *runner, const struct bench_scene *scene,
                           const struct mo_physics *physics)
 {
@@ -146,7 +145,7 @@ static double print_sizes(const struct runner *runner, const struct bench_scene 
   return last_s / first_s;
 }
 
-/* What the same body costs when parts of the scene are missing. */
+/* Measures the cost of the same body when parts of the scene are missing. */
 static void print_skipping(const struct runner *runner, const struct bench_scene *scene,
                            const struct mo_physics *physics)
 {
@@ -164,7 +163,7 @@ static void print_skipping(const struct runner *runner, const struct bench_scene
   mo_body_free(body);
 }
 
-/* Rollouts per second of the whole back end with n workers. */
+/* Returns rollouts per second of the whole back end with n workers. */
 static double back_end_rate(const struct bench_scene *scene, const struct bench_options *options,
                             uint32_t workers, uint32_t n_bodies, const struct mo_physics *physics,
                             size_t *worker_bytes)
@@ -192,8 +191,8 @@ static double back_end_rate(const struct bench_scene *scene, const struct bench_
   return rate;
 }
 
-/* The most that a worker can hold: the full lattice in float64, once as a batch block and once
- * overtaking it. */
+/* Returns the most memory that a worker can hold: the full lattice in float64, once as a batch
+ * block and once as an urgent block that overtakes it. */
 static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
                          enum mo_precision precision)
 {

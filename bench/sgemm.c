@@ -1,9 +1,10 @@
 /* sgemm.c: how fast one core multiplies matrices, by OpenBLAS.
  *
- * OpenBLAS knows processors by their numbers. One that is newer than the library gets the kernels
- * of the oldest, which are five times as slow; and an environment may name others, for the same
- * bits on all machines, that are half as fast as the processor's own: yardsticks that anything
- * would meet. The processor's instruction set says which to take instead. */
+ * OpenBLAS recognizes processors by their numbers. A processor that is newer than the library gets
+ * the kernels of the oldest one, which are five times as slow. An environment variable may also
+ * select kernels that compute the same bits on all machines but are half as fast. Compared with
+ * these, any speed would look good. The instruction set of the processor determines which kernels
+ * to use instead. */
 #include "bench.h"
 
 #include <cblas.h>
@@ -20,7 +21,7 @@ double bench_controller_flop(const struct mo_body *body)
                 (double)MO_HIDDEN * body->n_springs);
 }
 
-/* Whether OpenBLAS has taken kernels that use all of the instruction set. */
+/* Returns whether OpenBLAS chose kernels that use all of the instruction set. */
 static bool is_fast(enum mo_isa isa)
 {
   static const char *const avx512[] = {"SkylakeX", "Cooperlake", "SapphireRapids"};
@@ -45,12 +46,12 @@ void bench_sgemm_choose(char **argv)
   if (now != NULL && strcmp(now, wanted) == 0) {
     fprintf(
         stderr,
-        "morpho-bench: OpenBLAS has no fast kernels for this processor: its rate says little\n");
+        "morpho-bench: OpenBLAS has no fast kernels for this processor: its rate means little\n");
     return;
   }
   if (setenv(name, wanted, 1) == 0)
     execv("/proc/self/exe", argv);
-  perror("morpho-bench: OpenBLAS stays with slow kernels");
+  perror("morpho-bench: OpenBLAS keeps its slow kernels");
 }
 
 void bench_sgemm_create(struct bench_sgemm *sgemm)

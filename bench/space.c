@@ -1,4 +1,4 @@
-/* space.c: what it costs to draw, recognize, vary and express bodies; `morpho-bench space
+/* space.c: the cost of drawing, recognizing, varying and expressing bodies; `morpho-bench space
  * [bodies]`.
  *
  * Each operation runs over the same sample of random bodies of the default workspace, several
@@ -175,7 +175,7 @@ int bench_space(int argc, char **argv)
   measure(&sample, "insertion into a set of forms", insert);
   measure(&sample, "distinct stream, per draw", stream);
   measure(&sample, "body (masses and springs)", express);
-  if (sample.sink == 1) /* practically never: the results were needed */
+  if (sample.sink == 1) /* practically never; makes the results needed */
     printf("\n");
   large_body();
   return EXIT_SUCCESS;

@@ -1,5 +1,5 @@
-/* stability.c: which time steps and stiffnesses a rollout survives, beside the bound of the linear
- * theory.
+/* stability.c: which time steps and stiffnesses a rollout survives, compared with the bound of the
+ * linear theory.
  *
  * Linearized about rest, a mode of the springs' stiffness with eigenvalue λk follows q'' = (1 + e −
  * w) q' − e q from step to step, with e = exp(−drag dt) and w = dt² λ k/m; it decays if and only if
@@ -30,7 +30,7 @@ struct map {
   struct mo_body *body;
   double eigenvalue; /* of stiffness 1 */
   uint32_t diverged[MODES][CELLS];
-  int32_t first_step[MODES][CELLS]; /* of the first divergence; 0: none */
+  int32_t first_step[MODES][CELLS]; /* of the first divergence; 0: no divergence */
   double border[MODES][TIMES];      /* stiffness above which some environment diverges */
 };
 
@@ -142,7 +142,7 @@ static uint32_t count_diverged(const struct mo_block *block, int32_t *first)
   return diverged;
 }
 
-/* All grid points at once, then all time steps' borders, halving by halving. */
+/* Computes all grid points at once, then the borders of all time steps by bisection. */
 static void explore(const struct runner *runner, struct map *map, int mode)
 {
   struct mo_block *blocks = bench_zeros(CELLS, sizeof(*blocks));

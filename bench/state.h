@@ -1,4 +1,4 @@
-/* state.h: a new state folder of a benchmark, for the daemon's store. */
+/* state.h: a new state folder for a benchmark that uses the daemon's store. */
 #ifndef MORPHO_BENCH_STATE_H
 #define MORPHO_BENCH_STATE_H
 

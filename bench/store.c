@@ -1,7 +1,7 @@
-/* store.c: what durability costs; `morpho-bench store [folder]`.
+/* store.c: the cost of durability; `morpho-bench store [folder]`.
  *
- * Runs on a new state folder in `folder` (default: $TMPDIR or /tmp; name one on the disk that
- * counts), which is removed at the end. Prints the time of each operation as its callers see it,
+ * Runs on a new state folder in `folder` (default: $TMPDIR or /tmp; name one on the disk of
+ * interest), which is removed at the end. Prints the time of each operation as its callers see it,
  * fsync included. */
 #include "bench.h"
 #include "state.h"
@@ -130,8 +130,8 @@ static void save_now(struct mo_store *store, struct mo_save *save)
   bench_check(saver.status, "save");
 }
 
-/* All losses of the large job, in saves of the size that a tenth of a second brings, then its end.
- */
+/* Saves all losses of the large job, as many at a time as a tenth of a second produces, and
+ * finishes it. */
 static void save_all(const struct bed *bed, int64_t id)
 {
   struct mo_job_update update = {.job = id, .step = MO_STEP_START};

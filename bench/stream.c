@@ -1,6 +1,6 @@
 /* stream.c: the distinct bodies of a pretraining; `morpho-bench stream [bodies]`. Draws as a
- * training does, held-out forms left out, and reports the time and the memory that the set of
- * bodies seen takes. */
+ * training does, without held-out forms, and reports the time and the memory of the set of seen
+ * bodies. */
 #include "bench.h"
 
 #include <morpho/learning.h>

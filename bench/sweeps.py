@@ -16,11 +16,11 @@ from charts import Chart, Panel, Scale, decades  # noqa: E402
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 860, 560, 80, 230, 50, 60
 COLORS = ("#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",  # float32
           "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5")  # float64
-LIVES = 10
+ROLLOUTS = 10
 
 
 def scale_of(values):
-    """Of many decades only they have a mark."""
+    """If there are many decades, only they have a mark."""
     low, high = decades(values)
     powers = [10.0**k for k in range(-12, 13) if low <= 10.0**k * 1.001 and 10.0**k <= high * 1.001]
     return Scale(low, high, log=True, ticks=powers if len(powers) > 3 else None)
@@ -47,9 +47,9 @@ def draw_accuracy(rows, path):
     for place, (title, column) in enumerate((
         ("Against float64 exact at a sixteenth of the time step (4, 2, 1, 0.5 ms from left to "
          "right)", error),
-        ("Against float64 exact at the same time step: precision and impact mode alone",
+        ("Against float64 exact at the same time step: only precision and impact mode",
          "same_dt_" + error))):
-        shown = [row for row in rows if 0 < row[column] < math.inf]  # float64 exact is 0 off itself
+        shown = [row for row in rows if 0 < row[column] < math.inf]  # not float64 exact itself
         panel = panel_of(chart, place, title, "milliseconds per rollout of 4 s, one core",
                          "error of the center of mass in the first second, median, m",
                          [row["time_ms_per_rollout"] for row in shown],
@@ -64,7 +64,7 @@ def draw_accuracy(rows, path):
 
 
 def draw_stability(rows, path):
-    """Stable, partly and wholly diverged points; the linear bound."""
+    """Draws stable, partly and completely diverged points, and the linear bound."""
     maps = records.group(rows, "body", "mode").items()
     chart = Chart(WIDTH, len(maps) * HEIGHT)
     for place, ((body, mode), group) in enumerate(maps):
@@ -72,9 +72,9 @@ def draw_stability(rows, path):
         panel = panel_of(chart, place, f"{body}, {moved}", "time step, ms", "stiffness, N/m",
                          (1, 10), (1e3, 1e6))
         for i, (words, color, shown) in enumerate((
-            ("all ten lives go on", "#58b368", lambda n: n == 0),
-            ("some diverge", "#f0a30a", lambda n: 0 < n < LIVES),
-            ("all ten diverge", "#d6604d", lambda n: n == LIVES))):
+            ("all ten rollouts are stable", "#58b368", lambda n: n == 0),
+            ("some diverge", "#f0a30a", lambda n: 0 < n < ROLLOUTS),
+            ("all ten diverge", "#d6604d", lambda n: n == ROLLOUTS))):
             squares = "".join(
                 f"M{panel.at_x(row['dt_ms']) - 4:.0f} "
                 f"{panel.at_y(row['stiffness_n_per_m']) - 4:.0f}h8v8h-8z"

@@ -2,8 +2,8 @@
 """Runs campaigns of all three modes through the daemon, and reports and draws how they evolve.
 
 Zero-shot with three seeds, one few-shot and one simultaneous campaign of the same size. The state
-folder is kept: called again, it goes on where it was. Wall time per campaign is the sum of its
-generations' seconds; the campaigns run one after the other."""
+folder is kept: when called again, the program continues where it stopped. The wall time of a
+campaign is the sum of the seconds of its generations; the campaigns run one after the other."""
 import argparse
 import math
 import re
@@ -21,8 +21,8 @@ COLUMNS = ("mode", "seed", "generation", "mean", "best", "median", "diversity", 
 
 
 def rows_of(daemon, campaign):
-    """A flat row per generation. Quantiles of the score are p0 (the best) to p100, sizes have their
-    mean."""
+    """Yields a flat row per generation. Quantiles of the score are p0 (the best) to p100; sizes are
+    means."""
     for row in daemon.items(f"/v1/campaigns/{campaign['id']}/generations"):
         operators, learning, score = row["operators"], row.get("learning") or {}, row["score"]
         yield {
@@ -47,7 +47,8 @@ def rows_of(daemon, campaign):
 
 
 def survival(row, operator):
-    """Share of the children of an operator, "mutants" or "recombinants", that live on."""
+    """Returns the share of the children of an operator, "mutants" or "recombinants", that
+    survive."""
     born = row[f"{operator}_born"]
     return row[f"{operator}_survived"] / born if born else None
 
@@ -88,7 +89,7 @@ def run(arguments):
 
 
 def curves(rows):
-    """Rows of each campaign, in the order of the modes."""
+    """Returns the rows of each campaign, in the order of the modes."""
     return dict(
         sorted(records.group(rows, "mode", "seed").items(),
                key=lambda item: (MODES.index(item[0][0]), item[0][1])))
@@ -114,11 +115,11 @@ def table(rows, population):
 
 
 def draw(rows, path):
-    """Three panels against generations: mean and best score, diversity, share of children that
-    survive."""
+    """Draws three panels against generations: mean and best score, diversity, share of children
+    that survive."""
     panels = [("score: mean (line) and best (dashes)", [("mean", ""), ("best", "5 4")]),
               ("diversity", [("diversity", "")]),
-              ("share of the children that live on: recombinants (line), mutants (dashes)",
+              ("share of the children that survive: recombinants (line), mutants (dashes)",
                [("recombinants", ""), ("mutants", "5 4")])]
     width, height, left, right, top, bottom = 940, 300, 70, 170, 40, 40
     last = max(row["generation"] for row in rows) or 1
@@ -163,7 +164,7 @@ def main():
                 ("--csv", Path, Path("campaigns.csv"), None),
                 ("--svg", Path, Path("campaigns.svg"), None),
                 ("--report", bool, False,
-                 "run nothing: only the table and the drawing of what the CSV file holds"))
+                 "run nothing: only make the table and the drawing from the CSV file"))
     arguments = parser.parse_args()
     if not arguments.report:
         run(arguments)

@@ -12,7 +12,7 @@ GRAY = "#777"
 
 
 class Scale:
-    """From values to a share of an axis, 0 to 1. `ticks`: the values that get a mark."""
+    """Maps values to a share of an axis, 0 to 1. `ticks`: the values that get a mark."""
     def __init__(self, low, high, log=False, ticks=None):
         self.low, self.high, self.log = low, high, log
         self.ticks = ticks if ticks is not None else log_ticks(low, high) if log else round_ticks(
@@ -25,7 +25,7 @@ class Scale:
 
 
 def label(value):
-    """Of a tick: three digits, and all of a number that has more of them before the point."""
+    """Returns the label of a tick: three digits, or more if a number has more before the point."""
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.6g}"
 
 
@@ -38,7 +38,7 @@ def log_ticks(low, high):
 
 
 def round_ticks(low, high, most=6):
-    """Multiples of 1, 2 or 5 times a power of ten, at most `most` of them."""
+    """Returns multiples of 1, 2 or 5 times a power of ten, at most `most` of them."""
     step = 10.0**math.floor(math.log10((high - low) / most or 1))
     step *= next(factor for factor in (1, 2, 5, 10, 20) if (high - low) / (factor * step) <= most)
     return [
@@ -48,7 +48,7 @@ def round_ticks(low, high, most=6):
 
 
 def decades(values, margin=1.0):
-    """Whole parts (1, 2, 5) of decades around positive values."""
+    """Returns bounds around positive values: 1, 2 or 5 times a power of ten."""
     values = [value for value in values if value is not None and value > 0] or [0.1, 1]
     least, most = min(values) / margin, max(values) * margin
     steps = [d * 10.0**k for k in range(-12, 13) for d in (1, 2, 5)]
@@ -57,7 +57,7 @@ def decades(values, margin=1.0):
 
 
 class Chart:
-    """The page."""
+    """The page, with all its panels."""
     def __init__(self,
                  width,
                  height,
@@ -74,7 +74,7 @@ class Chart:
         self.out.append(f'<text x="{x}" y="{y}"{given}>{escape(text)}</text>')
 
     def legend(self, x, y, entries, column=170):
-        """Entries in a row: (text, color, dash)."""
+        """Draws entries in a row: (text, color, dash)."""
         for i, (text, color, dash) in enumerate(entries):
             at = x + i * column
             self.out.append(
@@ -111,14 +111,14 @@ class Panel:
                 f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" '
                 f'text-anchor="end">{label(value)}</text>'
             )
-        taken = -math.inf  # up to where there are labels
+        taken = -math.inf  # the end of the previous label
         for value in self.x.ticks:
             if x_grid:
                 self.chart.out.append(
                     f'<line class="grid" x1="{self.at_x(value):.1f}" y1="{self.top}" '
                     f'x2="{self.at_x(value):.1f}" y2="{self.bottom}"/>'
                 )
-            half = 3.6 * len(label(value))  # of its width, about
+            half = 3.6 * len(label(value))  # about half of its width
             if x_labels and self.at_x(value) - half > taken:
                 self.chart.out.append(
                     f'<text x="{self.at_x(value):.1f}" y="{self.bottom + 18}" '
@@ -152,7 +152,7 @@ class Panel:
         )
 
     def band(self, values, color, opacity=0.18):
-        """values: (x, least, most)."""
+        """Draws a band. values: (x, least, most)."""
         known = [value for value in values if value[1] is not None and value[2] is not None]
         around = [(x, most) for x, _, most in known] + [(x, least)
                                                         for x, least, _ in reversed(known)]
@@ -168,7 +168,7 @@ class Panel:
         ]
 
     def histogram(self, edges, shares, color):
-        """A filled outline over the bins."""
+        """Draws a filled outline over the bins."""
         corners = [(edges[0], 0)]
         for left, right, share in zip(edges, edges[1:], shares):
             corners += [(left, share), (right, share)]
@@ -180,8 +180,8 @@ class Panel:
 
 
 def bundle(panel, curves, color, dash="", dots=False):
-    """Several curves of one thing, each a dictionary x → y: a band from least to most and a line of
-    the mean, where all of them are. One that is a single point is a dot."""
+    """Draws several curves of one quantity, each a dictionary x → y: a band from least to most and
+    a line of the mean where all of them have values. A curve with a single point becomes a dot."""
     shared = sorted(
         set.intersection(*(set(x for x, y in curve.items() if y is not None)
                            for curve in curves))) if curves else []

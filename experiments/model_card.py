@@ -1,12 +1,11 @@
-"""Scores a controller through the daemon on bodies that no pretraining draws, and writes what a
-user must know of it into its page.
+"""Scores a controller through the daemon on bodies that no pretraining draws, and writes the
+information that users need into its page.
 
-Tables by size of the body (environments of the training's distribution), by roughness of the
-terrain and by distance of the light; what is beyond the training's range is marked. A score is
-distance to the light at the end over that at the start, the mean over bodies of their means over
-environments; its 95 % confidence interval comes from drawing the bodies again (bootstrap). Rollouts
-that diverge are left out of the means and counted. The page keeps what stands outside of the
-markers."""
+Writes tables by size of the body (environments of the training's distribution), by roughness of the
+terrain and by distance of the light. Values beyond the training's range are marked. A score is the
+distance to the light at the end divided by that at the start: the mean over bodies of their means
+over environments. Its 95 % confidence interval is a bootstrap over the bodies. Rollouts that
+diverge are counted, but left out of the means. Text outside of the markers is kept."""
 import json
 import math
 import random
@@ -27,7 +26,7 @@ TRAINED_SIGMA_M, TRAINED_DISTANCES_M = (0, 0.1), (0.4, 2.0)
 RESAMPLES = 1000
 PAGE = """# {name}.safetensors
 
-What it is for, in a sentence.
+What it is for, in one sentence.
 
 <!-- model-card-file: begin -->
 <!-- model-card-file: end -->
@@ -49,9 +48,9 @@ def environment(distance_m, angle, sigma_m, seed):
 
 
 def sweeps(count):
-    """Environments by roughness (lights uniform by area in the trained ring) and by distance of the
-    light (roughness spread over the trained range): `count` for each value, the same angles and
-    places for each."""
+    """Returns environments by roughness (lights uniform by area in the trained ring) and by
+    distance of the light (roughness spread over the trained range): `count` for each value, with
+    the same angles and places."""
     draw = random.Random(1)
     places = [(draw.random(), draw.random(), draw.random()) for _ in range(count)]
     near, far = TRAINED_DISTANCES_M
@@ -77,8 +76,8 @@ def sweeps(count):
 
 
 def evaluate(daemon, arguments, controller, designs, environments):
-    """Losses: a list for each design, None where it diverged. What the daemon has scored before is
-    not computed again."""
+    """Returns losses: a list for each design, with None where it diverged. Stored losses are not
+    computed again."""
     body = {
         "designs": designs, "environments": environments, "controller": controller,
         "device": arguments.device, "priority": "batch",
@@ -93,7 +92,7 @@ def evaluate(daemon, arguments, controller, designs, environments):
 
 
 def interval(values):
-    """Mean and 95 % confidence interval of the mean, by drawing the values again."""
+    """Returns the mean and its 95 % confidence interval, by bootstrap."""
     draw, n = random.Random(1), len(values)
     if n < 2:
         return records.mean(values), None, None
@@ -103,7 +102,8 @@ def interval(values):
 
 
 def line(name, bodies):
-    """bodies: the losses of each. Body means first, so that the interval is over bodies."""
+    """Returns a line of a table. bodies: the losses of each. Bodies are averaged first, so that the
+    interval is over bodies."""
     means = [mean for losses in bodies if (mean := records.mean(losses)) is not None]
     rollouts = [loss for losses in bodies for loss in losses]
     if not means:
@@ -135,7 +135,7 @@ def by_value(values, losses, count, unit, trained):
 
 
 def metadata(controller):
-    """The table of the file and its lineage."""
+    """Returns the table of the file and its lineage."""
     given = dict(controller["metadata"])
     lines = [["SHA-256", f"`{controller['sha256']}`"],
              [
@@ -161,13 +161,13 @@ def metadata(controller):
 
 
 def card(arguments):
-    """(table of the file, tables of the scores)"""
+    """Returns (table of the file, tables of the scores)."""
     rough, light = sweeps(arguments.environments)
     head = ("bodies", "mean score", "95 % confidence", "median", "diverged")
     with Daemon.of(arguments) as daemon:
         controller = daemon.put_controller(arguments.name, arguments.controller)
         designs, seeds, left = [], [], arguments.bodies
-        while left > 0:  # a set has 1000 designs at most
+        while left > 0:  # a set has at most 1000 designs
             seeds.append(arguments.seed + len(seeds))
             held_out = daemon.call(
                 f"/v1/held-out?seed={seeds[-1]}&designs={min(left, 1000)}"
@@ -195,8 +195,8 @@ def card(arguments):
         f"draws (`/v1/held-out`, "
         f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), rollouts of "
         f"{arguments.rollout_steps} steps. A score is the distance to the light at the end "
-        "over that at the start: 1 is standing still, 0 is reaching it. The mean is over bodies; "
-        "its confidence interval comes from drawing the bodies again.",
+        "divided by that at the start: 1 is standing still, 0 is reaching it. The mean is over "
+        "bodies; its confidence interval comes from resampling the bodies.",
         f"**By size of the body**, {len(environments)} environments of the training's "
         f"distribution:",
         records.table(("size", ) + head, [line("all", usual), *by_size(designs, usual)]),
@@ -216,16 +216,16 @@ def main():
     parser = own_daemon.parser_of("model-card", __doc__)
     parser.add_argument("--controller", type=Path, required=True, help="safetensors file")
     own_daemon.add_options(
-        parser, ("--name", str, None, "of the controller (default: that of the file)"),
+        parser, ("--name", str, None, "name of the controller (default: that of the file)"),
         ("--bodies", int, 1000, "held-out bodies (default 1000)"),
         ("--seed", int, 1,
-         "of the held-out set; each further thousand bodies takes the next (default 1)"),
-        ("--environments", int, 8, "for each roughness and distance, 1 to 8; twice as many for "
-         "the sizes (default 8)"), own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
+         "seed of the held-out set; each further thousand bodies use the next one (default 1)"),
+        ("--environments", int, 8, "number for each roughness and distance, 1 to 8; twice as many "
+         "for the sizes (default 8)"), own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
         ("--markdown", Path, None, "page (default data/controllers/NAME.md)"))
     arguments = parser.parse_args()
     if not 1 <= arguments.environments <= 8 or not 1 <= arguments.bodies <= 10000:
-        sys.exit("--environments takes 1 to 8, --bodies 1 to 10000")
+        sys.exit("--environments must be 1 to 8, --bodies 1 to 10000")
     arguments.name = arguments.name or re.sub(r"[^a-z0-9._-]+", "-",
                                               arguments.controller.stem.lower())[:64].strip("-._")
     arguments.deadline = Deadline(arguments.limit_s)

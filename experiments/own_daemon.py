@@ -1,9 +1,9 @@
-"""A daemon of a benchmark's own: started on a free port, asked over HTTP, stopped in an orderly
-way, its state folder kept.
+"""A daemon of a benchmark: it is started on a free port, used over HTTP and shut down cleanly, and
+its state folder is kept.
 
-Also what every benchmark that may be cut off needs: a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP)
-that is looked at between two waits, never inside one, so that a stop always finds the daemon and
-the files whole."""
+Also provides a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP) for benchmarks that may be
+interrupted. It is checked only between two waits, so that a stop always finds the daemon and the
+files in a consistent state."""
 import argparse
 import ctypes
 import hashlib
@@ -24,7 +24,7 @@ import records
 SOURCE = Path(__file__).resolve().parents[1]
 SHIPPED = SOURCE / "data" / "controllers" / "phototaxis.safetensors"
 PR_SET_PDEATHSIG = 1
-CUT_OFF = 3  # exit status: time is up, call again
+CUT_OFF = 3  # exit status: time is up; call again to continue
 ENDED = ("succeeded", "failed", "cancelled")
 
 
@@ -32,22 +32,22 @@ SEEDS = ("--seeds", lambda text: [int(seed) for seed in text.split(",")], [1, 2,
          "default 1,2,3")
 ABOVE_BOUND = (("--rule", ("clip", "restart"), "clip", "above the bound (default clip)"),
                ("--restart-weight", float, 3.0,
-                "of a restarted adjoint, with --rule restart (default 3)"))
-ROLLOUT_STEPS = ("--rollout-steps", int, 1000, "steps of a life, for trials (default 1000)")
+                "weight of a restarted adjoint, with --rule restart (default 3)"))
+ROLLOUT_STEPS = ("--rollout-steps", int, 1000, "steps of a rollout, for trials (default 1000)")
 LIMIT = ("--limit-s", float, None,
-         "stop the daemon in order after so many seconds and exit with 3; called again, it goes on")
+         "shut down the daemon after this many seconds and exit with 3; call again to continue")
 DAEMON = (("--build", Path, Path("build"), "folder of the build (default build)"),
           ("--morphod", Path, None, "the daemon itself (default: that of the build)"),
-          ("--module", Path, None, "module that computes on GPUs (default: morphod-cuda.so beside "
-           "the build's daemon, if there)"),
+          ("--module", Path, None, "module that computes on GPUs (default: morphod-cuda.so next to "
+           "the build's daemon, if it exists)"),
           ("--devices", str, "auto", "GPUs, as morphod's --devices (default auto)"),
           ("--device", ("auto", "cpu", "cuda"), "auto", "what computes the jobs (default auto)"),
           ("--workers", int, None, "threads of the processors (default: one per processor)"))
 
 
 def add_options(parser, *rows):
-    """Options by rows: name; type, the words it may be, or bool for one without a value; default;
-    help."""
+    """Adds options. A row has a name; a type, the allowed words, or bool for an option without a
+    value; a default; and a help text."""
     for name, kind, usual, text in rows:
         if kind is bool:
             parser.add_argument(name, action="store_true", help=text)
@@ -58,7 +58,7 @@ def add_options(parser, *rows):
 
 
 def parser_of(benchmark, description):
-    """With the options of the daemon: where it is and where it keeps its state."""
+    """Returns a parser with the options of the daemon: where it is and where it keeps its state."""
     parser = argparse.ArgumentParser(prog=f"tools/bench {benchmark}",
                                      description=description,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -70,20 +70,20 @@ def parser_of(benchmark, description):
 
 
 def cut_off():
-    print("time is up: the daemon was stopped in order; call again to go on", file=sys.stderr)
+    print("time is up: the daemon was shut down; call again to continue", file=sys.stderr)
     return CUT_OFF
 
 
 def ended_well(kind, job):
-    """Whether it has succeeded; one that failed or was stopped ends the program."""
+    """Returns whether a job has succeeded. A job that failed or was stopped ends the program."""
     if job["state"] in ("failed", "cancelled", "paused"):
         sys.exit(f"{kind} {job['id']} {job['state']}: "
-                 f"{job['error'] or job.get('reason') or 'somebody asked for that'}")
+                 f"{job['error'] or job.get('reason') or 'on request'}")
     return job["state"] == "succeeded"
 
 
 class Deadline:
-    """Says when to stop: after `seconds` (None: never), or when a signal asks for it."""
+    """When to stop: after `seconds` (None: never), or after a signal."""
     def __init__(self, seconds=None):
         self.end = math.inf if seconds is None else time.monotonic() + seconds
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -97,12 +97,12 @@ class Deadline:
         return time.monotonic() >= self.end
 
     def wait_s(self, most=5):
-        """Whole seconds that one look may wait."""
+        """Returns the whole seconds that one request may wait."""
         return math.ceil(min(most, max(1, self.end - time.monotonic())))
 
 
 class Daemon:
-    """A daemon whose state lasts from one call to the next."""
+    """A daemon that keeps its state from one call to the next."""
     def __init__(self, program, state, *flags):
         state.mkdir(parents=True, exist_ok=True)
         self.jobs = state / "jobs.json"
@@ -118,7 +118,7 @@ class Daemon:
                                         stderr=self.log,
                                         process_group=0,
                                         preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-                                        )  # it ends with a benchmark that is killed
+                                        )  # ends with the benchmark, even if that is killed
         self.address = None
         try:
             self.start(address)
@@ -127,7 +127,7 @@ class Daemon:
             raise
 
     def start(self, address):
-        """Waits until it takes work."""
+        """Waits until it accepts work."""
         for _ in range(600):
             if address.exists() and address.read_text().strip():
                 self.address = address.read_text().split()[0]
@@ -140,7 +140,7 @@ class Daemon:
 
     @classmethod
     def of(cls, arguments, *flags):
-        """As the options of parser_of say."""
+        """Starts a daemon according to the options of parser_of."""
         program = arguments.morphod or arguments.build / "src/daemon/morphod"
         module = arguments.module or arguments.build / "src/compute/cuda/morphod-cuda.so"
         if arguments.module and not module.exists():
@@ -159,8 +159,8 @@ class Daemon:
         self.stop()
 
     def fetch(self, path, data=None, headers=None, method=None, refused=None):
-        """The bytes of a reply. A refusal, but one of the status `refused`, ends the program with
-        what the daemon says."""
+        """Returns the bytes of a reply. A refusal, except one with the status `refused`, ends the
+        program with the message of the daemon."""
         request = urllib.request.Request(self.address + path, data, headers or {}, method=method)
         try:
             with urllib.request.urlopen(request, timeout=120) as reply:
@@ -174,19 +174,19 @@ class Daemon:
             )
 
     def call(self, path, body=None, headers=None, method=None):
-        """JSON out, JSON in."""
+        """Sends and receives JSON."""
         data = None if body is None else json.dumps(body).encode()
         return json.loads(
             self.fetch(path, data, {"Content-Type": "application/json", **(headers or {})}, method))
 
     def job_of(self, kind, body, key):
-        """The job of a key, made if there is none yet. The daemon forgets a key after a day: here
-        it is kept as long as the job."""
+        """Returns the job of a key, and submits it if there is none yet. The daemon forgets a key
+        after a day; here it is kept as long as the job."""
         jobs = json.loads(self.jobs.read_text()) if self.jobs.exists() else {}
         if key in jobs:
             job = json.loads(self.fetch(f"/v1/{kind}/{jobs[key]['id']}", refused=404))
             if job.get("created_at"
-                       ) == jobs[key]["created_at"]:  # else the daemon's own state was deleted
+                       ) == jobs[key]["created_at"]:  # else the daemon's state was deleted
                 return job
         job = self.call(f"/v1/{kind}", body, {"Idempotency-Key": key})
         records.replace(
@@ -196,8 +196,9 @@ class Daemon:
         return job
 
     def submit(self, kind, body, key=None):
-        """A job that runs alone: whatever else is open is paused until it is asked for again. The
-        same body always gives the same job, which goes on if it was paused or had failed."""
+        """Submits a job that runs exclusively: all other open jobs are paused until they are
+        submitted again. The same body always returns the same job, which continues if it was paused
+        or had failed."""
         key = key or "bench-" + hashlib.sha256(json.dumps([kind, body],
                                                           sort_keys=True).encode()).hexdigest()[:40]
         job = self.job_of(kind, body, key)
@@ -205,7 +206,7 @@ class Daemon:
             for other in list(self.items(f"/v1/jobs?state={state}")):
                 if other["id"] != job["id"]:
                     self.fetch(f"/v1/jobs/{other['id']}/pause", method="POST",
-                               refused=409)  # 409: it has just ended
+                               refused=409)  # 409: it has ended meanwhile
         if job["state"] in ("paused", "failed"):
             self.fetch(f"/v1/jobs/{job['id']}/resume", method="POST")
         return self.call(f"/v1/{kind}/{job['id']}")
@@ -214,8 +215,8 @@ class Daemon:
         return self.call(f"/v1/{kind}/{job['id']}", headers={"Prefer": f"wait={wait_s}"})
 
     def follow(self, kind, job, deadline, progress):
-        """Waits for the end of a job, or for the deadline; returns it as it stands then.
-        progress(job): a line that says how far it has come."""
+        """Waits for the end of a job, or for the deadline. Returns its current state.
+        progress(job): a line about its progress."""
         while not deadline.is_over():
             job = self.look(kind, job, deadline.wait_s())
             if job["state"] in ENDED + ("paused", ):
@@ -225,7 +226,7 @@ class Daemon:
 
     @staticmethod
     def elapsed_s(job):
-        """From the first start of a job to its end, stops included."""
+        """Returns the time from the first start of a job to its end, including stops."""
         if job["started_at"] is None or job["finished_at"] is None:
             return None
         started, finished = (datetime.fromisoformat(job[key].replace("Z", "+00:00"))
@@ -233,7 +234,7 @@ class Daemon:
         return (finished - started).total_seconds()
 
     def items(self, path):
-        """All items of a list, or all rows of a curve."""
+        """Yields all items of a list, or all rows of a curve."""
         cursor = ""
         while True:
             page = self.call(f"{path}{'&' if '?' in path else '?'}limit=1000{cursor}")
@@ -249,7 +250,7 @@ class Daemon:
                        {"Content-Type": "application/octet-stream"}, "PUT"))
 
     def machine(self):
-        """What computes: names of the GPUs that work, and the number of threads."""
+        """Returns the names of the working GPUs, and the number of threads."""
         devices = self.call("/v1/devices")["items"]
         return {
             "gpus": [device["name"] for device in devices if device["state"] == "working"],
@@ -257,8 +258,8 @@ class Daemon:
         }
 
     def stop(self):
-        """SIGTERM: what runs is saved. A daemon that does not end is killed, and goes on from its
-        last checkpoint."""
+        """Sends SIGTERM: running work is saved. A daemon that does not end is killed, and continues
+        from its last checkpoint."""
         self.process.terminate()
         try:
             self.process.wait(120)

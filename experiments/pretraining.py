@@ -2,9 +2,10 @@
 how they learn.
 
 One call trains one recipe with some seeds, one training after the other. The state folder is kept:
-called again, it goes on where it was, and gives the same numbers. A row of the CSV file is a step
-or a validation; rows of many recipes gather there. A training all of whose rows are in the CSV file
-and whose controller is in the folder is not run again, even without its state."""
+when called again, the program continues where it stopped, and yields the same numbers. A row of the
+CSV file is a step or a validation; the file collects rows of many recipes. A training is not run
+again, even without its state, if all its rows are in the CSV file and its controller is in the
+folder."""
 import bisect
 import hashlib
 import sys
@@ -66,8 +67,8 @@ def request_of(arguments, seed):
 
 
 def recipe_of(body):
-    """The recipe as one line without commas: always schedule, bound and size; what else differs
-    from the usual."""
+    """Returns the recipe as one line without commas: always schedule, bound and size, and whatever
+    differs from the usual."""
     schedule = body["schedule"]
     kind, usual = next((name, s) for name, s in SCHEDULES.items() if s["kind"] == schedule["kind"])
     words = [{"one-cosine": "one cosine", "paper-pretrain": "restarts"}.get(kind, kind),
@@ -126,7 +127,7 @@ def rows_of(daemon, training, recipe):
 
 
 def is_done(rows, recipe, seed, device, steps, file):
-    """Whether an earlier call has brought the whole training."""
+    """Returns whether an earlier call has completed the training."""
     known = {
         row["step"]
         for row in rows
@@ -152,7 +153,8 @@ def progress_of(training, recipe):
 
 
 def run(arguments):
-    """Whether all trainings have ended. What is known of one that has not is written, too."""
+    """Returns whether all trainings have ended. The rows of an unfinished training are written as
+    well."""
     deadline = Deadline(arguments.limit_s)
     known = records.read(arguments.csv, TEXTS)
     bodies = [request_of(arguments, seed) for seed in arguments.seeds]
@@ -181,12 +183,12 @@ def run(arguments):
                 return False
             print(
                 f"{recipe}, seed {body['seed']}: {daemon.elapsed_s(training):.0f} s from start to "
-                f"end, validations and stops included",
+                f"end, including validations and stops",
                 file=sys.stderr)
             records.replace(file_of(arguments.folder, recipe, training["settings"]["seed"]),
                             daemon.fetch(f"/v1/trainings/{training['id']}/controller"))
             daemon.call(f"/v1/trainings/{training['id']}/checkpoints",
-                        method="DELETE")  # 12 MB that nothing needs any more
+                        method="DELETE")  # 12 MB that are no longer needed
     return True
 
 
@@ -194,7 +196,7 @@ def run(arguments):
 
 
 def smooth(curve, half):
-    """Mean of the steps within ±half(step) of each, of (step, loss)."""
+    """Returns the mean of (step, loss) over the steps within ±half(step) of each."""
     steps, sums = [step for step, _ in curve], [0.0]
     for _, loss in curve:
         sums.append(sums[-1] + loss)
@@ -212,7 +214,7 @@ def losses(group):
 
 
 def seconds_until(group, bound):
-    """Wall time until the mean loss of 20 steps in a row is at most the bound."""
+    """Returns the wall time until the mean loss of 20 consecutive steps is at most the bound."""
     last, seconds = [], 0.0
     for row in group:
         if row["row"] == "step":
@@ -224,7 +226,7 @@ def seconds_until(group, bound):
 
 
 def summary(group):
-    """What the tables say of one training."""
+    """Returns the numbers of one training for the tables."""
     curve = losses(group)
     steps = [row for row in group if row["row"] == "step"]
     validations = [row for row in group if row["row"] == "validation" and row["loss"] is not None]
@@ -267,8 +269,8 @@ def table(rows):
 
 
 def draw(rows, path):
-    """Loss of the batch against the logarithm of the step, so that its beginning shows; score of
-    the held-out bodies against the step."""
+    """Draws the loss of the batch against the logarithm of the step, which shows the beginning, and
+    the score of the held-out bodies against the step."""
     groups = records.group(rows, "recipe", "device")
     last = max(row["step"] for row in rows)
     width, left, right, top, high, gap = 940, 70, 20, 46, 380, 70
@@ -326,30 +328,30 @@ def options():
         ("--schedule", SCHEDULES, "one-cosine", "restarts: the same as paper-pretrain"),
         ("--peak", float, None, f"largest rate {own}"),
         ("--floor", float, None, f"smallest rate {own}"),
-        ("--decay", float, None, f"of the peak from one restart to the next {own}"),
-        ("--warmup", int, None, f"steps {own}"),
+        ("--decay", float, None, f"factor of the peak from one restart to the next {own}"),
+        ("--warmup", int, None, f"steps of warm-up {own}"),
         ("--cycle", int, None, f"steps to the first restart {own}"),
-        ("--growth", int, None, f"of the cycles {own}"),
+        ("--growth", int, None, f"growth of the cycles {own}"),
         ("--bound", float, 2.0,
-         "of each robot's adjoint; 0: not clipped, as in the paper (default 2)"),
-        *own_daemon.ABOVE_BOUND, ("--beta1", float, 0.9, "of Adam (default 0.9)"),
-        ("--beta2", float, 0.999, "of Adam (default 0.999)"),
-        ("--epsilon", float, 1e-8, "of Adam (default 1e-8)"),
+         "bound of each robot's adjoint; 0: not clipped, as in the paper (default 2)"),
+        *own_daemon.ABOVE_BOUND, ("--beta1", float, 0.9, "beta1 of Adam (default 0.9)"),
+        ("--beta2", float, 0.999, "beta2 of Adam (default 0.999)"),
+        ("--epsilon", float, 1e-8, "epsilon of Adam (default 1e-8)"),
         ("--impact", str, "exact",
          "time of impact: exact, or bisection8 as in the paper (default exact)"),
-        ("--norm-limit", float, 1.0, "of the gradient of a batch; 0: off (default 1)"),
+        ("--norm-limit", float, 1.0, "largest norm of the gradient of a batch; 0: off (default 1)"),
         ("--sensor", ("inverse_sqrt", "inverse_square"), "inverse_sqrt", None),
-        ("--validation-every", int, 50, "steps (default 50; 0: never)"),
+        ("--validation-every", int, 50, "steps between validations (default 50; 0: never)"),
         ("--validation-designs", int, 256, "held-out bodies (default 256)"),
         ("--validation-environments", int, 8, "held-out environments of each (default 8)"),
         own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
-        ("--csv", Path, Path("pretraining.csv"), "read at the start, rewritten with what is new"),
+        ("--csv", Path, Path("pretraining.csv"), "read at the start, rewritten with new rows"),
         ("--svg", Path, Path("pretraining.svg"), None),
         ("--folder", Path, Path("controllers"), "for the final controllers (default controllers)"),
         ("--markdown", Path, None,
-         "page that gets the table between the markers pretraining: begin and end"),
+         "page that gets the table, between the markers pretraining: begin and end"),
         ("--report", bool, False,
-         "run nothing: only the table and the drawing of what the CSV file holds"))
+         "run nothing: only make the table and the drawing from the CSV file"))
     return parser
 
 

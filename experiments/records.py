@@ -1,22 +1,22 @@
-"""What benchmarks leave behind: rows as CSV, and generated parts of Markdown pages between two
-markers.
+"""Files of benchmarks: rows as CSV, and generated parts of Markdown pages between two markers.
 
-Files are replaced whole, so that a program that is stopped leaves the old one or the new one."""
+Files are replaced atomically, so that a program that is stopped leaves either the old or the new
+one."""
 import csv
 import os
 from pathlib import Path
 
 
 def number(value):
-    """Whole numbers with all digits, so that a seed that was read as one of the others is written
-    as it was."""
+    """Formats a number. Whole numbers keep all digits, so that a seed that was read as a float is
+    written unchanged."""
     if isinstance(value, float):
         return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.6g}"
     return "" if value is None else str(value)
 
 
 def replace(path, content):
-    """content: text or bytes."""
+    """Replaces a file. content: text or bytes."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".new")
@@ -25,15 +25,15 @@ def replace(path, content):
 
 
 def write(path, columns, rows):
-    """Rows are dictionaries; what is not a column is left out."""
+    """Writes rows, which are dictionaries. Keys that are not columns are left out."""
     lines = [",".join(columns)
              ] + [",".join(number(row.get(column)) for column in columns) for row in rows]
     replace(path, "\n".join(lines) + "\n")
 
 
 def read(path, texts):
-    """Rows; the columns `texts` as text, the others as numbers, None where empty. None of a file
-    that is not there."""
+    """Returns rows: the columns `texts` as text, the others as numbers, or None where they are
+    empty. A file that does not exist has no rows."""
     if not Path(path).exists():
         return []
     with open(path, encoding="utf-8", newline="") as file:
@@ -44,7 +44,7 @@ def read(path, texts):
 
 
 def group(rows, *keys):
-    """Lists of rows by the values of `keys`, in order of appearance."""
+    """Returns lists of rows by the values of `keys`, in order of appearance."""
     groups = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -57,14 +57,14 @@ def mean(values):
 
 
 def table(heads, lines):
-    """A Markdown table."""
+    """Returns a Markdown table."""
     out = ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
     return "\n".join(out + ["| " + " | ".join(line) + " |" for line in lines])
 
 
 def put_between(path, name, text, otherwise=""):
-    """Puts `text` between the markers `name` of a Markdown page, and keeps the rest of it. A page
-    that is not there begins as `otherwise`; markers that are not there are put at its end."""
+    """Puts `text` between the markers `name` of a Markdown page, and keeps the rest of the page. A
+    page that does not exist begins as `otherwise`. Missing markers are added at its end."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     path = Path(path)
     page = path.read_text(encoding="utf-8") if path.exists() else otherwise

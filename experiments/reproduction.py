@@ -1,12 +1,12 @@
 """The paper's three experiments through the daemon: zero-shot, few-shot and simultaneous evolution
 of 8192 designs, three trials each.
 
-Campaigns run one after the other, by mode and seed. The state folder is kept: called again, it goes
-on where it was. In the folder of results, generations.csv has a row per generation, campaigns.json
-the rest: settings, learning curves, the distributions of the first and the last population,
-champions with their voxels. A campaign that is whole there, with the same settings, is not run
-again, even without its state. The figures and tables are made from these two files alone, and from
-the CSV file of `tools/bench pretraining`."""
+Campaigns run one after the other, by mode and seed. The state folder is kept: when called again,
+the program continues where it stopped. In the folder of results, generations.csv has a row per
+generation, and campaigns.json the rest: settings, learning curves, the distributions of the first
+and the last population, champions with their voxels. A campaign that is complete there, with the
+same settings, is not run again, even without its state. The figures and tables are made only from
+these two files and the CSV file of `tools/bench pretraining`."""
 import bisect
 import hashlib
 import json
@@ -33,7 +33,7 @@ EDGES = {
 
 
 def histogram(values, edges):
-    """Shares of the values in the bins; what lies outside counts to the nearest bin."""
+    """Returns the shares of the values in the bins. Values outside count to the nearest bin."""
     counts = [0] * (len(edges) - 1)
     for value in values:
         counts[min(max(bisect.bisect_right(edges, value) - 1, 0), len(counts) - 1)] += 1
@@ -41,7 +41,8 @@ def histogram(values, edges):
 
 
 def distinctiveness(genotypes):
-    """Of each, its mean Hamming distance to all others over the voxels, by the sums of the columns.
+    """Returns the mean Hamming distance of each to all others, over the voxels, from the sums of
+    the columns.
     """
     n, voxels = len(genotypes), len(genotypes[0])
     sums = [sum(column) for column in zip(*(map(int, genotype) for genotype in genotypes))]
@@ -54,7 +55,7 @@ def distinctiveness(genotypes):
 
 
 def population(daemon, campaign, generation):
-    """Distributions of a population, to compare the first with the last."""
+    """Returns the distributions of a population, to compare the first with the last."""
     designs = list(
         daemon.items(f"/v1/campaigns/{campaign['id']}/population?generation={generation}"))
     values = {
@@ -103,7 +104,7 @@ def request_of(arguments, mode, seed, controller):
 
 
 def result_of(daemon, campaign, request, count):
-    """What campaigns.json keeps of a campaign."""
+    """Returns the entry of a campaign in campaigns.json."""
     last = campaign["newest"]["generation"]
     learning = {}
     if campaign["mode"] != "zero-shot":
@@ -126,7 +127,7 @@ def result_of(daemon, campaign, request, count):
 
 
 def keep(arguments, done, rows, campaign, new_rows, result):
-    """Rows and result in place of what the files had of this campaign."""
+    """Replaces the rows and the result of this campaign in the files."""
     key = (campaign["mode"], campaign["settings"]["seed"])
     rows[:] = [row for row in rows if (row["mode"], row["seed"]) != key] + new_rows
     done[:] = [entry for entry in done if (entry["mode"], entry["seed"]) != key
@@ -139,7 +140,7 @@ def keep(arguments, done, rows, campaign, new_rows, result):
 
 
 def run(arguments):
-    """Whether all campaigns have ended."""
+    """Returns whether all campaigns have ended."""
     deadline = Deadline(arguments.limit_s)
     done, rows = reproduction_report.read(arguments.folder)
     controllers = [hashlib.sha256(file.read_bytes()).hexdigest() for file in arguments.controller]
@@ -180,19 +181,19 @@ def options():
                         "(default: the project's)")
     own_daemon.add_options(
         parser,
-        ("--bound", float, 2.0, "of each robot's adjoint where the controller learns; 0: not "
+        ("--bound", float, 2.0, "bound of each robot's adjoint where the controller learns; 0: not "
          "clipped, as in the paper (default 2)"), *own_daemon.ABOVE_BOUND,
-        ("--few-shot-steps", int, 60, "of learning in each generation (default 60)"),
-        ("--champions", int, 20, "to draw of each population (default 20)"),
+        ("--few-shot-steps", int, 60, "learning steps in each generation (default 60)"),
+        ("--champions", int, 20, "champions to draw of each population (default 20)"),
         own_daemon.ROLLOUT_STEPS, own_daemon.LIMIT,
         ("--folder", Path, Path("reproduction"),
-         "of CSV, JSON and figures (default reproduction)"),
+         "folder of CSV, JSON and figures (default reproduction)"),
         ("--pretraining", Path, None,
          "CSV file of `tools/bench pretraining`, for the first figure and the table"),
         ("--markdown", Path, None,
-         "page that gets the tables between the markers reproduction: begin and end"),
+         "page that gets the tables, between the markers reproduction: begin and end"),
         ("--report", bool, False,
-         "run nothing: only the figures and tables of what the folder holds"))
+         "run nothing: only make the figures and tables from the folder"))
     return parser
 
 
@@ -203,7 +204,7 @@ def main():
         for mode in MODES
     }
     if len(arguments.controller) not in (1, len(arguments.seeds)):
-        sys.exit("--controller takes one file, or one for each seed")
+        sys.exit("--controller must be one file, or one for each seed")
     if not arguments.report and not run(arguments):
         return own_daemon.cut_off()
     text = reproduction_report.report(arguments.folder, arguments.pretraining)

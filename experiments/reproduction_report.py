@@ -1,6 +1,6 @@
-"""Figures and tables of `tools/bench reproduction`, from its files alone.
+"""Makes figures and tables of `tools/bench reproduction` from only its files.
 
-Columns are modes and colors are modes, in every figure. A line is the mean over the trials, a band
+In every figure, columns and colors stand for modes. A line is the mean over the trials, a band
 their range."""
 import json
 import math
@@ -14,21 +14,21 @@ import pretraining
 import records
 
 PRETRAINING = "#8e44ad"
-LEFT, RIGHT, TOP, BOTTOM, WIDE, HIGH = 64, 14, 64, 44, 270, 210  # of a panel and what is around it
-# What the paper says: loss, length, minutes on eight H100 GPUs. None: it does not say.
+LEFT, RIGHT, TOP, BOTTOM, WIDE, HIGH = 64, 14, 64, 44, 270, 210  # of a panel, with margins
+# The paper's numbers: loss, length, minutes on eight H100 GPUs. None: not given.
 PAPER = {
     "pretraining": ("0.30", "1400 steps", 56), "zero-shot": ("near optimal", "100 generations", 17),
     "few-shot": ("as good or better", "6 generations shown", None),
     "simultaneous": ("about 0.30 (training)", "180 generations, 360 steps", 109)
 }
 PAPER_GPUS, PAPER_SIZE = 8, 8192  # robots of a batch, designs of a population
-FEW_STEPS = 4  # of learning in a generation
+FEW_STEPS = 4  # learning steps in a generation
 PAPER_RECIPE = "restarts 0.001..1e-05 bound 0 /"  # its schedule, nothing clipped
 PAPER_LENGTH = {"pretraining": 1400, "zero-shot": 100, "simultaneous": 180}
 
 
 def read(folder):
-    """(what campaigns.json keeps, rows of generations.csv)"""
+    """Returns (entries of campaigns.json, rows of generations.csv)."""
     path = Path(folder) / "campaigns.json"
     kept = json.loads(path.read_text(encoding="utf-8"))["campaigns"] if path.exists() else []
     rows = records.read(Path(folder) / "generations.csv", ("mode", ))
@@ -45,7 +45,8 @@ def trials(rows, mode):
 
 
 def grid(columns, n_rows, title, legend):
-    """The page of a figure of panels, and a function that makes the panel of a row and column."""
+    """Returns the page of a figure with panels, and a function that makes the panel in a row and
+    column."""
     width, height = max(columns * (LEFT + WIDE + RIGHT), 680), TOP + n_rows * (HIGH + BOTTOM) + 12
     chart = Chart(width, height)
     chart.text(LEFT, 22, title, font_size=15)
@@ -63,16 +64,16 @@ def generations(rows, mode):
 
 
 def part_of(losses, child_steps, of_parents):
-    """Of a generation's losses those on its parents, or those on its children, which are the last.
+    """Returns the losses of a generation on its parents, or those on its children, which come last.
     """
     first = max(len(losses) - child_steps, 0)
     return losses[:first] if of_parents else losses[first:]
 
 
 def learning_curves(kept, mode):
-    """Mean losses while learning: (curves, one for each trial; dash). Of step s of n of generation
-    g, at g - 1 + s/n; where a generation has few steps on its parents and on its children, and the
-    curve would be a comb, one of each at g."""
+    """Returns mean losses while learning: (curves, one for each trial; dash). Step s of n in
+    generation g is at g - 1 + s/n. If a generation has few steps on its parents and on its
+    children, so that the curve would be a comb, there is one of each at g."""
     entries = [entry for entry in kept if entry["mode"] == mode and entry["learning"]]
     if not entries:
         return []
@@ -91,7 +92,7 @@ def learning_curves(kept, mode):
 
 
 def draw_performance(kept, rows, pretrained, path):
-    """The paper's figure "Performance and diversity"."""
+    """Draws the paper's figure "Performance and diversity"."""
     modes = [
         mode for mode in ("simultaneous", "zero-shot", "few-shot")
         if any(row["mode"] == mode for row in rows)
@@ -101,7 +102,7 @@ def draw_performance(kept, rows, pretrained, path):
                   ] + [loss for entry in kept for losses in entry["learning"] for loss in losses]
     score = Scale(*decades(everything + [row["loss"] for row in pretrained]), log=True)
     legend = [("test score, mean", "#000", ""), ("test score, best", "#000", "5 4"),
-              ("loss while learning", GRAY, ""), ("the same, on children alone", GRAY, "2 3")]
+              ("loss while learning", GRAY, ""), ("the same, only on children", GRAY, "2 3")]
     chart, panel = grid(first + len(modes), 2,
                         "Performance and diversity: mean over the trials and their range", legend)
     if pretrained:
@@ -144,7 +145,8 @@ def draw_performance(kept, rows, pretrained, path):
 
 
 def draw_over_generations(rows, path, title, legend, quantities):
-    """quantities: (name of the axis, [(row → value, dash)]), a row of panels each."""
+    """Draws a row of panels for each quantity. quantities: (name of the axis, [(row → value,
+    dash)])."""
     modes = [mode for mode in MODES if any(row["mode"] == mode for row in rows)]
     chart, panel = grid(len(modes), len(quantities), title, legend)
     for r, (name, values) in enumerate(quantities):
@@ -164,8 +166,8 @@ def draw_over_generations(rows, path, title, legend, quantities):
 
 
 def draw_populations(kept, edges, path):
-    """The paper's figure "Evolved populations": distributions in the first population (gray) and in
-    the last (colored)."""
+    """Draws the paper's figure "Evolved populations": distributions in the first population (gray)
+    and in the last (colored)."""
     modes = [mode for mode in MODES if any(entry["mode"] == mode for entry in kept)]
     quantities = [("score", "score (end / start)"),
                   ("footprint", "footprint (columns of voxels, 0.01 m² each)"),
@@ -198,7 +200,8 @@ def draw_populations(kept, edges, path):
 
 
 def blocks(kept):
-    """What the figure of champions shows: the first trial's first population, then each mode's."""
+    """Yields the blocks of the figure of champions: the first population of the first trial, then
+    those of each mode."""
     first = {mode: next((entry for entry in kept if entry["mode"] == mode), None) for mode in MODES}
     shown = next((entry for entry in first.values() if entry), None)
     if shown:
@@ -209,8 +212,8 @@ def blocks(kept):
 
 
 def draw_champions(kept, path):
-    """The paper's figure "Morphological distinctiveness": designs at even steps over the ranking,
-    most distinct first, scores below."""
+    """Draws the paper's figure "Morphological distinctiveness": designs at even steps over the
+    ranking, most distinct first, scores below."""
     per_row, unit = 10, 8
     wide, high = 12 * voxels.COS * unit + 10, 10 * unit + 22
     shown = list(blocks(kept))
@@ -240,7 +243,7 @@ def draw_champions(kept, path):
 
 
 def spread(values, form):
-    """Mean and, of several, least to most."""
+    """Formats the mean and, for several values, least to most."""
     values = [value for value in values if value is not None]
     if not values:
         return "–"
@@ -258,8 +261,8 @@ def paper_line(name):
 
 
 def own_line(name, experiment, loss, length, size, minutes, gpus):
-    """length: (number, unit); minutes: of each trial. How much less GPU time it took is said of
-    what is as long and as large as the paper's."""
+    """Returns a line of the table. length: (number, unit); minutes: of each trial. The saving in
+    GPU time is shown only if length and size equal the paper's."""
     names = ", ".join(f"{gpus.count(gpu)} {gpu}" for gpu in sorted(set(gpus))) or "none"
     spent = [m * len(gpus) for m in minutes]
     is_equal = gpus and spent and length[0] == PAPER_LENGTH.get(experiment) and size == PAPER_SIZE
@@ -274,8 +277,8 @@ def own_line(name, experiment, loss, length, size, minutes, gpus):
 
 
 def comparison(kept, rows, pretrained, best):
-    """pretrained: all trainings, of which the table has the best recipe and the paper's; the page
-    has another table of all."""
+    """Returns the table that compares with the paper. pretrained: all trainings; the table has only
+    the best recipe and the paper's, and another table of the page has all."""
     lines = [paper_line("pretraining")] if pretrained else []
     for (recipe, device), group in records.group(pretrained, "recipe", "device").items():
         if recipe != best[0]["recipe"] and not recipe.startswith(PAPER_RECIPE):
@@ -333,7 +336,7 @@ def comparison(kept, rows, pretrained, best):
 
 
 def report(folder, pretraining_csv=None):
-    """Draws every figure into the folder; the tables as Markdown."""
+    """Draws every figure into the folder. Returns the tables as Markdown."""
     folder = Path(folder)
     kept, rows = read(folder)
     pretrained = records.read(pretraining_csv, pretraining.TEXTS) if pretraining_csv else []
@@ -350,7 +353,7 @@ def report(folder, pretraining_csv=None):
     draw_over_generations(
         rows, folder / "operators.svg",
         "Success of crossover and mutation: mean over the trials and their range", operators,
-        [("share of the children that live on", [(lambda row: survival(row, "recombinants"), ""),
+        [("share of the children that survive", [(lambda row: survival(row, "recombinants"), ""),
                                                  (lambda row: survival(row, "mutants"), "5 4")])])
     draw_over_generations(rows, folder / "bodies.svg",
                           "Bodies: mean of the population, mean over the trials and their range",

@@ -1,25 +1,25 @@
-"""Voxel bodies drawn as SVG: seen from above one corner, each visible face a parallelogram, far
-ones first."""
+"""Draws voxel bodies as SVG, seen from above one corner. Each visible face is a parallelogram; far
+ones come first."""
 
 SIZE = (6, 6, 4)
 COS, SIN = 0.866, 0.5  # of 30°: x to the right and down, y to the left and down, z up
 
 
 def cells(genotype):
-    """(x, y, z) of the voxels of 144 digits."""
+    """Returns (x, y, z) of the voxels of 144 digits."""
     return [(i // 24, i // 4 % 6, i % 4) for i, digit in enumerate(genotype) if digit == "1"]
 
 
 def shade(color, factor):
-    """A color #rrggbb mixed with white (factor above 1) or black."""
+    """Returns a color #rrggbb mixed with white (factor above 1) or black."""
     parts = [int(color[i:i + 2], 16) for i in (1, 3, 5)]
     mixed = [part * factor if factor <= 1 else part + (255 - part) * (factor - 1) for part in parts]
     return "#" + "".join(f"{round(part):02x}" for part in mixed)
 
 
 def draw(genotype, left, top, unit, color):
-    """The body in the box of width 12 · COS · unit and height 10 · unit whose upper left corner is
-    given, on the outline of its workspace."""
+    """Draws the body on the outline of its workspace, in a box of width 12 · COS · unit and height
+    10 · unit with the given upper left corner."""
     def corner(x, y, z):
         return f"{left + (x - y + 6) * COS * unit:.1f},{top + ((x + y) * SIN + 4 - z) * unit:.1f}"
 

@@ -129,7 +129,7 @@ int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
   api->fleet_compute = fleet->compute;
   atomic_store(&api->fleet, fleet->fleet);
   const int error = mo_http_start(config, &service, &http, message);
-  if (error != MO_OK) /* it is freed */
+  if (error != MO_OK) /* the failed start has freed it */
     atomic_store(&api->fleet_http, NULL);
   return error;
 }

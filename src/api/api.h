@@ -11,11 +11,11 @@ struct mo_compute;
 struct mo_fleet;
 struct mo_api;
 
-/* Whether the pages are served, and whether they offer what changes something. */
+/* Whether the dashboard is served, and whether it offers actions that change something. */
 enum mo_dashboard { MO_DASHBOARD_ON, MO_DASHBOARD_READ_ONLY, MO_DASHBOARD_OFF };
 extern const char *const mo_dashboard_words[]; /* "on", "read-only", "off", NULL */
 
-/* What the routes use. All must outlive the interface. */
+/* What the routes use. All of it must outlive the interface. */
 struct mo_api_services {
   struct mo_store *store;
   struct mo_jobs *jobs;
@@ -25,12 +25,12 @@ struct mo_api_services {
   enum mo_dashboard dashboard;
 };
 
-/* Starts the server. Errors as mo_http_start. */
+/* Starts the server. Returns the errors of mo_http_start. */
 int mo_api_start(const struct mo_http_config *config, const struct mo_api_services *services,
                  struct mo_api **api, struct mo_message *message);
 struct mo_http *mo_api_http(struct mo_api *api);
-/* Starts the server for workers, which has its own sockets, tokens and limits. Errors as
- * mo_http_start. */
+/* Starts the server for workers, which has its own sockets, tokens and limits. Returns the errors
+ * of mo_http_start. */
 struct mo_api_fleet {
   struct mo_fleet *fleet; /* must outlive the interface */
   uint64_t epoch;         /* as in its configuration */
@@ -39,9 +39,9 @@ struct mo_api_fleet {
 int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
                        const struct mo_api_fleet *fleet, struct mo_message *message);
 struct mo_http *mo_api_fleet_http(struct mo_api *api); /* NULL: none */
-/* Wakes the requests of a session that wait: for the configuration of the fleet. */
+/* Wakes the waiting requests of a session. It is a callback in the configuration of the fleet. */
 void mo_api_wake_session(struct mo_api *api, uint64_t session);
-/* As mo_http_stop, for both. */
+/* Stops both servers, as mo_http_stop does. */
 void mo_api_stop(struct mo_api *api, uint32_t grace_ms);
 
 #endif

@@ -14,7 +14,7 @@ static const char policy[] =
 
 const char *const mo_dashboard_words[] = {"on", "read-only", "off", NULL};
 
-/* False: the pages are off, and the 404 is made. */
+/* Returns whether the dashboard is on. If it is off, replies with a 404. */
 static bool is_on(struct mo_request *request)
 {
   if (mo_api_of(request)->dashboard != MO_DASHBOARD_OFF)
@@ -46,7 +46,7 @@ void mo_api_get_index(struct mo_request *request)
     reply_asset(request, find("index.html"));
 }
 
-/* Browsers ask for it beside replies that are no pages. */
+/* Browsers request an icon even for replies that are not pages. */
 void mo_api_get_icon(struct mo_request *request)
 {
   if (is_on(request))
@@ -64,8 +64,7 @@ void mo_api_get_asset(struct mo_request *request)
            below);
   const struct mo_asset *asset = strcmp(version, mo_assets_version) == 0 ? find(name) : NULL;
   if (asset == NULL) {
-    mo_reply_problem(request, 404, NULL,
-                     "There is no such file of the dashboard: reload the page.");
+    mo_reply_problem(request, 404, NULL, "The dashboard has no such file: reload the page.");
     return;
   }
   reply_asset(request, asset);

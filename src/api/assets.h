@@ -15,6 +15,6 @@ struct mo_asset {
 
 extern const struct mo_asset mo_assets[]; /* ascending names */
 extern const size_t mo_assets_count;
-extern const char mo_assets_version[]; /* of all of them: part of their paths */
+extern const char mo_assets_version[]; /* of all assets together; part of their paths */
 
 #endif

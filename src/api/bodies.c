@@ -1,4 +1,4 @@
-/* bodies.c: random, mutated and crossed bodies, and canonical forms, as campaigns make them: for
+/* bodies.c: makes random, mutated and crossed bodies, and canonical forms, as campaigns do, for
  * searches that run elsewhere. Nothing is stored; the same request gives the same bodies. */
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,7 +12,7 @@
 
 /* ---- requests ---- */
 
-/* A pair of places among the designs. */
+/* Two designs of the request, by their places. */
 struct pair {
   uint32_t first, second;
 };
@@ -25,7 +25,7 @@ struct parsed {
   struct pair *pairs;
 };
 
-/* Reads [[first, second], …]; check_pairs looks whether there are such designs. */
+/* Reads [[first, second], …]; check_pairs checks that these designs exist. */
 static void read_pairs(struct mo_json *json, void *value)
 {
   struct parsed *parsed = value;
@@ -91,7 +91,7 @@ const struct mo_fields mo_random_request_fields = MO_FIELDS(random_rows),
                        mo_crossing_request_fields = MO_FIELDS(crossing_rows),
                        mo_canonical_request_fields = MO_FIELDS(given_rows);
 
-/* The number of designs in the request, with those that are skipped. */
+/* Returns the number of designs in the request, including those that are skipped. */
 static uint32_t n_given(const struct parsed *parsed)
 {
   return parsed->parts.n_designs + parsed->parts.n_skipped;
@@ -104,10 +104,10 @@ static int check_designs(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs",
                      MO_DESIGNS_MAX);
   if ((uint64_t)n_given(parsed) * parsed->children > MO_DESIGNS_MAX)
-    mo_json_fault_at(json, 0, "/children",
-                     "%u children of each of %u designs are asked for; at most %d in all are "
-                     "expected",
-                     parsed->children, n_given(parsed), MO_DESIGNS_MAX);
+    mo_json_fault_at(
+        json, 0, "/children",
+        "%u children of each of %u designs are requested; at most %d in all are allowed",
+        parsed->children, n_given(parsed), MO_DESIGNS_MAX);
   return MO_OK;
 }
 
@@ -137,7 +137,7 @@ struct place {
   const struct mo_design_note *note; /* nullable */
 };
 
-/* A reply that is made. */
+/* A reply that is being made. */
 struct bodies {
   struct parsed parsed;
   struct place *places; /* (n_given) */
@@ -152,7 +152,7 @@ static bool is_empty(const struct place *place)
   return place->note != NULL && mo_is_skipped(place->note);
 }
 
-/* malloc; NULL: no memory. */
+/* Returns the designs of the request (malloc); NULL: no memory. */
 static struct place *places_of(const struct parsed *parsed)
 {
   const struct mo_parts *parts = &parsed->parts;
@@ -183,7 +183,7 @@ static void add(struct bodies *bodies, const struct mo_bits *genotype, const uin
   mo_text_add(text, "}");
 }
 
-/* Adds no body, and why. */
+/* Adds an item without a body, with the reason. */
 static void add_none(struct bodies *bodies, const uint32_t *parents, unsigned n_parents,
                      const char *pointer, const char *detail)
 {
@@ -226,15 +226,16 @@ static int check_random(struct mo_json *json, void *any)
 {
   const struct parsed *parsed = any;
   if (parsed->first + parsed->count > MO_RANDOM_BODIES_MAX)
-    mo_json_fault_at(json, 0, "/first",
-                     "bodies %u to %u are asked for; a seed has the bodies 0 to %d: take another "
-                     "seed",
-                     parsed->first, parsed->first + parsed->count - 1, MO_RANDOM_BODIES_MAX - 1);
+    mo_json_fault_at(
+        json, 0, "/first",
+        "bodies %u to %u are requested; a seed has the bodies 0 to %d: use another seed",
+        parsed->first, parsed->first + parsed->count - 1, MO_RANDOM_BODIES_MAX - 1);
   return MO_OK;
 }
 
-/* Takes the kept stream if it stands at the request's first body or before; else opens one. Which
- * bodies are new depends on all before, so those are drawn, too: some 6 µs each. */
+/* Takes the kept stream if it is at the request's first body or before it. Otherwise opens a new
+ * one. Which bodies are new depends on all earlier ones, so those are drawn as well, in about 6 µs
+ * each. */
 static int take_stream(struct mo_random_stream *kept, const struct parsed *parsed,
                        struct mo_body_stream **stream)
 {
@@ -256,7 +257,7 @@ static int take_stream(struct mo_random_stream *kept, const struct parsed *parse
   return error;
 }
 
-/* Keeps a stream that stands behind the request's last body, instead of the one before. */
+/* Keeps the stream, which is now after the request's last body, in place of the previous one. */
 static void keep_stream(struct mo_random_stream *kept, const struct parsed *parsed,
                         struct mo_body_stream *stream)
 {
@@ -291,14 +292,14 @@ void mo_api_post_random_bodies(struct mo_request *request)
 
 /* ---- mutation ---- */
 
-/* The parents that are there, their places, and one round of their children. */
+/* The parents that were not skipped, one round of their children, and all children made so far. */
 struct brood {
   struct mo_campaign_settings settings;
   struct mo_seen *seen;
   uint32_t n;
   uint64_t *parents, *children; /* (n, W) */
   struct mo_birth *births;      /* (n) */
-  struct mo_bits *made;         /* (rounds, n); empty: none was found */
+  struct mo_bits *made;         /* (rounds, n); empty: no new body was found */
 };
 
 static void brood_free(struct brood *brood)
@@ -401,7 +402,7 @@ static void make_crossed(struct bodies *bodies)
                                             second->genotype.words, child.words);
     if (error == MO_ERR_EMPTY)
       add_none(bodies, parents, 2, pointer,
-               "the parents are equal: a child has the voxels that one of them has");
+               "the parents are equal: a child has the voxels that only one of them has");
     else if (error == MO_OK)
       add(bodies, &child, parents, 2, NULL);
     else

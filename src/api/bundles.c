@@ -1,4 +1,4 @@
-/* bundles.c: campaigns as one file: out of this service, and into it. */
+/* bundles.c: exports campaigns as one file, and imports such files. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -7,9 +7,9 @@
 #include "exchange/bundle_import.h"
 #include "http/download.h"
 
-/* ---- out ---- */
+/* ---- export ---- */
 
-/* Checks that a campaign has ended, and is no study. False: the reply is made. */
+/* Checks that a campaign has ended and is not a study. Returns false if it has replied. */
 static bool check_ended(struct mo_request *request, int64_t id, struct mo_campaign_status *status)
 {
   const int error = mo_store_campaign(mo_api_of(request)->store, id, status);
@@ -18,18 +18,18 @@ static bool check_ended(struct mo_request *request, int64_t id, struct mo_campai
     mo_reply_error(request, error, "campaign");
   else if (state != MO_JOB_SUCCEEDED && state != MO_JOB_CANCELLED)
     mo_reply_problem(request, 409, NULL,
-                     "Campaign %lld is %s; a bundle takes campaigns that have succeeded or were "
-                     "cancelled.",
+                     "Campaign %lld is %s; a bundle can hold only campaigns that have succeeded or "
+                     "were cancelled.",
                      (long long)id, mo_job_state_name(state));
   else if (!mo_modes[status->record.settings.mode].makes_children)
-    mo_reply_problem(request, 409, NULL, "Campaign %lld is a study; bundles do not take them.",
+    mo_reply_problem(request, 409, NULL, "Campaign %lld is a study; bundles cannot hold studies.",
                      (long long)id);
   else
     return true;
   return false;
 }
 
-/* Checks that a reader would take as many recordings. */
+/* Checks that a service would import that many recordings. */
 static bool check_recordings(struct mo_request *request, const int64_t *ids, uint32_t n)
 {
   uint64_t sum = 0;
@@ -49,7 +49,7 @@ static bool check_recordings(struct mo_request *request, const int64_t *ids, uin
   if (sum <= MO_BUNDLE_ROLLOUTS)
     return true;
   mo_reply_problem(request, 409, NULL,
-                   "%llu rollouts of these campaigns' designs are recorded; a bundle takes up to "
+                   "%llu rollouts of these campaigns' designs are recorded; a bundle holds at most "
                    "%d. Name fewer campaigns, or delete recordings.",
                    (unsigned long long)sum, MO_BUNDLE_ROLLOUTS);
   return false;
@@ -63,7 +63,8 @@ static bool check_all(struct mo_request *request, const int64_t *ids, uint32_t n
     mo_reply_error(request, MO_ERR_NO_MEMORY, "bundle");
   else if (n == 0 || n > MO_BUNDLE_CAMPAIGNS)
     mo_reply_problem(request, n == 0 ? 404 : 400, NULL,
-                     "These are %u campaigns; a bundle has 1 to %u.", n, MO_BUNDLE_CAMPAIGNS);
+                     "The request names %u campaigns; a bundle holds 1 to %u.", n,
+                     MO_BUNDLE_CAMPAIGNS);
   good = good && n > 0 && n <= MO_BUNDLE_CAMPAIGNS;
   for (uint32_t i = 0; i < n && good; i++)
     good = check_ended(request, ids[i], status);
@@ -93,12 +94,12 @@ void mo_api_get_bundle(struct mo_request *request)
       mo_bundle_export_create(api->store, program, ids, n, with_recordings != 0);
   if (export == NULL)
     mo_reply_error(request, MO_ERR_NO_MEMORY, "bundle");
-  else /* what a member and the compression take */
+  else /* the memory for a member and the compression */
     mo_download_open(request, MO_ARCHIVE_TYPE, NULL, (uint64_t)8 << 20, mo_bundle_export_more,
                      export, mo_bundle_export_free);
 }
 
-/* ---- in ---- */
+/* ---- import ---- */
 
 static bool is_over(void *request)
 {
@@ -134,7 +135,7 @@ static void reply_entered(struct mo_request *request, const struct mo_bundle_imp
   mo_reply_json(request, import->is_new ? 201 : 200, &text);
 }
 
-/* Replies why a bundle is refused. */
+/* Replies with the reason why a bundle is refused. */
 static void reply_refusal(struct mo_request *request, int error, const struct mo_message *message)
 {
   struct mo_faults faults = {0};
@@ -142,9 +143,9 @@ static void reply_refusal(struct mo_request *request, int error, const struct mo
     mo_faults_add(&faults, MO_FAULT_BODY, "", "%s",
                   message->text[0] != '\0' ? message->text
                                            : "replicates of one group differ in their worlds");
-    mo_reply_problem(request, 422, &faults, "The bundle is refused, and nothing of it was stored.");
+    mo_reply_problem(request, 422, &faults, "The bundle was refused, and nothing was stored.");
   } else if (error == MO_ERR_CONFLICT) {
-    mo_reply_problem(request, 409, NULL, "The bundle is refused, and nothing of it was stored: %s.",
+    mo_reply_problem(request, 409, NULL, "The bundle was refused, and nothing was stored: %s.",
                      message->text);
   } else {
     mo_reply_error(request, error, "bundle");

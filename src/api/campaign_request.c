@@ -10,7 +10,7 @@
 #include "api/requests.h"
 #include "store/fields.h"
 
-/* ---- members of their own ---- */
+/* ---- members with their own readers ---- */
 
 static void read_learning(struct mo_json *json, void *value)
 {
@@ -54,8 +54,8 @@ static void read_initial(struct mo_json *json, void *value)
   }
   if (!json->stop && ways != 1)
     mo_json_fault_at(json, depth, "",
-                     "an initial population is random, or of exactly one of designs and campaign; "
-                     "random bodies fill up what is missing");
+                     "an initial population is random, or comes from exactly one of designs and "
+                     "campaign; random bodies fill it up");
 }
 
 /* Finds the size of the body in voxels along x, y, z; zeros for an empty body. */
@@ -104,7 +104,7 @@ struct founders {
   uint32_t n_noted; /* notes from reading the request */
 };
 
-/* Refuses or skips a design, as the request asks. */
+/* Refuses or skips a design, depending on the request. */
 static void leave_out(struct founders *founders, uint32_t i, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 static void leave_out(struct founders *founders, uint32_t i, const char *format, ...)
@@ -123,7 +123,7 @@ static void leave_out(struct founders *founders, uint32_t i, const char *format,
   parts->genotypes[i] = (struct mo_bits){{0}};
   if (founders->n_noted > 0)
     known = bsearch(&key, parts->notes, founders->n_noted, sizeof(key), by_place);
-  if (known != NULL) { /* it was repaired, or an id */
+  if (known != NULL) { /* it has a note already: it was repaired, or given by its id */
     *known = key;
     parts->n_skipped++;
   } else if (!mo_parts_note(parts, &key)) {
@@ -131,8 +131,8 @@ static void leave_out(struct founders *founders, uint32_t i, const char *format,
   }
 }
 
-/* Leaves out designs that are larger than the campaign's workspace. Designs with faults of their
- * own are empty. */
+/* Leaves out designs that are larger than the campaign's workspace. Designs that were found invalid
+ * before are empty. */
 static void check_sizes(struct founders *founders, struct mo_workspace workspace)
 {
   const struct mo_bits *genotypes = founders->parts->genotypes;
@@ -169,7 +169,7 @@ static void check_repeats(struct founders *founders, uint32_t *first)
                 founders->places[first[i]]);
 }
 
-/* Closes the gaps of designs that were left out now. */
+/* Closes the gaps that designs left out by these checks leave. */
 static void close_gaps(struct mo_parts *parts)
 {
   uint32_t n = 0;
@@ -190,7 +190,7 @@ static int check_listed(struct mo_json *json, struct mo_parsed_campaign *parsed)
                               .listed = malloc((n + 1) * sizeof(*founders.listed)),
                               .places = malloc((n + 1) * sizeof(*founders.places)),
                               .n_noted = parts->n_notes};
-  uint32_t *first = malloc((n + 1) * sizeof(*first)); /* the first design of each one's form */
+  uint32_t *first = malloc((n + 1) * sizeof(*first)); /* the first design with the same form */
   if (founders.listed == NULL || founders.places == NULL || first == NULL)
     parts->error = MO_ERR_NO_MEMORY;
   if (parts->error == MO_OK) {
@@ -210,7 +210,7 @@ static int check_listed(struct mo_json *json, struct mo_parsed_campaign *parsed)
   return parts->error;
 }
 
-/* ---- the whole ---- */
+/* ---- the whole body ---- */
 
 #define AT(member) offsetof(struct mo_parsed_campaign, member)
 static const char *const if_exists_words[] = {"create", "return", NULL};
@@ -246,24 +246,25 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
                      mo_campaign_mode_words[mode]);
   if (!mo_modes[mode].learns && parsed->has_learning)
     mo_json_fault_at(json, 0, "/learning",
-                     "nothing learns in a %s campaign; settings of learning are expected of "
-                     "few-shot and simultaneous only",
+                     "a %s campaign does not learn; settings of learning are for few-shot and "
+                     "simultaneous campaigns only",
                      mo_campaign_mode_words[mode]);
   else if (parsed->has_sensor && !random)
     mo_json_fault_at(
         json, 0, "/learning/sensor",
-        "the campaign starts from a controller, which has its sensor; none is expected here");
+        "the campaign starts from a controller, which determines the sensor; omit it here");
   if (!mo_modes[mode].learns && parsed->request.record.name[0] != '\0')
     mo_json_fault_at(json, 0, "/name",
-                     "a %s campaign gives no controller; a name for it is expected of "
-                     "few-shot and simultaneous only",
+                     "a %s campaign makes no controller; a name for one is for few-shot and "
+                     "simultaneous campaigns only",
                      mo_campaign_mode_words[mode]);
 }
 
-/* Checks that nothing is asked of a study that its client does. */
+/* Checks that a study is not asked to do the work of its client. */
 static void check_study(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
-  static const char words[] = "a study has none: its client makes the designs, batch by batch";
+  static const char words[] =
+      "a study does not support this: its client makes the designs, batch by batch";
   const struct mo_campaign_record *record = &parsed->request.record;
   if (record->settings.generations > 0)
     mo_json_fault_at(json, 0, "/generations", "%s", words);
@@ -275,7 +276,7 @@ static void check_study(struct mo_json *json, const struct mo_parsed_campaign *p
     mo_json_fault_at(json, 0, "/exclude_pretraining", "%s", words);
 }
 
-/* Checks that a study that is to be found has a name to find it by. */
+/* Checks that if_exists is for a study, and that there is a label to find it by. */
 static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   if (parsed->if_exists == 0)
@@ -285,7 +286,7 @@ static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaig
                      "\"return\" is for studies only; \"create\" is expected");
   else if (parsed->parts.label[0] == '\0')
     mo_json_fault_at(json, 0, "/if_exists",
-                     "the study to return is found by its label; a label is expected beside it");
+                     "the study to return is found by its label; give a label, too");
 }
 
 /* Checks the sizes of a campaign that learns. */
@@ -294,8 +295,7 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
   const uint64_t of_both = (uint64_t)settings->parent_steps + settings->child_steps;
   const uint64_t steps = settings->child_steps + of_both * settings->generations;
   if (settings->population > MO_TRAINING_DESIGNS_MAX)
-    mo_json_fault_at(json, 0, "/population",
-                     "%u is given; at most %d are expected of a campaign that learns",
+    mo_json_fault_at(json, 0, "/population", "%u is given; a campaign that learns has at most %d",
                      settings->population, MO_TRAINING_DESIGNS_MAX);
   if (of_both == 0)
     mo_json_fault_at(json, 0, "/learning",
@@ -304,7 +304,7 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
   if (mo_modes[settings->mode].inherits_learning && steps > MO_TRAINING_STEPS_MAX)
     mo_json_fault_at(
         json, 0, "/learning",
-        "%llu steps of learning are asked for in all generations together; at most %d are expected",
+        "%llu steps of learning are requested in all generations together; at most %d are allowed",
         (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
 }
 
@@ -328,19 +328,19 @@ static int check(struct mo_json *json, void *any)
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
                      "%u designs in each of %u generations and the initial population are %llu; at "
-                     "most %llu are expected",
+                     "most %llu are allowed",
                      settings->population, settings->generations, (unsigned long long)designs,
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
   if (mo_modes[settings->mode].learns)
     check_learning(json, settings);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
-    mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld",
+    mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates, from %llu on, exceed %lld",
                      record->replicates, (unsigned long long)settings->seed,
                      (long long)MO_SEED_MAX);
   const int error = check_listed(json, parsed);
   if (parsed->parts.n_designs > settings->population)
     mo_json_fault_at(json, 0, "/initial/designs",
-                     "%u designs are given; at most the population, which is %u, is expected",
+                     "%u designs are given; at most the population, which is %u, is allowed",
                      parsed->parts.n_designs, settings->population);
   return error;
 }

@@ -105,14 +105,14 @@ static void write_study(struct mo_text *text, const struct mo_campaign_status *s
   mo_text_add(text, "}");
 }
 
-/* A study that has no pending batch waits for its client. */
+/* Returns the live state to show: a study without a pending batch waits for its client. */
 static struct mo_live with_wait(const struct mo_campaign_status *status, const struct mo_live *live)
 {
   struct mo_live shown = *live;
   if (!mo_modes[status->record.settings.mode].makes_children &&
       status->told <= status->generation && status->job.state == MO_JOB_QUEUED) {
     shown.phase = MO_PHASE_WAIT;
-    snprintf(shown.reason, sizeof(shown.reason), "batch %lld has not come from the study's client",
+    snprintf(shown.reason, sizeof(shown.reason), "waiting for batch %lld from the study's client",
              (long long)status->generation + 1);
   }
   return shown;
@@ -213,9 +213,9 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
 
 /* ---- submission ---- */
 
-/* Checks that the study of the label has the settings that are asked for, and stores the key with
- * it: a key of a request that was refused would answer the next one. reference: the controller;
- * NULL: none is asked for. */
+/* Checks that the study with this label has the requested settings. Only then stores the key: the
+ * key of a refused request would answer the next one. reference: the requested controller; NULL:
+ * none. */
 static int check_found(struct mo_request *request, struct mo_post *post, const char *reference)
 {
   struct mo_store *store = mo_api_of(request)->store;
@@ -237,8 +237,8 @@ static int check_found(struct mo_request *request, struct mo_post *post, const c
   if (error != MO_OK || post->faults.n == 0)
     return error;
   mo_reply_problem(request, 409, &post->faults,
-                   "Study %lld has the label, and other settings than are asked for. Use its "
-                   "settings or another label, or end it first.",
+                   "Study %lld has the label, but other settings than the request. Use its "
+                   "settings or another label, or finish it first.",
                    (long long)request->kept);
   return MO_ERR_CONFLICT;
 }
@@ -292,8 +292,8 @@ static void reply_not_extended(struct mo_request *request, int64_t id, int error
     mo_reply_error(request, error, "campaign");
   else if (status.end == MO_CAMPAIGN_EXHAUSTED)
     mo_reply_problem(request, 409, NULL,
-                     "The campaign cannot be extended: it has exhausted its morphospace, of which "
-                     "nothing new is left.");
+                     "The campaign cannot be extended: it has exhausted its morphospace, so that "
+                     "no new design is left.");
   else
     mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: it is %s.",
                      mo_job_state_name(status.job.state));

@@ -35,7 +35,7 @@ void mo_api_get_checkpoints(struct mo_request *request)
   mo_reply_text(request, n < 0 ? (int)n : MO_OK, &text, "page");
 }
 
-/* Deletes those that are not needed, or the one whose step the path has. */
+/* Deletes the checkpoints that are not needed, or the one of the step in the path. */
 void mo_api_delete_checkpoints(struct mo_request *request)
 {
   const struct mo_resource *kind = mo_resource_of(request);
@@ -57,9 +57,9 @@ void mo_api_delete_checkpoints(struct mo_request *request)
                      (long long)id);
   } else if (one && error == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL,
-                     "The training has not ended and goes on from its newest checkpoint, that of "
-                     "step %lld, after a restart or a pause; it can be deleted when the training "
-                     "has ended or was cancelled.",
+                     "The training has not ended and would continue from its newest checkpoint, "
+                     "that of step %lld, after a restart or a pause; it can be deleted once the "
+                     "training has ended or was cancelled.",
                      (long long)step);
   } else if (error != MO_OK) {
     mo_reply_error(request, error, mo_job_kind_name(kind->kind));

@@ -1,4 +1,4 @@
-/* controllers.c: lists, gives, stores and deletes controllers by name. */
+/* controllers.c: lists, returns, stores and deletes controllers by name. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -6,7 +6,7 @@
 #include "api/handlers.h"
 #include "api/job_json.h"
 
-/* Writes the description of a controller. MO_OK or an error of the store. */
+/* Writes the description of a controller. Returns MO_OK or an error of the store. */
 static int write_controller(struct mo_store *store, struct mo_text *text,
                             const struct mo_controller_record *record)
 {
@@ -69,7 +69,7 @@ void mo_api_list_controllers(struct mo_request *request)
   mo_reply_text(request, code, &text, "page");
 }
 
-/* Reads the record of the controller that the path names. False: the reply is made. */
+/* Reads the record of the controller that the path names. Returns false if it has replied. */
 static bool read_record(struct mo_request *request, struct mo_controller_record *record)
 {
   int error = mo_store_controller(mo_api_of(request)->store, request->parameters[0], record);
@@ -101,7 +101,7 @@ void mo_api_get_controller_file(struct mo_request *request)
   if (error == MO_ERR_CORRUPT) {
     mo_reply_problem(request, 500, NULL,
                      "The file controllers/%s.safetensors in the state folder of the service is "
-                     "missing or damaged. PUT of the same file, under any name, puts it right.",
+                     "missing or damaged. A PUT of the same file, under any name, repairs it.",
                      MO_SHA256_HEX(&record.sha256));
   } else if (error != MO_OK) {
     mo_reply_error(request, error, "controller");
@@ -158,7 +158,7 @@ void mo_api_delete_controller(struct mo_request *request)
   struct mo_message message = {""};
   if (strcmp(name, "default") == 0) {
     mo_reply_problem(request, 409, NULL,
-                     "The name default cannot be taken away; PUT points it at another file.");
+                     "The name default cannot be removed; a PUT points it to another file.");
     return;
   }
   int code = strncmp(name, "sha256:", 7) == 0 ? mo_store_controller_delete(store, name, &message)

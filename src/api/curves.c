@@ -10,7 +10,7 @@
 #include "exchange/columns.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
-#define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them: 10 µs each */
+#define ROWS_READ_MAX 5000 /* for one page of replicates, of all of them together; 10 µs each */
 
 struct curve;
 
@@ -19,13 +19,13 @@ struct curve_kind {
   const char *path; /* of its route */
   const struct mo_columns *columns;
   size_t row_size;
-  /* Reads at most `limit` rows behind the curve's place and moves it behind them. Returns their
-   * number or an error. */
+  /* Reads at most `limit` rows after the curve's position and moves the position past them. Returns
+   * their number or an error. */
   int64_t (*read)(struct curve *curve, void *rows, size_t limit);
-  bool has_step;     /* a place in the curve is a generation and a step, "12.30", or a campaign and
-                        a generation, not one number */
-  bool has_members;  /* its rows are of several campaigns */
-  bool names_member; /* each row begins with what its campaign is */
+  bool has_step;     /* a position in the curve has two numbers, "12.30": a generation and a step,
+                        or a campaign and a generation */
+  bool has_members;  /* each row combines several campaigns */
+  bool names_member; /* each row begins with a description of its campaign */
 };
 
 struct curve {
@@ -33,20 +33,20 @@ struct curve {
   const struct curve_kind *kind;
   int64_t id;
   int64_t after;  /* step, generation or campaign; −1: none */
-  uint32_t step;  /* of that generation; of a campaign the generation */
+  uint32_t step;  /* in that generation; where `after` is a campaign, its generation */
   int64_t stride; /* of steps or generations */
   int64_t limit;  /* rows of a page */
-  /* The campaigns whose rows are read, ascending: of replicates those that count, with the newest
+  /* The campaigns to read, ascending. Replicates: only those that count; `newest` is the newest
    * generation that all of them have. */
   int64_t *members;
-  uint32_t n_members, member; /* member: the place of the one that is read */
+  uint32_t n_members, member; /* member: the index of the one that is read */
   int64_t newest;
   struct {
     int64_t id;
     enum mo_job_state state;
   } left_out[MO_REPLICATES_MAX]; /* those that were cancelled or failed */
   uint32_t n_left_out;
-  struct mo_text about; /* how a row begins: what its campaign is */
+  struct mo_text about; /* the beginning of each row: a description of its campaign */
 };
 
 /* ---- rows ---- */
@@ -78,10 +78,10 @@ static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
   return n;
 }
 
-/* Columns that come before those of a generation, where rows are of several campaigns. */
+/* Columns that precede those of a generation in tables of several campaigns. */
 static const char member_columns[] = "campaign group replicate:u label mode state seed:l";
 
-/* Notes what the campaign is, once for all its rows. */
+/* Describes the campaign, once for all its rows. */
 static void describe(struct mo_text *about, const struct mo_campaign_status *status)
 {
   const struct mo_campaign_record *record = &status->record;
@@ -97,7 +97,7 @@ static void describe(struct mo_text *about, const struct mo_campaign_status *sta
   mo_text_member_count(about, "seed", record->settings.seed);
 }
 
-/* Reads rows of one campaign, the next one that has some. */
+/* Reads rows of the next campaign that has any. */
 static int64_t read_exported(struct curve *curve, void *rows, size_t limit)
 {
   struct mo_campaign_generation *generations = rows;
@@ -181,8 +181,8 @@ static const struct curve_kind kinds[] = {
      read_exported, .has_step = true, .names_member = true},
 };
 
-/* Adds rows, of one campaign. Returns 1: there may be more, 0: there are no more now, or an error.
- */
+/* Adds rows of one campaign. Returns 1 if there may be more, 0 if there are no more for now, or an
+ * error. */
 static int add_rows(struct curve *curve, struct mo_text *text)
 {
   const struct curve_kind *kind = curve->kind;
@@ -238,7 +238,7 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   mo_reply_text(request, more < 0 ? more : MO_OK, &text, "page");
 }
 
-/* ---- whose rows ---- */
+/* ---- which campaigns ---- */
 
 /* Finds the members of the group that were not cancelled and did not fail. */
 static int find_members(struct curve *curve)
@@ -268,19 +268,19 @@ static int find_members(struct curve *curve)
   return n < 0 ? (int)n : MO_OK;
 }
 
-/* Finds the campaigns that the query names. False: the reply is made. */
+/* Finds the campaigns that the query names. Returns false if it has replied. */
 static bool find_exported(struct mo_request *request, struct curve *curve)
 {
   if (!mo_find_campaigns(request, &curve->members, &curve->n_members))
     return false;
-  /* Goes on behind the cursor: campaigns before its one are done. */
+  /* Continue after the cursor: skip the campaigns before the one that it names. */
   while (curve->member < curve->n_members && curve->members[curve->member] < curve->after)
     curve->member++;
   return true;
 }
 
-/* Reads a cursor: "12", or "12.30" where a place has a step. Numbers have at most ten digits,
- * enough for 32 bits. */
+/* Reads a cursor: "12", or "12.30" where a position has two numbers. Numbers have at most ten
+ * digits, enough for 32 bits. */
 static bool read_cursor(struct mo_request *request, struct curve *curve)
 {
   const char *text = mo_query(request, "cursor");

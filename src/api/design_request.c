@@ -1,6 +1,6 @@
-/* design_request.c: designs in the bodies of requests. Every fault names its place: a cell out of
- * bounds is at /designs/3/cells/7/0. Where the request asks for it, a design with a fault is left
- * out, or a body in several pieces keeps its largest; a note says so. */
+/* design_request.c: reads the designs in the bodies of requests. Every fault names its place: a
+ * cell out of bounds is at /designs/3/cells/7/0. If the request says so, an invalid design is
+ * skipped, and a body in several pieces is reduced to its largest piece. A note records this. */
 #include "api/requests.h"
 
 #include <stdio.h>
@@ -9,7 +9,7 @@
 
 #include "base/text.h"
 
-/* Skips the item that is next, and all after it. */
+/* Skips the next item and all after it. */
 static void skip_rest(struct mo_json *json)
 {
   do
@@ -17,7 +17,7 @@ static void skip_rest(struct mo_json *json)
   while (mo_json_item(json));
 }
 
-/* A design that is read. */
+/* A design that is being read. */
 struct shape {
   struct mo_bits *bits;
   bool repairs;
@@ -25,8 +25,8 @@ struct shape {
   enum mo_orientation orientation;
 };
 
-/* Drops all but the largest piece of a body in several pieces, if the request asks for it. Returns
- * the code that is left. */
+/* Drops all but the largest piece of a body in several pieces, if the request says so. Returns the
+ * error that remains. */
 static int repaired(int code, struct shape *shape)
 {
   uint64_t *bits = shape->bits->words;
@@ -45,7 +45,7 @@ static int repaired(int code, struct shape *shape)
 static void cell_fault(struct mo_json *json, unsigned depth, int code,
                        const struct mo_cell_fault *fault)
 {
-  static const char *const sides[] = {"x, 0 to 5", "y, 0 to 5", "z, 0 to 3"};
+  static const char *const sides[] = {"x from 0 to 5", "y from 0 to 5", "z from 0 to 3"};
   char below[48];
   snprintf(below, sizeof(below), "/%zu", fault->cell);
   switch (code) {
@@ -111,8 +111,8 @@ static bool read_cells(struct mo_json *json, struct shape *shape)
   return code == MO_OK;
 }
 
-/* Writes four voxels for each hexadecimal digit of a genotype that is written so, the highest bit
- * first. */
+/* Expands a genotype in hexadecimal digits to four voxels per digit, the highest bit first. Returns
+ * whether the text has this form. */
 static bool spread(struct mo_json_slice text, char digits[MO_DEFAULT_VOXELS])
 {
   bool is_packed = text.size == MO_DEFAULT_ID_DIGITS;
@@ -132,7 +132,8 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   struct mo_cell_fault fault;
   if (!mo_json_string(json, &text))
     return false;
-  if (text.size > 0 && text.bytes[0] == 'g') { /* as in a CSV, to be sent back unchanged */
+  if (text.size > 0 && text.bytes[0] == 'g') { /* CSV files write it so, and clients may send it
+                                                  back unchanged */
     text.bytes++;
     text.size--;
   }
@@ -188,7 +189,7 @@ static bool read_id(struct mo_json *json, struct shape *shape)
   else if (code != MO_OK)
     mo_json_fault_at(json, depth, "",
                      "not a design's id; %d hexadecimal digits of a canonical form are expected, "
-                     "perhaps with an orientation: @0 to @7",
+                     "optionally with an orientation: @0 to @7",
                      MO_DEFAULT_ID_DIGITS);
   if (orientation < 0)
     shape->orientation = MO_ORIENTATION_CANONICAL;
@@ -222,7 +223,7 @@ static void read_design(struct mo_json *json, struct shape *shape)
 
 void *mo_next_item(void **items, size_t n, size_t size)
 {
-  if ((n & (n - 1)) == 0) { /* 0, 1, 2, 4, …: the room is used up */
+  if ((n & (n - 1)) == 0) { /* 0, 1, 2, 4, …: the array is full */
     void *grown = realloc(*items, (n > 0 ? 2 * n : 1) * size);
     if (grown == NULL)
       return NULL;
@@ -331,7 +332,7 @@ static const struct mo_field rules[] = {
     {"on_fault", MO_FIELD_WORD, 0, offsetof(struct mo_parts, on_fault), .words = on_fault_words,
      .unit = "", .help = "how to treat an invalid design"},
     {"repair", MO_FIELD_WORD, 0, offsetof(struct mo_parts, repair), .words = repair_words,
-     .unit = "", .help = "what is done to a body in several pieces"},
+     .unit = "", .help = "how to treat a body in several pieces"},
 };
 const struct mo_fields mo_design_rules_fields = MO_FIELDS(rules);
 const struct mo_fields mo_on_fault_fields = {&rules[0], 1}, mo_repair_fields = {&rules[1], 1};

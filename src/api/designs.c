@@ -11,7 +11,8 @@
 
 #define CAMPAIGNS_MAX 100
 
-/* Opens the object and writes what every representation of a design has. MO_ERR_NO_MEMORY. */
+/* Opens the object and writes the members that every representation of a design has. May fail with
+ * MO_ERR_NO_MEMORY. */
 static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_bits *form,
                       int64_t first_seen_us)
 {
@@ -27,7 +28,8 @@ static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_
   return error;
 }
 
-/* Whether losses of the set are not known: of a design that was cut short, for example. */
+/* Returns whether some losses of the set are unknown, for example because the design was cut short.
+ */
 static bool is_partial(const struct mo_design_score *score)
 {
   bool is_finite = true, is_whole = true;
@@ -113,11 +115,10 @@ void mo_api_get_design(struct mo_request *request)
   struct mo_bits genotype, form;
   int orientation;
   if (mo_robot_read(id, strlen(id), &genotype, &orientation) != MO_OK) {
-    mo_reply_problem(
-        request, 404, NULL,
-        "There is no such design: an id has %d hexadecimal digits of a canonical form, and an "
-        "orientation behind it is @0 to @7.",
-        MO_DEFAULT_ID_DIGITS);
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such design: an id has %d hexadecimal digits of a canonical "
+                     "form, and an orientation after it is @0 to @7.",
+                     MO_DEFAULT_ID_DIGITS);
     return;
   }
   mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype.words, form.words);
@@ -182,8 +183,8 @@ static bool is_class(const char *text)
   return n > 0 && n < MO_FINGERPRINT_BYTES;
 }
 
-/* Returns the class whose scores are ranked unless another one is asked for: that of the devices,
- * which compute large batches, or else of the workers. */
+/* Returns the class to rank by default: that of the devices, which compute large batches, or that
+ * of the workers if there are no devices. */
 static const char *own_class(const struct mo_compute *compute)
 {
   return mo_compute_devices(compute) > 0 ? mo_compute_device_fingerprint(compute)
@@ -208,13 +209,13 @@ void mo_api_list_designs(struct mo_request *request)
   query.is_descending = order == 1;
   for (size_t i = 0; i < 3; i++)
     if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
-      mo_reply_bad_parameter(request, of_score[i], "this parameter is for sort=score");
+      mo_reply_bad_parameter(request, of_score[i], "this parameter is only for sort=score");
       return;
     }
   if (!mo_query_word(request, "environments", sets, &set))
     return;
   if (class != NULL && !is_class(class)) {
-    mo_reply_bad_parameter(request, "class", "a fingerprint is expected, as scores have it");
+    mo_reply_bad_parameter(request, "class", "a fingerprint is expected, as scores show it");
     return;
   }
   if (cursor != NULL && !read_cursor(cursor, &query)) {

@@ -50,7 +50,7 @@ static void read_random(struct mo_json *json, void *value)
   parts->has_random = true;
   mo_fields_read(json, &random_fields, random);
   if (random->count == 0 && json->faults->n == before)
-    mo_json_fault_at(json, depth, "", "count is missing: how many bodies, 1 to %d",
+    mo_json_fault_at(json, depth, "", "count is missing: the number of bodies, 1 to %d",
                      MO_RANDOM_BODIES_MAX);
 }
 
@@ -70,7 +70,8 @@ static const struct mo_field rollout_rows[] = {
     {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
 };
 const struct mo_fields mo_rollouts_request_fields = MO_FIELDS(rollout_rows);
-/* An evaluation's has the same but for the controller, which is one of the parts of every job. */
+/* An evaluation has the same fields except the controller, which is one of the parts of every job.
+ */
 static const struct mo_fields scored = {rollout_rows,
                                         sizeof(rollout_rows) / sizeof(rollout_rows[0]) - 1};
 static const struct mo_field rows[] = {
@@ -79,15 +80,15 @@ static const struct mo_field rows[] = {
     {"random", MO_FIELD_OWN, 0, AT(parts), .own = &random_field},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
     {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_LARGE_MAX, .unit = "designs",
-     .help = "how many of the best get whole scores"},
+     .help = "number of the best designs that get complete scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
 };
 #undef AT
 const struct mo_fields mo_evaluation_request_fields = MO_FIELDS(rows);
-_Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words stand in the order of their values");
+_Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words are in the order of their values");
 
-/* Random bodies are drawn, and long lists stored, after the submission, so no recording can be
- * measured. */
+/* Random bodies are drawn, and long lists are stored, only after the submission, so the size of a
+ * recording is not known yet. */
 static void check_large(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
 {
   const struct mo_random_bodies *random = &parsed->parts.random;
@@ -98,15 +99,15 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
   if (random->count == 0 && n <= MO_DESIGNS_MAX)
     return;
   if (random->count > 0 && random->first + random->count > MO_RANDOM_BODIES_MAX)
-    mo_json_fault_at(json, 0, "/random/first",
-                     "bodies %u to %u are asked for; a seed has the bodies 0 to %d: take another "
-                     "seed",
-                     random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
+    mo_json_fault_at(
+        json, 0, "/random/first",
+        "bodies %u to %u are requested; a seed has the bodies 0 to %d: use another seed",
+        random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
   if (n * n_environments > MO_LARGE_ROLLOUTS_MAX)
-    mo_json_fault_at(json, 0, random->count > 0 ? "/random/count" : place,
-                     "these are %llu rollouts; at most %d are expected: fewer bodies or fewer "
-                     "environments",
-                     (unsigned long long)n * n_environments, MO_LARGE_ROLLOUTS_MAX);
+    mo_json_fault_at(
+        json, 0, random->count > 0 ? "/random/count" : place,
+        "these are %llu rollouts; at most %d are allowed: use fewer bodies or fewer environments",
+        (unsigned long long)n * n_environments, MO_LARGE_ROLLOUTS_MAX);
   if (parsed->request.verify || parsed->request.record != 0)
     mo_json_fault_at(json, 0, place, "this is given with %s, which needs at most %d listed designs",
                      parsed->request.verify ? "verify" : "record", MO_DESIGNS_MAX);
@@ -125,21 +126,20 @@ static int check(struct mo_json *json, void *any)
                      "of random bodies",
                      MO_LARGE_MAX);
   if (parsed->parts.has_designs && parsed->parts.has_random)
-    mo_json_fault_at(json, 0, "/random",
-                     "this is given with designs; only one of them is expected");
+    mo_json_fault_at(json, 0, "/random", "this is given with designs; give only one of them");
   check_large(json, parsed);
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller", "null is given; a controller's name is expected");
   if (request->record_stride > steps)
     mo_json_fault_at(json, 0, "/record_stride",
-                     "%u is given; at most n_steps, which is %u, is expected",
+                     "%u is given; at most n_steps, which is %u, is allowed",
                      request->record_stride, steps);
   if (n_designs > 0 && request->best > n_designs)
     mo_json_fault_at(json, 0, "/best",
-                     "%u is given; at most the number of designs, which is %u, is expected",
+                     "%u is given; at most the number of designs, which is %u, is allowed",
                      request->best, n_designs);
   if (request->best > 0 && (request->verify || request->record != 0))
-    mo_json_fault_at(json, 0, "/best", "this is given with %s; only one of them is expected",
+    mo_json_fault_at(json, 0, "/best", "this is given with %s; give only one of them",
                      request->verify ? "verify" : "record");
   if (request->record_stride == 0)
     request->record_stride = steps < 10 ? steps : 10;

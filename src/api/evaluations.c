@@ -69,7 +69,7 @@ static void write_progress(struct mo_text *text, const struct mo_job *job,
   mo_text_add(text, "}");
 }
 
-/* Writes an evaluation without its results and its end. */
+/* Writes an evaluation without its results, and leaves the object open. */
 static void write_job(struct mo_text *text, const struct mo_job *job, const struct mo_live *live)
 {
   struct mo_live shown = *live;
@@ -191,14 +191,15 @@ void mo_api_get_results(struct mo_request *request)
   if (error == MO_OK && job.kind != MO_JOB_EVALUATION)
     error = MO_ERR_NOT_FOUND;
   if (error == MO_OK && job.state != MO_JOB_SUCCEEDED) {
-    mo_reply_problem(request, 409, NULL, "The evaluation is %s; it has results when it succeeded.",
+    mo_reply_problem(request, 409, NULL,
+                     "The evaluation is %s; it has results once it has succeeded.",
                      mo_job_state_name(job.state));
     return;
   }
   if (first < 0)
     first = 0;
   if (error == MO_OK && first > job.n_designs)
-    first = job.n_designs; /* behind the last one */
+    first = job.n_designs; /* after the last one */
   uint32_t *numbers = malloc(limit * sizeof(*numbers));
   int64_t n = 0;
   if (numbers == NULL)

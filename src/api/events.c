@@ -1,5 +1,5 @@
-/* events.c: events as a page and as a stream, and what follows the store's events: streams,
- * requests that wait for a job, and the counts of jobs. */
+/* events.c: replies with events as a page or a stream, and passes new events of the store to the
+ * streams, to requests that wait for a job, and to the counts of jobs. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -8,7 +8,7 @@
 #include "http/pool.h"
 #include "http/stream.h"
 
-/* Writes an event as JSON, behind the brace that opens the object. */
+/* Writes an event as JSON, after the brace that opens the object. */
 static void write_event(struct mo_text *text, const struct mo_event *event)
 {
   mo_text_member_id(text, "id", event->sequence);
@@ -108,7 +108,8 @@ static void open_stream(struct mo_request *request, int64_t after, int64_t job)
   }
   int error = MO_OK;
   if (after < 0) {
-    /* From the next event on: those from now until the stream is open are read from the store. */
+    /* Start with the next event. Those that arrive before the stream is open are read from the
+     * store. */
     int64_t n =
         mo_store_events(mo_api_of(request)->store, INT64_MAX - 1, 0, NULL, 0, NULL, &place.after);
     error = n < 0 ? (int)n : MO_OK;
@@ -162,7 +163,8 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
     mo_reply_text(request, (int)n, &text, "page");
 }
 
-/* Checks that there is a job, or was: events outlast a deleted one. False: the reply is made. */
+/* Checks that the job exists or once existed: events outlive a deleted job. Returns false if it has
+ * replied. */
 static bool has_job(struct mo_request *request, int64_t id)
 {
   struct mo_store *store = mo_api_of(request)->store;

@@ -1,4 +1,4 @@
-/* fleet.h: what the files about workers of other machines share. */
+/* fleet.h: what the files about workers on other machines share. */
 #ifndef MORPHO_API_FLEET_H
 #define MORPHO_API_FLEET_H
 
@@ -6,15 +6,15 @@
 #include "fleet/fleet.h"
 #include "jobs/verification.h"
 
-/* Raised with every change of what travels. Workers of any version of the program may join that
- * have this protocol and compute the same bits. */
+/* Raised with every change of the wire format. Workers of any version of the program may join if
+ * they use this protocol and compute the same bits. */
 #define MO_FLEET_PROTOCOL 1
 #define MO_FLEET_WAIT_S   30 /* longest wait for leases or orders */
 
-/* Writes an object for each loss of a row that is not the one computed again. */
+/* Writes an object for each loss of a row that differs from the one computed again. */
 void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row);
-/* Reads the id of a session from the path. NULL: there is no fleet, or no such session can be; the
- * reply is made. */
+/* Reads the id of a session from the path. Returns NULL after an error reply if there is no fleet
+ * or the id is invalid. */
 struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session);
 
 #endif

@@ -1,5 +1,5 @@
-/* fleet_status.c: the workers of other machines as clients see them, and what operators do about
- * them. */
+/* fleet_status.c: shows the workers on other machines to clients, and lets operators manage them.
+ */
 #include "api/fleet.h"
 
 #include <stdlib.h>
@@ -10,7 +10,7 @@
 
 /* ---- the status ---- */
 
-/* sessions (nullable): how many serve the class. */
+/* Writes a class as a member. sessions (nullable): the number of sessions that serve it. */
 static void write_class(struct mo_text *text, const char *name, const char *scores,
                         const char *gradients, const uint32_t *sessions)
 {
@@ -27,14 +27,14 @@ static void write_class(struct mo_text *text, const char *name, const char *scor
   mo_text_add(text, "}");
 }
 
-/* Writes a moment of the monotonic clock; null for 0. */
+/* Writes a time of the monotonic clock; null for 0. */
 static void write_moment(struct mo_text *text, const char *name, uint64_t then_ns)
 {
   const int64_t ago_us = mo_clock_us() - (int64_t)(then_ns / 1000);
   mo_text_member_time(text, name, then_ns > 0 ? mo_clock_wall_us() - ago_us : 0);
 }
 
-/* has_id: the reader may have the id, by which a session is drained. */
+/* has_id: the client may see the id, with which a session can be drained. */
 static void write_session(struct mo_text *text, const struct mo_session_status *session,
                           bool has_id)
 {
@@ -70,7 +70,7 @@ static void write_session(struct mo_text *text, const struct mo_session_status *
   mo_text_add(text, "}");
 }
 
-/* Writes the classes of this daemon, with how many sessions serve each. */
+/* Writes the classes of this daemon, with the number of sessions that serve each. */
 static void write_classes(struct mo_text *text, const struct mo_api *api,
                           const struct mo_fleet_status *status)
 {
@@ -131,7 +131,7 @@ void mo_api_get_fleet(struct mo_request *request)
   mo_reply_text(request, error, &text, "fleet");
 }
 
-/* ---- what operators do ---- */
+/* ---- actions of operators ---- */
 
 static void reply_done(struct mo_request *request, int error, const char *what)
 {

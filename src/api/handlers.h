@@ -24,11 +24,11 @@ struct mo_load {
   uint64_t rollouts;
 };
 
-/* The stream of random bodies that the newest request read from, so that the request for those
- * behind them does not draw all bodies before again. */
+/* The stream of random bodies that the latest request read. It is kept so that a request for the
+ * next bodies need not draw all earlier ones again. */
 struct mo_random_stream {
   pthread_mutex_t mutex;
-  struct mo_body_stream *stream; /* NULL: none, or a request reads it */
+  struct mo_body_stream *stream; /* NULL: none, or a request is using it */
   uint64_t seed;
   uint32_t next; /* the number of its next body */
 };
@@ -66,9 +66,11 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
 #define ROUTE(PATH, METHOD, HANDLER, RIGHT, FLAGS, BODY, QUERY)                                    \
   void mo_api_##HANDLER(struct mo_request *request);
 #include "api/fleet_routes.inc"
-void mo_api_get_table(struct mo_request *request); /* of all lists: calls the handler of the page */
+void mo_api_get_table(struct mo_request *request); /* for all lists: calls the handler that makes
+                                                      the pages */
 
-/* What a request waits for that waits for the pending batch of a study, not for a job's end. */
+/* The topic of a request that waits for the pending batch of a study, not for the end of the job.
+ */
 #define MO_WAIT_BATCH(id) ((id) + (INT64_C(1) << 62))
 
 /* Follow the store's events (events.c): streams, waiting requests, counts of jobs. */

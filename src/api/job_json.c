@@ -9,7 +9,7 @@ void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation
   mo_text_member(text, "orientation", words[orientation]);
 }
 
-/* Writes what a note says as members; NULL: nothing. */
+/* Writes the content of a note as members. note NULL: there is no note. */
 static void write_note(struct mo_text *text, const struct mo_design_note *note)
 {
   mo_text_member_count(text, "repaired", note != NULL ? note->dropped : 0);
@@ -83,7 +83,7 @@ void mo_member_environments(struct mo_text *text, const char *set, uint32_t n)
     mo_text_format(text, ",\"environments\":{\"count\":%u}", n);
 }
 
-/* Says whether a job is paused because no device is available to compute it. */
+/* Returns whether a job is paused because no device is available to compute it. */
 static bool lacks_device(const struct mo_job *job)
 {
   return job->state == MO_JOB_PAUSED && job->error == MO_ERR_DEVICE;

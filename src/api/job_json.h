@@ -9,8 +9,9 @@
 
 /* Writes how the orientation of a design was chosen; null: the request gave it. */
 void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation);
-/* Writes the members of a design of a request: id, robot, genotype, sizes, and what its note
- * (nullable) says. An empty genotype: all null. MO_ERR_NO_MEMORY. */
+/* Writes the members of a design of a request: id, robot, genotype, sizes, and the content of its
+ * note (nullable). If the genotype is empty, id, robot, genotype and sizes are null. May fail with
+ * MO_ERR_NO_MEMORY. */
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
                       const struct mo_bits *form, const struct mo_bits *genotype,
                       const struct mo_design_note *note);
@@ -20,7 +21,8 @@ void mo_member_notes(struct mo_text *text, const char *name, const struct mo_des
 /* Writes a controller as an object of name ("": null) and hash. */
 void mo_member_controller(struct mo_text *text, const char *member, bool known, const char *name,
                           const struct mo_sha256 *sha256);
-/* Writes the name of a set of environments; "": the number of those in the request. */
+/* Writes the name of a set of environments; set "": writes the number of environments in the
+ * request. */
 void mo_member_environments(struct mo_text *text, const char *set, uint32_t n);
 
 /* Returns the state to show: a running job that waits for disk space is shown as paused. */
@@ -28,27 +30,28 @@ enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_l
 /* Writes the members that jobs of every kind have, from state to error, and why a training or
  * campaign makes no progress. */
 void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const struct mo_live *live);
-/* Writes the paths of what belongs to a job. below: pairs of member and path, then NULL. */
+/* Writes the paths of the resources that belong to a job. below: pairs of member and path, then
+ * NULL. */
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below);
 
-/* Writes a training, without the end of the object. live: its current live state. population_kind:
- * the kind of the job record.population, if there is one. */
+/* Writes a training and leaves the object open. live: its current live state. population_kind: the
+ * kind of the job record.population, if there is one. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
                             enum mo_job_kind population_kind, const struct mo_live *live);
 /* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
 void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
-/* Writes a campaign, without the end of the object. live: its current live state. */
+/* Writes a campaign and leaves the object open. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_live *live);
 /* Writes a campaign as an item of the list of jobs. status: struct mo_campaign_status. */
 void mo_campaign_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 
-/* How a phylogeny is written for programs that know only trees. */
+/* How a phylogeny is written for programs that support only trees. */
 struct mo_phylogeny_shape {
-  bool first_parent;   /* of two parents only the first one is named */
+  bool first_parent;   /* only the first of two parents is written */
   int64_t root;        /* the id of a root from which designs without parents descend; −1: none */
-  uint32_t n_measures; /* columns that follow, of a study */
+  uint32_t n_measures; /* further columns, of a study */
 };
 /* Writes a line of the phylogeny in the ALife data standard. end: the last generation to report; a
  * design that died later is written as alive. */

@@ -56,7 +56,7 @@ static void reply_page(struct mo_request *request, struct mo_text *text, int64_t
 }
 
 /* Writes an item of a list. listed: the kind of the list; NULL: jobs of any kind. Writes nothing if
- * the job has just left `state` (−1: any). */
+ * the job is no longer in `state` (−1: any). */
 static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_resource *listed,
                       const void *item, int state)
 {
@@ -79,7 +79,7 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
   return MO_OK;
 }
 
-/* Reads a parameter of 1 to `most` characters; NULL: it is not given. */
+/* Reads a parameter of 1 to `most` characters. *text is NULL if the parameter is not given. */
 static bool read_text(struct mo_request *request, const char *name, size_t most, const char *words,
                       const char **text)
 {
@@ -91,7 +91,8 @@ static bool read_text(struct mo_request *request, const char *name, size_t most,
   return false;
 }
 
-/* Reads the name of a token, as token files may have it; NULL: it is not given. */
+/* Reads the name of a token, as token files allow it. *name is NULL if the parameter is not given.
+ */
 static bool read_user(struct mo_request *request, const char **name)
 {
   static const char words[] =
@@ -170,7 +171,8 @@ void mo_api_list_jobs(struct mo_request *request)
 
 /* ---- control ---- */
 
-/* Replies with the job after a change. conflict: what its state does not allow. */
+/* Replies with the job after a change. conflict: the action that its state does not allow, in
+ * words. */
 static void reply_changed(struct mo_request *request, int64_t id, int error, const char *conflict)
 {
   const bool refused = error == MO_ERR_CONFLICT;
@@ -186,7 +188,7 @@ static void reply_changed(struct mo_request *request, int64_t id, int error, con
     mo_reply_job(request, 200, kinds[job.kind], id, false);
 }
 
-/* Pauses, resumes or cancels, as the end of the route says. */
+/* Pauses, resumes or cancels a job, depending on the end of the route. */
 void mo_api_change_job(struct mo_request *request)
 {
   static const struct {
@@ -220,7 +222,7 @@ void mo_api_set_job_weight(struct mo_request *request)
   if (mo_path_id(request, 0, &id) &&
       mo_read_request(request, &mo_weight_fields, &weight, NULL, check_weight, "job"))
     reply_changed(request, id, mo_jobs_set_weight(mo_api_of(request)->jobs, id, weight),
-                  "has no use for a weight");
+                  "does not support a weight");
 }
 
 static int check_edit(struct mo_json *json, void *any)
@@ -228,7 +230,7 @@ static int check_edit(struct mo_json *json, void *any)
   const struct mo_job_edit *edit = &((struct mo_parsed_edit *)any)->edit;
   if (!edit->has_label && !edit->has_experiment && !edit->has_note && !edit->has_archived &&
       json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "nothing is to change: label, experiment, note or archived");
+    mo_json_fault_at(json, 0, "", "nothing is changed: give label, experiment, note or archived");
   return MO_OK;
 }
 
@@ -251,7 +253,7 @@ static void write_staying(struct mo_text *text, const char *what, const char *wh
   mo_text_add(text, "}");
 }
 
-/* Writes what is left of a job that was deleted. */
+/* Reports a deleted job: what was removed with it, and what stays. */
 static void write_deleted(struct mo_text *text, const union mo_job_status *status,
                           const struct mo_deleted *deleted)
 {
@@ -264,15 +266,15 @@ static void write_deleted(struct mo_text *text, const union mo_job_status *statu
   mo_text_member_count(text, "checkpoints", deleted->n_checkpoints);
   mo_text_member_count(text, "checkpoint_bytes", deleted->checkpoint_bytes);
   mo_text_add(text, ",\"stays\":[");
-  write_staying(text, "designs", "every job that meets them shares them");
-  write_staying(text, "scores", "later jobs find them instead of computing them again");
+  write_staying(text, "designs", "all jobs with these designs share them");
+  write_staying(text, "scores", "later jobs reuse them instead of computing them again");
   if (job->has_result) {
     snprintf(what, sizeof(what), "controller %s",
              mo_result_name(job,
                             job->kind == MO_JOB_TRAINING ? status->training.record.name
                                                          : status->campaign.record.name,
                             made));
-    write_staying(text, what, "it has a name of its own, and is deleted by it");
+    write_staying(text, what, "it has its own name, by which it can be deleted");
   }
   mo_text_add(text, "]}");
 }
@@ -297,7 +299,7 @@ void mo_api_delete_job(struct mo_request *request)
     mo_reply_problem(request, 409, NULL, "The job cannot be deleted: it is %s.",
                      mo_job_state_name(state));
   } else if (error == MO_ERR_CONFLICT) {
-    mo_reply_problem(request, 409, NULL, "The job stays: %s.", message.text);
+    mo_reply_problem(request, 409, NULL, "The job cannot be deleted: %s.", message.text);
   } else if (error != MO_OK) {
     mo_reply_error(request, error, "job");
   } else {

@@ -19,35 +19,37 @@ union mo_job_status {
 struct mo_resource {
   enum mo_job_kind kind;
   const char *path;   /* "/v1/trainings" */
-  size_t status_size; /* more than a job's: the item of a list of jobs needs the whole status */
+  size_t status_size; /* if larger than a job, an item of the list of jobs needs the whole status */
   int (*read)(struct mo_store *store, int64_t id, union mo_job_status *status);
   /* Reads a page of statuses, newest first. Returns their number or an error. */
   int64_t (*page)(struct mo_store *store, const struct mo_job_query *query, void *statuses,
                   size_t limit);
-  /* Writes the whole resource, or the item of the list of its kind, or that of the list of jobs. */
+  /* Write the whole resource or its item in the list of its kind; and its item in the list of jobs.
+   */
   int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
                const struct mo_live *live, bool is_listed);
   void (*write_job)(struct mo_text *text, const void *status, const struct mo_live *live);
-  bool versioned; /* the row's version covers all that is written of a job that does not run */
+  bool versioned; /* the version of the row covers everything that is written about a job that is
+                     not running */
 };
 extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo_campaign_resource;
 
 /* ---- job_reply.c ---- */
 
-/* Reads how a job stands now; of one that has ended, nothing. */
+/* Reads the current state of a job; nothing if it has ended. */
 void mo_read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *live);
-/* Replies with a job as it stands now: whole, or as an item of the list of jobs. An error is
- * replied to, and returned. */
+/* Replies with a job as it stands now: whole, or as an item of the list of jobs. Replies to an
+ * error, and returns it. */
 int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
                  int64_t id, bool whole);
 /* Replies 202 to a submission, or 200 if the job is done and the client waited. */
 void mo_reply_submitted(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                         bool done);
-/* Reads a job, or lets the request wait for its end where Prefer asks for it. False: the request
- * waits, or the reply is made. kind NULL: any. */
+/* Reads a job, or lets the request wait for its end if its Prefer field says so. Returns false if
+ * the request waits or has its reply. kind NULL: any. */
 bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                   struct mo_job *job);
-/* Reads a job of this kind. False: the reply is made. */
+/* Reads a job of this kind. Returns false if it has replied. */
 bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                     struct mo_job *job);
 
@@ -55,17 +57,18 @@ bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, 
 
 /* Returns the kind whose path the request's route begins with; NULL: none. */
 const struct mo_resource *mo_resource_of(const struct mo_request *request);
-/* Reads the id in the path of a job of the route's kind. False: the 404 is made. */
+/* Reads the id in the path of a job of the route's kind. Returns false after replying with a 404.
+ */
 bool mo_path_job(struct mo_request *request, int64_t *id);
-/* Reads the filters that lists of all kinds have. label: room for one without its star. False: the
- * reply is made. */
+/* Reads the filters that lists of all kinds have. label: a buffer for a label without its star.
+ * Returns false if it has replied. */
 bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
                          char label[MO_LABEL_BYTES_MAX + 1]);
 
 /* ---- several.c ---- */
 
-/* Finds the campaigns that the parameters campaigns, group, label and experiment name, ascending,
- * or all: (n) malloc. False: the reply is made. */
+/* Finds the campaigns that the parameters campaigns, group, label or experiment name, or all
+ * campaigns, in ascending order: (n), malloc. Returns false if it has replied. */
 bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n);
 
 #endif

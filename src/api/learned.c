@@ -42,7 +42,7 @@ static int export_checkpoint(struct mo_api *api, const struct mo_training_status
 }
 
 /* Replies that the file of the training's result, or of a checkpoint (step 0: the newest), is
- * missing or damaged: it is not what its row says. */
+ * missing or damaged, so that it does not match its row. */
 static void reply_damaged(struct mo_request *request, const struct mo_training_status *status,
                           bool result, uint32_t step)
 {
@@ -109,7 +109,7 @@ void mo_api_get_training_controller(struct mo_request *request)
 
 /* ---- held-out sets ---- */
 
-/* Replies with designs and environments as the body of an evaluation request. physics nullable: the
+/* Replies with designs and environments as the body of an evaluation request. physics NULL: the
  * default. genotypes: (n_designs), placed. */
 static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes,
                            uint32_t n_designs, uint64_t seed, uint32_t n_environments,
@@ -147,7 +147,7 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
 static int draw(uint64_t seed, uint32_t n, struct mo_bits **genotypes)
 {
   _Static_assert(sizeof(**genotypes) == MO_DEFAULT_WORDS * sizeof(uint64_t),
-                 "genotypes lie one behind the other");
+                 "genotypes are contiguous");
   *genotypes = calloc(n, sizeof(**genotypes));
   return *genotypes != NULL ? mo_held_out_designs(seed, n, (*genotypes)->words) : MO_ERR_NO_MEMORY;
 }

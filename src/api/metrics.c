@@ -9,7 +9,7 @@
 #include "http/metrics.h"
 #include "jobs/live.h"
 
-#define RUNNING_MAX 32 /* running jobs that have series of their own */
+#define RUNNING_MAX 32 /* running jobs with their own series */
 
 /* Write a metric of one line to `text`. */
 #define GAUGE(name, value, help)   mo_metric(text, name, "gauge", help, (double)(value))
@@ -34,8 +34,7 @@ static void write_compute(struct mo_api *api, struct mo_text *text)
   mo_metric_line(text, "morphod_blocks_queued", "priority", "batch", (double)c.queued_batch);
   COUNTER("morphod_rollouts_total", c.rollouts_done, "Rollouts computed.");
   COUNTER("morphod_rollout_steps_total", c.rollout_steps, "Steps of rollouts computed.");
-  COUNTER("morphod_rollouts_diverged_total", c.rollouts_diverged,
-          "Rollouts whose numbers left the sane range.");
+  COUNTER("morphod_rollouts_diverged_total", c.rollouts_diverged, "Rollouts that diverged.");
 }
 
 /* Writes one series per device. */
@@ -46,7 +45,7 @@ static void write_devices(struct mo_api *api, struct mo_text *text)
     const char *name, *type, *help;
   } series[SERIES] = {
       [LOST] = {"morphod_device_lost", "gauge",
-                "1 of a device that has failed and computes nothing any more."},
+                "1 if the device has failed and no longer computes."},
       [LOAD] = {"morphod_device_load", "gauge",
                 "Share of the last ten seconds in which the device was busy."},
       [BUSY] = {"morphod_device_busy_seconds_total", "counter", "Time of calls to the device."},
@@ -57,7 +56,7 @@ static void write_devices(struct mo_api *api, struct mo_text *text)
                   "Robots whose gradient the device computed."},
       [MEMORY] = {"morphod_device_memory_bytes", "gauge", "Memory of the device."},
       [FREE] = {"morphod_device_memory_free_bytes", "gauge",
-                "Free memory, as of the look before this one."},
+                "Free memory, as of the previous request."},
   };
   struct mo_device_status status;
   for (int s = 0; s < SERIES && mo_compute_devices(api->compute) > 0; s++) {
@@ -78,7 +77,7 @@ static void write_devices(struct mo_api *api, struct mo_text *text)
   }
 }
 
-/* Writes zeros where there is no fleet, so that rules need not ask. */
+/* Writes zeros if there is no fleet, so that alert rules need no special case. */
 static void write_fleet(struct mo_api *api, struct mo_text *text)
 {
   static const char serving[] = "morphod_fleet_sessions";
@@ -86,10 +85,10 @@ static void write_fleet(struct mo_api *api, struct mo_text *text)
   struct mo_fleet_status f = {0};
   if (fleet != NULL)
     mo_fleet_status(fleet, &f);
-  GAUGE("morphod_fleet_listening", fleet != NULL, "1 while workers of other machines can join.");
+  GAUGE("morphod_fleet_listening", fleet != NULL, "1 while workers on other machines can join.");
   GAUGE("morphod_fleet_only", fleet != NULL && strcmp(api->fleet_compute, "fleet") == 0,
-        "1 while scores of batch jobs are left to workers of other machines.");
-  mo_metric_head(text, serving, "gauge", "Workers of other machines that take work, by class.");
+        "1 while scores of batch jobs are left to workers on other machines.");
+  mo_metric_head(text, serving, "gauge", "Workers on other machines that accept work, by class.");
   mo_metric_line(text, serving, "class", "cpu", f.n_serving[MO_ON_CPU]);
   mo_metric_line(text, serving, "class", "device", f.n_serving[MO_ON_DEVICE]);
   GAUGE("morphod_fleet_threads", f.n_threads, "Computing threads of these workers.");
@@ -101,13 +100,14 @@ static void write_fleet(struct mo_api *api, struct mo_text *text)
           "Sessions that ended without leaving since the start.");
   COUNTER("morphod_fleet_leases_total", f.leases_done, "Leases computed since the start.");
   COUNTER("morphod_fleet_leases_again_total", f.leases_again,
-          "Leases given out again since the start.");
+          "Leases issued again since the start.");
   COUNTER("morphod_fleet_rollouts_total", f.rows_done,
-          "Rollouts computed by workers of other machines since the start.");
+          "Rollouts computed by workers on other machines since the start.");
   COUNTER("morphod_fleet_rollouts_twice_total", f.rows_twice,
           "Of these, rollouts that were computed before.");
   COUNTER("morphod_fleet_audits_total", f.audits, "Leases computed twice and compared.");
-  COUNTER("morphod_fleet_audits_failed_total", f.audits_failed, "Audits that found other bits.");
+  COUNTER("morphod_fleet_audits_failed_total", f.audits_failed,
+          "Audits that found different bits.");
 }
 
 static void write_jobs(struct mo_api *api, struct mo_text *text, const struct mo_jobs_stats *j)
@@ -129,7 +129,7 @@ static void write_jobs(struct mo_api *api, struct mo_text *text, const struct mo
           "Rollouts found in the store since the start.");
   COUNTER("morphod_rollouts_shared_total", j->rollouts_shared,
           "Rollouts computed once for several jobs since the start.");
-  /* Urgent blocks included. */
+  /* Includes urgent blocks. */
   mo_metric_head(text, worker, "counter",
                  "Time of computing threads by kind of job, since the start.");
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
@@ -141,8 +141,8 @@ static void write_jobs(struct mo_api *api, struct mo_text *text, const struct mo
                    j->device_s[kind]);
 }
 
-/* Writes one series per running job of batch priority, of at most RUNNING_MAX. What is not known
- * has no series. */
+/* Writes one series per running job of batch priority, for at most RUNNING_MAX jobs. Unknown values
+ * have no series. */
 static void write_running(struct mo_api *api, struct mo_text *text)
 {
   enum { SHARE, DONE, PARTS, RATE, LEFT, BEST, SERIES };
@@ -154,8 +154,9 @@ static void write_running(struct mo_api *api, struct mo_text *text)
                                           "evaluation, steps of a training, generations of a "
                                           "campaign, the first population included."},
       [PARTS] = {"morphod_job_parts", "All parts of a running job."},
-      [RATE] = {"morphod_job_rollouts_per_second",
-                "Rollouts of a running job, lately; of a training those with gradient."},
+      [RATE] =
+          {"morphod_job_rollouts_per_second",
+           "Recent rollouts per second of a running job; for a training, those with a gradient."},
       [LEFT] = {"morphod_job_left_seconds", "Estimated time until a running job ends."},
       [BEST] = {"morphod_job_best_score",
                 "Best score in the newest population of a running campaign."},
@@ -197,7 +198,7 @@ static void write_trainings(struct mo_text *text, const struct mo_jobs_stats *j)
         "Trainings that run or are being prepared.");
   COUNTER("morphod_training_steps_total", j->training_steps, "Steps of learning since the start.");
   COUNTER("morphod_training_step_seconds_total", j->training_step_s,
-          "Time of these steps: over their number, seconds per step.");
+          "Time of these steps; divided by their number, the seconds per step.");
   COUNTER("morphod_training_robots_total", j->training_robots,
           "Robots of these steps, each with its gradient.");
   COUNTER("morphod_training_robots_diverged_total", j->training_diverged,
@@ -248,9 +249,9 @@ static void write_store(struct mo_api *api, struct mo_text *text)
   COUNTER("morphod_recordings_removed_bytes_total", s.recordings_removed_bytes,
           "Size of the recordings removed since the start.");
   COUNTER("morphod_jobs_expired_total", s.jobs_expired, "Jobs deleted by age since the start.");
-  GAUGE(
-      "morphod_clock_ahead_seconds", (double)s.clock_ahead_us * 1e-6,
-      "How far the clock is ahead of what is credible, so that nothing is deleted by age; else 0.");
+  GAUGE("morphod_clock_ahead_seconds", (double)s.clock_ahead_us * 1e-6,
+        "How far the clock is ahead of a credible time, so that nothing is deleted by age; "
+        "otherwise 0.");
   GAUGE("morphod_store_no_space", s.no_space, "1 while the disk is full.");
 }
 
@@ -258,15 +259,15 @@ void mo_api_metrics_write(struct mo_api *api, struct mo_text *text)
 {
   struct mo_jobs_stats jobs;
   mo_jobs_get_stats(api->jobs, &jobs);
-  mo_metric_head(text, "morphod_build_info", "gauge", "1; the labels tell the build.");
+  mo_metric_head(text, "morphod_build_info", "gauge", "1; the labels show the build.");
   mo_text_format(text, "morphod_build_info{version=\"%s\",fingerprint=", api->version);
   const char *fingerprint = mo_compute_fingerprint(api->compute, MO_FLOAT32);
   mo_metric_label(text, fingerprint);
   mo_text_add(text, "} 1\n");
-  GAUGE("morphod_ready", mo_http_is_ready(api->http), "1 while new work is taken.");
+  GAUGE("morphod_ready", mo_http_is_ready(api->http), "1 while new work is accepted.");
   if (api->log_dropped != NULL)
     COUNTER("morphod_log_lines_dropped_total", api->log_dropped(),
-            "Log lines that standard error did not take.");
+            "Log lines that standard error did not accept.");
   mo_metrics_write(api->http, text);
   write_compute(api, text);
   write_devices(api, text);

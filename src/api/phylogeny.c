@@ -13,8 +13,8 @@
 #include "http/download.h"
 #include "store/studies.h"
 
-/* Cursors have at most as many digits as the contract allows; one beyond the last design is the
- * end. */
+/* Cursors have at most as many digits as the contract allows. A cursor beyond the last design is
+ * the end. */
 #define POPULATION_CURSOR_MAX 999999
 
 static const char newick_type[] = "text/x-nh; charset=utf-8";
@@ -46,7 +46,8 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_text_format(text, ",%s,", mo_campaign_operator(row));
   if (isfinite(row->score))
     mo_text_json_number(text, row->score);
-  mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
+  mo_text_add(text, ",d"); /* letters, because programs that read tables mistake 8e00… for a number
+                            */
   mo_bits_write_id(text, &row->form);
   mo_text_add(text, ",");
   mo_robot_write(text, &row->genotype);
@@ -62,7 +63,7 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_text_add(text, "\n");
 }
 
-/* ---- what the calls share ---- */
+/* ---- shared by the routes ---- */
 
 static void write_rows(struct mo_text *text, const struct mo_campaign_design *rows, size_t n,
                        const struct mo_study_words *words)
@@ -115,7 +116,7 @@ void mo_api_get_campaign_population(struct mo_request *request)
                         : MO_ERR_NOT_FOUND;
   if (n == MO_ERR_NOT_FOUND && known && generation < 0) {
     mo_reply_problem(request, 404, NULL,
-                     "The campaign has no population yet: its first one is not scored.");
+                     "The campaign has no population yet: its first one has not been scored.");
   } else if (n == MO_ERR_NOT_FOUND && known) {
     mo_reply_problem(request, 404, NULL, "The campaign has no generation %lld: the newest is %lld.",
                      (long long)generation, (long long)status.generation);
@@ -145,7 +146,7 @@ struct lineage {
   struct mo_study_words words;
 };
 
-/* Reads the lineage. False: the reply is made. */
+/* Reads the lineage. Returns false if it has replied. */
 static bool read_lineage(struct mo_request *request, struct lineage *lineage)
 {
   const char *text = request->parameters[1];
@@ -209,8 +210,8 @@ static void finish(struct mo_request *request, int code, struct mo_text *text)
   mo_reply_text(request, code, text, "campaign");
 }
 
-/* Reads the page that is asked for, and the lineage. marks: malloc (lineage->n). False: the reply
- * is made. Free `marks` and the descents in every case. */
+/* Reads the requested page, and the lineage. marks: malloc (lineage->n). Returns false if it has
+ * replied. Free `marks` and the descents in every case. */
 static bool read_relatives(struct mo_request *request, struct lineage *lineage, int64_t *after,
                            size_t *limit, uint8_t **marks)
 {
@@ -408,26 +409,27 @@ static void reply_newick(struct mo_request *request, const struct mo_campaign_st
 
 enum form { JSON, CSV, NEWICK, COLUMNS, NDJSON };
 
-/* What a query asks for besides the form. */
+/* The parameters of a query, except the form. */
 struct wanted {
-  int64_t since; /* of columns: the number behind which they begin */
-  int lineages;  /* of columns: 1: the ancestors of the living, and the living */
-  int parents;   /* of CSV: 1: the first of each design */
-  int64_t root;  /* of CSV: 1: one that all descend from */
+  int64_t since; /* columns: they begin after this number */
+  int lineages;  /* columns: 1: only the living and their ancestors */
+  int parents;   /* CSV: 1: only the first parent of each design */
+  int64_t root;  /* CSV: 1: with a root from which all designs descend */
 };
 
-/* Reads what only some forms take. False: the reply is made. */
+/* Reads the parameters that only some forms accept. Returns false if it has replied. */
 static bool read_wanted(struct mo_request *request, int form, struct wanted *wanted)
 {
   static const struct {
     const char *name, *words;
-    unsigned forms; /* that take it */
-  } own[] = {{"limit", "this parameter is for JSON: the other forms are whole", 1U << JSON},
-             {"cursor", "this parameter is for JSON: the other forms are whole", 1U << JSON},
-             {"keep", "this parameter is for format=columns", 1U << COLUMNS},
-             {"after", "this parameter is for format=columns", 1U << COLUMNS},
-             {"parents", "this parameter is for format=csv", 1U << CSV},
-             {"root", "this parameter is for format=csv", 1U << CSV}};
+    unsigned forms; /* that accept it */
+  } own[] = {
+      {"limit", "this parameter is only for JSON: the other forms are complete", 1U << JSON},
+      {"cursor", "this parameter is only for JSON: the other forms are complete", 1U << JSON},
+      {"keep", "this parameter is only for format=columns", 1U << COLUMNS},
+      {"after", "this parameter is only for format=columns", 1U << COLUMNS},
+      {"parents", "this parameter is only for format=csv", 1U << CSV},
+      {"root", "this parameter is only for format=csv", 1U << CSV}};
   static const char *const keeps[] = {"all", "lineages", NULL}, *const all[] = {"all", "first",
                                                                                 NULL};
   for (size_t i = 0; i < sizeof(own) / sizeof(own[0]); i++)

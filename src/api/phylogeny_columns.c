@@ -1,5 +1,5 @@
 /* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: 19 bytes per
- * design in place of 243 as CSV. The form is that of a scene: a JSON header that describes arrays.
+ * design instead of 243 as CSV. The form is that of a scene: a JSON header that describes arrays.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -9,7 +9,7 @@
 #include "api/scene.h"
 #include "store/campaign_designs.h"
 
-/* Marks the ancestors of the living, and the living. Parents are born before their children. */
+/* Marks the living and their ancestors. Parents are born before their children. */
 static void mark_lineages(const struct mo_campaign_columns *columns, uint8_t *kept)
 {
   for (uint32_t i = columns->n; i-- > 0;) {
@@ -44,7 +44,7 @@ static void choose_rows(struct mo_campaign_columns *columns, const uint8_t *kept
   columns->n = n;
 }
 
-/* Whether all generations fit 16 bits, whose largest value is for the living. */
+/* Returns whether all generations fit into 16 bits. The largest value stands for the living. */
 static bool is_narrow(const struct mo_campaign_columns *columns)
 {
   for (uint32_t i = 0; i < columns->n; i++)
@@ -60,19 +60,20 @@ static void write_column(struct mo_text *text, struct mo_text *arrays, const cha
   mo_scene_write_array(text, arrays, &(struct mo_scene_array){name, type, numbers, width, {n}, 1});
 }
 
-/* A column of generations, in 16 bits where they fit; MO_ALIVE becomes the largest value. */
+/* Writes a column of generations, in 16 bits if they fit. MO_ALIVE becomes the largest value. */
 static void write_generations(struct mo_text *text, struct mo_text *arrays, const char *name,
                               uint32_t *generations, uint32_t n, bool narrow)
 {
   uint16_t *packed = (uint16_t *)(void *)generations;
   for (uint32_t i = 0; narrow && i < n; i++) {
     const uint16_t value = (uint16_t)(generations[i] == MO_ALIVE ? UINT16_MAX : generations[i]);
-    memcpy(&packed[i], &value, sizeof(value)); /* it never overtakes what is still to be read */
+    memcpy(&packed[i], &value, sizeof(value)); /* never overwrites a value that is still to be read
+                                                */
   }
   write_column(text, arrays, name, narrow ? "uint16" : "uint32", generations, narrow ? 2 : 4, n);
 }
 
-/* numbers: NULL where the designs follow one another, so that their places tell them. */
+/* numbers: NULL if the numbers are consecutive, so that they need not be written. */
 static void write_columns(struct mo_text *text, struct mo_text *arrays,
                           struct mo_campaign_columns *columns, const uint32_t *numbers,
                           uint32_t total)
@@ -133,7 +134,7 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
   free(numbers);
   free(kept);
   if (error == MO_ERR_LIMIT) {
-    mo_reply_bad_parameter(request, "format", "columns are for up to 4194304 designs; use csv");
+    mo_reply_bad_parameter(request, "format", "columns hold at most 4194304 designs; use csv");
     return;
   }
   if (error != MO_OK) {

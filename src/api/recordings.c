@@ -1,7 +1,7 @@
-/* recordings.c: all that an evaluation recorded in one channel, as one array of NumPy: (designs,
- * environments, frames, …). Designs have different numbers of masses and springs, so the last sides
- * are those of the largest one, and the rest is filled with what no recording has; so are designs
- * that were skipped. It is read and sent rollout by rollout. */
+/* recordings.c: everything that an evaluation recorded in one channel, as one NumPy array:
+ * (designs, environments, frames, …). Designs have different numbers of masses and springs, so the
+ * last dimensions are those of the largest one. The rest is padded with values that no recording
+ * has, and so are designs that were skipped. The array is read and sent rollout by rollout. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -22,7 +22,8 @@ struct recordings {
   struct mo_trajectory_sides sides;         /* the largest of all */
   size_t row;                               /* bytes of a frame */
   struct mo_design_note *notes;             /* (n_notes) */
-  uint32_t n_notes, note;                   /* note: the first at or behind the next rollout's */
+  uint32_t n_notes, note;                   /* note: the first one at or after the design of the
+                                               next rollout */
   bool begun;
 };
 
@@ -33,7 +34,7 @@ static void free_recordings(void *any)
   free(all);
 }
 
-/* Whether the design was skipped. Designs are asked for in order. */
+/* Returns whether the design was skipped. Calls are in the order of the designs. */
 static bool is_skipped(struct recordings *all, uint32_t design)
 {
   while (all->note < all->n_notes && all->notes[all->note].place < design)
@@ -42,7 +43,7 @@ static bool is_skipped(struct recordings *all, uint32_t design)
          mo_is_skipped(&all->notes[all->note]);
 }
 
-/* Appends what fills up a row of `missing` bytes. */
+/* Appends `missing` bytes of padding. */
 static void fill(struct mo_text *text, enum mo_channel channel, size_t missing)
 {
   const double nan = NAN;
@@ -99,14 +100,14 @@ static int more_rollouts(void *context, struct mo_text *text)
   return error != MO_OK ? error : all->next < n;
 }
 
-/* Chooses the channel that the query names, or the usual one. False: the reply is made. */
+/* Chooses the channel that the query names, or the usual one. Returns false if it has replied. */
 static bool choose(struct mo_request *request, const struct mo_job *job, enum mo_channel *channel)
 {
   int asked = -1;
   if (!mo_query_word(request, "array", mo_channel_words, &asked))
     return false;
   if (job->record == 0 || (asked >= 0 && !(job->record >> asked & 1))) {
-    mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording%s.",
+    mo_reply_problem(request, 404, NULL, "The evaluation did not request a recording%s.",
                      job->record == 0 ? "" : " of this array");
     return false;
   }

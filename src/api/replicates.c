@@ -37,7 +37,7 @@ void mo_replicate_finish(struct mo_replicate_row *row)
 {
   for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
     struct mo_spread *spread = &row->spread[i];
-    spread->mean /= row->n[i]; /* of none: NaN */
+    spread->mean /= row->n[i]; /* NaN without values */
     if (row->n[i] == 0)
       spread->least = spread->most = NAN;
   }

@@ -1,5 +1,4 @@
-/* request_parts.c: what the bodies of several requests share, but for designs
- * (design_request.c). */
+/* request_parts.c: what the bodies of several requests share, except designs (design_request.c). */
 #include "api/requests.h"
 
 #include <math.h>
@@ -70,8 +69,8 @@ static void check_light(struct mo_json *json, unsigned depth, const double light
 {
   if (hypot(light_xy_m[0] - MO_WORLD_CENTRE_M, light_xy_m[1] - MO_WORLD_CENTRE_M) < MO_VOXEL_M)
     mo_json_fault_at(json, depth, "",
-                     "the light is within a voxel of (2.5, 2.5), where robots start, and their "
-                     "losses would be divided by next to nothing: it must be at least %g m away",
+                     "the light is within a voxel of (2.5, 2.5), where robots start, so losses "
+                     "would be divided by almost zero: it must be at least %g m away",
                      MO_VOXEL_M);
 }
 
@@ -113,8 +112,7 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
   else if (!heights)
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
   if (json->faults->n == before && mo_environment_check(environment, NULL) != MO_OK)
-    mo_json_fault_at(json, depth, "",
-                     "a height that is drawn is beyond %g m; another seed is expected",
+    mo_json_fault_at(json, depth, "", "a drawn height exceeds %g m; use another seed",
                      MO_HEIGHT_LIMIT_M);
 }
 
@@ -128,8 +126,7 @@ static void read_environments(struct mo_json *json, void *value)
   parts->has_environments = true;
   if (kind == MO_JSON_STRING) {
     if (mo_json_string(json, &name) && !mo_json_is(name, "paper-test"))
-      mo_json_fault_at(json, depth, "",
-                       "there is no such set of environments; \"paper-test\" is expected");
+      mo_json_fault_at(json, depth, "", "unknown set of environments; \"paper-test\" is expected");
     return;
   }
   if (kind != MO_JSON_ARRAY) {
@@ -161,7 +158,7 @@ const struct mo_field_own mo_environments_field = {.read = read_environments};
 
 /* ---- names, labels, ids ---- */
 
-/* Copies a string into `text`. False: it does not fit. */
+/* Copies a string into `text`. Returns false if it does not fit. */
 static bool copy_slice(struct mo_json_slice slice, char *text, size_t capacity)
 {
   if (slice.size >= capacity)
@@ -212,7 +209,8 @@ static void read_name(struct mo_json *json, void *value)
 }
 const struct mo_field_own mo_name_field = {.read = read_name};
 
-/* Reads a text of `least` to `most` characters, four bytes each. False: a fault is added. */
+/* Reads a text of `least` to `most` characters, of up to four bytes each. Returns false after
+ * adding a fault. */
 static bool read_text(struct mo_json *json, size_t least, size_t most, char *text)
 {
   struct mo_json_slice words;
@@ -244,7 +242,7 @@ static void read_experiment(struct mo_json *json, void *value)
     parts->job.experiment = parts->experiment;
 }
 
-/* Reads a text, or null, which takes it away. has, words: of the edit. */
+/* Reads a text, or null, which removes it. has, words: members of the edit. */
 static void read_edit(struct mo_json *json, size_t least, size_t most, char *text, bool *has,
                       const char **words)
 {
@@ -316,7 +314,7 @@ static const struct mo_field_own label = {.read = read_label}, experiment = {rea
 #define AT(member) offsetof(struct mo_parts, member)
 static const struct mo_field weight_rows[] = {
     {"weight", MO_FIELD_NUMBER, 0, 0, .min = MO_WEIGHT_MIN, .max = MO_WEIGHT_MAX, .unit = "",
-     .help = "the job's part of the cores among others"},
+     .help = "the job's share of the cores"},
 };
 const struct mo_fields mo_weight_fields = {weight_rows, 1};
 static const struct mo_field rows[] = {
@@ -324,7 +322,7 @@ static const struct mo_field rows[] = {
      .help = "a controller by name or hash"},
     {"label", MO_FIELD_OWN, 0, 0, .own = &label, .unit = "", .help = "a text to find the job by"},
     {"experiment", MO_FIELD_OWN, 0, 0, .own = &experiment, .unit = "",
-     .help = "what the job belongs to, with others"},
+     .help = "the experiment that the job belongs to"},
     {"priority", MO_FIELD_WORD, 0, AT(job.priority), .words = priority_words, .unit = "",
      .help = "among other work"},
     {NULL, MO_FIELD_INLINE, 0, AT(job.weight), .group = &mo_weight_fields},
@@ -346,4 +344,4 @@ void mo_parts_free(struct mo_parts *parts)
   free(parts->environments);
 }
 _Static_assert(MO_BACK_END_AUTO + 1 == 0 && (int)MO_ON_DEVICE == 1,
-               "the words stand in the order of their values");
+               "the words are in the order of their values");

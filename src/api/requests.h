@@ -30,9 +30,9 @@ struct mo_parts {
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
-  struct mo_bits *genotypes;              /* (n_designs) those to take, as given, not placed */
-  uint32_t n_designs, n_environments, most_designs; /* most: to list; 0: MO_DESIGNS_MAX */
-  struct mo_design_note *notes; /* (n_notes) ascending: what was skipped, repaired, or an id */
+  struct mo_bits *genotypes;              /* (n_designs) the accepted ones, as given, not placed */
+  uint32_t n_designs, n_environments, most_designs; /* most: longest list; 0: MO_DESIGNS_MAX */
+  struct mo_design_note *notes; /* (n_notes) ascending: skipped, repaired, or given by id */
   uint32_t n_notes, n_skipped;
   struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */
   struct mo_random_bodies random;      /* count 0: none */
@@ -43,7 +43,7 @@ extern const struct mo_fields mo_weight_fields; /* of one double */
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; "paper-test" or 1 to MO_ENVIRONMENTS_MAX
  * environments. */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_controller_field;
-/* on_fault and repair, and each alone. They are needed before the designs: read them ahead. */
+/* on_fault and repair, together and separately. Read them ahead of the designs. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
 /* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
 extern const struct mo_field_own mo_name_field;
@@ -53,8 +53,8 @@ extern const struct mo_field_own mo_name_field;
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
 /* Adds a note on a design; one with a fault says that it was skipped. False: no memory. */
 bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
-/* Reads the notation of a robot or an id, perhaps behind a d, as CSV files have it, into the placed
- * genotype. Errors and *orientation as mo_genotype_from_robot. */
+/* Reads the notation of a robot or an id, which may follow the letter d as in CSV files, into the
+ * placed genotype. The errors and *orientation are those of mo_genotype_from_robot. */
 int mo_robot_read(const char *text, size_t size, struct mo_bits *genotype, int *orientation);
 /* Returns item n of a growing array of n items of `size` bytes each. NULL: no memory. */
 void *mo_next_item(void **items, size_t n, size_t size);
@@ -68,8 +68,8 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
                  struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                  struct mo_faults *faults);
 
-/* Read, in a first pass, the members of an object that others depend on: of a whole text, or of the
- * object that is next. *given (nullable): the key of the first row is there. Add no faults. */
+/* Read, in a first pass, the members that others depend on: those of a whole text, or of the next
+ * object. *given (nullable) is set if the key of the first row is present. They add no faults. */
 void mo_read_words(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
                    bool *given);
 void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, void *parsed,
@@ -83,7 +83,7 @@ extern const struct mo_field_own mo_channels_field;
 
 /* ---- bodies ---- */
 
-/* All members of a submission, as tables; tests hold the contract to them. */
+/* All members of a submission, as tables. Tests compare the contract with them. */
 extern const struct mo_fields mo_evaluation_request_fields, mo_rollouts_request_fields,
     mo_training_request_fields, mo_campaign_request_fields, mo_random_request_fields,
     mo_mutation_request_fields, mo_crossing_request_fields, mo_canonical_request_fields,
@@ -124,7 +124,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 struct mo_parsed_telling {
   struct mo_study_telling telling;
   struct mo_parts parts;         /* genotypes: of the children */
-  struct mo_workspace workspace; /* that they must fit */
+  struct mo_workspace workspace; /* which they must fit */
   bool has_children;
 };
 int mo_tell_parse(const char *text, size_t size, struct mo_workspace workspace,

@@ -1,4 +1,5 @@
-/* rollouts.c: POST /v1/rollouts: rollouts that are stored nowhere, as a scene or as JSON. */
+/* rollouts.c: POST /v1/rollouts: computes rollouts that are not stored, and replies with a scene or
+ * JSON. */
 #include "api/scene.h"
 #include "api/submission.h"
 

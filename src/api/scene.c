@@ -27,8 +27,7 @@ static void write_number(struct mo_text *text, const struct mo_scene_array *arra
     mo_text_format(text, "%u", ((const uint8_t *)array->numbers)[i]);
 }
 
-/* Writes an array as JSON: before a number and behind it the brackets of the rows that begin and
- * end there. */
+/* Writes an array as JSON, with brackets before and after the numbers where rows begin and end. */
 static void write_rows(struct mo_text *text, const struct mo_scene_array *array)
 {
   size_t n = 1;
@@ -116,7 +115,7 @@ static bool has_voxel(struct mo_workspace workspace, const struct mo_bits *genot
   return genotype->words[voxel >> 6] >> (voxel & 63) & 1;
 }
 
-/* Position of a lattice mass among those of the body. */
+/* Returns the position of a lattice mass among the masses of the body. */
 static uint16_t position_of(const struct mo_body *body, uint32_t mass)
 {
   uint32_t low = 0, high = body->n_masses;
@@ -261,7 +260,7 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
   return error;
 }
 
-/* Writes the header of a scene, or without `arrays` the same as JSON. */
+/* Writes the header of a scene or, if `arrays` is NULL, the same as JSON. */
 static int write_scene(struct mo_text *text, struct mo_text *arrays,
                        const struct mo_lattice *lattice, const struct mo_rollouts *rollouts)
 {
@@ -321,7 +320,7 @@ void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rol
 
 char *mo_scene_join(struct mo_text *header, struct mo_text *arrays, size_t *size)
 {
-  /* Spaces behind the header align the arrays to 8 bytes. */
+  /* Spaces after the header align the arrays to 8 bytes. */
   while (!header->failed && (4 + header->size) % 8 != 0)
     mo_text_bytes(header, " ", 1);
   char *joined = header->failed || arrays->failed ? NULL : malloc(4 + header->size + arrays->size);

@@ -1,4 +1,4 @@
-/* scores.c: scores as a file: out of this service, and into it. */
+/* scores.c: exports scores as a file, and imports such files. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,9 +8,9 @@
 #include "exchange/score_block.h"
 #include "http/download.h"
 
-#define HELD_BYTES ((uint64_t)16 << 20) /* a block, and its members while they are made */
+#define HELD_BYTES ((uint64_t)16 << 20) /* a block, and its members while they are written */
 
-/* ---- out ---- */
+/* ---- export ---- */
 
 struct export
 {
@@ -38,7 +38,7 @@ static int write_more(void *context, struct mo_text *text)
   return error != MO_OK ? error : !export->block->is_last;
 }
 
-/* Reads a time as replies have it, with any number of decimals; the fraction is ignored. */
+/* Reads a time in the format of replies, with any number of decimals; the fraction is ignored. */
 static bool read_since(struct mo_request *request, int64_t *since_us)
 {
   const char *value = mo_query(request, "since");
@@ -79,7 +79,7 @@ void mo_api_get_scores(struct mo_request *request)
   mo_download_open(request, MO_ARCHIVE_TYPE, NULL, HELD_BYTES, write_more, export, free_export);
 }
 
-/* ---- in ---- */
+/* ---- import ---- */
 
 /* An import: the blocks of one request. */
 struct entering {
@@ -130,11 +130,12 @@ static void reply_entered(struct mo_request *request, const struct entering *ent
   mo_reply_json(request, 200, &text);
   if (entered->n_different > 0)
     mo_request_note(
-        request, "%llu rollouts from store %016llx on %s have other losses than are stored",
+        request,
+        "%llu rollouts from store %016llx on %s have losses that differ from the stored ones",
         (unsigned long long)entered->n_different, (unsigned long long)block->store, block->host);
 }
 
-/* Replies why a block is refused. */
+/* Replies with the reason why a block is refused. */
 static void reply_refusal(struct mo_request *request, int error, const struct entering *entering,
                           const struct mo_message *message)
 {
@@ -145,8 +146,8 @@ static void reply_refusal(struct mo_request *request, int error, const struct en
   }
   mo_faults_add(&faults, MO_FAULT_BODY, "", "%s", message->text);
   mo_reply_problem(request, 422, &faults,
-                   "The block at byte %zu is refused, and nothing of it was stored; %u before it "
-                   "were entered.",
+                   "The block at byte %zu was refused, and nothing in it was stored; %u blocks "
+                   "before it were imported.",
                    entering->at, entering->n);
 }
 

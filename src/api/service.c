@@ -1,5 +1,5 @@
-/* service.c: the state of the service: health, metrics, threads, devices, load; the contract, and
- * the pages to which the types of problems lead. All of it is answered on I/O threads. */
+/* service.c: the state of the service: health, metrics, threads, devices, load; the contract; and
+ * the pages about the types of problems. All replies are made on I/O threads. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -64,7 +64,7 @@ void mo_api_get_metrics(struct mo_request *request)
   mo_reply_bytes(request, 200, "text/plain; version=0.0.4; charset=utf-8", text.data, text.size);
 }
 
-/* ---- who asks ---- */
+/* ---- the caller ---- */
 
 void mo_api_get_whoami(struct mo_request *request)
 {
@@ -78,7 +78,7 @@ void mo_api_get_whoami(struct mo_request *request)
   mo_reply_json(request, 200, &text);
 }
 
-/* ---- what computes ---- */
+/* ---- threads and devices ---- */
 
 void mo_api_get_threads(struct mo_request *request)
 {
@@ -144,9 +144,9 @@ void mo_api_get_devices(struct mo_request *request)
   mo_reply_json(request, 200, &text);
 }
 
-/* ---- load: a ring of samples that lasts an hour and is not kept over a restart ---- */
+/* ---- load: a ring of samples that covers an hour and is lost in a restart ---- */
 
-/* Adds a sample when one is due. On the clock thread. */
+/* Adds a sample when one is due. Runs on the clock thread. */
 void mo_load_sample(struct mo_api *api)
 {
   struct mo_load *load = &api->load;

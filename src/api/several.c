@@ -1,4 +1,5 @@
-/* several.c: the campaigns that a request names: by ids, label, experiment, group, or all. */
+/* several.c: finds the campaigns that a request names: by ids, label, experiment or group, or all.
+ */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,7 +13,7 @@ static int list(struct mo_store *store, struct mo_job_query query, int64_t *ids,
 {
   struct mo_job *page = malloc(MO_LIST_MAX * sizeof(*page));
   int64_t read = page != NULL ? MO_LIST_MAX : MO_ERR_NO_MEMORY;
-  uint32_t filled = CAMPAIGNS_MAX; /* from the end: lists have the newest first */
+  uint32_t filled = CAMPAIGNS_MAX; /* filled from the end, because lists begin with the newest */
   while (read == MO_LIST_MAX) {
     read = mo_store_jobs(store, &query, page, MO_LIST_MAX);
     for (int64_t i = 0; i < read && filled > 0; i++)
@@ -26,7 +27,7 @@ static int list(struct mo_store *store, struct mo_job_query query, int64_t *ids,
   return read < 0 ? (int)read : MO_OK;
 }
 
-/* Reads ids with commas between them, ascending. False: the reply is made. */
+/* Reads ascending ids that are separated by commas. Returns false if it has replied. */
 static bool read_ids(struct mo_request *request, const char *text, int64_t *ids, uint32_t *n)
 {
   struct mo_job job;
@@ -37,7 +38,7 @@ static bool read_ids(struct mo_request *request, const char *text, int64_t *ids,
     snprintf(id, sizeof(id), "%.*s", (int)(size < sizeof(id) ? size : sizeof(id) - 1), text);
     if (!mo_id(id, member) || (*n > 0 && *member <= member[-1])) {
       mo_reply_bad_parameter(request, "campaigns",
-                             "ids of campaigns are expected, ascending, with commas between them");
+                             "ascending ids of campaigns, separated by commas, are expected");
       return false;
     }
     if (!mo_job_of_kind(request, &mo_campaign_resource, *member, &job))
@@ -76,7 +77,7 @@ bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n)
     good = error == MO_OK;
     if (error == MO_ERR_LIMIT)
       mo_reply_bad_parameter(request, query.label != NULL ? "label" : "campaigns",
-                             "these are more than 10,000 campaigns; name fewer");
+                             "more than 10,000 campaigns match; name fewer");
     else if (error != MO_OK)
       mo_reply_error(request, error, "campaign");
   }

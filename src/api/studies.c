@@ -1,5 +1,5 @@
-/* studies.c: what the client of a study does: tell a batch, read its scores, ask for bodies, take
- * the state of its sampler back, end the study. All else is as for any campaign. */
+/* studies.c: the actions of the client of a study: tell a batch, read its scores, ask for bodies,
+ * fetch the state of its sampler, finish the study. Everything else works as for any campaign. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,7 +11,7 @@
 #include "http/pool.h"
 #include "store/designs.h"
 
-/* Reads a study. MO_ERR_NOT_FOUND: the campaign is none. */
+/* Reads a study. MO_ERR_NOT_FOUND: the campaign is not a study. */
 static int read_study(struct mo_request *request, int64_t id, struct mo_campaign_status *status)
 {
   const int error = mo_store_campaign(mo_api_of(request)->store, id, status);
@@ -84,7 +84,7 @@ static void write_child(struct mo_text *text, const struct told *told, uint32_t 
   mo_text_add(text, "}");
 }
 
-/* Replies with the newest batch. status_pending: of the reply while it is pending. */
+/* Replies with the newest batch. status_pending: the HTTP status while it is pending. */
 static void reply_batch(struct mo_request *request, int64_t id, unsigned status_pending)
 {
   struct mo_api *api = mo_api_of(request);
@@ -112,7 +112,7 @@ static void reply_batch(struct mo_request *request, int64_t id, unsigned status_
   }
   free_told(&told);
   if (error == MO_ERR_NOT_FOUND)
-    mo_reply_problem(request, 404, NULL, "No batch was told yet.");
+    mo_reply_problem(request, 404, NULL, "No batch has been told yet.");
   else if (error != MO_OK)
     mo_reply_error(request, error, "study");
   else {
@@ -129,7 +129,7 @@ static void reply_batch(struct mo_request *request, int64_t id, unsigned status_
     mo_text_free(&text);
 }
 
-/* Lets the request wait until no batch is pending. False: it waits, or the reply is made. */
+/* Lets the request wait until no batch is pending. Returns false if it waits or has its reply. */
 static bool await_batch(struct mo_request *request, int64_t id)
 {
   struct mo_campaign_status status;
@@ -248,7 +248,7 @@ static int ask(struct mo_request *request, struct mo_post *post)
   if (error == MO_OK)
     mo_reply_json(request, 200, &text);
   else if (post->parsed && error == MO_ERR_CONFLICT)
-    mo_reply_problem(request, 409, NULL, "Nothing can be asked for: %s.",
+    mo_reply_problem(request, 409, NULL, "No bodies can be asked for: %s.",
                      mo_post_words(post, error));
   else if (error == MO_ERR_NOT_FOUND)
     mo_reply_error(request, error, "study");

@@ -1,7 +1,7 @@
 /* study_compare.c: see study_compare.h.
  *
- * The body is read once more, over the settings of the study instead of the defaults: what differs
- * afterwards was given, and is another value. */
+ * The body is read once more, over the settings of the study instead of the defaults. A setting
+ * that differs afterwards was given with another value. */
 #include "api/study_compare.h"
 
 #include <stdio.h>
@@ -55,7 +55,8 @@ static void compare_texts(struct comparison *comparison, const char *pointer, co
     add(comparison, pointer, given, known[0] != '\0' ? known : "none");
 }
 
-/* A rate of null means one voxel on average: the same setting as that number. */
+/* Returns the record with the mutation rate as a number. A rate of null means one voxel on average,
+ * which is the same setting. */
 static struct mo_campaign_record in_numbers(const struct mo_campaign_record *record)
 {
   struct mo_campaign_record shown = *record;
@@ -117,7 +118,7 @@ static void compare_environments(struct comparison *comparison, const struct mo_
   if (!parts->has_environments)
     return;
   if (parts->environments == NULL && is_set)
-    return; /* there is one set */
+    return; /* there is only one set */
   snprintf(a, sizeof(a), "a list of %u", (unsigned)parts->n_environments);
   snprintf(b, sizeof(b), "a list of %u", (unsigned)record->n_environments);
   if (parts->environments == NULL)
@@ -129,7 +130,7 @@ static void compare_environments(struct comparison *comparison, const struct mo_
       compare_environment(comparison, i, &parts->environments[i], &known[i]);
 }
 
-/* ---- what is no setting of the search ---- */
+/* ---- settings that are not of the search ---- */
 
 static void compare_job(struct comparison *comparison, const struct mo_parsed_campaign *parsed)
 {

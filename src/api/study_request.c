@@ -81,7 +81,8 @@ static void read_measures(struct mo_json *json, struct mo_study_words *words, do
   }
 }
 
-/* Skips or refuses the child that was read last if its body does not fit the workspace. */
+/* Skips or refuses the child that was read last if its body does not fit the workspace. Returns
+ * false without memory. */
 static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t place)
 {
   const struct mo_workspace w = parsed->workspace;
@@ -89,35 +90,35 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
   struct mo_bits *body = &parts->genotypes[parts->n_designs - 1];
   struct mo_design_note note = {.place = place};
   if (mo_genotype_count(MO_DEFAULT_WORKSPACE, body->words) == 0)
-    return true; /* it has a fault of its own */
+    return true; /* it has a fault already */
   mo_genotype_place(MO_DEFAULT_WORKSPACE, body->words);
   if (mo_fits_as_it_is(w, body))
     return true;
   snprintf(note.fault.where, sizeof(note.fault.where), "/children/%u/body", place);
   snprintf(note.fault.detail, sizeof(note.fault.detail),
            "the body does not fit the workspace of the study, which has %u × %u × %u voxels, and "
-           "is not turned",
+           "bodies are not turned",
            w.nx, w.ny, w.nz);
   if (parts->on_fault != MO_FAULT_SKIP) {
     mo_json_fault(json, "%s", note.fault.detail);
     return true;
   }
   if (parts->n_notes > 0 && parts->notes[parts->n_notes - 1].place == place)
-    parts->n_notes--; /* it was repaired, or an id */
+    parts->n_notes--; /* it was repaired, or given by its id */
   parts->n_designs--;
   return mo_parts_note(parts, &note);
 }
 
-/* Reads a child. *is_there: it was not skipped. */
+/* Reads a child. *is_kept: it was not skipped. Returns false without memory. */
 static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
-                       struct mo_study_child *child, double *measures, bool *is_there)
+                       struct mo_study_child *child, double *measures, bool *is_kept)
 {
   struct mo_study_words *words = &parsed->telling.words;
   const unsigned depth = json->depth;
   const uint32_t before = parsed->parts.n_designs;
   struct mo_json_slice key;
   bool has_body = false, memory = true;
-  *is_there = true;
+  *is_kept = true;
   if (!mo_json_object(json))
     return true;
   while (memory && mo_json_member(json, &key)) {
@@ -137,8 +138,8 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
   }
   if (!json->stop && !has_body)
     mo_json_fault_at(json, depth, "", "body is missing: a design");
-  *is_there = parsed->parts.n_designs > before;
-  if (*is_there)
+  *is_kept = parsed->parts.n_designs > before;
+  if (*is_kept)
     child->genotype = parsed->parts.genotypes[before];
   return memory;
 }
@@ -161,27 +162,28 @@ static void read_children(struct mo_json *json, void *value)
         mo_next_item((void **)&batch->children, batch->n_children, sizeof(*child));
     double *measures = mo_next_item((void **)&batch->measures, batch->n_children,
                                     MO_STUDY_MEASURES_MAX * sizeof(*measures));
-    bool memory = child != NULL && measures != NULL, is_there = false;
+    bool memory = child != NULL && measures != NULL, is_kept = false;
     if (memory) {
       *child = (struct mo_study_child){.place = n,
                                        .descent = {{MO_NO_PARENT, MO_NO_PARENT}, MO_BORN_LISTED}};
       for (int m = 0; m < MO_STUDY_MEASURES_MAX; m++)
         measures[m] = NAN;
-      memory = read_child(json, parsed, child, measures, &is_there);
+      memory = read_child(json, parsed, child, measures, &is_kept);
     }
     if (!memory) {
       parsed->parts.error = MO_ERR_NO_MEMORY;
       json->stop = true;
       return;
     }
-    batch->n_children += is_there;
+    batch->n_children += is_kept;
   }
   if (n > MO_DESIGNS_MAX)
     mo_json_fault_at(json, depth, "", "%u children are given; at most %d are expected", n,
                      MO_DESIGNS_MAX);
 }
 
-/* Moves the measures together: room for all there may be becomes room for those there are. */
+/* Packs the measures: while they are read, each child has room for the largest number of measures.
+ */
 static void pack_measures(struct mo_study_batch *batch, uint32_t n_measures)
 {
   batch->n_measures = n_measures;
@@ -192,7 +194,7 @@ static void pack_measures(struct mo_study_batch *batch, uint32_t n_measures)
 
 /* ---- the other members ---- */
 
-/* Reads numbers of designs (malloc). */
+/* Reads numbers of designs (malloc). Returns false without memory. */
 static bool read_numbers(struct mo_json *json, uint32_t most, uint32_t **numbers, uint32_t *ret_n)
 {
   const unsigned depth = json->depth;
@@ -333,7 +335,7 @@ static int check_ask(struct mo_json *json, void *any)
 {
   const struct mo_parsed_ask *parsed = any;
   if (parsed->ask.n == 0 && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "n is missing: how many bodies");
+    mo_json_fault_at(json, 0, "", "n is missing: the number of bodies");
   return parsed->error;
 }
 

@@ -5,7 +5,7 @@
 
 #include "store/runner.h"
 
-/* Checks the request, and reads its key. False: the 4xx or 503 is made. */
+/* Checks the request and reads its key. Returns false after replying with 4xx or 503. */
 static bool begin(struct mo_request *request, struct mo_post *post)
 {
   const char *field = request->framing.idempotency_key;
@@ -58,7 +58,7 @@ const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const ch
   return known->text != NULL ? known : NULL;
 }
 
-/* Says whether the key was used with another body. */
+/* Returns whether the key was used with another body. */
 static bool key_conflicts(struct mo_store *store, const struct mo_post *post)
 {
   int64_t id;
@@ -98,7 +98,7 @@ void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults)
       "The Idempotency-Key was used with another body; use a new key for a new request.");
 }
 
-/* Replies why a submission was not stored. */
+/* Replies with the reason why a submission was not stored. */
 static void reply_not_stored(struct mo_request *request, struct mo_post *post, int error)
 {
   const struct mo_refusal_pointers *pointers = &post->pointers;
@@ -167,10 +167,9 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
   struct mo_controller_record controller;
   int code = reference != NULL ? mo_store_controller(store, reference, &controller) : MO_OK;
   if (code == MO_ERR_NOT_FOUND)
-    mo_faults_add(
-        faults, MO_FAULT_BODY, "/controller",
-        "there is no controller \"%.80s\"; one of those in GET /v1/controllers is expected",
-        reference);
+    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
+                  "there is no controller \"%.80s\"; GET /v1/controllers lists those that exist",
+                  reference);
   else if (reference != NULL && code == MO_OK &&
            (controller.workspace.nx != ours.nx || controller.workspace.ny != ours.ny ||
             controller.workspace.nz != ours.nz))

@@ -5,7 +5,8 @@
 #include "api/handlers.h"
 #include "api/requests.h"
 
-/* Where the faults of a submission are that only its storing finds. NULL: nowhere, "" the body. */
+/* Places of the faults that are found only when a submission is stored. NULL: no place; "": the
+ * body. */
 struct mo_refusal_pointers {
   const char *controller, *limit, *empty, *conflict; /* conflict NULL: only a key can conflict */
   const char *invalid;
@@ -15,16 +16,16 @@ struct mo_post {
   const char *what; /* "training" */
   char key_text[256];
   struct mo_request_key key; /* of the body */
-  bool parsed;               /* the body was read: what is wrong now is found by storing it */
+  bool parsed;               /* the body is valid: later faults are found by storing it */
   struct mo_refusal_pointers pointers;
   struct mo_message message; /* why it was not stored */
-  struct mo_faults faults;   /* of the body, and of what it names */
+  struct mo_faults faults;   /* of the body, and of the resources that it names */
 };
 
 /* Handles a whole submission: checks what every submission must satisfy (JSON, a service that takes
  * work, a well-formed Idempotency-Key) and calls `submit`, which reads the body and stores the job.
- * An error of `submit` is replied to unless it made a reply. True: stored, and the body's memory is
- * freed. */
+ * If `submit` fails without a reply, replies with its error. Returns true if the job is stored; the
+ * memory of the body is then freed. */
 bool mo_handle_submission(struct mo_request *request, const char *what,
                           int (*submit)(struct mo_request *request, struct mo_post *post));
 /* Returns the name of the caller's token; NULL: the request came without one. */
@@ -39,8 +40,8 @@ const char *mo_post_words(const struct mo_post *post, int error);
 const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
                                             int64_t id, struct mo_request_key *known);
 
-/* Reads the body of a request that submits no job, as mo_read_body (requests.h) does. False: it is
- * not JSON, or has faults; the reply is made. */
+/* Reads the body of a request that submits no job, as mo_read_body (requests.h) does. Returns false
+ * after an error reply if the body is not JSON or has faults. */
 bool mo_read_request(struct mo_request *request, const struct mo_fields *fields, void *parsed,
                      struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                      const char *what);
@@ -49,8 +50,8 @@ void mo_reply_parse_error(struct mo_request *request, int error, const struct mo
                           const char *what);
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);
 
-/* Says whether to look up what a request names: its storing did not find it, or its body is
- * invalid, so that the client gets all faults at once. */
+/* Returns whether to look up what a request names: storing it did not find something, or the body
+ * is invalid and the client should get all faults at once. */
 bool mo_names_unknown(const struct mo_post *post, int error);
 /* Look up what a request names: a controller of the service's workspace (NULL: none), or a job of
  * this kind (0: none). Add a fault if it does not exist. */

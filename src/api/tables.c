@@ -1,6 +1,6 @@
-/* tables.c: lists and curves in other forms than JSON. The handler of a list makes its pages as
- * JSON; from these come the lines and columns, page by page, so that lines of any number take the
- * memory of a page. See tables.h. */
+/* tables.c: lists and curves in forms other than JSON. The handler of a list makes its pages as
+ * JSON. Lines and columns are made from these, page by page, so that any number of lines needs the
+ * memory of one page. See tables.h. */
 #include "api/tables.h"
 
 #include <math.h>
@@ -30,7 +30,8 @@ bool mo_table_form(struct mo_request *request, int *form)
 
 /* ---- the columns of a list ---- */
 
-/* The numbers of a column, by the type of a row's, or by the letter in a list of columns. */
+/* The type of the numbers of a column, by the type of a row's column or by the letter in a list of
+ * columns. */
 static const struct numbers {
   char letter;
   const char *type;
@@ -48,19 +49,19 @@ struct column {
   const char *csv;               /* its name in CSV; NULL: as `name` */
   const struct numbers *numbers; /* NULL: any JSON */
   char letter;                   /* before its values in CSV; 0: none */
-  /* Its value in the row that is read: a place in `cells`. */
+  /* Its value in the current row: a place in `cells`. */
   enum mo_json_kind found;
   size_t at, length;
-  struct mo_text values; /* of the form `columns`: those of all rows */
+  struct mo_text values; /* for the form `columns`: the values of all rows */
 };
 
 struct table {
   struct mo_request *request;
   void (*page)(struct mo_request *request);
   enum mo_form form;
-  bool headed, is_limited; /* is_limited: the client says how many rows */
+  bool headed, is_limited; /* is_limited: the client set the number of rows */
   bool is_last;            /* no page follows the one in `body` */
-  char *body;              /* of a page, malloc; NULL: none is waiting */
+  char *body;              /* of a page, malloc; NULL: not read yet */
   size_t size;
   char cursor[256], limit[24];
   uint64_t left; /* rows that may still be taken */
@@ -102,7 +103,7 @@ static void read_columns(struct table *table, const char *columns, const struct 
 
 /* ---- pages ---- */
 
-/* Gives a query parameter another value, which must stay readable. */
+/* Sets a query parameter to a value, which must stay valid. */
 static void set(struct mo_query *query, const char *name, const char *value)
 {
   unsigned i = 0;
@@ -115,7 +116,7 @@ static void set(struct mo_query *query, const char *name, const char *value)
   query->items[i].value = value;
 }
 
-/* Reads the next page into `body`. Another status than 200 stays as the reply of the request. */
+/* Reads the next page into `body`. A status other than 200 stays as the reply to the request. */
 static bool read_page(struct table *table)
 {
   struct mo_request *request = table->request;
@@ -124,13 +125,14 @@ static bool read_page(struct table *table)
   set(&request->query, "format", forms[MO_FORM_JSON]);
   if (table->cursor[0] != '\0')
     set(&request->query, "cursor", table->cursor);
-  if (table->cursor[0] != '\0' || !table->is_limited) { /* else the client's, to be checked */
+  if (table->cursor[0] != '\0' || !table->is_limited) { /* otherwise the handler checks the client's
+                                                           limit */
     snprintf(table->limit, sizeof(table->limit), "%u",
              table->left < MO_LIST_MAX ? (unsigned)table->left : MO_LIST_MAX);
     set(&request->query, "limit", table->limit);
   }
   const char *tags = request->framing.if_none_match;
-  request->framing.if_none_match = NULL; /* these are of the table, not of a page */
+  request->framing.if_none_match = NULL; /* these are for the table, not for a page */
   table->page(request);
   request->framing.if_none_match = tags;
   if (request->reply.status != 200 || request->reply.body == NULL)
@@ -148,7 +150,7 @@ static bool leads_to(const struct column *column, const char *path, size_t size)
   return column->size > size && memcmp(column->path, path, size) == 0 && column->path[size] == '.';
 }
 
-/* Keeps the value: a string decoded, anything else as it is written. */
+/* Keeps the value: in CSV strings are decoded; anything else is kept as it is written. */
 static void keep(struct table *table, struct column *column)
 {
   struct mo_json *json = &table->json;
@@ -164,10 +166,10 @@ static void keep(struct table *table, struct column *column)
   column->at = table->cells.size;
   column->length = value.size;
   mo_text_bytes(&table->cells, value.bytes, value.size);
-  mo_text_bytes(&table->cells, "", 1); /* where a number ends */
+  mo_text_bytes(&table->cells, "", 1); /* the end of a number */
 }
 
-/* Reads the value at a path, and what is below it, as far as there are columns for it. */
+/* Reads the value at a path, and the values below it that have columns. */
 static void read_value(struct table *table, char path[PATH_BYTES], size_t size)
 {
   struct mo_json *json = &table->json;
@@ -244,9 +246,9 @@ static void gather_cell(struct table *table, struct column *column)
   const char *bytes = table->cells.data + column->at;
   struct mo_text *values = &column->values;
   if (column->numbers == NULL) {
-    const bool is_there = column->found != MO_JSON_NONE;
+    const bool is_present = column->found != MO_JSON_NONE;
     mo_text_add(values, values->size > 0 ? "," : "");
-    mo_text_bytes(values, is_there ? bytes : "null", is_there ? column->length : 4);
+    mo_text_bytes(values, is_present ? bytes : "null", is_present ? column->length : 4);
     return;
   }
   const double value = column->found == MO_JSON_NUMBER  ? strtod(bytes, NULL)
@@ -313,8 +315,8 @@ static int take_page(struct table *table, struct mo_text *text)
   return !good ? MO_ERR_CORRUPT : table->cells.failed ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
-/* Takes the next page. Returns 1: there may be more, 0: that was the last one, or an error:
- * MO_ERR_IO with a reply that says why. */
+/* Takes the next page. Returns 1 if there may be more, 0 after the last one, or an error. After
+ * MO_ERR_IO the reply gives the reason. */
 static int take_next(struct table *table, struct mo_text *text)
 {
   if (table->body == NULL && !read_page(table))
@@ -353,7 +355,7 @@ static void free_table(void *context)
   free(table);
 }
 
-/* Says whether the columns fit in a reply. MO_ERR_LIMIT, MO_ERR_NO_MEMORY. */
+/* Checks that the columns fit in a reply. MO_ERR_LIMIT, MO_ERR_NO_MEMORY. */
 static int check_columns(const struct table *table)
 {
   size_t size = 0;
@@ -430,9 +432,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   table->form = form;
   table->is_limited = limit != NULL;
   table->left = table->is_limited ? strtoull(limit, NULL, 10) : UINT64_MAX;
-  request->framing.accept = NULL; /* it is read; pages are JSON */
+  request->framing.accept = NULL; /* it has been read; pages are JSON */
   read_columns(table, columns, rows);
-  if (!read_page(table)) { /* the problem is the reply */
+  if (!read_page(table)) { /* it has replied with the problem */
     free_table(table);
   } else if (form == MO_FORM_COLUMNS) {
     reply_columns(request, table);

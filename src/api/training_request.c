@@ -34,13 +34,12 @@ static void read_population(struct mo_json *json, void *value)
     }
   }
   if (!json->stop && jobs != 1)
-    mo_json_fault_at(
-        json, depth, "",
-        "a population is that of exactly one job: evaluation, the id of one whose designs are "
-        "learned from, or campaign, the id of one whose newest population is");
+    mo_json_fault_at(json, depth, "",
+                     "a population comes from exactly one job: evaluation, for the designs of that "
+                     "evaluation, or campaign, for the newest population of that campaign");
 }
 
-/* ---- the whole ---- */
+/* ---- the whole body ---- */
 
 #define AT(member) offsetof(struct mo_parsed_training, member)
 static const char *const kind_words[] = {"pretrain", "finetune", NULL};
@@ -57,7 +56,7 @@ static const struct mo_field rows[] = {
 #undef AT
 const struct mo_fields mo_training_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_TRAINING_PRETRAIN == 0 && MO_TRAINING_FINETUNE == 1,
-               "the words stand in the order of their values");
+               "the words are in the order of their values");
 
 static void check_finetune(struct mo_json *json, const struct mo_parsed_training *parsed)
 {
@@ -74,8 +73,8 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
                      "and 64 hexadecimal digits, is expected");
   if (parsed->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
     mo_json_fault_at(json, 0, "/preset",
-                     "\"phototaxis\" is how a controller was pretrained; \"workstation\" or "
-                     "\"paper\" is expected of a finetuning");
+                     "\"phototaxis\" is a preset of pretraining; use \"workstation\" or \"paper\" "
+                     "for a finetuning");
 }
 
 static void check_pretrain(struct mo_json *json, const struct mo_parsed_training *parsed)
@@ -83,19 +82,17 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
   const struct mo_training_settings *settings = &parsed->request.record.settings;
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (parsed->parts.has_designs)
-    mo_json_fault_at(
-        json, 0, "/designs",
-        "a pretraining draws bodies of its own; designs are expected of a finetuning only");
+    mo_json_fault_at(json, 0, "/designs",
+                     "a pretraining draws its own bodies; designs are for a finetuning only");
   if (parsed->has_population)
-    mo_json_fault_at(
-        json, 0, "/population",
-        "a pretraining draws bodies of its own; a population is expected of a finetuning only");
+    mo_json_fault_at(json, 0, "/population",
+                     "a pretraining draws its own bodies; a population is for a finetuning only");
   if (bodies > MO_TRAINING_BODIES_MAX)
-    mo_json_fault_at(json, 0, "/steps",
-                     "%u steps of %u bodies are %llu; at most %llu distinct bodies are expected of "
-                     "a pretraining",
-                     settings->n_steps, settings->batch, (unsigned long long)bodies,
-                     (unsigned long long)MO_TRAINING_BODIES_MAX);
+    mo_json_fault_at(
+        json, 0, "/steps",
+        "%u steps of %u bodies are %llu; a pretraining has at most %llu distinct bodies",
+        settings->n_steps, settings->batch, (unsigned long long)bodies,
+        (unsigned long long)MO_TRAINING_BODIES_MAX);
 }
 
 /* Checks what depends on several fields. The sensor is negative unless it was given. */
@@ -109,7 +106,7 @@ static int check(struct mo_json *json, void *any)
   if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing: \"pretrain\" or \"finetune\"");
   else if ((int)settings->kind < 0)
-    return MO_OK; /* told already */
+    return MO_OK; /* reported already */
   if (parsed->has_kind && finetune)
     check_finetune(json, parsed);
   else if (parsed->has_kind)
@@ -118,7 +115,7 @@ static int check(struct mo_json *json, void *any)
       (finetune || (parts->has_controller && !parts->no_controller)))
     mo_json_fault_at(
         json, 0, "/sensor",
-        "the training starts from a controller, which has its sensor; none is expected here");
+        "the training starts from a controller, which determines the sensor; omit it here");
   return MO_OK;
 }
 

@@ -1,4 +1,4 @@
-/* trajectories.c: what evaluations recorded. */
+/* trajectories.c: the recordings of evaluations. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -53,11 +53,11 @@ void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job,
   if (error != MO_ERR_NOT_FOUND)
     mo_reply_error(request, error, "trajectory");
   else if (job->recordings_removed_us != 0)
-    mo_reply_problem(request, 410, NULL,
-                     "The recordings of this evaluation were removed, to make room "
-                     "(max_recordings) or on request. POST /v1/rollouts computes the same motion "
-                     "again, from the genotype in the results; so does the evaluation, submitted "
-                     "again.");
+    mo_reply_problem(
+        request, 410, NULL,
+        "The recordings of this evaluation were removed, to make room (max_recordings) or on "
+        "request. POST /v1/rollouts computes the same motion again from the genotype in the "
+        "results. Submitting the evaluation again does so, too.");
   else if (mo_job_state_is_final(job->state))
     mo_reply_problem(request, 404, NULL, "This rollout was not recorded: the evaluation has %s.",
                      state);
@@ -66,14 +66,14 @@ void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job,
                      state);
 }
 
-/* What the path and the query name. */
+/* The rollout that the path and the query name. */
 struct place {
   int64_t evaluation, design, environment;
   int array; /* of mo_channel_words; −1: any */
   struct mo_job job;
 };
 
-/* Reads the trajectory. NULL: the reply is made. */
+/* Reads the trajectory. Returns NULL if it has replied. */
 static struct mo_trajectory *read_trajectory(struct mo_request *request, struct place *place)
 {
   struct mo_store *store = mo_api_of(request)->store;
@@ -99,10 +99,10 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
     mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
                      job->n_designs, job->n_environments);
   else if (job->record == 0)
-    mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
+    mo_reply_problem(request, 404, NULL, "The evaluation did not request a recording.");
   else if (place->array >= 0 && !(job->record >> place->array & 1))
     mo_reply_problem(request, 404, NULL,
-                     "The evaluation did not ask for a recording of this array.");
+                     "The evaluation did not request a recording of this array.");
   else if ((error = mo_store_trajectory(store, place->evaluation, d, k, &trajectory)) != MO_OK)
     mo_reply_no_recording(request, job, error);
   return trajectory;
@@ -137,7 +137,7 @@ static bool fits(const struct mo_trajectory *trajectory, const struct mo_body *b
          (trajectory->n_springs == 0 || trajectory->n_springs == body->n_springs);
 }
 
-/* Fills in the one rollout of a scene. It takes the recording over. */
+/* Fills in the only rollout of a scene. The scene takes over the recording. */
 static int fill_rollout(struct mo_api *api, const struct place *place,
                         struct mo_trajectory *trajectory, struct mo_rollouts *rollouts)
 {
@@ -246,7 +246,7 @@ void mo_api_delete_trajectories(struct mo_request *request)
   if (error == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL,
                      "The evaluation has not ended and continues from its recordings; they can be "
-                     "deleted when it has ended or was cancelled.");
+                     "deleted once it has ended or was cancelled.");
   } else if (error != MO_OK) {
     mo_reply_error(request, error, "evaluation");
   } else {

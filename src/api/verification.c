@@ -1,4 +1,4 @@
-/* verification.c: POST /v1/fleet/verify: what a worker gave, computed again. */
+/* verification.c: POST /v1/fleet/verify: computes the results of a worker again. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,7 +19,7 @@ struct parsed {
 };
 _Static_assert(MO_ORIGIN_BYTES == 2 * MO_FLEET_NAME_BYTES + 2, "a name, @, a host");
 
-/* Reads "G-C", what the reply to the page before had as `next`. */
+/* Reads "G-C", the `next` of the previous reply. */
 static void read_place(struct mo_json *json, void *value)
 {
   const unsigned depth = json->depth;
@@ -124,7 +124,7 @@ void mo_api_verify_origin(struct mo_request *request)
   else
     reply(request, &verification);
   if (error == MO_OK && verification.n > 0)
-    mo_request_note(request, "%zu rows of losses of \"%s\" were not what is computed%s",
+    mo_request_note(request, "%zu rows of losses from \"%s\" differ from what is computed%s",
                     verification.n, parsed.origin, parsed.repair ? ", and are replaced" : "");
   free(verification.rows);
 }

@@ -1,5 +1,5 @@
 /* worlds.c: the environments and physics of scores, by hash, by name, and of a job; and the
- * geometry of a design. What a hash names never changes, so clients may keep it. */
+ * geometry of a design. The content behind a hash never changes, so clients may cache it. */
 #include <stdlib.h>
 #include <string.h>
 

@@ -1,11 +1,11 @@
-/* commands.h: the commands of morphod beside the service. Each takes the whole command line, of
- * which argv[1] is its name, and returns the exit status. */
+/* commands.h: the commands of morphod other than the service. Each receives the whole command line,
+ * where argv[1] is its name, and returns the exit status. */
 #ifndef MORPHO_DAEMON_COMMANDS_H
 #define MORPHO_DAEMON_COMMANDS_H
 
 /* `morphod store …`: maintenance of a state folder while no service uses it. */
 int store_command(int argc, const char *const *argv);
-/* `morphod worker`, which computes for the daemon of another machine. */
+/* `morphod worker`, which computes for a daemon on another machine. */
 int worker_command(int argc, const char *const *argv);
 
 #endif

@@ -84,7 +84,7 @@ int crash_open(const char *state_dir, char **last, int64_t *killed_us, struct mo
   if (noted && rename(current, old) != 0)
     result = mo_fail(message, MO_ERR_IO, "%s: %s", current, strerror(errno));
   if (result == MO_OK) {
-    /* Written over what is there: on a full disk there is no room for another block. */
+    /* Overwrite the old content: a full disk has no room for another block. */
     fd = open(current, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
     if (fd < 0 || pwrite(fd, boot, boot_size, 0) != (ssize_t)boot_size ||
         ftruncate(fd, (off_t)boot_size) != 0)

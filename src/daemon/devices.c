@@ -18,7 +18,7 @@ int devices_parse(const struct setting_list *list, struct device_choice *choice,
     const char *text = list->items[i];
     const bool is_word = strcmp(text, "auto") == 0 || strcmp(text, "none") == 0;
     if (is_word && list->n > 1)
-      return mo_fail(message, MO_ERR_INVALID, "\"%s\" stands alone", text);
+      return mo_fail(message, MO_ERR_INVALID, "\"%s\" must be the only item", text);
     if (is_word) {
       found.all = strcmp(text, "auto") == 0;
       continue;
@@ -85,7 +85,7 @@ int devices_open(struct mo_compute *compute, const struct setting_list *devices,
   if (status != MO_OK)
     return status;
   if (!choice.all && choice.n == 0) {
-    log_info("no devices are asked for: the processors compute");
+    log_info("no devices are configured: the processors compute");
     return MO_OK;
   }
   if (module == NULL)

@@ -27,7 +27,7 @@
 #define BODY_MEMORY     (UINT64_C(256) << 20)
 #define BODY_TIMEOUT_MS 300000 /* 8 MiB at 250 kbit/s */
 
-/* Reads a text (malloc, with a NUL). A pipe is refused: reading it would wait without end. */
+/* Reads a text (malloc, with a NUL). A pipe is refused: reading it could block indefinitely. */
 static int read_pem(const char *name, const char *path, char **text, struct mo_message *message)
 {
   struct stat status;
@@ -92,7 +92,7 @@ struct fleet {
   struct mo_fleet *fleet;
   struct mo_store *store;
   struct mo_compute *compute;
-  struct mo_jobs *jobs;         /* of when it is served */
+  struct mo_jobs *jobs;         /* set when the fleet is served */
   _Atomic(struct mo_api *) api; /* NULL: not served yet */
 };
 
@@ -104,7 +104,7 @@ static void wake(void *context, uint64_t session)
     mo_api_wake_session(api, session);
 }
 
-static void tell(void *context, const char *type, const char *data)
+static void store_event(void *context, const char *type, const char *data)
 {
   struct fleet *fleet = context;
   const int error = mo_store_event(fleet->store, type, data);
@@ -155,7 +155,7 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
                                    .name_class = name_class,
                                    .origin = origin,
                                    .wake = wake,
-                                   .event = tell,
+                                   .event = store_event,
                                    .context = fleet};
   config.classes[MO_ON_CPU].scores = mo_compute_fingerprint(compute, MO_FLOAT32);
   config.classes[MO_ON_CPU].gradients = mo_compute_gradient_fingerprint(compute);
@@ -183,7 +183,7 @@ void fleet_end_others(struct fleet *fleet, const struct mo_token *tokens, size_t
   struct mo_session_status *sessions;
   size_t n_sessions;
   if (mo_fleet_sessions(fleet->fleet, &sessions, &n_sessions) != MO_OK)
-    return; /* without their tokens they are refused, and soon silent */
+    return; /* without valid tokens they are refused, and soon count as silent */
   for (size_t i = 0; i < n_sessions; i++) {
     bool is_known = sessions[i].offer.user[0] == '\0' && n == 0;
     for (size_t k = 0; k < n && !is_known; k++)
@@ -235,10 +235,9 @@ static void warn_of_few_files(const struct mo_http *http)
   struct mo_http_stats stats;
   mo_http_get_stats((struct mo_http *)http, &stats);
   if (stats.max_connections < CONNECTIONS_MAX)
-    log_warning("the limit of open files allows fewer connections of workers: raise it "
-                "(LimitNOFILE=)",
-                LOG_INT("max_connections", CONNECTIONS_MAX),
-                LOG_INT("used", stats.max_connections));
+    log_warning(
+        "the limit on open files allows fewer connections of workers: raise it (LimitNOFILE=)",
+        LOG_INT("max_connections", CONNECTIONS_MAX), LOG_INT("used", stats.max_connections));
 }
 
 int fleet_serve(struct fleet *fleet, const struct settings *settings, struct sockets *sockets,
@@ -275,7 +274,7 @@ int fleet_serve(struct fleet *fleet, const struct settings *settings, struct soc
     sockets_hand_over(sockets);
     tokens_free(&tokens);
   } else if (error == MO_ERR_IO) {
-    error = MO_ERR_INVALID; /* not that of a socket */
+    error = MO_ERR_INVALID; /* not an error of a socket */
   }
   fleet_certificate_free(&pair);
   if (error == MO_OK)

@@ -131,7 +131,7 @@ static size_t format_notice(char line[LOG_LINE_BYTES], uint64_t n)
 {
   const struct log_field fields[] = {LOG_INT("lines", n)};
   return format_now(line, LOG_LEVEL_WARNING,
-                    "log lines were dropped: standard error did not take them", fields, 1);
+                    "log lines were dropped: standard error did not accept them", fields, 1);
 }
 
 /* ---- the thread that writes ---- */
@@ -141,8 +141,8 @@ static struct {
   pthread_cond_t filled, empty;
   pthread_t thread;
   bool quit;
-  size_t begin, size; /* of the pending bytes in the ring */
-  uint64_t untold;    /* lines dropped since the last notice */
+  size_t begin, size;  /* of the pending bytes in the ring */
+  uint64_t unreported; /* lines dropped since the last notice */
   atomic_bool running;
   atomic_size_t pending; /* bytes in the ring and those being written; changed under the lock */
   _Atomic uint64_t dropped;
@@ -168,19 +168,19 @@ static bool push(const char *line, size_t n)
 
 /* Reports dropped lines, under the lock, once half of the ring is free, so that a slow reader does
  * not get a notice for every few lines. */
-static void tell_dropped(void)
+static void report_dropped(void)
 {
   char line[LOG_LINE_BYTES];
-  if (writer.untold > 0 && writer.size <= RING_BYTES / 2 &&
-      push(line, format_notice(line, writer.untold)))
-    writer.untold = 0;
+  if (writer.unreported > 0 && writer.size <= RING_BYTES / 2 &&
+      push(line, format_notice(line, writer.unreported)))
+    writer.unreported = 0;
 }
 
 static void drop(const char *lines, size_t n)
 {
   for (size_t i = 0; i < n; i++)
     if (lines[i] == '\n') {
-      writer.untold++;
+      writer.unreported++;
       atomic_fetch_add(&writer.dropped, 1);
     }
 }
@@ -230,8 +230,8 @@ static void *write_lines(void *context)
     size_t done = write_all(text, n);
     pthread_mutex_lock(&writer.lock);
     if (done == n)
-      tell_dropped(); /* after a failed write, the next line tries again: a notice of its own loss
-                         would repeat without end */
+      report_dropped(); /* after a failed write, the next line tries again: a notice of its own loss
+                         would repeat endlessly */
     else
       drop(text + done, n - done);
     atomic_fetch_sub(&writer.pending, n);
@@ -260,10 +260,10 @@ static void put_line(const char *line, size_t n)
     return;
   }
   MO_GUARD(&writer.lock);
-  tell_dropped();
-  /* Drop lines until their number can be reported, so that the notice stands where they are
-   * missing. */
-  if (writer.untold > 0 || !push(line, n))
+  report_dropped();
+  /* Drop lines until their number can be reported, so that the notice is at the place where they
+   * are missing. */
+  if (writer.unreported > 0 || !push(line, n))
     drop(line, n);
 }
 

@@ -50,7 +50,8 @@ struct log_field {
 
 /* Sets format and level, and finds out whether standard error is the journal. */
 void log_open(enum log_format format, enum log_level level);
-/* Starts a thread that writes the lines; before, they are written at once. 0, or −1: no thread. */
+/* Starts a thread that writes the lines; until then, they are written immediately. Returns 0, or −1
+ * if the thread cannot be created. */
 int log_start(void);
 /* Waits at most `timeout_ms` until everything is written; later lines are kept and not written. */
 void log_stop(int timeout_ms);
@@ -66,7 +67,7 @@ void log_write(enum log_level level, const char *message, const struct log_field
                size_t n_fields);
 
 /* Formats one line with its newline into `line` (capacity bytes, always terminated); returns its
- * length. A field that does not fit is left out, with those behind it. `time_us`: microseconds
+ * length. A field that does not fit is left out, along with those after it. `time_us`: microseconds
  * since 1970; 0: omit the time. */
 size_t log_format_line(char *line, size_t capacity, enum log_format format, bool priority,
                        int64_t time_us, enum log_level level, const char *message,

@@ -40,7 +40,7 @@ static atomic_bool broken; /* set by the store when the process must end */
 static void must_end(void *context, const char *what)
 {
   (void)context;
-  log_error("the state can no longer be written; ending to recover at the next start",
+  log_error("the state can no longer be written; stopping to recover at the next start",
             LOG_TEXT("reason", what));
   atomic_store(&broken, true);
   kill(getpid(), SIGUSR1); /* wakes the main thread */
@@ -63,8 +63,8 @@ static void load(struct process *process, struct settings *settings,
   settings_complete(settings, (const char *const *)environ);
 }
 
-/* Logs that a setting has another value now, which it takes if it can be reloaded. Others keep
- * their old value for the next comparison. */
+/* Logs that a setting has a new value, and applies it if the setting can be reloaded. Other
+ * settings keep their old value for the next comparison. */
 static void apply(struct settings *current, const struct settings *read,
                   const struct setting *setting)
 {
@@ -157,7 +157,7 @@ static void stop(struct process *process, int number, const sigset_t *set)
            LOG_REAL("seconds", (double)(mo_clock_us() - begin) * 1e-6));
 }
 
-static void look_after(struct process *process, bool *was_alive)
+static void check_parts(struct process *process, bool *was_alive)
 {
   const char *who;
   int64_t limit_us = HEARTBEAT_LIMIT_US;
@@ -169,7 +169,7 @@ static void look_after(struct process *process, bool *was_alive)
   if (!alive && *was_alive)
     log_error("a part of the service is stuck", LOG_TEXT("part", who));
   if (alive && !*was_alive)
-    log_info("the service goes on");
+    log_info("the service continues");
   *was_alive = alive;
 }
 
@@ -196,7 +196,7 @@ static int run(struct process *process, const sigset_t *set)
     }
     if (number == SIGHUP)
       reload(process);
-    look_after(process, &alive);
+    check_parts(process, &alive);
     service_report_expiry(process->service);
     if (rounds++ % 10 == 0) {
       char text[160];

@@ -1,13 +1,13 @@
-/* memory.h: how much memory the service may use if no setting says so; and the end of the process
- * that has none left for its configuration. */
+/* memory.h: how much memory the service may use by default, and allocations that end the process
+ * when they fail. */
 #ifndef MORPHO_DAEMON_MEMORY_H
 #define MORPHO_DAEMON_MEMORY_H
 
 #include <stdint.h>
 
 /* Returns the least of the machine's memory, the limits of the cgroup (both versions), and
- * RLIMIT_AS without 1 GiB that is only reserved; minus the larger of an eighth and 64 MiB, but at
- * most minus half. > 0. */
+ * RLIMIT_AS minus 1 GiB for address space that is only reserved. From this it subtracts the larger
+ * of an eighth and 64 MiB, but at most half. The result is positive. */
 uint64_t memory_limit(void);
 /* Returns the setting max_memory, or memory_limit() for its default 0. */
 static inline uint64_t memory_limit_of(uint64_t max_memory)
@@ -15,7 +15,7 @@ static inline uint64_t memory_limit_of(uint64_t max_memory)
   return max_memory > 0 ? max_memory : memory_limit();
 }
 
-/* Returns what was allocated. Without it the process ends, as if it had been killed: the next start
+/* Returns `memory`. If it is NULL, ends the process as if it had been killed: the next start
  * recovers. */
 void *enough(void *memory);
 /* Formats a text as asprintf does (malloc). */

@@ -1,6 +1,6 @@
-/* service.c: see service.h. Starts in this order: listeners (cheap to refuse), state folder, store,
- * crash marker, back end, jobs, controller, HTTP. Stops in the reverse order, except that jobs park
- * before HTTP ends, so that replies can still be sent. */
+/* service.c: see service.h. Starts in this order: listeners (where a failure costs least), state
+ * folder, store, crash marker, back end, jobs, controller, HTTP. Stops in the reverse order, except
+ * that jobs park before HTTP ends, so that replies can still be sent. */
 #include "service.h"
 
 #include <errno.h>
@@ -33,7 +33,7 @@
 #define EVENT_FIELDS_MAX 16
 #define OPEN_LIMIT_US    (UINT64_C(3600) * 1000000)
 #define STORE_READERS                                                                              \
-  8 /* more than the threads that read: those of the API, the HTTP clock, the scheduler */
+  8 /* more than the number of reading threads: the API, the HTTP clock, the scheduler */
 #define JOBS_STOP_MS  3000
 #define HTTP_GRACE_MS 1000
 
@@ -49,10 +49,10 @@ struct service {
   struct mo_http *http; /* of `api` */
   int subscription;     /* −1: none */
   bool crash_marker;
-  char *last_marker; /* of the process before, if it crashed; else NULL */
-  int64_t killed_us; /* when the process before began, if it was killed; else 0 */
+  char *last_marker; /* of the previous process, if it crashed; else NULL */
+  int64_t killed_us; /* when the previous process began, if it was killed; else 0 */
   void (*fatal)(void *context, const char *what);
-  uint64_t jobs_expired; /* that were logged */
+  uint64_t jobs_expired; /* as logged so far */
   bool clock_doubted;    /* logged */
 };
 
@@ -84,7 +84,7 @@ static int open_listeners(struct service *service, const struct settings *settin
   char **names = NULL;
   const int n_passed = sd_listen_fds_with_names(1, &names);
   if (n_passed < 0)
-    return mo_fail(message, MO_ERR_IO, "cannot take the sockets that were passed: %s",
+    return mo_fail(message, MO_ERR_IO, "cannot use the sockets that were passed: %s",
                    strerror(-n_passed));
   int status = MO_OK;
   for (int i = 0; i < n_passed && status == MO_OK; i++) {
@@ -110,7 +110,7 @@ static int open_listeners(struct service *service, const struct settings *settin
   return status;
 }
 
-/* Copies a text of the event into the space left, and terminates it. */
+/* Copies a text of the event into the remaining space, and terminates it. */
 static const char *keep(char **room, struct mo_json_slice text)
 {
   char *kept = *room;
@@ -155,7 +155,7 @@ static void log_event(enum log_level level, const struct mo_event *event)
 static void job_has_failed(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
-  log_warning("a job met an error", LOG_INT("job", job), LOG_TEXT("code", mo_error_name(error)),
+  log_warning("a job had an error", LOG_INT("job", job), LOG_TEXT("code", mo_error_name(error)),
               LOG_TEXT("detail", text));
 }
 
@@ -187,7 +187,7 @@ static void log_events(void *context, const struct mo_event *events, size_t n)
   }
 }
 
-/* context: not NULL for the server of workers. */
+/* Logs a request. context: not NULL for the server of workers. */
 static void log_request(void *context, const struct mo_http_log_entry *entry)
 {
   /* Successful health checks, scrapes and exchanges of workers arrive every few seconds, and carry
@@ -214,7 +214,7 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
 
 enum { CONTROLLER_NAME_BYTES = 128 };
 
-/* Returns the name of a file without folder and ".safetensors", or "default" if that is no valid
+/* Returns the name of a file without folder and ".safetensors", or "default" if that is not a valid
  * name for a controller. */
 static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTES])
 {
@@ -287,7 +287,7 @@ static int start_http(struct service *service, const struct settings *settings,
   struct tokens tokens;
   int status = tokens_read(settings->token_file, &tokens, message);
   if (status != MO_OK)
-    return status == MO_ERR_IO ? MO_ERR_INVALID : status; /* not that of a socket */
+    return status == MO_ERR_IO ? MO_ERR_INVALID : status; /* not an error of a socket */
   for (size_t i = 0; i < settings->unix_groups.n && status == MO_OK; i++) {
     const struct group *group = getgrnam(settings->unix_groups.items[i]);
     if (group == NULL)
@@ -335,7 +335,7 @@ static int start_http(struct service *service, const struct settings *settings,
     service->http = mo_api_http(service->api);
     mo_http_get_stats(service->http, &stats);
     if (stats.max_connections < settings->max_connections)
-      log_warning("the limit of open files allows fewer connections than max_connections: raise it "
+      log_warning("the limit on open files allows fewer connections than max_connections: raise it "
                   "(LimitNOFILE=)",
                   LOG_INT("max_connections", settings->max_connections),
                   LOG_INT("used", stats.max_connections));
@@ -371,7 +371,7 @@ int service_store_status(int error)
   return exit_status_of(error, needs_a_person ? EXIT_CONFIG : EXIT_STATE);
 }
 
-/* Returns the budget of all recordings, which holds what one evaluation may record; 0: no limit. */
+/* Returns the budget of all recordings, which is at least that of one evaluation; 0: no limit. */
 static uint64_t max_recordings_of(const struct settings *settings)
 {
   const uint64_t all = settings->max_recordings_bytes, one = settings->max_recorded_bytes;
@@ -464,8 +464,8 @@ static int start_jobs(struct service *service, const struct settings *settings,
   return mo_jobs_create(service->store, service->compute, &config, &service->jobs, message);
 }
 
-/* The parts in the order in which they start, with the exit status of an error: `status`, but
- * `other_status` for the errors listed. */
+/* The parts in the order in which they start, with the exit status of an error: `other_status` for
+ * the errors in `others`, otherwise `status`. */
 static const struct part {
   int (*start)(struct service *service, const struct settings *settings,
                struct mo_message *message);

@@ -18,13 +18,13 @@ enum exit_status {
   EXIT_INTERNAL = 70,
   EXIT_SYSTEM = 71,
   EXIT_STATE = 74,
-  EXIT_IN_USE = 75, /* also: the daemon of a worker cannot be reached */
+  EXIT_IN_USE = 75, /* also: a worker cannot reach its daemon */
   EXIT_PROTOCOL = 76,
   EXIT_DENIED = 77,
   EXIT_CONFIG = 78
 };
 
-/* Maps an error of mo_store_open() to an exit status: EXIT_CONFIG if another try does not help. */
+/* Maps an error of mo_store_open() to an exit status: EXIT_CONFIG if trying again cannot help. */
 int service_store_status(int error);
 
 struct service;
@@ -36,7 +36,7 @@ int service_start(const struct settings *settings, void (*fatal)(void *context, 
                   struct service **service, struct mo_message *message);
 
 /* Returns the number of listeners and their addresses: "http://127.0.0.1:8765" or "unix:/path".
- * of_fleet: of the server for workers; 0: there is none. */
+ * of_fleet: those of the server for workers; 0 if there is none. */
 size_t service_addresses(const struct service *service, bool of_fleet,
                          const char *const **addresses);
 
@@ -51,8 +51,8 @@ void service_drain(struct service *service);
 bool service_is_idle(struct service *service);
 bool service_is_learning(struct service *service);
 
-/* Returns whether scheduler, writer and HTTP each had a round within `limit_us`; *who names the one
- * that had not. */
+/* Returns whether scheduler, writer and HTTP each completed a round within `limit_us`. *who names
+ * one that did not. */
 bool service_is_alive(struct service *service, int64_t limit_us, const char **who);
 
 /* Parks running jobs, answers waiting requests, and closes everything. */

@@ -127,8 +127,8 @@ int settings_set(struct settings *settings, const struct setting *setting, const
 void settings_complete(struct settings *settings, const char *const *environment);
 
 /* Checks folders, files and addresses to which the values refer, and contradictions. Reads only,
- * never writes. `state_dir`: checks the state folder, too. (A start does not need this check: it
- * reports a broken folder apart from a broken configuration.) */
+ * never writes. `state_dir`: also checks the state folder. (A start does not need this check: it
+ * reports a broken folder separately from a broken configuration.) */
 void settings_check(const struct settings *settings, bool state_dir,
                     struct settings_faults *faults);
 

@@ -82,16 +82,16 @@ static void warn_if_public(const char *name, const char *path, const struct stat
                            struct settings_faults *faults)
 {
   if ((status->st_mode & 0007) != 0)
-    settings_fault(faults, false, "%s: %s can be read by everybody (mode %03o)", name, path,
+    settings_fault(faults, false, "%s: %s can be read by everyone (mode %03o)", name, path,
                    (unsigned)status->st_mode & 0777);
 }
 
-/* Counts the tokens of clients and of workers, too. */
+/* Checks the token file, and counts the tokens of clients and of workers. */
 static void check_token_file(const char *path, size_t *n_clients, size_t *n_workers,
                              struct settings_faults *faults)
 {
   struct stat status;
-  if (stat(path, &status) != 0) { /* before opening: reading a pipe would wait without end */
+  if (stat(path, &status) != 0) { /* before opening: reading a pipe could block indefinitely */
     settings_fault(faults, true, "token_file: %s: %s", path, strerror(errno));
   } else if (!S_ISREG(status.st_mode)) {
     settings_fault(faults, true, "token_file: %s is not a file", path);
@@ -121,7 +121,7 @@ static void check_parent(const char *name, const char *path, struct settings_fau
   free(folder);
 }
 
-/* Checks the addresses of a list. True: one is beyond loopback. */
+/* Checks the addresses of a list. Returns whether one is beyond loopback. */
 static bool check_addresses(const char *name, const struct setting_list *list,
                             struct settings_faults *faults)
 {
@@ -169,7 +169,7 @@ static void check_fleet(const struct settings *settings, size_t n_tokens,
   struct mo_message message = {{0}};
   struct stat status;
   if (!has_both && (settings->fleet_certificate != NULL || settings->fleet_key != NULL))
-    settings_fault(faults, true, "fleet_certificate and fleet_key: give both, or none");
+    settings_fault(faults, true, "fleet_certificate and fleet_key: give both or neither");
   else if (has_both && fleet_certificate_read(settings, &pair, &message) != MO_OK)
     settings_fault(faults, true, "%s", message.text);
   else if (has_both)
@@ -200,8 +200,8 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-/* Checks the installed controller, which the first start takes if no setting names one. Later
- * starts need none. */
+/* Checks the installed controller, which the first start uses if no setting names one. Later starts
+ * do not need it. */
 static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
 {
   static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
@@ -226,7 +226,8 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
   else
     check_shipped_controller(settings->state_dir, faults);
   if (settings->isa > 0 && settings->isa - 1 > (int)mo_isa_best())
-    settings_fault(faults, true, "isa: this processor does not run %s; the widest is %s",
+    settings_fault(faults, true,
+                   "isa: this processor does not support %s; the widest that it supports is %s",
                    mo_isa_name((enum mo_isa)(settings->isa - 1)), mo_isa_name(mo_isa_best()));
   check_devices(settings, faults);
   for (size_t i = 0; i < settings->allowed_hosts.n; i++)
@@ -240,11 +241,11 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
       settings_fault(faults, true, "unix_groups: there is no group \"%s\"",
                      settings->unix_groups.items[i]);
   if (settings->max_memory > 0 && settings->max_memory < (UINT64_C(128) << 20))
-    settings_fault(faults, true, "max_memory: at least 128M are needed");
+    settings_fault(faults, true, "max_memory: must be at least 128M");
   if (settings->max_recordings_bytes > 0 &&
       settings->max_recordings_bytes < settings->max_recorded_bytes)
     settings_fault(faults, false,
-                   "max_recordings is smaller than max_recorded, which counts in its place");
+                   "max_recordings is smaller than max_recorded, which is used instead");
   if (settings->max_streams > settings->max_connections)
     settings_fault(faults, false, "max_streams is larger than max_connections and has no effect");
 }

@@ -1,4 +1,4 @@
-/* settings_faults.h: what is wrong in a configuration. */
+/* settings_faults.h: the faults of a configuration. */
 #ifndef MORPHO_DAEMON_SETTINGS_FAULTS_H
 #define MORPHO_DAEMON_SETTINGS_FAULTS_H
 

@@ -1,5 +1,6 @@
-/* settings_rows.h: rows like those of settings.h in the table of another program, `morphod worker`.
- * `values` is the struct that the rows' offsets are of, zeros at first. */
+/* settings_rows.h: functions for any table of rows like those of settings.h, such as that of
+ * `morphod worker`. `values` is the struct to which the offsets of the rows refer. It begins with
+ * zeros. */
 #ifndef MORPHO_DAEMON_SETTINGS_ROWS_H
 #define MORPHO_DAEMON_SETTINGS_ROWS_H
 
@@ -15,7 +16,7 @@ char *credential_path(const char *folder);
 const struct setting *setting_of_flag(const struct setting *rows, size_t n, const char *flag,
                                       size_t length);
 void setting_free(void *values, const struct setting *setting);
-/* Prints what --help says of the rows. */
+/* Prints the rows in the form of --help. */
 void settings_print_rows(const struct setting *rows, size_t n, FILE *file);
 
 #endif

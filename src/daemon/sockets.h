@@ -17,12 +17,12 @@ struct sockets {
   char *unix_paths[SOCKETS_MAX];      /* sockets created here, to be removed; else NULL */
 };
 
-/* Takes a passed socket (address NULL), or listens on an address. Errors as mo_http_listen;
- * MO_ERR_LIMIT. */
+/* Adds a passed socket (address NULL), or listens on an address. Returns the errors of
+ * mo_http_listen, or MO_ERR_LIMIT. */
 int sockets_add(struct sockets *sockets, int fd, const char *address, struct mo_message *message);
-/* Makes https of http in the addresses. */
+/* Changes http to https in the addresses. */
 void sockets_use_tls(struct sockets *sockets);
-/* Another owner has closed the sockets, or will. */
+/* Gives up the sockets: another owner has closed them, or will. */
 void sockets_hand_over(struct sockets *sockets);
 /* Closes the sockets that were not handed over, and removes unix sockets. Call it while those still
  * listen: later, the path may belong to the next process, which found these sockets without a

@@ -1,4 +1,4 @@
-/* store_command.c: `morphod store`. Writes to standard output for a person, logs nothing. */
+/* store_command.c: `morphod store`. Writes to standard output for people, and logs nothing. */
 #include "daemon/commands.h"
 
 #include <ctype.h>
@@ -69,7 +69,7 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
     if (error == MO_OK && !agrees) {
       char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
       (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, samples[i].genotype.words, robot);
-      printf("a loss of the body %s is not what is computed again: %.17g is stored\n", robot,
+      printf("a loss of the body %s differs from the one computed again: %.17g is stored\n", robot,
              samples[i].loss);
       (*n_differ)++;
     }
@@ -82,7 +82,7 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
   return error;
 }
 
-/* Computes samples of all classes that this processor has: those of its instruction sets. */
+/* Computes samples of all classes that this processor supports: those of its instruction sets. */
 static int check_classes(struct mo_store *store, size_t n, uint64_t *n_differ)
 {
   struct mo_lattice *lattice = NULL;
@@ -101,8 +101,8 @@ static int check_classes(struct mo_store *store, size_t n, uint64_t *n_differ)
   return error;
 }
 
-/* Prints what does not agree, and a summary. n: stored losses of each class to compute again.
- * MO_ERR_CORRUPT: something does not agree. */
+/* Prints the contradictions, and a summary. n: stored losses of each class to compute again.
+ * MO_ERR_CORRUPT: there are contradictions. */
 static int check(struct mo_store *store, size_t n, struct mo_message *message)
 {
   struct mo_check_counts counts;
@@ -117,8 +117,7 @@ static int check(struct mo_store *store, size_t n, struct mo_message *message)
   if (n > 0)
     error = check_classes(store, n, &n_differ);
   if (error == MO_OK && counts.findings + n_differ > 0)
-    error = mo_fail(message, MO_ERR_CORRUPT,
-                    "what is stored does not agree with itself: restore a backup");
+    error = mo_fail(message, MO_ERR_CORRUPT, "the store contradicts itself: restore a backup");
   return error;
 }
 
@@ -158,7 +157,7 @@ static int clean(struct mo_store *store, bool yes)
   if (yes)
     error = mo_store_clean(store, NULL, NULL);
   if (error == MO_OK)
-    puts(yes ? "Removed." : "Nothing was removed; --yes does not ask.");
+    puts(yes ? "Removed." : "Nothing was removed; --yes removes without asking.");
   return error;
 }
 
@@ -172,7 +171,9 @@ static int accept_clock(struct mo_store *store)
   const int error = mo_store_accept_clock(store);
   if (error == MO_OK && gmtime_r(&now, &utc) != NULL &&
       strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &utc) > 0)
-    printf("%s UTC is taken as the time. At the next start jobs are deleted by age again.\n", text);
+    printf(
+        "%s UTC is accepted as the time. From the next start on, jobs are deleted by age again.\n",
+        text);
   return error;
 }
 

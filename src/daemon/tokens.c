@@ -11,7 +11,7 @@
 #include "http/guard.h"
 
 #define TOKEN_FILE_MAX 65536
-#define WORDS_MAX      4 /* one more than a line has */
+#define WORDS_MAX      4 /* one more than a line may have */
 
 void tokens_free(struct tokens *tokens)
 {
@@ -38,11 +38,11 @@ static int read_line(char *const *words, size_t n, struct mo_token *token,
 {
   int right = MO_RIGHT_ADMIN;
   if (n != 1 && n != 3)
-    return mo_fail(message, MO_ERR_INVALID, "%s words; write NAME RIGHT TOKEN, or a token only",
+    return mo_fail(message, MO_ERR_INVALID, "%s words; write NAME RIGHT TOKEN, or only a token",
                    n == 2 ? "two" : "more than three");
   if (n == 3 && (right = mo_word_index(mo_right_words, words[1])) < 0)
     return mo_fail(message, MO_ERR_INVALID,
-                   "the second word is no right; write read, submit, admin or worker");
+                   "the second word is not a right; write read, submit, admin or worker");
   *token = (struct mo_token){n == 3 ? words[0] : "admin", (enum mo_right)right, words[n - 1]};
   return mo_token_check(token, message);
 }
@@ -59,10 +59,10 @@ static int compare(const struct tokens *tokens, const struct mo_token *token,
   for (const struct mo_token *other = tokens->items; other < tokens->items + tokens->n; other++) {
     if (strcmp(other->text, token->text) == 0)
       return mo_fail(message, MO_ERR_INVALID,
-                     "the token of \"%s\" again; give each line a token of its own", other->name);
+                     "duplicate token of \"%s\"; give each line its own token", other->name);
     if (strcmp(other->name, token->name) == 0 && other->right != token->right)
       return mo_fail(message, MO_ERR_INVALID,
-                     "\"%s\" has the right %s already; give a name one right", token->name,
+                     "\"%s\" has the right %s already; a name can have only one right", token->name,
                      mo_right_words[other->right]);
   }
   return MO_OK;
@@ -81,7 +81,7 @@ static int read_lines(char *text, const char *path, struct tokens *tokens,
       continue;
     if (tokens->n == MO_TOKENS_MAX)
       return mo_fail(message, MO_ERR_LIMIT,
-                     "token_file: %s, line %zu: more than %d tokens; remove those out of use", path,
+                     "token_file: %s, line %zu: more than %d tokens; remove unused ones", path,
                      number, MO_TOKENS_MAX);
     int error = read_line(words, n, &token, &why);
     if (error == MO_OK)
@@ -96,7 +96,7 @@ static int read_lines(char *text, const char *path, struct tokens *tokens,
   return tokens->n > 0
              ? MO_OK
              : mo_fail(message, MO_ERR_INVALID,
-                       "token_file: %s holds no token; add a line: NAME RIGHT TOKEN", path);
+                       "token_file: %s has no tokens; add a line: NAME RIGHT TOKEN", path);
 }
 
 int tokens_read(const char *path, struct tokens *tokens, struct mo_message *message)

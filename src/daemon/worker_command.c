@@ -1,5 +1,5 @@
 /* worker_command.c: `morphod worker`: its options, its back end, and its signals. The main thread
- * takes the signals; the worker's loop has a thread of its own. */
+ * handles the signals; the worker's loop has its own thread. */
 #include "daemon/commands.h"
 
 #include <fcntl.h>
@@ -78,9 +78,9 @@ static const struct setting rows[] = {
         .initial_words = "never", .help = "Leave after this time without work."),
     ROW("until_slurm", SETTING_CHOICE, until_slurm, .choices = "no|yes", .initial = "no",
         .help = "Leave 30 s before the time limit of the Slurm job that the process belongs to. "
-                "The flag alone means yes."),
+                "The flag without a value means yes."),
     ROW("give_up", SETTING_DURATION, give_up_ms, .max = YEAR_MS, .initial = "0",
-        .initial_words = "never", .help = "End when the daemon cannot be reached for this time."),
+        .initial_words = "never", .help = "Exit when the daemon cannot be reached for this time."),
     ROW("log_level", SETTING_CHOICE, log_level, .choices = "error|warning|info|debug",
         .initial = "info", .help = "Least severe messages that are logged."),
     ROW("log_format", SETTING_CHOICE, log_format, .choices = "text|logfmt|json", .initial = "text",
@@ -120,7 +120,7 @@ static int read_environment(struct options *options)
 
 static int read_flags(struct options *options, int argc, const char *const *argv)
 {
-  const struct setting *list = NULL; /* whose flag came last: a repetition adds */
+  const struct setting *list = NULL; /* the last list on the command line: its flag adds again */
   for (int i = 2; i < argc; i++) {
     const char *flag = argv[i], *equals = strchr(flag, '=');
     const size_t length = equals != NULL ? (size_t)(equals - flag) : strlen(flag);
@@ -159,22 +159,22 @@ static int read_options(struct options *options, int argc, const char *const *ar
 
 static void print_help(void)
 {
-  fputs("Usage: morphod worker --server URL [FLAG]...\n"
-        "Computes for the daemon of another machine, with all processors and GPUs that it may "
-        "use,\nuntil SIGTERM or SIGINT. It keeps nothing and listens nowhere.\n\n"
-        "A flag comes before its environment variable: --token-file is MORPHOD_WORKER_TOKEN_FILE, "
-        "and so on.\n\n",
+  fputs("Usage: morphod worker --server URL [FLAG]...\nComputes for a daemon on another machine, "
+        "with all processors and GPUs that it may use,\nuntil SIGTERM or SIGINT. It keeps nothing "
+        "and listens nowhere.\n\nA flag comes before its environment variable: --token-file is "
+        "MORPHOD_WORKER_TOKEN_FILE, and so on.\n\n",
         stdout);
   settings_print_rows(rows, N_ROWS, stdout);
-  fputs("\nExit status: 0 left as asked; 64 usage; 69 the daemon wants another version or class;\n"
-        "71 system; 75 unreachable (--give-up); 76 wrong bits; 77 token or\n"
+  fputs("\nExit status: 0 left as requested; 64 usage; 69 the daemon needs another version or "
+        "class;\n71 system; 75 unreachable (--give-up); 76 wrong bits; 77 token or\n"
         "certificate refused; 78 configuration.\n",
         stdout);
 }
 
 /* ---- Slurm ---- */
 
-/* Reads what squeue writes: local time as 2026-11-24T09:30:00. 0: something else, such as NONE. */
+/* Reads the output of squeue: local time as 2026-11-24T09:30:00. Returns 0 for anything else, such
+ * as NONE. */
 static int64_t read_time(const char *text)
 {
   struct tm time = {.tm_isdst = -1};
@@ -185,7 +185,7 @@ static int64_t read_time(const char *text)
   return seconds > 0 ? seconds : 0;
 }
 
-/* Runs a program and reads the first line of its output. false: it failed. */
+/* Runs a program and reads the first line of its output. Returns false if it failed. */
 static bool ask(const char *const *command, char *line, size_t capacity)
 {
   int ends[2], status = -1;
@@ -209,9 +209,9 @@ static bool ask(const char *const *command, char *line, size_t capacity)
   return (error != 0 || waitpid(child, &status, 0) == child) && got && status == 0;
 }
 
-/* Returns when the time of the job ends that this process belongs to: seconds since 1970; 0:
- * unknown, or it has no limit. Newer versions of Slurm say it in the environment; others are asked.
- */
+/* Returns the end of the Slurm job that this process belongs to, in seconds since 1970; 0: unknown,
+ * or there is no limit. Newer versions of Slurm set it in the environment; squeue reports it for
+ * older ones. */
 static int64_t job_end_s(void)
 {
   const char *end = getenv("SLURM_JOB_END_TIME"), *job = getenv("SLURM_JOB_ID");
@@ -284,7 +284,8 @@ static int make_offer(struct process *process, struct mo_fleet_offer *offer)
   return error;
 }
 
-/* Half of the memory is for the scratch of gradients, which grows only with the first. */
+/* Limits the scratch memory of gradients to half of the memory. It grows only with the first
+ * gradient. */
 static void limit_gradients(const struct process *process)
 {
   struct mo_compute_stats stats;
@@ -351,10 +352,10 @@ static void read_slurm(struct process *process)
   if (end_s > 0)
     process->config.leave_at_us = (end_s - BEFORE_END_S) * 1000000;
   else if (process->options->until_slurm)
-    log_warning("Slurm names no end of this job; only SIGTERM will end the worker");
+    log_warning("Slurm reports no end of this job; only SIGTERM will stop the worker");
 }
 
-/* Takes signals until the worker's thread has ended. */
+/* Handles signals until the worker's thread has ended. */
 static void watch(struct process *process, const sigset_t *set)
 {
   char text[256];

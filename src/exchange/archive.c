@@ -1,6 +1,6 @@
-/* archive.c: see archive.h. Member sizes and the window of the compression are bounded, so that a
- * small file cannot take much memory; and what a byte may unpack to, so that it cannot take hours.
- */
+/* archive.c: see archive.h. The sizes of members and the window of the compression are bounded, so
+ * that a small file cannot use much memory. The compression ratio is bounded, so that unpacking
+ * cannot take hours. */
 #include "exchange/archive.h"
 
 #include <stdio.h>
@@ -13,7 +13,7 @@
 #define WINDOW_LOG 23 /* 8 MiB; that of level 3 is 21 */
 #define SUMS       "SHA256SUMS"
 
-/* ---- what both share ---- */
+/* ---- shared by writing and reading ---- */
 
 struct header { /* ustar; octal digits */
   char name[100], mode[8], uid[8], gid[8], size[12], mtime[12], checksum[8], type, link[100],
@@ -21,7 +21,7 @@ struct header { /* ustar; octal digits */
 };
 _Static_assert(sizeof(struct header) == BLOCK, "a header is one block");
 
-/* Makes the one header of a member. */
+/* Makes the header of a member, which has only one form. */
 static void make_header(const char *name, size_t size, struct header *header)
 {
   unsigned sum = 0;
@@ -46,7 +46,7 @@ static size_t padding_of(size_t size)
   return (BLOCK - size % BLOCK) % BLOCK;
 }
 
-/* Returns how many bytes an archive of this size may unpack to. */
+/* Returns the number of bytes to which an archive of this size may unpack. */
 static uint64_t most_bytes(uint64_t size)
 {
   return MO_ARCHIVE_FREE + MO_ARCHIVE_RATIO * size;
@@ -125,7 +125,7 @@ int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out)
 {
   static const char zeros[2 * BLOCK];
   struct mo_text sums = writer->sums;
-  writer->sums = (struct mo_text){0}; /* its own line is not written */
+  writer->sums = (struct mo_text){0}; /* SHA256SUMS has no line for itself */
   int error =
       sums.failed ? MO_ERR_NO_MEMORY : mo_archive_add(writer, SUMS, sums.data, sums.size, out);
   mo_text_free(&sums);
@@ -139,9 +139,9 @@ int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out)
 struct mo_archive_reader {
   ZSTD_DCtx *stream;
   ZSTD_inBuffer in;
-  uint64_t left; /* bytes that it may still unpack to */
+  uint64_t left; /* bytes to which the rest may unpack */
   bool ended;    /* the frame ended */
-  bool summed;   /* SHA256SUMS was read, and agrees */
+  bool summed;   /* SHA256SUMS was read and matches */
   uint32_t n;    /* members */
   char *bytes;   /* of the member */
   struct mo_text sums;
@@ -190,8 +190,8 @@ static int pull(struct mo_archive_reader *reader, void *bytes, size_t n, struct 
   if (error != MO_OK)
     return error;
   if (n > reader->left)
-    return mo_fail(message, MO_ERR_FORMAT,
-                   "the file unpacks to more than %d bytes for each of its own", MO_ARCHIVE_RATIO);
+    return mo_fail(message, MO_ERR_FORMAT, "the file unpacks to more than %d times its size",
+                   MO_ARCHIVE_RATIO);
   reader->left -= n;
   while (out.pos < n) {
     const size_t before = out.pos, at = reader->in.pos;
@@ -231,11 +231,11 @@ static int finish(struct mo_archive_reader *reader, struct mo_message *message)
     reader->ended = left == 0;
   }
   if (out.pos > 0 || reader->in.pos < reader->in.size || !is_zero(block, sizeof(block)))
-    return mo_fail(message, MO_ERR_FORMAT, "something follows the end of the file");
+    return mo_fail(message, MO_ERR_FORMAT, "trailing data after the archive");
   return reader->summed ? 0 : mo_fail(message, MO_ERR_FORMAT, "the file lacks " SUMS);
 }
 
-/* Reads name and size of a header, which must be the one that they make. */
+/* Reads name and size from a header, which must equal the header that make_header makes of them. */
 static bool read_header(const struct header *header, struct mo_archive_member *member)
 {
   static const char characters[] = "abcdefghijklmnopqrstuvwxyz0123456789._-/";
@@ -267,8 +267,7 @@ int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *
   if (is_zero((const char *)&header, sizeof(header)))
     return finish(reader, message);
   if (reader->summed || !read_header(&header, member) || reader->n == MO_ARCHIVE_MEMBERS)
-    return mo_fail(message, MO_ERR_FORMAT, "member %u has no header as these files have",
-                   reader->n);
+    return mo_fail(message, MO_ERR_FORMAT, "the header of member %u is invalid", reader->n);
   reader->n++;
   free(reader->bytes);
   reader->bytes = malloc(member->size + 1);
@@ -282,14 +281,13 @@ int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *
   if (error != MO_OK)
     return error;
   if (!is_zero(padding, padding_of(member->size)))
-    return mo_fail(message, MO_ERR_FORMAT, "%s: padded with something", member->name);
+    return mo_fail(message, MO_ERR_FORMAT, "%s: the padding is not zero", member->name);
   if (strcmp(member->name, SUMS) == 0) {
     reader->summed =
         member->size == reader->sums.size &&
         (member->size == 0 || memcmp(member->bytes, reader->sums.data, member->size) == 0);
-    return reader->summed
-               ? mo_archive_next(reader, member, message)
-               : mo_fail(message, MO_ERR_FORMAT, SUMS " does not agree with what the file has");
+    return reader->summed ? mo_archive_next(reader, member, message)
+                          : mo_fail(message, MO_ERR_FORMAT, SUMS " does not match the members");
   }
   mo_sha256_of(member->bytes, member->size, &member->sha256);
   add_sum(&reader->sums, &member->sha256, member->name);
@@ -312,7 +310,7 @@ bool mo_archive_line(struct mo_archive_member *member, size_t *at, char **line, 
 int mo_archive_refuse(const struct mo_archive_member *member, uint32_t line, const char *words,
                       struct mo_message *message)
 {
-  struct mo_message inner; /* the words may be those of the message */
+  struct mo_message inner; /* `words` may point into the message */
   snprintf(inner.text, sizeof(inner.text), "%s", words);
   return line == 0 ? mo_fail(message, MO_ERR_FORMAT, "%.90s: %.150s", member->name, inner.text)
                    : mo_fail(message, MO_ERR_FORMAT, "%.90s, line %u: %.140s", member->name, line,

@@ -1,8 +1,8 @@
 /* archive.h: the archive of a bundle, or of a block of scores: tar (ustar), compressed with zstd.
- * Its last member, SHA256SUMS, has a line for each member before it, as sha256sum writes them.
+ * Its last member, SHA256SUMS, has a line for each member before it, in the format of sha256sum.
  *
- * An archive of given members has one form. The reader accepts no other: no links, no folders, no
- * other owner or time, nothing behind the end. */
+ * An archive of given members has exactly one form, and the reader accepts no other: no links, no
+ * folders, no other owner or time, and nothing after the end. */
 #ifndef MORPHO_EXCHANGE_ARCHIVE_H
 #define MORPHO_EXCHANGE_ARCHIVE_H
 
@@ -15,36 +15,38 @@
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
 #define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
 #define MO_ARCHIVE_MEMBERS    200000
-#define MO_ARCHIVE_RATIO      200 /* bytes that a byte of the archive may unpack to, on average; */
-#define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but as many bytes in any case */
+#define MO_ARCHIVE_RATIO      200 /* bytes to which a byte of the archive may unpack, on average; */
+#define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but this many bytes in any case */
 
 struct mo_archive_writer;
 struct mo_archive_writer *mo_archive_create(void); /* NULL: no memory */
-/* Adds a member; appends to `out` what is ready of the archive, perhaps nothing. */
+/* Adds a member. Appends the finished part of the archive to `out`, which may be nothing. */
 int mo_archive_add(struct mo_archive_writer *writer, const char *name, const void *bytes,
                    size_t size, struct mo_text *out);
-/* Adds SHA256SUMS, and appends all that is left. MO_ERR_LIMIT: the archive is packed so tightly
- * that no reader would take it. */
+/* Adds SHA256SUMS and appends the rest. MO_ERR_LIMIT: the archive is compressed so strongly that no
+ * reader would accept it. */
 int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out);
 void mo_archive_writer_free(struct mo_archive_writer *writer); /* NULL-safe */
 
 struct mo_archive_member {
   char name[MO_ARCHIVE_NAME_BYTES];
-  char *bytes; /* until the next member; a NUL follows the last byte; may be changed */
+  char *bytes; /* valid until the next member; a NUL follows the last byte; may be modified */
   size_t size;
   struct mo_sha256 sha256;
 };
 struct mo_archive_reader;
-/* Reads an archive in memory, which must stay. NULL: no memory. */
+/* Reads an archive in memory, which must stay valid. NULL: no memory. */
 struct mo_archive_reader *mo_archive_open(const void *bytes, size_t size);
-/* Reads the next member. Returns 1, or 0 after the last one: then the archive is whole, and
- * SHA256SUMS agrees. MO_ERR_FORMAT: it is none, it is damaged, or it ends early. MO_ERR_NO_MEMORY.
- */
+/* Reads the next member. Returns 1, or 0 after the last one: then the archive is complete, and
+ * SHA256SUMS matches. MO_ERR_FORMAT: it is not an archive, it is damaged, or it ends early.
+ * MO_ERR_NO_MEMORY. */
 int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *member,
                     struct mo_message *message);
-/* Finds the line that begins at *at, and ends it with a NUL. False: there is none. */
+/* Finds the line that begins at *at, and terminates it with a NUL. Returns false if there is no
+ * line. */
 bool mo_archive_line(struct mo_archive_member *member, size_t *at, char **line, size_t *size);
-/* Says what is wrong with a line of a member; line 0: with the member. MO_ERR_FORMAT. */
+/* Fills the message with a fault of a line of a member; line 0: of the member. Returns
+ * MO_ERR_FORMAT. */
 int mo_archive_refuse(const struct mo_archive_member *member, uint32_t line, const char *words,
                       struct mo_message *message);
 void mo_archive_close(struct mo_archive_reader *reader); /* NULL-safe */

@@ -1,4 +1,4 @@
-/* bundle.h: bundles: campaigns that travel between services, in the form of docs/bundles.md. */
+/* bundle.h: bundles, files that carry campaigns between services (docs/bundles.md). */
 #ifndef MORPHO_EXCHANGE_BUNDLE_H
 #define MORPHO_EXCHANGE_BUNDLE_H
 
@@ -8,9 +8,9 @@
 
 #define MO_BUNDLE_VERSION   2
 #define MO_BUNDLE_CAMPAIGNS MO_REPLICATES_MAX /* of one bundle */
-#define MO_BUNDLE_ROLLOUTS  40000             /* recorded; each has up to MO_CHANNELS members */
-/* What fills a part: designs, also those whose scores it has, and steps; bytes of generations,
- * after which it has no further line. */
+#define MO_BUNDLE_ROLLOUTS  40000             /* recorded; up to MO_CHANNELS members each */
+/* Sizes of parts: the number of designs, of designs with scores, or of steps; and the bytes after
+ * which a part of generations gets no further line. */
 #define MO_BUNDLE_PART_ROWS  1000
 #define MO_BUNDLE_PART_BYTES 1000000
 
@@ -31,12 +31,12 @@ void mo_bundle_write_generation(struct mo_text *text, const struct mo_campaign_g
 void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score);
 void mo_bundle_write_step(struct mo_text *text, const struct mo_campaign_step *step);
 
-struct mo_bundle_lines; /* reads them */
-/* is_checked: the same lines were read before. */
+struct mo_bundle_lines; /* the reader of lines */
+/* is_checked: the same lines were read and checked before. */
 struct mo_bundle_lines *mo_bundle_lines_create(const struct mo_lattice *lattice, bool is_checked);
 void mo_bundle_lines_free(struct mo_bundle_lines *lines); /* NULL-safe */
-/* Read one line, which a NUL ends. Each line must be the one that the function above writes of what
- * was read, or the table. MO_ERR_FORMAT: it is not; MO_ERR_NO_MEMORY. */
+/* Read one line, which ends with a NUL. The line must equal what the function above, or the table,
+ * writes for the values that were read. MO_ERR_FORMAT: it does not; MO_ERR_NO_MEMORY. */
 int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t size,
                         struct mo_bundle_head *head, struct mo_message *message);
 int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, size_t size,
@@ -45,7 +45,7 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
                                struct mo_environment *environment, struct mo_message *message);
 int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_t size,
                           struct mo_campaign_design *design, struct mo_message *message);
-/* members: room for `room`; *n: how many there are. */
+/* members: (room); *n: the number of members read. */
 int mo_bundle_read_generation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_campaign_generation *row,
                               struct mo_campaign_member *members, uint32_t room, uint32_t *n,
@@ -57,10 +57,11 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
 int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_imported_evaluation *evaluation,
                               struct mo_message *message);
-/* Adds to the digest of a campaign what tells it from others that have no generation either. */
+/* Adds to the digest of a campaign without generations what distinguishes it from other such
+ * campaigns. */
 void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
                              int64_t created_us);
-/* A controller's file as a member: its content (MO_ERR_FORMAT), and its name. */
+/* The file of a controller as a member: read its content (MO_ERR_FORMAT), and make its name. */
 int mo_bundle_read_weights(const struct mo_archive_member *member,
                            struct mo_controller **controller, struct mo_message *message);
 void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE_NAME_BYTES]);
@@ -70,35 +71,35 @@ void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE
 
 struct mo_bundle_recordings {
   struct mo_imported_evaluation evaluation;
-  uint32_t n;      /* evaluations so far, with this one */
+  uint32_t n;      /* evaluations so far, including this one */
   uint32_t frames; /* of each rollout */
-  /* The array that comes next. channel 0: the evaluation is whole, or there is none. */
+  /* The next array. channel 0: the evaluation is complete, or none has begun. */
   uint32_t place, environment;
   unsigned channel;
   uint32_t n_masses, n_springs;  /* of its design */
   struct mo_recording recording; /* the arrays of its rollout so far */
 };
-/* The name of the member that comes next, behind the folder of the campaign. */
+/* Writes the name of the next member, without the folder of the campaign. */
 void mo_bundle_recordings_name(const struct mo_bundle_recordings *recordings,
                                char name[MO_ARCHIVE_NAME_BYTES]);
 /* Begins an evaluation. */
 void mo_bundle_recordings_begin(struct mo_bundle_recordings *recordings,
                                 const struct mo_physics *physics);
-/* Goes on behind the array. Returns 1 where it was the last of its rollout. */
+/* Moves past the array. Returns 1 if it was the last one of its rollout. */
 int mo_bundle_recordings_next(struct mo_bundle_recordings *recordings);
-/* Writes the array, or reads it into the recording. MO_ERR_FORMAT: it is none, or another one. */
+/* Write the array, or read it into the recording. MO_ERR_FORMAT: not the expected array. */
 int mo_bundle_write_array(struct mo_text *text, const struct mo_bundle_recordings *recordings,
                           const struct mo_recording *recording);
 int mo_bundle_read_array(struct mo_bundle_recordings *recordings, const char *bytes, size_t size);
 
 /* ---- whole bundles (bundle_read.c) ---- */
 
-/* What takes the content, in its order. Any function may be NULL. An error ends the reading. */
+/* Receives the content in order. Any function may be NULL. An error stops the reading. */
 struct mo_bundle_sink {
   void *context;
   int (*controller)(void *context, const struct mo_controller *controller,
                     const struct mo_sha256 *sha256, const char *bytes, size_t size);
-  /* Returns 1 to take what follows of the campaign, 0 to skip it. */
+  /* Returns 1 to receive the rest of the campaign, 0 to skip it. */
   int (*campaign)(void *context, const struct mo_imported_campaign *campaign);
   int (*design)(void *context, const struct mo_campaign_design *design);
   int (*generation)(void *context, const struct mo_campaign_generation *row,
@@ -106,15 +107,15 @@ struct mo_bundle_sink {
                     uint32_t n);
   int (*step)(void *context, const struct mo_campaign_step *step);
   int (*score)(void *context, const struct mo_campaign_score *score);
-  /* Returns 1 to take the rollouts, 0 to skip them. */
+  /* Returns 1 to receive the rollouts, 0 to skip them. */
   int (*evaluation)(void *context, const struct mo_imported_evaluation *evaluation);
   int (*rollout)(void *context, const struct mo_saved_trajectory *rollout);
-  bool (*is_over)(void *context); /* whether to end early, with MO_ERR_CANCELLED */
+  bool (*is_over)(void *context); /* whether to stop early, with MO_ERR_CANCELLED */
 };
 struct mo_bundle_campaign {
   struct mo_import_source source;
   uint64_t n_designs, n_scores;
-  uint32_t n_recordings; /* evaluations that recorded */
+  uint32_t n_recordings; /* evaluations with recordings */
   int64_t generation;
   bool has_result;
   struct mo_sha256 result_sha256;
@@ -124,14 +125,14 @@ struct mo_bundle_summary {
   struct mo_bundle_campaign campaigns[MO_BUNDLE_CAMPAIGNS];
 };
 /* Reads a bundle in memory and checks all of it: every hash, every line, and that the lines of a
- * campaign agree with each other. known: the summary of an earlier reading, from which the digests
- * of the sources come; what it checked of single lines is not checked again. NULL: they are zero.
+ * campaign agree with each other. known: the summary of an earlier read, which provides the digests
+ * of the sources; single lines are then not checked again. NULL: the digests are zero.
  * MO_ERR_FORMAT: the message says what is wrong. */
 int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *lattice,
                    const struct mo_bundle_sink *sink, const struct mo_bundle_summary *known,
                    struct mo_bundle_summary *summary, struct mo_message *message);
 
-/* ---- making one (bundle_export.c) ---- */
+/* ---- export (bundle_export.c) ---- */
 
 struct mo_bundle_export;
 /* ids: (n) ascending, taken over. NULL: no memory. */

@@ -1,5 +1,5 @@
-/* bundle_campaign.c: reads the members of one campaign of a bundle and checks what their lines say
- * of each other. See docs/bundles.md. */
+/* bundle_campaign.c: reads the members of one campaign of a bundle and checks that their lines
+ * agree with each other. See docs/bundles.md. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 
 #define ALIVE UINT32_MAX
 
-#define LINES_BETWEEN_LOOKS 256 /* whether to end early */
+#define LINES_BETWEEN_LOOKS 256 /* for a look whether to stop early */
 
 int mo_reading_refuse(struct mo_reading *reading, uint32_t line, const char *words)
 {
@@ -26,7 +26,7 @@ int mo_reading_check_lines(struct mo_reading *reading)
   const struct mo_archive_member *member = &reading->member;
   return member->size > 0 && member->bytes[member->size - 1] == '\n'
              ? MO_OK
-             : mo_reading_refuse(reading, 0, "has no line, or its last one has no end");
+             : mo_reading_refuse(reading, 0, "has no line, or its last line has no newline");
 }
 
 uint32_t mo_reading_find_controller(const struct mo_reading *reading,
@@ -38,7 +38,8 @@ uint32_t mo_reading_find_controller(const struct mo_reading *reading,
   return i;
 }
 
-/* Finds a controller of a campaign: one that was used, or the next one. NULL: it is neither. */
+/* Finds a controller of a campaign: one that was used before, or the next one. Returns NULL if it
+ * is neither. */
 static const struct mo_known_controller *use_controller(struct mo_reading *reading,
                                                         const struct mo_sha256 *sha256)
 {
@@ -49,14 +50,14 @@ static const struct mo_known_controller *use_controller(struct mo_reading *readi
   return &reading->controllers[i];
 }
 
-/* ---- a campaign begins and ends ---- */
+/* ---- beginning and end of a campaign ---- */
 
 static struct mo_bundle_campaign *summary_of(struct mo_reading *reading)
 {
   return &reading->summary->campaigns[reading->summary->n - 1];
 }
 
-/* Returns how many steps a generation learns. */
+/* Returns the number of learning steps of a generation. */
 static uint32_t steps_of(const struct mo_campaign_settings *settings, uint32_t generation)
 {
   return mo_modes[settings->mode].learns
@@ -64,7 +65,7 @@ static uint32_t steps_of(const struct mo_campaign_settings *settings, uint32_t g
              : 0;
 }
 
-/* Ends the scores of a design. */
+/* Finishes the scores of a design. */
 static int end_scores(struct mo_reading *reading)
 {
   struct mo_message words = {""};
@@ -86,8 +87,7 @@ int mo_reading_end(struct mo_reading *reading)
   if (reading->part < MO_PART_ENVIRONMENTS || reading->n_born != campaign->n_designs ||
       reading->generation != campaign->generation)
     return mo_fail(reading->message, MO_ERR_FORMAT,
-                   "%s: there are fewer environments, designs or generations than the campaign has",
-                   reading->folder);
+                   "%s: environments, designs or generations are missing", reading->folder);
   if (reading->recordings->channel != 0)
     return mo_fail(reading->message, MO_ERR_FORMAT, "%s: a recording lacks arrays",
                    reading->folder);
@@ -96,9 +96,8 @@ int mo_reading_end(struct mo_reading *reading)
     n_steps += steps_of(settings, (uint32_t)generation);
   if (reading->n_steps != n_steps)
     return mo_fail(reading->message, MO_ERR_FORMAT,
-                   "%slearning/: there are %llu steps, but the campaign learned in %llu",
-                   reading->folder, (unsigned long long)reading->n_steps,
-                   (unsigned long long)n_steps);
+                   "%slearning/: has %llu steps, but the campaign has %llu", reading->folder,
+                   (unsigned long long)reading->n_steps, (unsigned long long)n_steps);
   const int error = end_scores(reading);
   if (error != MO_OK)
     return error;
@@ -127,8 +126,7 @@ int mo_reading_begin(struct mo_reading *reading)
       (campaign->has_result && use_controller(reading, &campaign->result_sha256) == NULL))
     return mo_reading_refuse(
         reading, 1,
-        "the bundle lacks the controller or has it out of order, or its sensor is "
-        "another one");
+        "the bundle lacks the controller or has it out of order, or its sensor differs");
   summary->campaigns[summary->n] =
       (struct mo_bundle_campaign){.source = campaign->source,
                                   .n_designs = campaign->n_designs,
@@ -154,7 +152,7 @@ int mo_reading_begin(struct mo_reading *reading)
   return MO_OK;
 }
 
-/* Reads the environments, and hands the campaign over. */
+/* Reads the environments, and passes the campaign to the sink. */
 int mo_reading_environments(struct mo_reading *reading)
 {
   struct mo_imported_campaign *campaign = &reading->campaign;
@@ -175,7 +173,7 @@ int mo_reading_environments(struct mo_reading *reading)
                  : error;
   }
   if (reading->n_environments != campaign->record.n_environments)
-    return mo_reading_refuse(reading, 0, "there are fewer environments than the campaign has");
+    return mo_reading_refuse(reading, 0, "environments are missing");
   mo_bundle_scores_open(reading->scores, campaign);
   const int taken = reading->sink->campaign != NULL
                         ? reading->sink->campaign(reading->sink->context, campaign)
@@ -186,7 +184,7 @@ int mo_reading_environments(struct mo_reading *reading)
 
 /* ---- lines of a campaign ---- */
 
-/* Says whether a design agrees with its parents and with the campaign; NULL: it does. */
+/* Returns the reason why a design contradicts its parents or the campaign; NULL: it does not. */
 static const char *check_design(const struct mo_reading *reading,
                                 const struct mo_campaign_design *design)
 {
@@ -197,18 +195,18 @@ static const char *check_design(const struct mo_reading *reading,
   struct mo_bits moved;
   if (design->number != reading->n_born || design->number >= reading->campaign.n_designs ||
       design->number / MO_BUNDLE_PART_ROWS != reading->part_number)
-    return "designs are not numbered in order, are too many, or are in another part";
+    return "designs are numbered out of order, too many, or in the wrong part";
   if (n != n_parents[descent->op])
-    return "another number of parents than the operator has";
+    return "the number of parents does not match the operator";
   if (design->born > reading->campaign.generation ||
       (reading->n_born > 0 && design->born < reading->born[reading->n_born - 1].born) ||
       (design->died >= 0 && design->died < design->born) ||
       design->died > reading->campaign.generation)
-    return "born or died out of order";
+    return "birth and death generations are out of order";
   if (design->score < 0)
-    return "a score is a loss, and not below 0";
+    return "a score must be at least 0";
   if (design->is_cut && (n == 0 || design->died != design->born || !isfinite(design->score)))
-    return "a score is a lower bound only of a child that was never selected";
+    return "only the score of a child that was never selected can be a lower bound";
   if (memcmp(&record->settings.workspace, &MO_DEFAULT_WORKSPACE,
              sizeof(record->settings.workspace)) != 0 &&
       mo_workspace_words(record->settings.workspace) <= MO_DEFAULT_WORDS &&
@@ -219,7 +217,7 @@ static const char *check_design(const struct mo_reading *reading,
     const uint32_t parent = descent->parents[p];
     if (parent >= design->number || reading->born[parent].born >= design->born ||
         reading->born[parent].died < design->born)
-      return "a parent did not live then";
+      return "a parent was not alive at the birth";
   }
   return NULL;
 }
@@ -266,7 +264,7 @@ static bool same_bits(double a, double b)
   return words[0] == words[1];
 }
 
-/* Says whether a population is that of its generation; NULL: it is. */
+/* Returns the reason why a population does not match its generation; NULL: it does. */
 static const char *check_population(struct mo_reading *reading, uint32_t generation, uint32_t n)
 {
   for (uint32_t i = 0; i < n; i++) {
@@ -274,13 +272,13 @@ static const char *check_population(struct mo_reading *reading, uint32_t generat
     struct mo_born *born = member->number < reading->n_born ? &reading->born[member->number] : NULL;
     if (born == NULL || born->born > generation ||
         (born->died != ALIVE && born->died <= generation) || born->stamp == generation + 1)
-      return "the population has a design twice, or one that did not live then";
+      return "the population has a design twice, or one that was not alive";
     born->stamp = generation + 1;
     if (member->score < 0 ||
         (generation == reading->campaign.generation && !same_bits(member->score, born->score)))
-      return "a score of the population is not that of the design";
+      return "a score of the population differs from the score of the design";
   }
-  return n == reading->n_alive ? NULL : "the population lacks a design that lived then";
+  return n == reading->n_alive ? NULL : "the population lacks a design that was alive";
 }
 
 static uint32_t count_cut(const struct mo_reading *reading,
@@ -303,7 +301,7 @@ static int read_generation(struct mo_reading *reading, uint32_t n, const char *l
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, n, words.text) : error;
   const uint32_t generation = (uint32_t)(reading->generation + 1);
   if (row.generation != generation || generation > reading->campaign.generation)
-    return mo_reading_refuse(reading, n, "a generation out of order");
+    return mo_reading_refuse(reading, n, "the generation is out of order");
   reading->n_alive += reading->births[generation] - reading->deaths[generation];
   const char *fault = check_population(reading, generation, n_members);
   if (fault == NULL &&
@@ -312,7 +310,7 @@ static int read_generation(struct mo_reading *reading, uint32_t n, const char *l
        (row.n_children > 0 && reading->born[row.born_before].born != generation) ||
        (row.born_before > 0 && reading->born[row.born_before - 1].born >= generation) ||
        row.children_cut != count_cut(reading, &row)))
-    fault = "the statistics are of another population";
+    fault = "the statistics do not match the population";
   if (fault != NULL)
     return mo_reading_refuse(reading, n, fault);
   reading->generation = generation;
@@ -346,7 +344,7 @@ static int read_step(struct mo_reading *reading, uint32_t n, const char *line, s
   }
   if (step.generation != reading->step_generation || step.step != reading->step + 1 ||
       step.step > steps_of(settings, step.generation))
-    return mo_reading_refuse(reading, n, "a step out of order");
+    return mo_reading_refuse(reading, n, "the step is out of order");
   reading->step = step.step;
   reading->n_steps++;
   return reading->taken && reading->sink->step != NULL
@@ -367,15 +365,15 @@ static int read_score(struct mo_reading *reading, uint32_t n, const char *line, 
         (places >> score.environments[k] & 1) != 0 ||
         score.diverged_steps[k] > reading->campaign.record.settings.physics.scheme.n_steps)
       return mo_reading_refuse(reading, n,
-                               "an environment twice or unknown, or a step beyond the last");
+                               "duplicate or unknown environment, or a step beyond the last");
     places |= UINT64_C(1) << score.environments[k];
   }
   if (score.number >= reading->n_born || mo_modes[reading->campaign.record.settings.mode].learns)
-    return mo_reading_refuse(reading, n,
-                             "a score of no design of the campaign, or the campaign learns");
+    return mo_reading_refuse(
+        reading, n, "the score belongs to no design of the campaign, or the campaign learns");
   if (score.number + 1 < reading->scored_number ||
       score.number / MO_BUNDLE_PART_ROWS != reading->part_number)
-    return mo_reading_refuse(reading, n, "a score out of order, or in another part");
+    return mo_reading_refuse(reading, n, "the score is out of order, or in the wrong part");
   if (score.number + 1 != reading->scored_number) {
     error = end_scores(reading);
     if (error != MO_OK)
@@ -411,12 +409,12 @@ static int read_evaluation(struct mo_reading *reading)
   for (uint32_t k = 0; k < evaluation->n_environments; k++) {
     if (evaluation->environments[k] >= reading->n_environments ||
         (places >> evaluation->environments[k] & 1) != 0)
-      return mo_reading_refuse(reading, 1, "an environment twice or unknown");
+      return mo_reading_refuse(reading, 1, "duplicate or unknown environment");
     places |= UINT64_C(1) << evaluation->environments[k];
   }
   for (uint32_t i = 0; i < evaluation->n_designs; i++)
     if (evaluation->numbers[i] >= reading->n_born)
-      return mo_reading_refuse(reading, 1, "a recording of no design of the campaign");
+      return mo_reading_refuse(reading, 1, "the recording belongs to no design of the campaign");
   mo_bundle_recordings_begin(recordings, &settings->physics);
   summary_of(reading)->n_recordings++;
   const int taken = reading->taken && reading->sink->evaluation != NULL
@@ -439,8 +437,9 @@ static int read_array(struct mo_reading *reading)
                                         .n_springs = born->springs};
   int error = mo_bundle_read_array(recordings, reading->member.bytes, reading->member.size);
   if (error != MO_OK)
-    return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, 0, "not the array that was recorded")
-                                  : error;
+    return error == MO_ERR_FORMAT
+               ? mo_reading_refuse(reading, 0, "not the array that is expected here")
+               : error;
   if (mo_bundle_recordings_next(recordings) == 0)
     return MO_OK;
   rollout.recording = recordings->recording;
@@ -451,7 +450,7 @@ static int read_array(struct mo_reading *reading)
   return error;
 }
 
-/* name: behind the folder of the campaign. */
+/* Reads a member with recordings. name: without the folder of the campaign. */
 int mo_reading_recordings(struct mo_reading *reading, const char *name)
 {
   char expected[MO_ARCHIVE_NAME_BYTES];

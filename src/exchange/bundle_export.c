@@ -1,4 +1,5 @@
-/* bundle_export.c: makes a bundle of campaigns that have ended, member by member, as it is read. */
+/* bundle_export.c: makes a bundle of campaigns that have ended, member by member, while the client
+ * reads it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -29,25 +30,26 @@ struct mo_bundle_export {
   struct mo_store *store;
   char program[48];
   int64_t *ids;
-  uint32_t n, i; /* i: the campaign that is written */
+  uint32_t n, i; /* i: the current campaign */
   enum phase phase;
-  struct mo_archive_writer *writer; /* NULL: only the digest is wanted */
+  struct mo_archive_writer *writer; /* NULL: only the digest is needed */
   struct mo_text digest;
   struct mo_bundle_scores *scores; /* of a design */
   uint32_t scored_number;          /* of that design, plus 1 */
-  uint32_t n_controllers;          /* that were written */
+  uint32_t n_controllers;          /* written so far */
   struct mo_sha256 *controllers;
   struct mo_campaign_status status;
-  int64_t after; /* what was written of the phase: the newest number or generation */
+  int64_t after; /* the last number or generation written in this phase */
   uint32_t step, parts;
   bool with_recordings;
   struct mo_bundle_recordings *recordings; /* of the campaign */
-  int64_t *evaluations;                    /* (n_evaluations), recordings->n of them so far */
+  int64_t *evaluations;                    /* (n_evaluations); recordings->n of them are written so
+                                              far */
   uint32_t n_evaluations;
   struct mo_text member;
 };
 
-/* Takes over the ids. NULL: no memory. */
+/* Creates an export, and takes over the ids. NULL: no memory. */
 static struct mo_bundle_export *create(struct mo_store *store, int64_t *ids, uint32_t n)
 {
   struct mo_bundle_export *export = calloc(1, sizeof(*export));
@@ -96,8 +98,8 @@ void mo_bundle_export_free(void *context)
   free(export);
 }
 
-/* Adds the member that was written, if it is not empty, to the archive or its hash to the digest.
- * part: its folder, if it is numbered, or its name. */
+/* Adds the current member, if it is not empty, to the archive, or its hash to the digest. part: its
+ * folder if it is numbered, otherwise its name. */
 static int add(struct mo_bundle_export *export, const char *part, bool is_numbered,
                struct mo_text *out)
 {
@@ -313,7 +315,8 @@ static int write_learning(struct mo_bundle_export *export, struct mo_text *out)
   }
   free(rows);
   const int error = n < 0 ? (int)n : add(export, "learning", true, out);
-  if (i < MO_BUNDLE_PART_ROWS) /* further steps are of a generation that was never committed */
+  if (i < MO_BUNDLE_PART_ROWS) /* any further steps belong to a generation that was never committed
+                                */
     next_phase(export);
   return error;
 }
@@ -327,13 +330,13 @@ static int take_score(void *context, const struct mo_campaign_score *score)
   export->scored_number = score->number + 1;
   const int added = mo_bundle_scores_add(export->scores, score, &message);
   if (added == 0 || added == MO_ERR_DUPLICATE)
-    return MO_OK; /* the store has the losses in another block, too */
+    return MO_OK; /* the store has the losses in another block as well */
   mo_bundle_write_score(&export->member, score);
   mo_text_add(&export->member, "\n");
   return export->member.failed ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
-/* Writes the scores of some designs; only those of a controller that does not learn are stored. */
+/* Writes the scores of some designs. Only scores of a controller that does not learn are stored. */
 static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
 {
   const struct mo_campaign_status *status = &export->status;
@@ -354,13 +357,13 @@ static int write_scores(struct mo_bundle_export *export, struct mo_text *out)
 
 /* ---- recordings, and the end of a campaign ---- */
 
-/* Goes on with the next campaign. */
+/* Continues with the next campaign. */
 static int end_campaign(struct mo_bundle_export *export)
 {
   struct mo_campaign_status now;
   int error = mo_store_campaign(export->store, export->ids[export->i], &now);
   if (error == MO_OK && now.generation != export->status.generation)
-    error = MO_ERR_CONFLICT; /* somebody extended it while it was read */
+    error = MO_ERR_CONFLICT; /* a client extended it while it was read */
   free(export->evaluations);
   export->evaluations = NULL;
   *export->recordings = (struct mo_bundle_recordings){.n = 0};
@@ -388,7 +391,7 @@ static int write_array(struct mo_bundle_export *export)
   return error;
 }
 
-/* Writes the next evaluation, or the next array of the one before. */
+/* Writes the next evaluation, or the next array of the current one. */
 static int write_recordings(struct mo_bundle_export *export, struct mo_text *out)
 {
   struct mo_bundle_recordings *recordings = export->recordings;
@@ -417,7 +420,7 @@ static int write_recordings(struct mo_bundle_export *export, struct mo_text *out
   return error == MO_OK ? add(export, name, false, out) : error;
 }
 
-/* Writes what comes next, before the end. */
+/* Writes the next member, before the end. */
 static int write_next(struct mo_bundle_export *export, struct mo_text *out)
 {
   static int (*const write[])(struct mo_bundle_export * export,

@@ -1,5 +1,5 @@
-/* bundle_heads.c: the lines of a bundle that a campaign, or an evaluation with recordings, begins
- * with, as tables; and its controllers. See bundle_lines.c. */
+/* bundle_heads.c: the lines with which a bundle, a campaign, or an evaluation with recordings
+ * begins, as tables; and the controllers. See bundle_lines.c. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 #include "store/fields.h"
 #include "store/store.h"
 
-/* ---- members of their own ---- */
+/* ---- members with their own readers ---- */
 
 static void read_id(struct mo_json *json, void *value)
 {
@@ -27,7 +27,7 @@ static void write_id(struct mo_text *text, const void *value)
   mo_text_format(text, "\"%lld\"", (long long)*(const int64_t *)value);
 }
 
-/* A label behind whether there is one. */
+/* A label after a flag that says whether there is one. */
 struct label {
   bool is_given;
   char text[MO_LABEL_BYTES_MAX + 1];
@@ -35,7 +35,7 @@ struct label {
 #define HAS_LABEL(type)                                                                            \
   (offsetof(type, label) == offsetof(type, has_label) + offsetof(struct label, text))
 _Static_assert(HAS_LABEL(struct mo_imported_campaign) && HAS_LABEL(struct mo_imported_evaluation),
-               "labels stand behind their flags");
+               "labels follow their flags");
 
 static void read_label(struct mo_json *json, void *value)
 {
@@ -91,7 +91,7 @@ static void read_settings(struct mo_json *json, void *value)
   mo_json_skip(json);
   char *text = strndup(json->text + from, json->at - from);
   if (text == NULL || mo_settings_read(MO_JOB_CAMPAIGN, text, record) != MO_OK)
-    mo_json_fault(json, "these are no settings of a campaign");
+    mo_json_fault(json, "not the settings of a campaign");
   else if (mo_campaign_settings_check(&record->settings, &words) != MO_OK)
     mo_json_fault(json, "%s", words.text);
   free(text);
@@ -109,7 +109,7 @@ static const struct mo_field_own id = {.read = read_id, .write = write_id},
                                  physics = {.read = mo_line_skip, .write = write_physics_hash},
                                  settings = {.read = read_settings, .write = write_settings};
 
-/* A member of 64 bits is like a seed: from 0 to 2^53 − 1. */
+/* A member of 64 bits has the range of a seed: 0 to 2^53 − 1. */
 #define LONG MO_FIELD_SEED
 #define NULL_TEXT(member, most)                                                                    \
   MO_FIELD_TEXT, MO_FIELD_NULL | MO_FIELD_UTF8, AT(member), .max = 0.25 * (most)
@@ -175,7 +175,7 @@ int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t 
     return mo_fail(message, MO_ERR_FORMAT, "not a bundle");
   if (strtoul(line + strlen(begin), NULL, 10) != MO_BUNDLE_VERSION)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "version %.10s of the format; this program reads version %d",
+                   "the format has version %.10s; this program reads version %d",
                    line + strlen(begin), MO_BUNDLE_VERSION);
   return mo_line_read(lines, line, size, &mo_bundle_head_fields, head, check_head, message);
 }
@@ -185,7 +185,8 @@ int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t 
 #define STRUCT     struct mo_imported_campaign
 #define AT(member) offsetof(STRUCT, member)
 
-/* The controllers that it began and ended with, or null. The second one has no name here. */
+/* The controllers at the beginning and the end of the campaign, or null. The second one has no name
+ * here. */
 #define IN(first, member) (AT(member) - AT(first))
 static const struct mo_field start_rows[] = {
     {"name", MO_FIELD_TEXT, MO_FIELD_NULL, IN(has_controller, controller_name),
@@ -244,24 +245,24 @@ static int check_campaign(const void *any, struct mo_message *message)
   if (campaign->state != MO_JOB_SUCCEEDED && campaign->state != MO_JOB_CANCELLED)
     return mo_fail(message, MO_ERR_FORMAT, "/state: a campaign that has ended is expected");
   if ((campaign->state == MO_JOB_SUCCEEDED) != (campaign->end != MO_CAMPAIGN_OPEN))
-    return mo_fail(message, MO_ERR_FORMAT, "/end: disagrees with the state");
+    return mo_fail(message, MO_ERR_FORMAT, "/end: contradicts the state");
   if (record->replicates < 1 || record->replicate >= record->replicates)
     return mo_fail(message, MO_ERR_FORMAT, "/replicate: must be below the number of replicates");
   if (record->n_environments < 1 || record->n_listed > record->settings.population)
     return mo_fail(message, MO_ERR_FORMAT, "/environments, /listed: too few or too many");
   if (campaign->generation > generations || campaign->n_designs > MO_CAMPAIGN_DESIGNS_MAX ||
       (campaign->generation < 0) != (campaign->n_designs == 0))
-    return mo_fail(message, MO_ERR_FORMAT, "/generation: disagrees with settings or designs");
+    return mo_fail(message, MO_ERR_FORMAT, "/generation: contradicts the settings or the designs");
   if (mo_word_index(mo_preset_words, record->preset) < 0 && record->preset[0] != '\0')
-    return mo_fail(message, MO_ERR_FORMAT, "/preset: no such preset");
+    return mo_fail(message, MO_ERR_FORMAT, "/preset: unknown preset");
   if ((record->name[0] != '\0' && mo_controller_name_check(record->name) != MO_OK) ||
       (campaign->controller_name[0] != '\0' &&
        mo_controller_name_check(campaign->controller_name) != MO_OK))
     return mo_fail(message, MO_ERR_FORMAT, "/name: not a name of a controller");
   if (!mo_modes[record->settings.mode].makes_children)
-    return mo_fail(message, MO_ERR_FORMAT, "/settings/mode: studies are not in bundles");
+    return mo_fail(message, MO_ERR_FORMAT, "/settings/mode: a bundle cannot hold studies");
   if (!campaign->has_controller && !mo_modes[record->settings.mode].starts_untrained)
-    return mo_fail(message, MO_ERR_FORMAT, "/controller: this mode has one");
+    return mo_fail(message, MO_ERR_FORMAT, "/controller: this mode requires one");
   return MO_OK;
 }
 

@@ -1,5 +1,5 @@
-/* bundle_import.c: enters the campaigns of a bundle. It is read at least twice: first all of it is
- * checked and compared with what is stored, then it is entered. */
+/* bundle_import.c: imports the campaigns of a bundle. The bundle is read at least twice: first all
+ * of it is checked and compared with the store, then it is imported. */
 #include "exchange/bundle_import.h"
 
 #include <stdlib.h>
@@ -11,11 +11,11 @@
 struct entry {
   struct mo_bundle_import *import;
   struct mo_message *message;
-  struct mo_import_comparison rows;            /* of the first reading */
-  struct mo_import *open;                      /* of the second one, in the writer's transaction */
+  struct mo_import_comparison rows;            /* in the first read */
+  struct mo_import *open;                      /* in the second read, in the writer's transaction */
   uint32_t at;                                 /* campaigns so far */
-  bool is_own[MO_BUNDLE_CAMPAIGNS];            /* it ran here */
-  struct mo_text lasting[MO_BUNDLE_CAMPAIGNS]; /* what nobody changes of a campaign */
+  bool is_own[MO_BUNDLE_CAMPAIGNS];            /* the campaign ran here */
+  struct mo_text lasting[MO_BUNDLE_CAMPAIGNS]; /* the part of a campaign that never changes */
 };
 
 static bool is_over(void *context)
@@ -33,9 +33,9 @@ static int read_bundle(struct entry *entry, struct mo_bundle_sink sink,
                         known, summary, entry->message);
 }
 
-/* ---- the first reading: what is stored of the same rollouts must be the same ---- */
+/* ---- the first read: stored results of the same rollouts must be equal ---- */
 
-/* Writes what neither a person nor an extension changes of a campaign. */
+/* Writes the part of a campaign that neither edits nor an extension can change. */
 static void write_lasting(const struct mo_imported_campaign *campaign, struct mo_text *text)
 {
   static const struct mo_sha256 none;
@@ -48,7 +48,7 @@ static void write_lasting(const struct mo_imported_campaign *campaign, struct mo
   lasting->source = (struct mo_import_source){.store = 0};
   lasting->record.group = lasting->record.replicate = 0;
   lasting->record.settings.generations = 0;
-  lasting->record.environment_set[0] = '\0'; /* a name that may mean other environments here */
+  lasting->record.environment_set[0] = '\0'; /* the name may stand for other environments here */
   lasting->state = MO_JOB_SUCCEEDED;
   lasting->end = MO_CAMPAIGN_OPEN;
   lasting->has_label = lasting->has_result = false;
@@ -80,7 +80,7 @@ static int compare_design(void *context, const struct mo_campaign_design *design
 static int refuse_score(const struct entry *entry, uint32_t number)
 {
   return mo_fail(entry->message, MO_ERR_CONFLICT,
-                 "a loss of design %u of campaign %lld is not the one that is stored here for the "
+                 "a loss of design %u of campaign %lld differs from the one stored here for the "
                  "same rollout and class",
                  number, (long long)entry->import->summary.campaigns[entry->at - 1].source.job);
 }
@@ -102,13 +102,12 @@ static int compare_rollout(void *context, const struct mo_saved_trajectory *roll
 {
   struct entry *entry = context;
   const int error = mo_compare_rollout(entry->import->store, &entry->rows, rollout);
-  return error == MO_ERR_CONFLICT
-             ? mo_fail(entry->message, error,
-                       "evaluation %lld is here, and recorded something else in environment %u of "
-                       "design %u",
-                       (long long)entry->rows.evaluation, rollout->environment_position,
-                       rollout->design_position)
-             : error;
+  return error == MO_ERR_CONFLICT ? mo_fail(entry->message, error,
+                                            "evaluation %lld exists here, with another recording "
+                                            "in environment %u of design %u",
+                                            (long long)entry->rows.evaluation,
+                                            rollout->environment_position, rollout->design_position)
+                                  : error;
 }
 
 /* Checks all of the bundle, and fills in the summary. */
@@ -124,7 +123,7 @@ static int check(struct entry *entry)
   return error;
 }
 
-/* ---- entering ---- */
+/* ---- the import ---- */
 
 static int write_file(void *context, const struct mo_controller *controller,
                       const struct mo_sha256 *sha256, const char *bytes, size_t size)
@@ -134,7 +133,7 @@ static int write_file(void *context, const struct mo_controller *controller,
   return mo_store_import_file(entry->import->store, sha256, (const uint8_t *)bytes, size);
 }
 
-/* Ends the reading: the controllers come before. */
+/* Stops the read: the controllers precede the campaigns. */
 static int end_of_files(void *context, const struct mo_imported_campaign *campaign)
 {
   (void)context;
@@ -188,7 +187,7 @@ static int enter_evaluation(void *context, const struct mo_imported_evaluation *
   const int error = mo_import_evaluation(entry->open, evaluation);
   return error == MO_ERR_NOT_FOUND
              ? mo_fail(entry->message, MO_ERR_FORMAT,
-                       "the bundle lacks losses of what evaluation %lld recorded",
+                       "the bundle lacks losses of rollouts that evaluation %lld recorded",
                        (long long)evaluation->source.job)
              : error;
 }
@@ -207,7 +206,7 @@ static int enter_score(void *context, const struct mo_campaign_score *score)
   return error == MO_ERR_CONFLICT ? refuse_score(entry, score->number) : error;
 }
 
-/* Enters all of it, in the writer's transaction. */
+/* Imports the whole bundle, in the writer's transaction. */
 static int enter_all(void *context, struct mo_import *open)
 {
   static const struct mo_bundle_sink sink = {.controller = enter_controller,
@@ -246,9 +245,9 @@ static int enter(struct entry *entry)
   return error;
 }
 
-/* ---- which campaigns are here already ---- */
+/* ---- campaigns that exist here already ---- */
 
-/* Finds the campaign that ran here, if its history is that of the bundle. MO_ERR_NOT_FOUND. */
+/* Finds the campaign if it ran here with the same history as in the bundle. MO_ERR_NOT_FOUND. */
 static int find_own(struct entry *entry, const struct mo_import_source *source, int64_t *id)
 {
   struct mo_store *store = entry->import->store;
@@ -261,7 +260,7 @@ static int find_own(struct entry *entry, const struct mo_import_source *source, 
   return mo_sha256_equal(&digest, &source->digest) ? MO_OK : MO_ERR_NOT_FOUND;
 }
 
-/* Checks that a campaign with the history of the i-th one has its settings, too. */
+/* Checks that the campaign with the history of the i-th one also has its settings. */
 static int compare_lasting(struct entry *entry, uint32_t i)
 {
   struct mo_campaign_status *status = malloc(sizeof(*status));
@@ -272,7 +271,7 @@ static int compare_lasting(struct entry *entry, uint32_t i)
   int error = status == NULL || stored == NULL
                   ? MO_ERR_NO_MEMORY
                   : mo_bundle_describe(entry->import->store, entry->import->ids[i], status, stored);
-  if (error == MO_ERR_CONFLICT) { /* somebody extends it just now */
+  if (error == MO_ERR_CONFLICT) { /* a client is just extending it */
     error = MO_OK;
   } else if (error == MO_OK) {
     write_lasting(stored, &text);
@@ -284,8 +283,8 @@ static int compare_lasting(struct entry *entry, uint32_t i)
     else if (!same_result || text.size != lasting->size ||
              memcmp(text.data, lasting->data, text.size) != 0)
       error = mo_fail(entry->message, MO_ERR_CONFLICT,
-                      "campaign %lld is here as campaign %lld, with the same history, but with "
-                      "other settings, controllers or times",
+                      "campaign %lld exists here as campaign %lld, with the same history but other "
+                      "settings, controllers or times",
                       (long long)campaign->source.job, (long long)entry->import->ids[i]);
   }
   mo_text_free(&text);
@@ -294,7 +293,8 @@ static int compare_lasting(struct entry *entry, uint32_t i)
   return error;
 }
 
-/* Finds which campaigns are here already; ids 0: they are not. Returns how many are not. */
+/* Finds the campaigns that exist here already; ids 0: they do not. Returns the number of those that
+ * do not, or an error. */
 static int find_known(struct entry *entry)
 {
   int n = 0;

@@ -8,7 +8,7 @@
 
 struct mo_bundle_lines {
   const struct mo_lattice *lattice;
-  bool is_checked; /* the lines were read before, and need not be compared */
+  bool is_checked; /* the lines were checked before, and need not be compared */
   struct mo_faults faults;
   struct mo_text again; /* the line, written again */
   struct mo_json json;
@@ -16,24 +16,24 @@ struct mo_bundle_lines {
 
 /* ---- members ---- */
 
-/* Skips what follows from other members, and is compared when it is written again. */
+/* Skips a member that follows from others. It is compared when the line is written again. */
 void mo_line_skip(struct mo_json *json, void *value);
 extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store */
-    mo_line_genotype; /* struct mo_bits that is placed as bodies are scored */
+    mo_line_genotype;                           /* struct mo_bits, placed as for scoring */
 
-/* Reads a text; one that is refused leaves `text` as it is. */
+/* Reads a text. A text that is refused leaves `text` unchanged. */
 void mo_line_text(struct mo_json *json, char *text, size_t size);
 
 /* ---- lines ---- */
 
 struct mo_json *mo_line_begin(struct mo_bundle_lines *lines, const char *line, size_t size);
-/* Tells the first fault of what was read. */
+/* Reports the first fault in the line. */
 int mo_line_end(struct mo_bundle_lines *lines, struct mo_message *message);
 /* Compares the line with what was written again. */
 int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size,
                     struct mo_message *message);
-/* Reads a line by a table into `value`, whose members have their defaults, calls `check`
- * (nullable), and compares the line with what the table writes. */
+/* Reads a line by a table into `value`, which holds the defaults. Then calls `check` (nullable) and
+ * compares the line with what the table writes. */
 int mo_line_read(struct mo_bundle_lines *lines, const char *line, size_t size,
                  const struct mo_fields *fields, void *value,
                  int (*check)(const void *value, struct mo_message *message),

@@ -1,6 +1,6 @@
-/* bundle_lines.c: the lines of a bundle, written and read. A line that was read is written again
- * and compared: so there is one form of every value, and no member that is not known. What a line
- * says of itself is checked here; what lines say of each other, in bundle_read.c. */
+/* bundle_lines.c: writes and reads the lines of a bundle. A line that was read is written again and
+ * compared, so that every value has only one form and there are no unknown members. Single lines
+ * are checked here; bundle_campaign.c checks that they agree with each other. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -82,7 +82,7 @@ int mo_line_end(struct mo_bundle_lines *lines, struct mo_message *message)
     return MO_OK;
   return mo_fail(message, MO_ERR_FORMAT, "%s%s%s", faults->n > 0 ? faults->items[0].where : "",
                  faults->n > 0 && faults->items[0].where[0] != '\0' ? ": " : "",
-                 faults->n > 0 ? faults->items[0].detail : "not a line of such a file");
+                 faults->n > 0 ? faults->items[0].detail : "not a line of this kind of file");
 }
 
 int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size,
@@ -96,8 +96,7 @@ int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size
     return MO_OK;
   while (same < size && same < again->size && again->data[same] == line[same])
     same++;
-  return mo_fail(message, MO_ERR_FORMAT,
-                 "column %zu: \"%.20s\" is not how this is written: \"%.20s\"", same + 1,
+  return mo_fail(message, MO_ERR_FORMAT, "column %zu: got \"%.20s\", expected \"%.20s\"", same + 1,
                  line + same, same < again->size ? again->data + same : "");
 }
 
@@ -173,7 +172,7 @@ static void read_word(struct mo_json *json, const char *const *words, int *word)
   mo_line_text(json, text, sizeof(text));
   *word = mo_word_index(words, text);
   if (*word < 0) {
-    mo_json_fault(json, "no such word");
+    mo_json_fault(json, "unknown word");
     *word = 0;
   }
 }
@@ -199,13 +198,13 @@ static void read_genotype(struct mo_json *json, void *value)
   if (!mo_json_string(json, &slice))
     return;
   if (mo_genotype_from_text(workspace, slice.bytes, slice.size, genotype->words, NULL) != MO_OK) {
-    mo_json_fault(json, "144 digits 0 and 1 are expected, of a body in one piece");
+    mo_json_fault(json, "144 digits 0 or 1 of a body in one piece are expected");
     return;
   }
   placed = *genotype;
   mo_genotype_place(workspace, placed.words);
   if (memcmp(&placed, genotype, sizeof(placed)) != 0)
-    mo_json_fault(json, "the body is not placed in the middle of the ground");
+    mo_json_fault(json, "the body is not centered on the ground");
 }
 
 static void write_genotype(struct mo_text *text, const void *genotype)
@@ -241,7 +240,7 @@ static void read_cell(struct mo_json *json, const struct mo_column *column, void
   }
 }
 
-/* Reads the value at a path of the columns, and what is below it. */
+/* Reads the value at a path of the columns, and the values below it. */
 static void read_columns(struct mo_json *json, const struct mo_columns *columns, void *row,
                          char path[PATH_BYTES], size_t size)
 {
@@ -253,7 +252,7 @@ static void read_columns(struct mo_json *json, const struct mo_columns *columns,
       return;
     }
   if (mo_json_peek(json) != MO_JSON_OBJECT) {
-    mo_json_fault(json, "no such member");
+    mo_json_fault(json, "unknown member");
     mo_json_skip(json);
     return;
   }
@@ -269,13 +268,13 @@ static void read_columns(struct mo_json *json, const struct mo_columns *columns,
     }
 }
 
-/* Reads the member whose key was read. */
+/* Reads the member of `key`. */
 static void read_member(struct mo_json *json, struct mo_json_slice key,
                         const struct mo_columns *columns, void *row)
 {
   char path[PATH_BYTES];
   if (key.size + 1 > PATH_BYTES) {
-    mo_json_fault(json, "no such member");
+    mo_json_fault(json, "unknown member");
     mo_json_skip(json);
     return;
   }
@@ -440,11 +439,13 @@ static int check_score(const struct mo_campaign_score *score, const uint32_t n[3
                        struct mo_message *message)
 {
   if (n[0] < 1 || n[0] > MO_BLOCK_LANES || n[1] != n[0] || n[2] != n[0])
-    return mo_fail(message, MO_ERR_FORMAT, "1 to %d environments with as many losses and steps",
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "1 to %d environments, with as many losses and steps, are expected",
                    MO_BLOCK_LANES);
   for (uint32_t k = 0; k < n[0]; k++)
     if (score->losses[k] < 0 || isfinite(score->losses[k]) != (score->diverged_steps[k] == 0))
-      return mo_fail(message, MO_ERR_FORMAT, "loss %u is none, or disagrees with its step", k);
+      return mo_fail(message, MO_ERR_FORMAT,
+                     "loss %u is invalid, or contradicts its divergence step", k);
   return MO_OK;
 }
 

@@ -1,5 +1,5 @@
-/* bundle_read.c: reads a bundle: which members there are, and in which order. See docs/bundles.md;
- * bundle_campaign.c reads what they have. */
+/* bundle_read.c: reads the members of a bundle in their order. See docs/bundles.md;
+ * bundle_campaign.c reads the content of a campaign. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -45,11 +45,11 @@ static int read_controller(struct mo_reading *reading)
     return error;
   if (!mo_workspace_equal(controller->workspace, MO_DEFAULT_WORKSPACE)) {
     mo_controller_free(controller);
-    return mo_reading_refuse(reading, 0, "the controller has another workspace");
+    return mo_reading_refuse(reading, 0, "the controller has a different workspace");
   }
   if (mo_reading_find_controller(reading, &member->sha256) < reading->n_controllers) {
     mo_controller_free(controller);
-    return mo_reading_refuse(reading, 0, "the controller is there twice");
+    return mo_reading_refuse(reading, 0, "duplicate controller");
   }
   reading->controllers[reading->n_controllers++] =
       (struct mo_known_controller){member->sha256, controller->sensor};
@@ -63,7 +63,7 @@ static int read_controller(struct mo_reading *reading)
 
 /* ---- members ---- */
 
-/* Begins the campaign that is the next one of bundle.json. */
+/* Begins the next campaign in bundle.json. */
 static int next_campaign(struct mo_reading *reading)
 {
   const struct mo_bundle_head *head = &reading->head;
@@ -80,7 +80,7 @@ static int next_campaign(struct mo_reading *reading)
   return mo_reading_begin(reading);
 }
 
-/* Says whether the name of a member is that of the next one of a part; sets part_number. */
+/* Returns whether the name of a member is the next one of a part; sets part_number. */
 static bool is_next(struct mo_reading *reading, enum mo_bundle_part part, const char *name)
 {
   const size_t folder = strlen(parts[part]);
@@ -112,7 +112,7 @@ static int read_of_campaign(struct mo_reading *reading)
   if (slash != NULL && strcmp(slash + 1, parts[MO_PART_CAMPAIGN]) == 0)
     return next_campaign(reading);
   if (reading->part == MO_PART_NOTHING || strncmp(name, reading->folder, folder) != 0)
-    return mo_reading_refuse(reading, 0, "the member is of another campaign, or of none");
+    return mo_reading_refuse(reading, 0, "the member does not belong to the campaign");
   name += folder;
   while (part <= MO_PART_RECORDINGS && strncmp(name, parts[part], strlen(parts[part])) != 0)
     part++;
@@ -123,9 +123,9 @@ static int read_of_campaign(struct mo_reading *reading)
       (part > MO_PART_DESIGNS && reading->n_born != reading->campaign.n_designs) ||
       !is_next(reading, part, name))
     return mo_reading_refuse(reading, 0,
-                             "the member is out of order, or its name is not the one expected");
+                             "the member is out of order, or its name is not the expected one");
   reading->part = part;
-  if (part < MO_PART_SCORES) /* scores and recordings may grow later */
+  if (part < MO_PART_SCORES) /* scores and recordings may be added later */
     mo_text_format(&reading->digest, "%s  %s\n", MO_SHA256_HEX(&reading->member.sha256), name);
   return part == MO_PART_ENVIRONMENTS ? mo_reading_environments(reading)
          : part == MO_PART_RECORDINGS ? mo_reading_recordings(reading, name)
@@ -155,7 +155,7 @@ static int read_members(struct mo_reading *reading)
       (reading->summary->n != reading->head.n || reading->n_used != reading->n_controllers))
     error = mo_fail(reading->message, MO_ERR_FORMAT,
                     "the bundle lacks a campaign that bundle.json names, or has a controller that "
-                    "no campaign has");
+                    "no campaign uses");
   return error != MO_OK ? error : more;
 }
 

@@ -1,4 +1,4 @@
-/* bundle_reading.h: the state of a reading of a bundle, and the lines of one campaign. Only for
+/* bundle_reading.h: the state while a bundle is read, and the lines of one campaign. Only for
  * bundle_read.c and bundle_campaign.c. */
 #ifndef MORPHO_EXCHANGE_BUNDLE_READING_H
 #define MORPHO_EXCHANGE_BUNDLE_READING_H
@@ -18,10 +18,10 @@ enum mo_bundle_part {
   MO_PART_RECORDINGS
 };
 
-/* What is known of a design. */
+/* What has been read about a design. */
 struct mo_born {
   struct mo_descent descent;
-  uint32_t born, died, stamp; /* stamp: the last population that has it, plus 1 */
+  uint32_t born, died, stamp; /* stamp: the last population that contains it, plus 1 */
   uint16_t masses, springs;
   bool is_cut;
   double score;
@@ -40,15 +40,15 @@ struct mo_reading {
   const struct mo_bundle_summary *known;
   struct mo_bundle_summary *summary;
   struct mo_message *message;
-  struct mo_bundle_head head;     /* version 0: bundle.json was not read */
-  uint32_t n_controllers, n_used; /* n_used: that campaigns so far begin or end with */
+  struct mo_bundle_head head;     /* version 0: bundle.json has not been read */
+  uint32_t n_controllers, n_used; /* n_used: used by the campaigns so far */
   struct mo_known_controller controllers[2 * MO_BUNDLE_CAMPAIGNS];
-  /* The campaign that is read. */
+  /* The current campaign. */
   enum mo_bundle_part part;
-  uint32_t n_parts;     /* numbers of parts that are used */
-  uint64_t part_number; /* of this one */
+  uint32_t n_parts;     /* part numbers used so far */
+  uint64_t part_number; /* of the current part */
   size_t part_size;
-  bool taken; /* the sink takes it */
+  bool taken; /* the sink receives it */
   char folder[64];
   struct mo_imported_campaign campaign;
   uint32_t n_environments;
@@ -61,23 +61,24 @@ struct mo_reading {
   uint32_t step_generation, step;     /* of the newest step of learning */
   uint64_t n_steps;
   struct mo_bundle_scores *scores; /* of the design scored_number − 1 */
-  uint32_t scored_number;          /* 0: there were no scores yet */
-  struct mo_text digest;           /* lines of the members that make the history */
+  uint32_t scored_number;          /* 0: no scores yet */
+  struct mo_text digest;           /* lines about the members of the history */
   struct mo_bundle_recordings *recordings;
   bool evaluation_taken;
 };
 
 /* ---- bundle_campaign.c ---- */
 
-/* Says what is wrong with a line of the member; line 0: with the member. MO_ERR_FORMAT. */
+/* Fills the message with a fault of a line of the member; line 0: of the member. Returns
+ * MO_ERR_FORMAT. */
 int mo_reading_refuse(struct mo_reading *reading, uint32_t line, const char *words);
-/* Refuses a member with lines that has none, or whose last one does not end. */
+/* Refuses a member without lines, or without a newline at the end of its last line. */
 int mo_reading_check_lines(struct mo_reading *reading);
 bool mo_reading_is_over(const struct mo_reading *reading);
-/* Returns the place of a controller; n_controllers: it was not read. */
+/* Returns the index of a controller, or n_controllers if it was not read. */
 uint32_t mo_reading_find_controller(const struct mo_reading *reading,
                                     const struct mo_sha256 *sha256);
-/* Read the members of a campaign. name: behind its folder. */
+/* Read the members of a campaign. name: without its folder. */
 int mo_reading_begin(struct mo_reading *reading);
 int mo_reading_environments(struct mo_reading *reading);
 int mo_reading_lines(struct mo_reading *reading);

@@ -1,5 +1,5 @@
-/* bundle_recordings.c: the arrays of recordings in a bundle: which one comes next, its name, and
- * its bytes, as a file of NumPy. Writing and reading go the same way. */
+/* bundle_recordings.c: the arrays of recordings in a bundle: the next one, its name, and its bytes
+ * in NumPy's file format. Writing and reading follow the same order. */
 #include <stdio.h>
 #include <string.h>
 
@@ -43,7 +43,7 @@ int mo_bundle_recordings_next(struct mo_bundle_recordings *recordings)
   return 1;
 }
 
-/* Writes the header of the array; returns the bytes that follow it. */
+/* Writes the header of the array. Returns the number of bytes that follow it. */
 static size_t write_header(struct mo_text *text, const struct mo_bundle_recordings *recordings)
 {
   const struct mo_trajectory_sides sides = {.frames = recordings->frames,

@@ -1,8 +1,8 @@
-/* bundle_scores.c: see bundle_scores.h. A loss of a class is in the lines of a design once, and the
- * score of the design is the mean of its losses, bit for bit.
+/* bundle_scores.c: see bundle_scores.h. The lines of a design have each loss of a class once, and
+ * the score of the design is the mean of its losses, bit for bit.
  *
- * Older programs wrote a loss again where two blocks of their store had it. A line that repeats an
- * earlier one in another block is taken, up to a number of them. */
+ * Older programs wrote a loss again if two blocks of their store had it. A limited number of lines
+ * that repeat an earlier one from another block is therefore accepted. */
 #include "exchange/bundle_scores.h"
 
 #include <math.h>
@@ -13,7 +13,7 @@
 #include "store/hash.h"
 
 #define CLASSES 32 /* of one design */
-#define AGAIN   64 /* lines of one design that have no new loss */
+#define AGAIN   64 /* lines of one design without a new loss */
 
 struct class {
   char fingerprint[MO_FINGERPRINT_BYTES];
@@ -97,7 +97,8 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
       if (!same_bits(class->losses[place], score->losses[k]) ||
           class->diverged_steps[place] != score->diverged_steps[k])
         return mo_fail(message, MO_ERR_FORMAT,
-                       "environment %u has another loss in an earlier line of this class", place);
+                       "environment %u has a different loss in an earlier line of this class",
+                       place);
       is_same = is_same && class->computed_us[place] == score->computed_us;
       continue;
     }
@@ -108,12 +109,13 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
     class->computed_us[place] = score->computed_us;
   }
   if (!is_new && (is_same || ++scores->n_again > AGAIN))
-    return mo_fail(message, MO_ERR_DUPLICATE, "earlier lines of the design have all these losses");
+    return mo_fail(message, MO_ERR_DUPLICATE,
+                   "duplicate: earlier lines of the design have all these losses");
   return is_new;
 }
 
-/* Adds the losses in the order of the environments, as campaigns do (mo_race_score): those of class
- * `a`, and where it has none those of class `b`. */
+/* Returns the mean of the losses, added in the order of the environments as campaigns do
+ * (mo_race_score): those of class `a`, or of class `b` where `a` has none. */
 static double mean_of(const struct mo_bundle_scores *scores, const struct class *a,
                       const struct class *b, bool *is_whole)
 {
@@ -137,7 +139,7 @@ int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bo
   for (uint32_t a = 0; a < scores->n; a++)
     for (uint32_t b = 0; b < scores->n; b++) {
       const double mean = mean_of(scores, &scores->classes[a], &scores->classes[b], &is_whole);
-      /* A child is cut short when its score is above the bound, or infinite. Other jobs may have
+      /* A child is cut short once its score exceeds the bound or is infinite. Other jobs may have
        * computed further losses of it. */
       if ((is_cut && mean >= score) || (same_bits(mean, score) && (is_whole || isinf(mean))))
         return MO_OK;

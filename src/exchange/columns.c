@@ -13,11 +13,11 @@ static void write_value(struct mo_text *text, const struct mo_column *column, co
   case MO_COLUMN_NUMBER: mo_text_json_number(text, *(const double *)value); break;
   case MO_COLUMN_FLAG: mo_text_add(text, *(const bool *)value ? "true" : "false"); break;
   case MO_COLUMN_WORD: mo_text_format(text, "\"%s\"", column->words[*(const bool *)value]); break;
-  case MO_COLUMN_TIME: break; /* is not shown */
+  case MO_COLUMN_TIME: break; /* not written */
   }
 }
 
-/* Returns the length of the objects' part that two paths share, up to and with a dot. */
+/* Returns the length of the common prefix of two paths, up to and including its last dot. */
 static size_t shared_part(const char *one, const char *other)
 {
   size_t shared = 0;

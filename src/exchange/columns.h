@@ -5,9 +5,9 @@
 #include "base/text.h"
 #include "store/columns.h"
 
-/* Writes the row as an object; NULL: null. */
+/* Writes the row as an object, or null if `row` is NULL. */
 void mo_columns_json(struct mo_text *text, const struct mo_columns *columns, const void *row);
-/* Writes the members of this object alone. */
+/* Writes only the members of this object. */
 void mo_columns_members(struct mo_text *text, const struct mo_columns *columns, const void *row);
 
 #endif

@@ -1,5 +1,5 @@
-/* score_block.h: files of scores, in the form of docs/fleet.md: blocks, each a head of 12 bytes and
- * an archive. */
+/* score_block.h: files of scores, as described in docs/fleet.md: blocks, each with a head of 12
+ * bytes and an archive. */
 #ifndef MORPHO_EXCHANGE_SCORE_BLOCK_H
 #define MORPHO_EXCHANGE_SCORE_BLOCK_H
 
@@ -13,10 +13,10 @@
 /* Appends a block to `out`. */
 int mo_score_block_write(const struct mo_score_block *block, const char *program,
                          struct mo_text *out);
-/* Reads the head that the bytes begin with. *size: of the archive behind it, which is there.
- * MO_ERR_FORMAT: the message says what is wrong. */
+/* Reads the head at the beginning of the bytes. *size: the size of the archive after it, which is
+ * complete. MO_ERR_FORMAT: the message says what is wrong. */
 int mo_score_block_head(const char *bytes, size_t n, size_t *size, struct mo_message *message);
-/* Reads an archive and checks all of it. `block` is cleared before. MO_ERR_FORMAT. */
+/* Reads an archive and checks all of it. `block` is cleared first. MO_ERR_FORMAT. */
 int mo_score_block_read(const char *bytes, size_t size, struct mo_score_block *block,
                         struct mo_message *message);
 

@@ -1,4 +1,4 @@
-/* score_blocks.c: writes and reads blocks of scores. Their lines are those of bundles. */
+/* score_blocks.c: writes and reads blocks of scores. Their lines are like those of bundles. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,7 +10,7 @@
 
 #define MAGIC 0x184D2A5DU /* of a frame that zstd skips */
 
-/* The members, in their order. Those of scores have the number of their condition in their name. */
+/* The members, in their order. The names of score members contain the number of their condition. */
 enum part { HEAD, WEIGHTS, CONDITIONS, ENVIRONMENTS, DESIGNS, SCORES, PARTS };
 static const char *const parts[] = {
     [HEAD] = "scores.json",
@@ -76,7 +76,7 @@ static void write_line(const struct mo_score_block *block, enum part part, uint3
     mo_bundle_write_score(line, &block->scores[i]);
 }
 
-/* Adds the lines of a part as a member; of scores those with this condition. */
+/* Adds the lines of a part as a member; for scores, only those with this condition. */
 static int add_lines(struct mo_archive_writer *writer, const struct mo_score_block *block,
                      enum part part, uint32_t condition, uint32_t n, struct mo_text *out)
 {
@@ -158,8 +158,8 @@ struct reading {
   struct mo_archive_member member;
   struct mo_bundle_lines *lines;
   struct mo_message *message;
-  enum part part;     /* of the member before; PARTS: none */
-  uint32_t condition; /* of the member of scores */
+  enum part part;     /* of the previous member; PARTS: none */
+  uint32_t condition; /* of the current score member */
 };
 
 static int read_head(struct reading *reading)
@@ -191,7 +191,7 @@ static int read_head(struct reading *reading)
     error = mo_line_compare(lines, line, size, reading->message);
   }
   if (error == MO_OK && (block->host[0] == '\0' || strpbrk(block->host, "\"\\") != NULL))
-    error = mo_fail(reading->message, MO_ERR_FORMAT, "the host is not that of a service");
+    error = mo_fail(reading->message, MO_ERR_FORMAT, "the host is invalid");
   return error == MO_ERR_FORMAT
              ? mo_archive_refuse(member, 1, reading->message->text, reading->message)
              : error;
@@ -229,19 +229,19 @@ static int read_design(struct mo_bundle_lines *lines, const char *line, size_t s
   return error;
 }
 
-/* Says whether a score belongs to the block; NULL: it does. */
+/* Returns the reason why a score does not belong to the block; NULL: it does. */
 static const char *check_score(const struct mo_score_block *block, uint32_t condition,
                                const struct mo_campaign_score *score)
 {
   if (score->number >= block->n_designs)
-    return "a score of no design of the block";
+    return "the score belongs to no design of the block";
   for (uint32_t k = 0; k < score->n; k++) {
     if (score->environments[k] >= block->n_environments ||
         score->diverged_steps[k] > block->conditions[condition].physics.scheme.n_steps)
-      return "an unknown environment, or a step beyond the last";
+      return "unknown environment, or a step beyond the last";
     for (uint32_t i = 0; i < k; i++)
       if (score->environments[i] == score->environments[k])
-        return "an environment twice";
+        return "duplicate environment";
   }
   return NULL;
 }
@@ -274,7 +274,7 @@ static int read_line(struct reading *reading, const char *line, size_t size,
   struct mo_bundle_lines *lines = reading->lines;
   struct mo_scored_condition *condition;
   if (counts[reading->part].n == counts[reading->part].max)
-    return mo_fail(words, MO_ERR_FORMAT, "more lines than a block has, which are %u",
+    return mo_fail(words, MO_ERR_FORMAT, "a block has at most %u lines of this kind",
                    counts[reading->part].max);
   switch (reading->part) {
   case CONDITIONS:
@@ -304,7 +304,7 @@ static int read_lines(struct reading *reading)
   return MO_OK;
 }
 
-/* Finds the part that a member is, behind those before. */
+/* Finds the part of a member, which must follow the earlier ones. */
 static bool find_part(struct reading *reading)
 {
   const char *name = reading->member.name;
@@ -336,7 +336,7 @@ static int read_members(struct reading *reading, struct mo_archive_reader *archi
   while (error == MO_OK &&
          (more = mo_archive_next(archive, &reading->member, reading->message)) > 0) {
     if (!find_part(reading))
-      error = mo_archive_refuse(&reading->member, 0, "not a member of a block, or out of turn",
+      error = mo_archive_refuse(&reading->member, 0, "not a member of a block, or out of order",
                                 reading->message);
     else if (reading->part == HEAD)
       error = read_head(reading);

@@ -1,4 +1,4 @@
-/* values.h: values as replies and files have them: in JSON, and recordings as arrays of NumPy. */
+/* values.h: values in the form of replies and files: as JSON, and recordings as NumPy arrays. */
 #ifndef MORPHO_EXCHANGE_VALUES_H
 #define MORPHO_EXCHANGE_VALUES_H
 
@@ -15,11 +15,11 @@ void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits
 void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
 void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
-/* Writes the notation of a genotype that is scored: the member "robot"; without its name and
+/* Write the notation of a genotype as it is scored: the member "robot"; only the value, without
  * quotes. */
 void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype);
 void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype);
-/* Write members that are null where the value is not known. */
+/* Write members that are null if the value is not known. */
 void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
 extern const struct mo_field_own mo_hash_field; /* a struct mo_sha256 */
@@ -30,20 +30,20 @@ void mo_environment_write(struct mo_text *text, const struct mo_environment *env
 /* ---- designs of campaigns ---- */
 
 /* Writes a design of a campaign: the members of an object without its braces, so that more can
- * follow. words: those of a study, whose measures it writes, too. NULL: a line of a bundle, which
- * has neither measures nor the robot. */
+ * follow. words: those of a study; its measures are then written as well. NULL: a line of a bundle,
+ * which has neither measures nor the robot. */
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
                              const struct mo_study_words *words);
-/* Writes what the campaign did with the design, as further members: parents, operator, born, died,
- * score. */
+/* Writes the history of the design in the campaign, as further members: parents, operator, born,
+ * died, score. */
 void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
-/* Writes the parents: the member; their numbers alone, with commas between them. */
+/* Write the parents: as a member; only their numbers, separated by commas. */
 void mo_member_parents(struct mo_text *text, const struct mo_descent *descent);
 void mo_parents_write(struct mo_text *text, const struct mo_descent *descent);
 
 /* ---- recordings ---- */
 
-#define MO_NPY_HEADER 192 /* bytes of the header of an array of NumPy; a multiple of 64 */
+#define MO_NPY_HEADER 192 /* bytes of the header of a NumPy array; a multiple of 64 */
 /* Appends the header of an array of a channel: (`leading`, frames, …). leading: "10, ", or "". */
 void mo_recording_header(struct mo_text *text, enum mo_channel channel, const char *leading,
                          const struct mo_trajectory_sides *sides);

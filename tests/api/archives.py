@@ -1,4 +1,4 @@
-"""Archives of bundles and of scores: unpacked, altered, and packed again with right sums."""
+"""Archives of bundles and of scores: unpacked, altered, and packed again with correct sums."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ def zstd(data, *flags):
 
 
 def unpack(bundle):
-    """[(name, bytes)] of all members."""
+    """Returns [(name, bytes)] of all members."""
     data, at, members = zstd(bundle, "-d"), 0, []
     while data[at]:
         info = tarfile.TarInfo.frombuf(data[at:at + 512], "ascii", "strict")
@@ -24,7 +24,7 @@ def unpack(bundle):
 
 
 def pack(members, sums=True, **header):
-    """A bundle of these members, with right sums."""
+    """Returns a bundle of these members, with correct sums."""
     if sums:
         members = [(name, body) for name, body in members if name != "SHA256SUMS"]
         text = "".join(f"{hashlib.sha256(body).hexdigest()}  {name}\n" for name, body in members)
@@ -40,7 +40,7 @@ def pack(members, sums=True, **header):
 
 
 def altered(members, name, change, line=0):
-    """The members with a changed line of the first member whose name has `name` in it."""
+    """Returns the members with a changed line in the first member that has `name` in its name."""
     for place, (own, body) in enumerate(members):
         if name in own:
             lines = body.split(b"\n")
@@ -63,7 +63,7 @@ def put(key, value):
 
 
 def blocks(data):
-    """The archives of a file of scores."""
+    """Returns the archives of a file of scores."""
     found = []
     while data:
         magic, four, size = struct.unpack_from("<3I", data)
@@ -74,12 +74,12 @@ def blocks(data):
 
 
 def block(members):
-    """A block of a file of scores with these members."""
+    """Returns a block of a file of scores with these members."""
     archive = pack(members)
     return struct.pack("<3I", 0x184D2A5D, 4, len(archive)) + archive
 
 
 def lies(archive):
-    """A block of scores whose first loss is another one, by somebody else."""
+    """Returns a block of scores with a different first loss, from another origin."""
     members = altered(unpack(archive), "scores/", put("losses", lambda losses: [0.5] + losses[1:]))
     return block(altered(members, "scores/", put("origin", "liar@elsewhere")))

@@ -1,3 +1,4 @@
-"""Fixtures of these tests; fixtures.py has them, which the Python package is tested with, too."""
+"""Fixtures of these tests. They are in fixtures.py, which the tests of the Python package also
+use."""
 
 from fixtures import service, start  # noqa: F401

@@ -11,14 +11,14 @@ import yaml
 
 SOURCE = pathlib.Path(
     os.environ.get("MORPHO_SOURCE_DIR", pathlib.Path(__file__).resolve().parents[2]))
-COMMON_PROBLEMS = {404, 405, 417, 431, 501}  # of paths and methods that the contract does not list
+COMMON_PROBLEMS = {404, 405, 417, 431, 501}  # for paths and methods that the contract does not list
 
 
 class Contract:
     def __init__(self):
         with open(SOURCE / "schema" / "openapi.yaml", encoding="utf-8") as file:
             self.document = yaml.load(file, Loader=yaml.CSafeLoader)
-        del self.document["x-shared"]  # as the build does
+        del self.document["x-shared"]  # like the build
         self.resolver = jsonschema.RefResolver("", self.document)
         self.templates = []
         for path, item in self.document["paths"].items():
@@ -42,7 +42,7 @@ class Contract:
         assert not faults, f"{where}: {faults[0].message} at {list(faults[0].absolute_path)}"
 
     def find(self, path):
-        """What the contract lists of a path; None: nothing."""
+        """Returns the contract's entry for a path, or None."""
         return next((item for pattern, item in self.templates if pattern.match(path)), None)
 
     def check(self, method, path, status, headers, body):

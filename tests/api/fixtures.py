@@ -1,4 +1,4 @@
-"""Daemons for tests: one that they share, and those of a test's own."""
+"""Daemons for tests: a shared one, and separate ones."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from service import Service
 
 @pytest.fixture(scope="session")
 def service():
-    """One daemon for the tests that do not disturb each other."""
+    """One daemon for all tests that do not disturb each other."""
     running = Service()
     yield running
     assert running.close() == 0, running.log_text()
@@ -15,7 +15,7 @@ def service():
 
 @pytest.fixture
 def start():
-    """Starts daemons of a test's own."""
+    """Starts daemons that a test does not share."""
     started = []
 
     def launch(*flags, **options):

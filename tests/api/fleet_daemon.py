@@ -1,5 +1,5 @@
-"""A daemon's side of the fleet, for tests of `morphod worker`: it gives leases out and keeps what
-comes back. It encodes messages by itself, as src/fleet/wire.h describes them."""
+"""A fake daemon for tests of `morphod worker`: it issues leases and keeps the results. It has its
+own encoding of the messages that src/fleet/wire.h describes."""
 
 import base64
 import hashlib
@@ -35,20 +35,20 @@ def message(kind, items):
 
 
 def physics_numbers(physics):
-    """Of JSON: the numbers in the order of a lease."""
+    """Returns the numbers of a JSON object in the order of a lease."""
     names = ("dt_s", "stiffness_n_per_m", "mass_kg", "drag_per_s", "gravity_m_per_s2", "actuation",
              "friction", "friction_cap", "drop_height_m")
     return [physics[name] for name in names] + [physics["n_steps"], 0, 8, 0]
 
 
 def genotype_bytes(text):
-    """Of a text of 0 and 1."""
+    """Encodes a text of 0 and 1."""
     value = sum(1 << v for v, bit in enumerate(text) if bit == "1")
     return value.to_bytes((len(text) + 7) // 8, "little")
 
 
 class Lease:
-    """blocks: [(genotype's text, [environment, …])]; environments: [66 numbers]."""
+    """blocks: [(genotype as text, [environment, …])]; environments: [66 numbers]."""
 
     def __init__(self, epoch, number, controller, physics, environments, blocks, on_device=False):
         self.id, self.controller, self.on_device = (epoch, number), controller, on_device
@@ -65,7 +65,7 @@ class Lease:
 
 
 def decode_results(body):
-    """[(id, state, busy_s, losses, diverged)] of a message."""
+    """Returns [(id, state, busy_s, losses, diverged)] of a message."""
     magic, version, n, size = HEADER.unpack_from(body)
     assert (magic, version, size) == (b"MOFLEETR", 1, len(body))
     at, found = HEADER.size, []
@@ -81,8 +81,8 @@ def decode_results(body):
 
 
 class FakeDaemon:
-    """`answers` (path's end: function of the handler) replace what a route does; a function that
-    gives False lets the route go on."""
+    """`answers` (end of the path: function of the handler) replace the action of a route. If the
+    function returns False, the route continues."""
 
     def __init__(self, epoch=1, port=0, tls=None, sessions=1, host="127.0.0.1"):
         self.epoch, self.first_session = epoch, sessions
@@ -102,7 +102,7 @@ class FakeDaemon:
         threading.Thread(target=self.server.serve_forever, args=(0.02, ), daemon=True).start()
 
     def close(self):
-        """Ends as a killed process does: its connections break."""
+        """Ends like a killed process: its connections break."""
         self.server.shutdown()
         self.server.server_close()
         for connection in self.connections:
@@ -113,7 +113,7 @@ class FakeDaemon:
         with self.changed:
             self.changed.notify_all()
 
-    # What tests do. All take the lock.
+    # Actions of tests. All take the lock.
 
     def give(self, *leases):
         with self.changed:
@@ -129,7 +129,7 @@ class FakeDaemon:
             self.changed.notify_all()
 
     def forget(self):
-        """Ends all sessions: their requests get nothing more."""
+        """Ends all sessions: their requests get no more replies."""
         with self.changed:
             for session in self.sessions.values():
                 session["state"] = "lost"
@@ -140,11 +140,11 @@ class FakeDaemon:
     def until(self, holds, seconds=300):
         with self.changed:
             seen = self.changed.wait_for(holds, seconds)
-        assert seen, f"it never comes: {self.requests[-5:]}, {len(self.results)} results"
+        assert seen, f"it never happens: {self.requests[-5:]}, {len(self.results)} results"
         return seen
 
     def done(self, i):
-        """The losses of a lease, None before."""
+        """Returns the losses of a lease, or None while it is not done."""
         return next((losses for k, state, _, losses, _ in self.results
                      if k == i and state == DONE), None)
 
@@ -178,7 +178,7 @@ class FakeDaemon:
         items = []
         while can():
             lease = self.queue.pop(0)
-            if isinstance(lease, bytes):  # hostile: as it is
+            if isinstance(lease, bytes):  # hostile: sent unchanged
                 return lease
             self.out[lease.id] = lease
             session["held"].append(lease.id)
@@ -307,14 +307,14 @@ class Worker:
         return pathlib.Path(self.log.name).read_text(errors="replace")
 
     def ends(self, seconds=300):
-        """The exit status."""
+        """Returns the exit status."""
         try:
             return self.process.wait(seconds)
         except subprocess.TimeoutExpired:
             raise AssertionError(self.log_text()) from None
 
     def stop(self):
-        """SIGTERM; the exit status."""
+        """Sends SIGTERM and returns the exit status."""
         self.process.send_signal(signal.SIGTERM)
         return self.ends()
 

@@ -1,9 +1,9 @@
-"""Hooks of schemathesis for test_generated.py: which refusals of a request that fits the contract's
-schemas are right.
+"""Hooks of schemathesis for test_generated.py: which refusals of a request that fits the schemas of
+the contract are correct.
 
-A schema says what one value may be. Rules over several values, bodies in one piece, and names of
-what must exist are told in the descriptions, and are refused with 400 or 422. Each of them is
-listed here by its words; every other refusal is a fault."""
+A schema describes one value. Rules about several values, bodies in one piece, and names of things
+that must exist are explained in the descriptions; a violation is refused with 400 or 422. Each such
+refusal is listed here by its words; any other refusal is a fault."""
 
 import re
 
@@ -22,7 +22,7 @@ RULES = [
     r"is a form of",
     r"at most the population",
     r"fits? (in )?the workspace",
-    # What must exist, and a key that was used before.
+    # Resources that must exist, and a key that was used before.
     r"there is no (campaign|evaluation|controller|design)",
     r"a parent is the number of a design",
     r"more than \d+ of these words",
@@ -37,25 +37,25 @@ RULES = [
     r"the file (is damaged|ends early)",
     r"no block of scores begins here",
     r"a time is expected, in UTC",
-    r"a bundle has 1 to \d+",
+    r"a bundle holds 1 to \d+",
     r"at most the peak",
-    r"distinct bodies are expected",
+    r"at most \d+ distinct bodies",
     r"a finetuning ",
-    r"is expected of a finetuning",
-    r"how a controller was pretrained",
-    r"are expected of a finetuning",
+    r"is for a finetuning",
+    r"is a preset of pretraining",
+    r"are for a finetuning",
     r"the (training|campaign) starts from a controller",
-    r"a population is that of exactly one job",
+    r"a population comes from exactly one job",
     r"zero-shot",
     r"simultaneous",
-    r"a study has none",
+    r"a study does not support this",
     r"campaign that learns",
-    r"steps of learning are asked for",
-    r"replicates from \d+ on go beyond",
-    r"are \d+; at most \d+ (distinct bodies )?are expected",
-    r"this parameter is for (JSON|sort=score|format=(columns|csv))",
+    r"steps of learning are requested",
+    r"replicates, from \d+ on, exceed",
+    r"are \d+; at most \d+ are allowed",
+    r"this parameter is only for (JSON|sort=score|format=(columns|csv))",
     r"only one of campaigns, group and label",
-    r"ids of campaigns are expected, ascending",
+    r"ascending ids of campaigns",
     r"next_cursor of an earlier page",
     r"campaign needs a controller",
     r"the header claims \d+ bytes",
@@ -70,13 +70,13 @@ RULES = [
 
 @schemathesis.hook
 def before_call(_, case, kwargs):
-    """Random cells are hardly ever in one piece, and random names hardly ever those of a
-    controller: without them the rest of a request would never be acted on."""
+    """Random cells are hardly ever in one piece, and random names hardly ever name a controller.
+    This replaces them; otherwise the rest of a request would never be processed."""
     body = kwargs.get("json", case.body)
     if not isinstance(body, dict) or not case.meta:
         return
     if not case.meta.generation.mode.is_positive:
-        for holder in (body, body.get("initial")):  # a design that is wrong is to be refused
+        for holder in (body, body.get("initial")):  # an invalid design must be refused
             if isinstance(holder, dict) and holder.get("on_fault") == "skip":
                 del holder["on_fault"]
         return

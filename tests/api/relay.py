@@ -1,10 +1,10 @@
-"""Carries bytes between two sockets, for tests that stand between a client and a daemon."""
+"""Relays bytes between two sockets, for tests between a client and a daemon."""
 import socket
 import threading
 
 
 def relay(one, other):
-    """Copies each way on a thread of its own, until that way ends."""
+    """Copies each direction on its own thread, until that direction ends."""
     for ends in ((one, other), (other, one)):
         threading.Thread(target=copy, args=ends, daemon=True).start()
 

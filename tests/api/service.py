@@ -1,4 +1,4 @@
-"""A running morphod, and a client that holds every reply against the contract."""
+"""A running morphod, and a client that checks every reply against the contract."""
 
 import contextlib
 import csv
@@ -24,12 +24,12 @@ CONTRACT = Contract()
 BINARY = os.environ.get("MORPHOD", str(SOURCE / "build" / "src" / "daemon" / "morphod"))
 BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
 DESIGN = {"cells": [[2, 2, 0], [3, 2, 0], [2, 3, 0], [2, 2, 1]]}
-SHORT = {"n_steps": 20}  # physics of evaluations that need no long life
-# Waits end with their condition. The limit says when a test gives up: on a slow machine with other
-# work, too, so it is far above what a wait takes.
+SHORT = {"n_steps": 20}  # physics of evaluations that need no long rollout
+# Waits end with their condition. A test gives up after this limit. It is far above the usual time
+# of a wait, because the machine may be slow and have other work.
 PATIENCE_S = 300
-# What comes at once comes within so many seconds on such a machine, too. What it must not wait for
-# is made to take longer.
+# An immediate reply arrives within this many seconds even on such a machine. Anything that it must
+# not wait for takes longer.
 SOON_S = 20
 
 
@@ -45,7 +45,7 @@ class Reply:
 
 
 def decoded(reply):
-    """The body of a reply, of one that is compressed as it was."""
+    """Returns the body of a reply, decompressed if necessary."""
     packed = reply.headers.get("Content-Encoding") == "gzip" and reply.body
     return gzip.decompress(reply.body) if packed else reply.body
 
@@ -76,7 +76,7 @@ class Service:
         command = [BINARY, f"--state-dir={self.state}", f"--port-file={port_file}", "--workers=1"]
         command += [f"--listen={address}" for address in listen]
         command += [f"--default-controller={BOOTSTRAP}", *flags]
-        # Tests are of processors but where they say otherwise.
+        # Tests use processors unless they say otherwise.
         if not any(flag.startswith("--devices") for flag in flags):
             command.append("--devices=none")
         inherited = {key: value for key, value in os.environ.items()
@@ -104,7 +104,7 @@ class Service:
             time.sleep(0.02)
 
     def log_text(self):
-        """The log, once no more comes: a thread of its own writes it."""
+        """Returns the log once it is complete: a separate thread writes it."""
         self.log.flush()
         text = None
         while text != (text := pathlib.Path(self.log.name).read_text(errors="replace")):
@@ -130,7 +130,7 @@ class Service:
 
     def request(self, method, path, value=None, body=None, headers=None, connection=None,
                 unix=False):
-        """Sends `value` as JSON, or `body` as it is; checks the reply against the contract."""
+        """Sends `value` as JSON, or `body` unchanged. Checks the reply against the contract."""
         headers = dict(headers or {})
         if value is not None:
             body = json.dumps(value)
@@ -151,28 +151,28 @@ class Service:
         return reply
 
     def get(self, path, **how):
-        """The JSON of what is there."""
+        """Returns the JSON of a resource."""
         reply = self.request("GET", path, **how)
         assert reply.status == 200, reply.body
         return reply.json()
 
     def post(self, path, value=None, **how):
-        """The JSON of what a request gives that is accepted."""
+        """Returns the JSON reply to a request that must be accepted."""
         reply = self.request("POST", path, value, **how)
         assert reply.status in (200, 202), reply.body
         return reply.json()
 
     def act(self, job, verb, **how):
-        """The reply to a pause, resume or cancel of a job."""
+        """Pauses, resumes or cancels a job, and returns the reply."""
         return self.request("POST", f"/v1/jobs/{job}/{verb}", **how)
 
     def upload(self, name, file):
-        """The reply to a controller's file."""
+        """Uploads the file of a controller, and returns the reply."""
         return self.request("PUT", f"/v1/controllers/{name}/file", body=file,
                             headers={"Content-Type": "application/octet-stream"})
 
     def pages(self, path, limit=1000):
-        """All items of a list, page by page."""
+        """Returns all items of a list, page by page."""
         items, cursor = [], ""
         query = path + ("&" if "?" in path else "?") + f"limit={limit}"
         while cursor is not None:
@@ -183,13 +183,14 @@ class Service:
         return items
 
     def table(self, path, **headers):
-        """The rows of a CSV."""
+        """Returns the rows of a CSV."""
         reply = self.request("GET", path, headers=headers)
         assert reply.headers["Content-Type"].startswith("text/csv")
         return list(csv.DictReader(io.StringIO(reply.body.decode())))
 
     def tagged(self, path):
-        """A reply with an ETag: it is not sent again to those who have it, and HEAD tells it."""
+        """Returns a reply with an ETag. Checks that it is not sent again to a client that has it,
+        and that HEAD shows the tag."""
         reply = self.request("GET", path)
         again = self.request("GET", path, headers={"If-None-Match": reply.headers["ETag"]})
         assert reply.status == 200 and again.status == 304 and again.body == b"", path
@@ -201,18 +202,18 @@ class Service:
             assert self.request("GET", path + query).status == status, path + query
 
     def metric(self, name, **how):
-        """A number of /metrics without labels; None: it is not there."""
+        """Returns a number of /metrics without labels, or None if it is absent."""
         text = self.request("GET", "/metrics", **how).body.decode()
         found = re.search(rf"^{name} (\S+)$", text, re.M)
         return json.loads(found[1]) if found else None
 
     def evaluate(self, value, wait=30):
-        """The reply to an evaluation, waited for."""
+        """Evaluates, waits for the end, and returns the reply."""
         return self.request("POST", "/v1/evaluations", value, headers={"Prefer": f"wait={wait}"})
 
     def raw(self, data, timeout=PATIENCE_S, finish=False):
-        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes,
-        ended)."""
+        """Sends bytes, and reads until the other side closes or is silent for a moment. Returns
+        (bytes, ended)."""
         with socket.create_connection((self.host, self.port), timeout=timeout) as sock:
             received, ended = b"", False
             try:
@@ -236,7 +237,7 @@ class Service:
 
 @contextlib.contextmanager
 def soon():
-    """What is done inside does not wait for anything but itself."""
+    """Checks that the statements inside do not wait for anything else."""
     begun = time.monotonic()
     yield
     took = time.monotonic() - begun
@@ -244,16 +245,16 @@ def soon():
 
 
 def until(holds, seconds=PATIENCE_S, every=0.02):
-    """Waits until holds(); what it gave then."""
+    """Waits until holds() is true, and returns its value."""
     deadline = time.monotonic() + seconds
     while not (seen := holds()):
-        assert time.monotonic() < deadline, "it never comes"
+        assert time.monotonic() < deadline, "it never happens"
         time.sleep(every)
     return seen
 
 
 def awaited(service, path, holds, seconds=PATIENCE_S):
-    """What GET gives as soon as holds(it)."""
+    """Returns the JSON of GET as soon as holds(it)."""
     deadline = time.monotonic() + seconds
     while not holds(seen := service.get(path)):
         assert time.monotonic() < deadline, f"{seen}\n{service.log_text()[-2000:]}"
@@ -262,7 +263,7 @@ def awaited(service, path, holds, seconds=PATIENCE_S):
 
 
 def await_end(service, path, seconds=PATIENCE_S):
-    """The reply that tells of the end of a job."""
+    """Returns the reply that shows the end of a job."""
     deadline = time.monotonic() + seconds
     while True:
         reply = service.request("GET", path, headers={"Prefer": "wait=10"})
@@ -272,7 +273,7 @@ def await_end(service, path, seconds=PATIENCE_S):
 
 
 def run(service, kind, value, seconds=PATIENCE_S):
-    """A job that has succeeded."""
+    """Submits a job and returns it once it has succeeded."""
     path = f"/v1/{kind}/{service.post(f'/v1/{kind}', value)['id']}"
     done = await_end(service, path, seconds).json()
     assert done["state"] == "succeeded", done
@@ -280,13 +281,14 @@ def run(service, kind, value, seconds=PATIENCE_S):
 
 
 def at(row, path):
-    """row["a"]["b"] of "a.b"."""
+    """Returns row["a"]["b"] for "a.b"."""
     return functools.reduce(dict.get, path.split("."), row)
 
 
 def check_rows(service, path, rows, columns, cursor, **others):
-    """That a list of rows comes in pages, behind the cursor of a row, and as CSV with its columns
-    (name: place in a row), with tags, and in no other form. others: further members of a page."""
+    """Checks that a list of rows is available in pages, after the cursor of a row, and as CSV with
+    its columns (name: place in a row), with tags, and in no other form. others: further members of
+    a page."""
     for media in ({}, {"Accept": "text/csv"}):
         service.tagged(path + ("?format=csv" if media else ""))
         whole = service.request("GET", path + "?format=json", headers=media)
@@ -309,7 +311,7 @@ def check_rows(service, path, rows, columns, cursor, **others):
 
 
 def tiny_controller(service):
-    """Stores a controller of 1 × 1 × 1 voxels, made here, as "tiny"; returns the file."""
+    """Makes a controller of 1 × 1 × 1 voxels, stores it as "tiny", and returns the file."""
     shapes = {
         "net.0.weight": [256, 13], "net.0.bias": [256], "net.1.weight": [256], "net.1.bias": [256],
         "net.3.weight": [256, 256], "net.3.bias": [256], "net.4.weight": [256], "net.4.bias": [256],
@@ -329,8 +331,8 @@ def tiny_controller(service):
 
 
 def split_replies(received):
-    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those
-    with Content-Length."""
+    """Splits the bytes of a connection into replies: [(status, headers in lower case, body)]. Only
+    for replies with Content-Length."""
     replies = []
     while received:
         head, separator, rest = received.partition(b"\r\n\r\n")

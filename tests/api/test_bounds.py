@@ -1,5 +1,4 @@
-"""What the contract says of a value is what the service does with it: at each bound, and for many
-texts."""
+"""The service treats values as the contract says: at each bound, and for many texts."""
 
 import re
 
@@ -74,7 +73,7 @@ def test_places_of_learning(service, campaign):
 
 
 def test_keys_and_preferences(start):
-    service = start()  # the keys are not those of other tests
+    service = start()  # with other keys than other tests
     operation = CONTRACT.document["paths"]["/v1/evaluations"]["post"]
     for header, texts in (("Idempotency-Key", KEYS), ("Prefer", PREFER)):
         pattern = schema_of(operation, header).get("pattern", "")  # Prefer is never refused

@@ -1,4 +1,4 @@
-"""Bundles have one form, and reading one takes a time that follows from its size."""
+"""Bundles have exactly one form, and the time to read one is bounded by its size."""
 
 import json
 import os
@@ -21,7 +21,8 @@ def enter(service, bundle, mode="enter"):
 
 @pytest.fixture(scope="module")
 def bundles(service):
-    """The members of a bundle of two campaigns with scores and recordings, and of one that learned.
+    """Returns the members of a bundle of two campaigns with scores and recordings, and of a bundle
+    of one that learned.
     """
     base = {"population": 16, "generations": 3, "physics": {"n_steps": 5}, "environments": HERE,
             "exclude_pretraining": False}
@@ -64,12 +65,12 @@ def second(name):
 
 
 def cut(members, part):
-    """Without the last byte of a part: the end of its last line."""
+    """Removes the last byte of a part: the end of its last line."""
     return [(name, body[:-1] if part in name else body) for name, body in members]
 
 
 def test_no_second_form(service, start, bundles):
-    """A bundle in another form could enter the same campaign again, under another digest."""
+    """A bundle in another form could import the same campaign again, under another digest."""
     other = start()
     two, learned = bundles
     ids = json.loads(dict(two)["bundle.json"])["campaigns"]
@@ -105,7 +106,7 @@ def test_no_second_form(service, start, bundles):
     weights = [i for i, (name, _) in enumerate(learned) if "controllers/" in name]
     assert len(weights) == 2
     forged += [learned[:1] + learned[2:3] + learned[1:2] + learned[3:]]
-    # The learning curve belongs to the campaign, all of it.
+    # The whole learning curve belongs to the campaign.
     forged += [without(learned, "/learning/"), cut(learned, "/learning/"),
                altered(learned, "/learning/", lambda line: b"", -2),
                twice(learned, "/learning/", second)]
@@ -138,7 +139,7 @@ def test_a_frame_has_a_checksum(start, bundles):
 
 
 def test_parts_are_full(service, start):
-    """A part ends where it must: the lines of two parts cannot be divided in another way."""
+    """A part ends at a fixed place: the lines of two parts cannot be divided in another way."""
     other = start()
     id = run(service, "campaigns", {"mode": "zero-shot", "population": 700, "generations": 1,
                                     "environments": HERE, "physics": {"n_steps": 1},
@@ -153,7 +154,7 @@ def test_parts_are_full(service, start):
             lines = first + last
             bodies = dict(zip(names, (b"".join(lines[:moved]), b"".join(lines[moved:]))))
             reply = enter(other, pack([(name, bodies.get(name, body)) for name, body in members]))
-            assert reply.status == 422 and "another part" in reply.json()["errors"][0]["detail"]
+            assert reply.status == 422 and "wrong part" in reply.json()["errors"][0]["detail"]
     name, body = next(member for member in members if "/generations/" in member[0])
     lines = body.splitlines(True)
     at = next(i for i, (own, _) in enumerate(members) if own == name)
@@ -164,7 +165,7 @@ def test_parts_are_full(service, start):
     assert enter(other, pack(bare)).status == 201
 
 
-# ---- the time of a reading ----
+# ---- the time to read a bundle ----
 
 
 def cpu(service):
@@ -186,7 +187,7 @@ def test_a_score_comes_once(start, bundles):
         assert enter(other, scores(forged)).status == 422
 
     def again(n):
-        """The first line, and the same losses again as of other times: of other blocks."""
+        """The first line, and the same losses again with other times, as from other blocks."""
         return scores(lines[:1] + [put("computed_us", 5 + i)(lines[0][:-1]) + b"\n"
                                    for i in range(n)] + lines[1:])
     assert enter(other, again(65), "verify").status == 422, "too many"
@@ -194,7 +195,7 @@ def test_a_score_comes_once(start, bundles):
 
 
 def test_a_byte_does_not_unpack_to_thousands(start, bundles):
-    """63 MiB of one character are some kilobytes as a file."""
+    """63 MiB of one character are a few kilobytes as a file."""
     other = start()
     body = bytes(63 * 2**20)
     members = bundles[0][:1] + [(f"controllers/{n:064x}.safetensors", body) for n in range(2)]
@@ -207,7 +208,7 @@ def test_a_byte_does_not_unpack_to_thousands(start, bundles):
 
 @pytest.fixture(scope="module")
 def long(bundles):
-    """A bundle that takes a core some seconds: 600,000 designs, all the same body."""
+    """A bundle that occupies a core for some seconds: 600,000 designs, all the same body."""
     campaign = next((name, body) for name, body in bundles[0] if name.endswith("campaign.json"))
     row = json.loads(campaign[1])
     row["designs"] = 600_000
@@ -237,14 +238,14 @@ def post(service, body, mode="verify"):
 
 
 def is_idle(service):
-    """Whether the daemon uses no processor, for a moment."""
+    """Returns whether the daemon uses no processor time for a moment."""
     before = cpu(service)
     time.sleep(0.5)
     return cpu(service) - before < 0.05
 
 
 def ended_cpu():
-    """Processor seconds of all daemons that have ended."""
+    """Returns processor seconds of all daemons that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

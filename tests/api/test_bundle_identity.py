@@ -1,4 +1,4 @@
-"""Bundles: which campaigns, scores and recordings are here already, and which only look like it."""
+"""Bundles: which campaigns, scores and recordings exist here already, and which only seem to."""
 
 import json
 import shutil
@@ -42,8 +42,8 @@ def recording(service, id):
 
 @pytest.fixture
 def restored(start, tmp_path):
-    """A service whose backup was restored, and what it lost: a campaign with an evaluation that
-    recorded, whose numbers others have now."""
+    """A service from a restored backup, and what it lost: a campaign and an evaluation with
+    recordings. Other jobs have their numbers now."""
     state, backup = tmp_path / "state", tmp_path / "backup.db"
     state.mkdir(mode=0o700)
     service = start(state=state)
@@ -67,7 +67,7 @@ def restored(start, tmp_path):
 
 
 def test_a_lost_campaign_enters(restored):
-    """The number of a campaign that a restored backup lost names another one now."""
+    """The number of a campaign that a restored backup lost now names another one."""
     service, found = restored
     before = tables(service, found["campaign"])
     checked = enter(service, found["bundle"], "verify")
@@ -87,7 +87,7 @@ def test_a_lost_campaign_enters(restored):
 
 
 def test_a_bundle_that_names_another_store(start, restored):
-    """The id of a store and a number in it say nothing of what the bundle has."""
+    """The id of a store and a number in it do not identify the content of a bundle."""
     lost = restored[1]["bundle"]
     other = start()
     own = run(other, "campaigns", CAMPAIGN | {"seed": 9})["id"]
@@ -113,7 +113,7 @@ def test_an_earlier_state_is_another_campaign(start):
 
 
 def test_campaigns_without_a_generation_differ(start):
-    """They have no history to tell them apart by."""
+    """They have no history that could distinguish them."""
     service, other = start(), start()
     slow = {"mode": "zero-shot", "population": 512, "generations": 1, "environments": HERE}
     ids = [service.post("/v1/campaigns", slow | {"seed": seed})["id"] for seed in (1, 2)]
@@ -129,7 +129,7 @@ def test_campaigns_without_a_generation_differ(start):
         assert [item["entered"] for item in enter(where, bundle).json()["items"]] == [False, False]
 
 
-# ---- what is stored of the same rollouts ----
+# ---- stored results of the same rollouts ----
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,8 @@ def source(service):
 
 
 def with_loss(members, number, loss):
-    """A bundle of one environment in which a design has another loss, and the score of it."""
+    """Returns a bundle of one environment in which a design has another loss, and the score that
+    follows from it."""
     score = put("score", loss)
     members = altered(members, "/designs/", score, number)
 
@@ -155,7 +156,8 @@ def with_loss(members, number, loss):
 
 
 def test_altered_losses_do_not_stay(service, start, source):
-    """Where a bundle with an altered loss came first, the genuine one says so, in both modes."""
+    """If a bundle with an altered loss was imported first, the genuine one reports this, in both
+    modes."""
     other = start()
     members = unpack(export(service, source))
     forged = with_loss(members, 0, 0.001)
@@ -165,7 +167,7 @@ def test_altered_losses_do_not_stay(service, start, source):
         reply = enter(other, pack(members), mode)
         assert reply.status == 409, mode
         assert f"a loss of design 0 of campaign {source}" in reply.json()["detail"], mode
-    # A known campaign with another loss is refused, and so is a new one.
+    # A known campaign with a different loss is refused, and so is a new one.
     for mode in ("verify", "enter"):
         assert enter(service, pack(altered(members, "/scores/", put("losses", [0.5]))),
                      mode).status == 409, mode
@@ -187,7 +189,7 @@ def test_a_score_is_the_mean_of_its_losses(service, start, source):
             reply = enter(other, pack(altered(members, "/scores/", put("losses", nudge), number)))
             assert reply.status == 422, (id, number)
             assert f"the score of design {number}" in reply.json()["errors"][0]["detail"]
-    # Some of its losses do not make a mean; none at all do not contradict it.
+    # Some of its losses do not yield the mean; a design without losses does not contradict it.
     for key in ("losses", "environments", "diverged_steps"):
         members = altered(members, "/scores/", put(key, lambda values: values[:-1]))
     reply = enter(other, pack(members))
@@ -207,7 +209,7 @@ def test_settings_belong_to_a_campaign(service, start, source):
         for mode in ("verify", "enter"):
             reply = enter(other, forged, mode)
             assert reply.status == 409, reply.body
-            assert "with other settings" in reply.json()["detail"]
+            assert "other settings" in reply.json()["detail"]
     for change in (put("label", "else"), put("note", "x"), put("weight", 2)):
         reply = enter(other, pack(altered(members, "campaign.json", change)))
         assert reply.status == 200, "people change these"
@@ -223,5 +225,5 @@ def test_altered_recordings_do_not_stay(service, start, source):
     for where in (service, other):
         for mode in ("verify", "enter"):
             reply = enter(where, pack(forged), mode)
-            assert reply.status == 409 and "recorded something else" in reply.json()["detail"]
+            assert reply.status == 409 and "another recording" in reply.json()["detail"]
         assert enter(where, pack(members)).status == 200

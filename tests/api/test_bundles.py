@@ -1,4 +1,5 @@
-"""Bundles: campaigns that leave one service and enter another, and what is refused."""
+"""Bundles: campaigns that are exported from one service and imported into another, and what is
+refused."""
 
 import random
 import tarfile
@@ -48,7 +49,8 @@ def bundle(service, source):
 
 
 def test_the_same_campaigns(service, start, source, bundle):
-    """Here and there every list is the same, and a bundle out of there has the same history."""
+    """Every list is the same in both services, and a bundle from the other one has the same
+    history."""
     other = start()
     other.evaluate({"designs": [DESIGN], "physics": {"n_steps": 5}})  # ids differ
     checked = enter(other, bundle, "verify").json()
@@ -107,12 +109,12 @@ def test_entering_twice_changes_nothing(service, start, source, bundle):
     assert counts == [len(other.pages("/v1/designs")), len(other.get("/v1/jobs")["items"]),
                       other.get("/v1/events?format=json")["newest"]]
     assert enter(service, bundle).json()["items"][0]["campaign"] == source[0]
-    # One that was deleted enters again.
+    # A deleted campaign is imported again.
     learned = first[2]["campaign"]
     assert other.request("DELETE", f"/v1/jobs/{learned}").status == 200
     back = enter(other, bundle)
     assert [item["entered"] for item in back.json()["items"]] == [False, False, True, False]
-    # An imported campaign runs on here.
+    # An imported campaign can be extended here.
     other.post(f"/v1/campaigns/{first[0]['campaign']}/extend", {"generations": 1})
     grown = await_end(other, f"/v1/campaigns/{first[0]['campaign']}").json()
     assert grown["state"] == "succeeded" and grown["progress"]["generation"] == 5
@@ -181,8 +183,8 @@ CHANGES = [
 
 
 def test_altered_bundles_leave_nothing(service, start, source):
-    """Whatever is altered, also where all hashes are made again: a refusal in words, and a service
-    as before."""
+    """Every alteration, even with new hashes everywhere, is refused with an explanation, and does
+    not change the service."""
     other = start()
     bundle = service.request("GET", f"/v1/bundles?campaigns={source[0]}").body
     members = unpack(bundle)
@@ -193,7 +195,7 @@ def test_altered_bundles_leave_nothing(service, start, source):
     def refused(data, why):
         reply = enter(other, data)
         assert reply.status == 422, (why, reply.body)
-        assert "nothing of it was stored" in reply.json()["detail"], why
+        assert "nothing was stored" in reply.json()["detail"], why
 
     for change in CHANGES:
         name, how, line = change
@@ -230,7 +232,8 @@ def test_altered_bundles_leave_nothing(service, start, source):
 
 @pytest.fixture(scope="module")
 def recorded(service, source):
-    """The evaluation that recorded three designs of the first campaign, and a bundle with it."""
+    """Returns the evaluation that recorded three designs of the first campaign, and a bundle with
+    it."""
     best = service.get(f"/v1/campaigns/{source[0]}/population?limit=3")["items"]
     request = {"designs": [{"voxels": row["genotype"]} for row in best], "physics": {"n_steps": 5},
                "record": ["com", "masses", "contacts", "actuation"], "record_stride": 2,
@@ -244,8 +247,8 @@ def recorded(service, source):
 
 
 def test_recordings(service, start, source, recorded):
-    """They are the same there, bit for bit, with experiment and note; those of an evaluation with
-    another body stay."""
+    """They are the same there, bit for bit, with experiment and note. Recordings of an evaluation
+    with another body are not exported."""
     id, bundle = recorded
     other = start()
     entered = enter(other, bundle).json()["items"][0]
@@ -268,7 +271,7 @@ def test_recordings(service, start, source, recorded):
     assert [body for name, body in unpack(again) if "/recordings/" in name] == [
         body for name, body in unpack(bundle) if "/recordings/" in name]
     assert other.get("/v1/events?format=json")["newest"] == newest
-    # Where only the campaign was deleted, its recordings are here already.
+    # If only the campaign was deleted, its recordings exist already.
     other.request("DELETE", f"/v1/jobs/{entered['campaign']}")
     assert enter(other, bundle).status == 201
     assert len(other.get("/v1/evaluations")["items"]) == 1
@@ -314,7 +317,7 @@ def test_altered_learning_is_refused(service, start, source):
 
 
 def test_a_score_that_contradicts_a_stored_one(start, bundle):
-    """Of another store, and with another loss of the same class."""
+    """It comes from another store, and has a different loss of the same class."""
     other = start()
     enter(other, bundle)
     members = unpack(bundle)

@@ -46,7 +46,7 @@ def learned(service):
 
 
 def test_founders_that_cannot_be_are_skipped(service, evolved):
-    """The campaign is that of the founders that are left; it says what happened to the others."""
+    """The campaign has the remaining founders, and reports what happened to the others."""
     apart = {"cells": BAR["cells"] + [[0, 0, 3]]}
     flat = SMALL | {"workspace": [4, 4, 1]}
     designs = [{"cells": [[9, 0, 0]]}, DESIGN, BAR, {"voxels": "1" * 144}, apart, BAR]
@@ -170,7 +170,7 @@ def test_generations(service, evolved):
 
 
 def test_the_same_again(service, evolved):
-    """Another campaign of the same settings has the same history, but for the seconds."""
+    """Another campaign with the same settings has the same history, except for the seconds."""
     again = run_campaign(service, SMALL | {"initial": {"designs": [DESIGN, BAR]}})
     for what in ("generations", "phylogeny"):
         first, second = ([{key: value for key, value in row.items()
@@ -212,7 +212,8 @@ def test_from_another_campaign(service, evolved):
 
 
 def test_founders_that_do_not_fit_are_counted(service):
-    """Those of another campaign that do not fit the workspace are noted; if none fits, refused."""
+    """Founders from another campaign that do not fit the workspace are noted. If none fits, the
+    request is refused."""
     cube = {"cells": [[x, y, z] for x in range(3) for y in range(3) for z in range(3)]}
     rules = {"exclude_pretraining": False, "population": 2, "generations": 0}
     parent = run_campaign(service, SMALL | rules | {"initial": {"designs": [DESIGN, cube]}})
@@ -229,7 +230,7 @@ def test_founders_that_do_not_fit_are_counted(service):
     assert second["founders"] == reply["founders"]
     first = service.pages(second["links"]["population"] + "?generation=0")
     assert sorted(row["operator"] for row in first) == ["inherited"] + 3 * ["random"]
-    # Nor is one turned: it would be another robot than its parent campaign had.
+    # None is turned to fit: it would be another robot than in its parent campaign.
     bar = {"cells": [[x, 0, 0] for x in range(4)]}
     parent = run_campaign(service, SMALL | rules | {"initial": {"designs": [bar, DESIGN]}})
     narrow = asked | {"initial": {"campaign": parent["id"]}, "workspace": [3, 4, 2]}
@@ -266,7 +267,7 @@ def test_replicates(service):
 
 
 def test_replicates_wait_for_the_slowest(service):
-    """Generations that not all have are left out; those that are cancelled do not count."""
+    """Generations that not all replicates have are left out; cancelled replicates do not count."""
     first = service.post("/v1/campaigns", LONG | {"replicates": 3})
     ids = [str(int(first["id"]) + i) for i in range(3)]
     path = f"/v1/campaigns/{ids[0]}/replicates"
@@ -280,12 +281,12 @@ def test_replicates_wait_for_the_slowest(service):
 
 
 def test_extend(service):
-    """A campaign that is extended, after its end, in the queue, or set aside, is the one that was
-    longer from the beginning."""
+    """A campaign that is extended after its end, in the queue, or while it is parked equals one
+    that was longer from the beginning."""
     whole = run_campaign(service, SMALL | {"generations": 5})
     hold = service.post("/v1/campaigns", LONG)["id"]
     reply = service.request("POST", f"/v1/campaigns/{hold}/extend", {"generations": 1})
-    assert reply.status == 422 and reply.pointers() == ["/generations"]  # it has all there may be
+    assert reply.status == 422 and reply.pointers() == ["/generations"]  # the most
     short = service.post("/v1/campaigns", SMALL | {"generations": 2})["id"]
     extended = service.post(f"/v1/campaigns/{short}/extend", {"generations": 1})
     assert extended["progress"]["generations"] == 3
@@ -319,7 +320,7 @@ def test_bad_extensions(service, evolved, body, pointer):
 
 
 def test_an_extension_that_would_change_the_past(service):
-    """One cosine over all generations has another rate in every step when there are more."""
+    """With one cosine over all generations, more generations change the rate of every step."""
     learning = {"parent_steps": 1, "child_steps": 1, "batch": 2, "schedule": "one-cosine"}
     id = run_campaign(service, LEARNS | {"mode": "simultaneous", "generations": 1,
                                          "learning": learning})["id"]
@@ -328,7 +329,7 @@ def test_an_extension_that_would_change_the_past(service):
 
 
 def test_checkpoints_are_deleted(service):
-    """A campaign that has ended needs none; one that has not keeps what it goes on from."""
+    """A campaign that has ended needs none. Any other keeps the one from which it continues."""
     def delete(path):
         return service.request("DELETE", path).json()
 
@@ -348,7 +349,7 @@ def test_checkpoints_are_deleted(service):
     reply = service.request("POST", f"/v1/campaigns/{done['id']}/extend", {"generations": 1})
     assert reply.status == 409 and "was deleted" in reply.json()["detail"], reply.body
     assert service.get(f"/v1/campaigns/{done['id']}")["state"] == "succeeded"
-    # One that runs goes on from its own, whether it is asked for or not.
+    # A running campaign keeps its own, even if its deletion is requested.
     id = service.post("/v1/campaigns", simultaneous | {"generations": 100000})["id"]
     path = f"/v1/campaigns/{id}/checkpoints"
     awaited(service, path, lambda seen: seen["items"])
@@ -356,7 +357,7 @@ def test_checkpoints_are_deleted(service):
     assert service.act(id, "cancel").status == 200
     finished(service, id)
     assert delete(path)["items"]
-    # Its thread may write one more, whose row is refused.
+    # Its thread may write one more file, but its row is refused.
     until(lambda: not (service.state / "campaigns" / id).exists())
     assert service.get(path)["items"] == []
     frozen = run_campaign(service, SMALL)["links"]["checkpoints"]
@@ -365,8 +366,8 @@ def test_checkpoints_are_deleted(service):
 
 
 def test_idempotency_of_what_is_done_with_a_campaign(service):
-    """An extension that is sent twice adds once, and champions are recorded once, even when they
-    have others behind them by then."""
+    """An extension that is sent twice is applied once, and champions are recorded once, even if
+    there are newer requests by then."""
     id = run_campaign(service, SMALL)["id"]
     path = f"/v1/campaigns/{id}"
 
@@ -435,7 +436,7 @@ def test_a_training_on_a_population(service, evolved):
 
 
 def test_campaigns_without_a_population(service):
-    """Two that wait behind others: they have nothing yet, which is said."""
+    """Two that wait for others have no population yet, and say so."""
     hold = int(service.post("/v1/campaigns", LONG | {"replicates": 20})["id"])
     waits = service.post("/v1/campaigns", LONG)
     assert waits["state"] == "queued" and waits["progress"]["generation"] is None
@@ -460,8 +461,8 @@ def test_campaigns_without_a_population(service):
 
 
 def test_clients_at_once(service):
-    """Several clients submit, read, change and cancel side by side; every reply is whole and as the
-    contract says."""
+    """Several clients submit, read, change and cancel concurrently. Every reply is complete and
+    fits the contract."""
     def work(number):
         id = service.post("/v1/campaigns", SMALL | {"seed": 100 + number},
                           headers={"Idempotency-Key": f"at-once-{number}"})["id"]

@@ -1,6 +1,6 @@
-"""What generators of clients need of the contract: names, types, descriptions, links.
+"""What generators of clients need from the contract: names, types, descriptions, links.
 
-Python and Java clients that two generators make of it are called by tests/peers/."""
+tests/peers/ calls the Python and Java clients that two generators make from it."""
 
 import re
 
@@ -39,7 +39,7 @@ def test_every_operation_is_described():
 
 
 def test_every_schema_has_a_name_and_types():
-    """A class without a name of its own gets one of a generator; a constant without a type is any
+    """A class without its own name gets a generated one; a constant without a type can be any
     value."""
     for path, node in (*nodes(DOCUMENT["paths"]), *nodes(SCHEMAS)):
         if "properties" in node and node.get("type") == "object":
@@ -52,7 +52,7 @@ def test_every_schema_has_a_name_and_types():
 
 
 def test_unions_tell_their_variants_apart():
-    """By a discriminator that names all variants, or because no two have a member in common."""
+    """Either a discriminator names all variants, or no two have a member in common."""
     for name, schema in SCHEMAS.items():
         variants = [variant["$ref"] for variant in schema.get("oneOf", [])]
         if "discriminator" in schema:
@@ -80,7 +80,7 @@ def test_pages_lead_to_the_next():
 
 
 def test_every_event_has_a_type():
-    """The types that the sources write are those of the contract."""
+    """The sources write exactly the types of the contract."""
     written = set()
     for source in (SOURCE / "src").glob("*/*.c"):
         written |= set(re.findall(

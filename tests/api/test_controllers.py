@@ -1,4 +1,4 @@
-"""Controllers: in, out, by name and by hash; files that are not what they say."""
+"""Controllers: uploads and downloads, by name and by hash; files that are not controllers."""
 
 import hashlib
 import json

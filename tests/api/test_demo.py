@@ -1,5 +1,5 @@
-"""tools/demo, in a repository of its own that shares data, tools and programs with this one: it
-tells which controller it scores with."""
+"""tools/demo, in a separate repository that shares data, tools and programs with this one: it
+reports the controller with which it scores."""
 
 import hashlib
 import os
@@ -18,7 +18,7 @@ def hash_of(file):
 
 @pytest.fixture
 def demo(tmp_path):
-    """demo(option…): the lines that it prints."""
+    """demo(option…) returns the lines that it prints."""
     for folder in ("build/src/daemon", "build/clients/morphoctl"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "build/build.ninja").write_text(
@@ -40,8 +40,8 @@ def demo(tmp_path):
 
 
 def short(demo):
-    """Without random designs and campaign: what is told of the controller, which is before the
-    scores."""
+    """Runs the demo without random designs and campaign: the lines about the controller, which
+    precede the scores."""
     lines = demo("--random", "0", "--generations", "0")
     place = next(i for i, line in enumerate(lines) if line.startswith("Controller: "))
     assert any("crawler" in line
@@ -59,8 +59,8 @@ def test_shipped_default(demo):
 
 
 def test_state_of_an_older_program(demo, start, tmp_path):
-    """What the folder has as default stays and is named; the line that is told makes the shipped
-    one the default."""
+    """The default controller of the folder stays and is named. The printed command makes the
+    shipped one the default."""
     (tmp_path / ".morphod").mkdir()
     older = start(state=tmp_path / ".morphod" / "state")
     assert older.stop() == 0

@@ -1,5 +1,5 @@
-"""Devices, with a module that computes on the processor (tests/device/fake.c): what jobs take and
-show, the same results with any number of devices and whatever happens to them."""
+"""Devices, with a module that computes on the processor (tests/device/fake.c): what jobs accept and
+show, and equal results with any number of devices and whatever happens to them."""
 
 import json
 import os
@@ -65,13 +65,13 @@ def refused(service, kind, request):
 
 
 def show(service):
-    """What morphoctl says of the devices."""
+    """Returns what morphoctl shows of the devices."""
     return subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"],
                           capture_output=True, text=True, timeout=300, check=False)
 
 
 def check_results(service, jobs, undisturbed):
-    """That the campaign and the training end as those that nothing disturbed."""
+    """Checks that the campaign and the training end like undisturbed ones."""
     ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
     assert all(job["error"] is None for job in ended)
     assert population(service, ended[0]) == undisturbed["population"]
@@ -99,7 +99,7 @@ def test_without_devices(service):
 
 
 def test_ranks_a_class(start):
-    """sort=score ranks one class: the service's own, or the one that is asked for."""
+    """sort=score ranks one class: that of the service, or the requested one."""
     service = start(*FLAGS, environment=fake(devices=1))
 
     def ranked(query):
@@ -125,7 +125,7 @@ def test_evaluations(start):
     assert taken["device"] == "cuda" and taken["results"] == expected
     score = service.get(f"/v1/designs/{expected[0]['id']}")["orientations"][0]["scores"][0]
     assert score["fingerprint"] == "fake float32 score-1 sm90"
-    # Another class is computed again, but for the body that the devices left to the processors.
+    # Another class is computed again, except for the body that the devices left to the processors.
     for cached in (10, 1000):
         known = run(service, "evaluations", {**LARGE, "device": "cpu"})
         assert known["device"] == "cpu" and known["rollouts_cached"] == cached
@@ -165,7 +165,7 @@ def test_evaluations(start):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    """What becomes of the jobs on one device."""
+    """The results of the jobs on one device."""
     service = Service(*FLAGS, environment=fake())
     campaign = run(service, "campaigns", CAMPAIGN)
     training = run(service, "trainings", TRAINING)
@@ -231,7 +231,7 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
 
 
 def test_want_of_memory(start, undisturbed, tmp_path):
-    """Not enough for the smallest part: jobs wait, paused, and go on when there is more."""
+    """Not enough for the smallest part: jobs wait, paused, and continue when there is more."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(rows=9, shards=0))
     jobs = []
@@ -259,7 +259,7 @@ def test_kill(start, undisturbed, tmp_path):
         time.sleep(0.1 + 0.07 * attempt)
         service.stop(signal.SIGKILL)
     service = start(*FLAGS, state=state, environment=fake(devices=2))
-    for _, job in jobs:  # three lives that saved nothing end it: a person goes on
+    for _, job in jobs:  # three processes that saved nothing stop it: a user resumes it
         if service.get(f"/v1/jobs/{job}")["state"] == "failed":
             assert service.act(job, "resume").status in (200, 202)
     check_results(service, jobs, undisturbed)
@@ -274,7 +274,7 @@ def test_cancel(start):
 
 
 def test_interactive_evaluations_do_not_wait_for_devices(start):
-    """Not even for a rollout that a device is to compute already."""
+    """Not even for a rollout that is already assigned to a device."""
     service = start(*FLAGS, environment=fake(delay_ms=60000))
     large = service.post("/v1/evaluations", {**LARGE, "device": "cuda"})["id"]
     until(lambda: devices(service)["items"][0]["busy"])
@@ -301,7 +301,7 @@ class Cluster:
         until(lambda: (self.fleet.status()["classes"]["device"] or {}).get("sessions") == n)
 
     def waiting(self, kind, job):
-        """The reason of a job, which waits for workers with devices."""
+        """Returns the reason of a job that waits for workers with devices."""
         def waits(shown):
             return shown["state"] == "running" and (shown["reason"] or "").startswith(
                 'waits for a worker of class "fake float32 score-1 sm90"')
@@ -320,8 +320,8 @@ def cluster(start, tmp_path):
 
 
 def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
-    """Their class is known from the first one on. Jobs of it wait for them, also after a restart,
-    and end with the bits of a service with a device."""
+    """Their class is known once the first one joins. Jobs of this class wait for them, also after a
+    restart, and end with the bits of a service with a device."""
     service = cluster.service
     for kind, request in (("evaluations", LARGE), ("campaigns", CAMPAIGN)):
         reply = service.request("POST", f"/v1/{kind}", {**request, "device": "cuda"})
@@ -331,7 +331,7 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
     cluster.until_there(1)
     assert devices(service) == {"items": [], "fingerprints": {
         "scores": "fake float32 score-1 sm90", "gradients": "fake float32 gradient-1 sm90"}}
-    # Large work stays with the processors unless it is asked for.
+    # Large work stays on the processors unless devices are requested.
     assert run(service, "evaluations", {**LARGE, "physics": {"n_steps": 3}})["device"] == "cpu"
     done = run(service, "evaluations", {**LARGE, "device": "cuda"})
     assert done["state"] == "succeeded" and done["device"] == "cuda"
@@ -365,7 +365,7 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
         cluster.waiting("evaluations", dropped)
         assert service.act(dropped, "cancel").status == 200
         assert await_state(service, f"/v1/evaluations/{dropped}", "cancelled")
-        cluster.launch(springs=300)  # larger bodies are left to the processors of the service
+        cluster.launch(springs=300)  # the service computes larger bodies on its processors
         ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
         assert population(service, ended[0]) == undisturbed["population"]
     finally:
@@ -374,7 +374,7 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
 
 @pytest.mark.parametrize("kind", ["trainings", "campaigns"])
 def test_workers_alone_learn(cluster, start, kind):
-    """Shards of gradients go to the devices of workers, of which one is killed. The sums have the
+    """Shards of gradients go to the devices of workers, and one worker is killed. The sums have the
     bits of a service with a device."""
     requests = {"trainings": {**TRAINING, "batch": 1100, "validation": {"every_steps": 0}},
                 "campaigns": {**CAMPAIGN, "mode": "few-shot", "name": "learned", "learning": {
@@ -383,7 +383,7 @@ def test_workers_alone_learn(cluster, start, kind):
     alone = run(start(*FLAGS, environment=fake()), kind, request)
     workers = [cluster.launch(delay_ms=delay_ms) for delay_ms in (0, 3000)]
     cluster.until_there(2)
-    # Workers take no urgent work: there these jobs are like others.
+    # Workers accept no urgent work, so these jobs are like others there.
     job = cluster.service.post(f"/v1/{kind}", {**request, "priority": "interactive"})["id"]
     until(lambda: any(one["leases"] for one in cluster.fleet.status()["sessions"]
                       if one["name"] == "gpu-1"))
@@ -430,7 +430,7 @@ def test_known_keys_are_answered_without_devices(start, tmp_path):
 
 
 def test_another_code_is_told(start, tmp_path):
-    """A training that goes on under another version of the module says so."""
+    """A training that continues under another version of the module reports it."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(delay_ms=300))
     job = service.post("/v1/trainings", {**TRAINING, "checkpoint": {"every_steps": 1}})["id"]
@@ -443,7 +443,7 @@ def test_another_code_is_told(start, tmp_path):
 
 
 def test_a_gradient_that_devices_do_not_support(start):
-    """The processors compute all of it, and the training says so."""
+    """The processors compute all of it, and the training reports it."""
     plain = start()
     expected = run(plain, "trainings", {**TRAINING, "validation": {"every_steps": 0}})
     service = start(*FLAGS, environment=fake(springs=30))
@@ -459,7 +459,7 @@ def test_a_gradient_that_devices_do_not_support(start):
 
 
 def test_stored_scores_say_who_computed_them(start):
-    """Also those of a campaign's bodies that its devices do not support."""
+    """This includes bodies of a campaign that its devices do not support."""
     service = start(*FLAGS, environment=fake(springs=300))
     campaign = run(service, "campaigns", {**CAMPAIGN, "generations": 2})
     assert campaign["device"] == "cuda" and campaign["state"] == "succeeded"

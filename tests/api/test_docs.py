@@ -1,4 +1,4 @@
-"""The examples of docs/api.md work as they stand there."""
+"""The examples of docs/api.md work unchanged."""
 
 import re
 import subprocess
@@ -12,7 +12,7 @@ def test_examples(start, tmp_path):
     running = start()
     script = "set -e\n" + "\n".join(blocks).replace("http://127.0.0.1:8765",
                                                     f"http://{running.host}:{running.port}")
-    # Every transfer must reach the service and, but for the one that shows an error, succeed.
+    # Every transfer must reach the service and, except for the one that shows an error, succeed.
     script = script.replace("curl ", "curl --fail-with-body ")
     script = re.sub(r"^curl --fail-with-body -sN", "! curl -sN", script, flags=re.M)
     wrong = "[0,0,4]]}]}'"

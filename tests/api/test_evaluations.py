@@ -1,4 +1,4 @@
-"""Evaluations: results, waiting, recordings, verification, and designs that come of them."""
+"""Evaluations: results, waiting, recordings, verification, and the designs that they store."""
 
 import math
 import socket
@@ -80,7 +80,7 @@ def test_scores_are_not_computed_twice(service):
 
 
 def test_minus_zero_is_zero(service):
-    """Environments that are equal are one, however their zeros are written."""
+    """Equal environments are the same one, however their zeros are written."""
     place = {"designs": [DESIGN], "physics": {"n_steps": 21}}
     first = service.evaluate(
         {**place, "environments": [{"light_xy_m": [0, 1], "terrain_heights_m": [0] * 64}]}).json()
@@ -126,7 +126,7 @@ def test_short_wait_gives_202(service):
 
 
 def test_clients_that_left_do_not_wait(start):
-    """Those who hang up while they wait do not go on waiting."""
+    """Requests of clients that hang up stop waiting."""
     running = start()
     paused = running.post("/v1/evaluations",
                           {"designs": [DESIGN], "physics": {"n_steps": 1000000}})["id"]
@@ -137,7 +137,7 @@ def test_clients_that_left_do_not_wait(start):
     for sock in waiting:
         sock.sendall(request)
     in_flight = "morphod_http_requests_in_flight"
-    until(lambda: running.metric(in_flight) == 5)  # with the one that asks
+    until(lambda: running.metric(in_flight) == 5)  # including this request
     for sock in waiting:
         sock.close()
     until(lambda: running.metric(in_flight) == 1)
@@ -218,7 +218,7 @@ def test_designs(service):
 
 
 def test_the_first_thousand_rollouts(start):
-    """Of the scores behind them none is shown in part: that would look like a lower bound."""
+    """No score beyond them is shown in part, because that would look like a lower bound."""
     service = start()
     design = {"cells": [[1, 1, 0]]}
     lights = [{"light_xy_m": [3 + 0.001 * k, 3], "terrain_sigma_m": 0, "seed": k}
@@ -238,7 +238,7 @@ def test_the_first_thousand_rollouts(start):
 
 @pytest.mark.parametrize("sort", ("id", "score"))
 def test_designs_from_the_other_end(service, sort):
-    """Page by page as at once: the newest first, or the worst."""
+    """The pages equal the whole list: the newest first, or the worst."""
     bars = [{"cells": [[2, y, 0] for y in range(n)]} for n in range(2, 6)]
     assert service.evaluate({"designs": bars}).status == 200
     path = f"/v1/designs?sort={sort}&order="
@@ -280,14 +280,15 @@ PLACES = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.01, "seed": k} for k i
     ({"designs": [FULL], "physics": {"n_steps": 15000}, "precision": "float32"}, "interactive"),
     ({"designs": [FULL], "physics": {"n_steps": 15000}, "precision": "float64"}, "batch")])
 def test_interactive_is_short(service, request_, priority):
-    """Interactive work overtakes all else, so what takes long is not, whatever was asked for."""
+    """Interactive work overtakes everything else, so long work is never interactive, whatever was
+    requested."""
     job = service.post("/v1/evaluations", {"environments": PLACES[:1], **request_})
     assert service.act(job["id"], "cancel").status in (200, 409)
     assert job["priority"] == priority
 
 
 def test_pausing_frees_the_workers(start):
-    """A block of 16 environments and a million steps takes minutes: a pause breaks it off, as a
+    """A block of 16 environments and a million steps takes minutes: a pause stops it, as a
     cancellation does."""
     running = start("--workers=1")
     job = running.post("/v1/evaluations", {"designs": [FULL], "environments": PLACES,
@@ -300,7 +301,7 @@ def test_pausing_frees_the_workers(start):
     assert running.act(job, "cancel").status in (200, 202)
 
 
-# ---- designs that are no bodies ----
+# ---- designs that are not bodies ----
 
 APART = [[0, 0, 0], [1, 0, 0], [3, 3, 0]]
 MIXED = [
@@ -310,7 +311,7 @@ MIXED = [
 
 
 def test_faulty_designs_are_skipped(service):
-    """Results stand at the places of the request, also of a job that verifies or records."""
+    """Results are at the places of the request, also in a job that verifies or records."""
     request = {"physics": SHORT, "on_fault": "skip", "repair": "largest", "designs": MIXED}
     plain = service.evaluate({"physics": SHORT, "designs": [DESIGN, {"cells": APART[:2]}]}).json()
     for more in ({}, {"verify": True}, {"record": ["com"]}):
@@ -345,7 +346,7 @@ def test_all_designs_are_skipped(service):
 
 
 def test_skipping_skips_no_other_fault(service):
-    """Words after the designs count, too; what is wrong elsewhere is refused."""
+    """The rules also count when they follow the designs. Faults elsewhere are refused."""
     refused = service.request("POST", "/v1/evaluations",
                               {"designs": MIXED, "on_fault": "leave"})
     assert refused.status == 422 and "/on_fault" in refused.pointers()

@@ -11,7 +11,7 @@ from service import CONTRACT, DESIGN, SHORT, soon, until
 
 
 class Stream:
-    """A reader of /v1/events on a socket of its own."""
+    """A reader of /v1/events on its own socket."""
     def __init__(self, service, query="", headers="", timeout=300):
         self.sock = socket.create_connection((service.host, service.port), timeout=timeout)
         self.sock.sendall(
@@ -128,7 +128,7 @@ def test_events_of_a_job_that_never_was(service):
     for query in ("", "&format=json", "&format=csv", "&after=3"):
         reply = service.request("GET", f"/v1/events?job=999999{query}")
         assert reply.status == 404, query
-    # Those of a deleted one stay.
+    # Events of a deleted job stay.
     job = service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
     assert service.request("DELETE", f"/v1/jobs/{job}").status == 200
     assert [event["type"] for event in page(service, f"&job={job}&after=0")["items"]
@@ -197,8 +197,8 @@ def test_streams_end_with_the_service(start):
 
 
 def test_slow_reader_gets_everything_later(service):
-    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the
-    service do not notice."""
+    """More than fits into the buffers of the sockets piles up while one reader sleeps. This does
+    not affect the others and the service."""
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     sock.connect((service.host, service.port))

@@ -1,7 +1,7 @@
-"""The examples of the contract (schema/examples.json): those of requests are sent to a daemon,
-those of replies are held against what it says.
+"""The examples of the contract (schema/examples.json): those of requests are sent to a daemon, and
+those of replies are compared with its replies.
 
-With MORPHO_EXAMPLES=write the examples of replies are written from what the daemon says."""
+With MORPHO_EXAMPLES=write, the examples of replies are written from the replies of the daemon."""
 
 import json
 import os
@@ -15,8 +15,8 @@ OPEN = {"metadata", "measures", "selection", "initial", "environments", "data"}
 
 
 def walk(service):
-    """Calls every operation with a JSON reply; returns method, path, status and reply of each. A
-    request with a body sends the example of its schema."""
+    """Calls every operation with a JSON reply, and returns method, path, status and reply of each.
+    A request with a body sends the example of its schema."""
     def call(method, path, name=None, wait=0, body=None):
         headers = {"Prefer": f"wait={wait}"} if wait else {}
         if body is not None:
@@ -108,7 +108,7 @@ def walk(service):
 
 
 def schema_of(method, path, status):
-    """The operation, and the name of the schema of its reply."""
+    """Returns the operation, and the name of the schema of its reply."""
     operation = CONTRACT.find(path.split("?")[0])[method.lower()]
     reply = CONTRACT.resolve(operation["responses"][str(status)])
     return operation["operationId"], reply["content"]["application/json"]["schema"]["$ref"].rsplit(
@@ -116,7 +116,7 @@ def schema_of(method, path, status):
 
 
 def small(value, name=""):
-    """An example of a reply: of each list the first item, of recordings little."""
+    """Shortens a reply to an example: the first item of each list, and little of recordings."""
     if name == "origin":
         return "a-host"
     if isinstance(value, dict):
@@ -128,7 +128,7 @@ def small(value, name=""):
 
 
 def differences(told, live, name="", path=""):
-    """Where the shape of an example is not that of a reply."""
+    """Returns where the shape of an example differs from that of a reply."""
     if told is None or live is None or name in OPEN:
         return
     if isinstance(told, bool) or isinstance(live, bool) or not (
@@ -159,7 +159,7 @@ def test_examples(start):
         told = EXAMPLES[name]
         if name == "Contract":
             continue
-        # What is optional (results of an evaluation that has ended) may be missing in one of both.
+        # Optional members (results of an evaluation that has ended) may be missing in either.
         told = {key: told[key] for key in told if key in live}
         live = {key: live[key] for key in live if key in told}
         assert not list(differences(told, live)), (method, path, list(differences(told, live)))
@@ -180,7 +180,7 @@ def test_examples(start):
 
 
 def test_examples_fit_the_contract(service):
-    """The served document has one for every JSON, and each is valid."""
+    """The served document has an example for every JSON schema, and each is valid."""
     document = service.get("/openapi.json")
     schemas, responses = document["components"]["schemas"], document["components"]["responses"]
     for name, value in EXAMPLES.items():

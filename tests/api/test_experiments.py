@@ -1,6 +1,6 @@
-"""Experiments that drive a daemon of their own (experiments/*.py), at tiny sizes and on a module
-that computes on the processor: what they write, and that one that was stopped and called again
-gives the same as one that ran through."""
+"""Experiments that run their own daemon (experiments/*.py), at tiny sizes and with a module that
+computes on the processor: what they write, and that a run that was stopped and called again yields
+the same as an uninterrupted one."""
 
 import csv
 import json
@@ -88,8 +88,8 @@ def test_pretraining(tmp_path):
         (whole / "controllers" / name).read_bytes() == (parts / "controllers" / name).read_bytes()
         for name in files)
     assert is_svg(parts / "p.svg")
-    # What is whole in the CSV file needs neither state nor daemon; another recipe gathers beside
-    # it.
+    # A training that is complete in the CSV file needs neither state nor daemon. Another recipe is
+    # added to the file.
     assert bench("pretraining", *PRETRAINING, seeds, "--device=cuda", *NO_DAEMON,
                  *pretraining_in(parts)).stdout == printed
     bench("pretraining", *PRETRAINING, "--seeds=1", "--schedule=paper-pretrain", "--bound=0",
@@ -125,7 +125,7 @@ def test_reproduction(tmp_path):
           f"--folder={parts}", "--modes", "simultaneous", "--limit-s=2", status=CUT_OFF,
           MORPHO_FAKE_DELAY_MS="400")
     assert len(rows(parts / "generations.csv")) < 4
-    # In another order: what was cut off is set aside meanwhile.
+    # In another order: the interrupted campaign is paused meanwhile.
     for modes in (("zero-shot", ), ("zero-shot", "few-shot", "simultaneous")):
         printed = bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'two'}",
                         f"--folder={parts}", "--modes", *modes).stdout
@@ -164,7 +164,7 @@ def test_reproduction(tmp_path):
     report = bench("reproduction", "--report", f"--folder={whole}", f"--markdown={page}")
     assert (whole /
             "champions.svg").read_bytes() == drawn and report.stdout.strip() in page.read_text()
-    # A training whose GPUs were lost: nobody knows on how many it was.
+    # A training whose GPUs were lost: their number is unknown.
     (tmp_path / "p.csv").write_text(
         "recipe,device,machine,row,seed,step,loss,seconds,zeroed,skipped,standard_error\n"
         "one cosine 0.002 / 8 x 6,cuda,,step,1,1,0.5,1,0,0,\n")
@@ -194,7 +194,7 @@ def test_model_card(tmp_path):
 
 
 def first_address(process, folder):
-    """Where the daemon of a benchmark listens, once it does."""
+    """Returns the address of the daemon of a benchmark, once it listens."""
     for _ in range(600):
         if (folder / "address").exists() and (folder / "address").read_text().strip():
             return (folder / "address").read_text().split()[0]
@@ -205,14 +205,14 @@ def first_address(process, folder):
 
 @pytest.fixture
 def long_card(tmp_path):
-    """A benchmark that is at work for some time, and its daemon's address."""
+    """A benchmark that runs for some time, and the address of its daemon."""
     process = subprocess.Popen(
         command("model_card", f"--controller={BOOTSTRAP}", "--bodies=400", "--environments=8",
                 f"--morphod={BINARY}", "--devices=none", "--workers=1",
                 f"--state={tmp_path / 'state'}", f"--markdown={tmp_path / 'page.md'}"),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"MORPHOD_DRAIN_TIMEOUT": "1s"},
-        # It is ignored where the tests run under nohup.
+        # The signal is ignored if the tests run under nohup.
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
     try:
         address = first_address(process, tmp_path / "state")
@@ -255,7 +255,7 @@ def test_evaluation_that_is_paused_by_somebody(long_card):
 
 
 def test_daemon_that_does_not_answer(tmp_path):
-    """It is not left behind."""
+    """No process is left behind."""
     deaf = tmp_path / "deaf"
     deaf.write_text(f"""#!/bin/sh
 echo $$ >{tmp_path / "pid"}

@@ -1,4 +1,4 @@
-"""morphoctl film, picture and dashboard: what they write, and what they say when they cannot."""
+"""morphoctl film, picture and dashboard: what they write, and their errors."""
 
 import struct
 
@@ -47,7 +47,7 @@ LOOKS = "--size 96x64 --rate 10"
 
 
 def test_a_film_of_an_evaluation(ctl, tmp_path):  # noqa: F811
-    """Frame by frame that of the film that is stored nowhere."""
+    """Frame by frame, it equals a film that was computed without storing."""
     one, other = tmp_path / "one.y4m", tmp_path / "other.y4m"
     physics = "--physics n_steps=60"
     assert ctl(f"film {LOOKS} {physics} --environment 3 --output", str(one), CELLS)[0] == 0
@@ -101,7 +101,7 @@ def test_films_are_refused_first(ctl, service, command, words):  # noqa: F811
     before = service.get("/v1/evaluations?limit=1")["items"]
     status, _, said = ctl(command, input_text=CELLS)
     assert status == 2 and words in said
-    assert service.get("/v1/evaluations?limit=1")["items"] == before, "it was computed all the same"
+    assert service.get("/v1/evaluations?limit=1")["items"] == before, "it was computed anyway"
 
 
 def test_a_film_needs_ffmpeg(ctl, service):  # noqa: F811

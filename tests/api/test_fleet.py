@@ -1,4 +1,4 @@
-"""The server for workers of other machines: TLS, tokens, and what it refuses."""
+"""The server for workers on other machines: TLS, tokens, and what it refuses."""
 
 import asyncio
 import http.client
@@ -31,7 +31,7 @@ TOKENS = {"admin": "a-token-that-may-everything-here", "worker": "a-token-of-a-w
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory):
-    """Files of a certificate for this machine, and of its key."""
+    """Returns files with a certificate for this machine and with its key."""
     folder = tmp_path_factory.mktemp("certificate")
     files = folder / "certificate.pem", folder / "key.pem"
     subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",
@@ -75,7 +75,7 @@ def test_only_tls_1_3(fleet):
     plain = http.client.HTTPConnection(fleet.host, fleet.port, timeout=300)
     with pytest.raises((http.client.HTTPException, ConnectionError)):
         fleet.request("GET", "/healthz", connection=plain)
-    # Refusals that bypass the library are encrypted, too.
+    # Refusals that bypass the library are also encrypted.
     fleet.refuses(431, "too large", "GET", "/healthz", X_Long="x" * 20000)
 
 
@@ -88,7 +88,7 @@ def test_tokens_open_one_server_each(fleet, tokens):
     fleet.token = TOKENS["worker"]
     session = fleet.join()
     assert fleet.status()["sessions"][0]["user"] == "node"
-    # Workers may name the service as they like; without a token nobody may.
+    # Workers may address the service by any name; clients without a token may not.
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami", Host="daemon.cluster:8766")
     fleet.token = None
     fleet.refuses(401, "bearer token", "GET", "/v1/whoami", Host="daemon.cluster:8766")
@@ -97,7 +97,7 @@ def test_tokens_open_one_server_each(fleet, tokens):
     worker = {"Authorization": "Bearer " + TOKENS["worker"]}
     assert service.request("GET", "/v1/whoami", headers=worker).status == 401
     assert service.get("/v1/whoami")["right"] == "admin"
-    # Tokens are read again, and the sessions of one that is gone end.
+    # After a reload of the tokens, sessions of a removed token end.
     other = "the-token-of-another-node"
     write_tokens(tokens, ada=("admin", TOKENS["admin"]), other=("worker", other))
     service.process.send_signal(signal.SIGHUP)
@@ -111,7 +111,7 @@ def test_loopback_needs_no_token_where_there_is_none(start, tokens):
     fleet = Workers(start("--fleet-listen=127.0.0.1:0"))
     fleet.refuses(403, "Host field", "GET", "/v1/whoami", Host="elsewhere.example")
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
-    # As soon as there is one of a worker, it is needed.
+    # Once there is a token of a worker, it is required.
     write_tokens(tokens, ada=("admin", TOKENS["admin"]))
     service = start("--fleet-listen=127.0.0.1:0", f"--token-file={tokens}", token=TOKENS["admin"])
     fleet = Workers(service)
@@ -122,7 +122,7 @@ def test_loopback_needs_no_token_where_there_is_none(start, tokens):
 
 
 def test_a_session_is_of_its_token(start, tmp_path):
-    """Another token does nothing with a session, not even who knows its id."""
+    """Another token cannot use a session, even with its id."""
     file, texts = tmp_path / "tokens", {"reader": "may-look-at-everything-and-no-more",
                                         "honest": "a-token-of-an-honest-worker",
                                         "thief": "a-token-of-a-worker-who-lies"}
@@ -152,7 +152,7 @@ def test_a_session_is_of_its_token(start, tmp_path):
 
 
 def test_names_leave_nothing(free):
-    """A worker has an origin in the store when it delivers a result, and not because it joined."""
+    """A worker gets an origin in the store when it delivers a result, not when it joins."""
     def origins():
         with sqlite3.connect(free.service.state / "morphod.db") as database:
             return [text for text, in database.execute("SELECT text FROM origins")]
@@ -171,7 +171,7 @@ def test_names_leave_nothing(free):
 
 @pytest.fixture
 def free(start):
-    """A service that leaves all scores to workers, and asks for no token."""
+    """A service that leaves all scores to workers and requires no token."""
     return Workers(start("--fleet-listen=127.0.0.1:0", "--compute=fleet"))
 
 
@@ -217,7 +217,7 @@ def test_hostile_exchanges_store_nothing(free):
     lease, rows = leases[0]
     assert rows > 0 and sum(n for _, n in leases) <= 6
     good = result(lease, [0.5] * rows)
-    # Messages that are none, or lie: nothing of them is taken, not even the good part.
+    # Malformed or false messages: nothing in them is accepted, not even the valid part.
     wrong = [b"x", results(good)[:-1], results(good) + b"x", results(good, size=1 << 60),
              results(good, n=2), results(good, n=0xFFFFFFFF), results(*[good] * 9),
              results(good, magic=b"MOFLEETL"), results(result(lease, [0.5], rows=0xFFFFFFFF)),
@@ -241,7 +241,8 @@ def test_hostile_exchanges_store_nothing(free):
                          (session + "0" * 18, 404)):
         assert free.exchange(path, results(good))[0] == status
         assert free.orders(path) == status and free.request("DELETE", path)[0] == status
-    # What another holds, what nobody holds, another epoch, too few rows: well formed, and ignored.
+    # A lease of another worker, an unknown lease, another epoch, too few rows: well formed, but
+    # ignored.
     epoch, number = lease
     for whose, body in ((other, good), (session, result((epoch, number + 1000), [0.5] * rows)),
                         (session, result(lease, [0.5] * rows, epoch=epoch - 1)),
@@ -273,14 +274,14 @@ def test_a_result_of_before_a_restart_is_ignored(start, tmp_path):
 
 
 def told(service):
-    """The events of workers; they are stored a little later."""
+    """Returns the events of workers, which are stored a little later."""
     events = service.get("/v1/events?format=json&after=0&limit=1000")["items"]
     return [one["type"][6:] for one in events if one["type"].startswith("fleet.")]
 
 
 def test_a_session_is_lost_with_its_connection(free):
-    """A worker that dies while it waits for orders is known at once, not after its silence; its
-    leases go to others."""
+    """A worker that dies while it waits for orders is noticed immediately, not only after a
+    timeout. Its leases go to others."""
     session, other = free.join(name="one"), free.join(name="two")
     held = free.send(free.connection(), "GET", session + "/orders", Prefer="wait=20")
     job = free.service.post("/v1/campaigns", CAMPAIGN)["id"]
@@ -301,7 +302,7 @@ def test_a_session_is_lost_with_its_connection(free):
 
 
 def test_orders_come_at_once(free):
-    """A drain reaches a worker that waits."""
+    """A drain reaches a waiting worker."""
     service = free.service
     session = free.join()
     number = session.rsplit("/", 1)[1]
@@ -354,14 +355,14 @@ def test_morphoctl_shows_and_changes_workers(free):
 
 
 def flipped(loss):
-    """With another lowest bit."""
+    """Returns the loss with its lowest bit flipped."""
     return struct.unpack("<d", struct.pack("<Q", struct.unpack("<Q", struct.pack("<d", loss))[0]
                                            ^ 1))[0]
 
 
 def lie(free, session, body, spoil=lambda loss: loss):
-    """Lets a worker score a body, and spoil the loss in the last of the environments. The
-    evaluation, and the true losses."""
+    """Lets a worker score a body and falsify the loss in the last environment. Returns the
+    evaluation and the true losses."""
     asked = {"designs": [{"voxels": body}], "environments": "paper-test"}
     truth = [one["loss"] for one in free.service.post("/v1/rollouts", asked)["rollouts"]]
     told = truth[:-1] + [spoil(truth[-1])]
@@ -404,7 +405,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     n = len(truth)
     tag = service.request("GET", path).headers["ETag"]
 
-    # Page by page: what was odd's, and of it what differs.
+    # Page by page: the results of "odd", and those of them that differ.
     pages, after = [], {}
     while not pages or pages[-1]["next"]:
         pages.append(ask(origin=origin, limit=1, **after))
@@ -424,7 +425,8 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
         ask(422, **{"origin": origin} | wrong)
     ask(422)
 
-    # In words; then the losses, their origin, the mean and the tag of the evaluation change.
+    # morphoctl reports it; then the losses, their origin, the mean and the tag of the evaluation
+    # change.
     shown = ctl(origin)
     assert shown.returncode == 3 and f"{3 * n} losses computed again, 2 differ\n" in shown.stdout
     assert different[0]["id"] in shown.stdout and repr(truth[-1]) in shown.stdout
@@ -442,7 +444,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
 
 
 def test_long_rollouts_make_short_pages(free):
-    """A request computes for seconds at most, however long the rollouts are."""
+    """A request computes for at most seconds, however long the rollouts are."""
     service, session, n_steps = free.service, free.join(), 60000
     job = service.post("/v1/evaluations", {
         "designs": [{"cells": [[0, 0, 0], [1, 0, 0]]}, {"cells": [[0, 0, 0], [0, 0, 1]]}],
@@ -458,9 +460,9 @@ def test_long_rollouts_make_short_pages(free):
 
 
 def test_idle_sessions_cost_little(free):
-    """tools/bench fleet does it with ten times as many, for as long as one likes, and looks closer.
-    Here a request may be late, as long as it waits for none of the sessions: they ask for 2 s or
-    longer. Of processor time, a slow machine needs more."""
+    """tools/bench fleet does this with ten times as many, for any time, and measures more. Here a
+    request may be late, as long as it does not wait for any session: their requests last 2 s or
+    longer. A slow machine needs more processor time."""
     p99_s, share, grown = asyncio.run(bench.measure(free, 100, 3))
     print(f"{1e3 * p99_s:.1f} ms, {share:.3f} of a core")
     assert p99_s < 1 and share < 0.25 and grown <= 2
@@ -470,7 +472,7 @@ BATCH = 1056  # two shards
 
 
 def learned(service, mode):
-    """What a training or a campaign gives: hashes of controllers, and scores."""
+    """Returns the results of a training or a campaign: hashes of controllers, and scores."""
     if mode == "training":
         value = {"kind": "pretrain", "steps": 3, "batch": BATCH, "physics": {"n_steps": 20},
                  "validation": {"every_steps": 0}, "name": "by-workers"}
@@ -485,7 +487,7 @@ def learned(service, mode):
 
 @pytest.mark.parametrize("mode", ["training", "zero-shot", "few-shot", "simultaneous"])
 def test_workers_learn_with_the_same_bits(free, start, mode):
-    """Two workers compute all that a daemon learns, the training although one is killed."""
+    """Two workers compute everything that a daemon learns. During the training, one is killed."""
     alone = learned(start(), mode)
     launched = [Worker(f"http://{free.host}:{free.port}") for _ in range(2)]
     try:
@@ -497,7 +499,7 @@ def test_workers_learn_with_the_same_bits(free, start, mode):
         if mode == "training":
             killing.join()
         n = {"training": 3 * BATCH, "zero-shot": 6}.get(mode, BATCH)
-        assert free.status()["rollouts_done"] >= n  # also robots of gradients
+        assert free.status()["rollouts_done"] >= n  # including robots of gradients
     finally:
         for one in launched:
             one.close()

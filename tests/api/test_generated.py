@@ -1,10 +1,9 @@
-"""Requests that schemathesis makes up from the contract, valid ones and others, over all
+"""Requests that schemathesis generates from the contract, valid and invalid ones, for all
 operations.
 
-It is no package of Debian 12, so this runs only where it is asked for:
+It is not a package of Debian 12, so this runs only on request, for this many seconds:
     MORPHO_GENERATED=600 MORPHO_SCHEMATHESIS=…/bin/schemathesis python3 -m pytest
-    tests/api/test_generated.py
-for so many seconds."""
+    tests/api/test_generated.py"""
 
 import os
 import pathlib

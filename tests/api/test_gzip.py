@@ -1,5 +1,5 @@
-"""Replies that are compressed: which, and what becomes of tags, HEAD, ranges and clients that take
-no gzip."""
+"""Compressed replies: which ones are, and how tags, HEAD, ranges and clients without gzip are
+handled."""
 
 import gzip
 import zlib
@@ -15,7 +15,7 @@ COLUMNS = ["format=columns", "format=columns&keep=lineages", "format=csv", "form
 
 @pytest.fixture(scope="module")
 def campaign(service):
-    """The path of a campaign of some thousand designs."""
+    """Returns the path of a campaign with several thousand designs."""
     done = run(service, "campaigns", {
         "mode": "zero-shot", "population": 1000, "generations": 6, "physics": {"n_steps": 2},
         "exclude_pretraining": False,
@@ -24,7 +24,7 @@ def campaign(service):
 
 
 def replies(service, path, **headers):
-    """The plain and the compressed reply; the bodies agree."""
+    """Returns the plain and the compressed reply. Their bodies must agree."""
     plain = service.request("GET", path, headers=headers)
     packed = service.request("GET", path, headers=headers | GZIP)
     assert plain.status == packed.status == 200
@@ -44,7 +44,7 @@ def test_a_phylogeny(service, campaign, query):
         assert {"Accept", "Accept-Encoding"} == set(reply.headers["Vary"].split(", "))
     tag, other = plain.headers["ETag"], packed.headers["ETag"]
     assert tag != other == tag[:-1] + '-gzip"'
-    # A client that has either form has what is there.
+    # A client that has either form has the current content.
     for headers in {}, GZIP:
         for known in tag, other, f'"x", W/{other}':
             reply = service.request("GET", path, headers=headers | {"If-None-Match": known})
@@ -57,7 +57,7 @@ def test_a_phylogeny(service, campaign, query):
 
 @pytest.mark.parametrize("query", COLUMNS)
 def test_head_and_ranges(service, campaign, query):
-    """HEAD says what GET would; a range is not served, from either form."""
+    """HEAD replies like GET. Ranges are not served from either form."""
     path = f"{campaign}/phylogeny?{query}"
     for headers in {}, GZIP:
         whole = service.request("GET", path, headers=headers)
@@ -69,7 +69,7 @@ def test_head_and_ranges(service, campaign, query):
 
 
 def test_a_long_reply_comes_in_pieces(service, start):
-    """More than one piece: no length is told, and what comes is whole."""
+    """More than one piece: there is no length, and the content is complete."""
     big = start()
     done = run(big, "campaigns", {
         "mode": "zero-shot", "population": 4000, "generations": 2, "physics": {"n_steps": 1},
@@ -79,7 +79,7 @@ def test_a_long_reply_comes_in_pieces(service, start):
     plain, packed = replies(big, path)
     assert len(plain.body) > 2 ** 21
     assert packed.headers["Transfer-Encoding"] == "chunked"
-    # A reader that stops half way disturbs nobody.
+    # A reader that stops halfway does not disturb others.
     connection = big.connection()
     connection.request("GET", path, headers=GZIP)
     head = connection.getresponse().read(50000)
@@ -117,8 +117,8 @@ def test_what_the_build_has_compressed(service):
 
 
 def test_what_stays_plain(service, campaign):
-    """Small replies; those of event loops; numbers that hardly shrink; problems; and all of them
-    where gzip is not taken."""
+    """Small replies, those of event loops, numbers that hardly shrink, problems, and all replies to
+    clients that do not accept gzip."""
     recorded = service.evaluate({"designs": [DESIGN], "record": ["masses"], "physics": SHORT})
     file = f"/v1/evaluations/{recorded.json()['id']}/trajectories/0/file"
     for path in "/v1/jobs?limit=1", "/metrics", "/v1/threads", file, "/v1/none":

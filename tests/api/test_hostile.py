@@ -1,4 +1,4 @@
-"""Clients that want to use up the service's memory."""
+"""Clients that try to exhaust the memory of the service."""
 
 import contextlib
 import json
@@ -31,13 +31,13 @@ HOSTILE = {
 
 
 def memory(service):
-    """Resident bytes that belong to no file."""
+    """Returns resident bytes that belong to no file."""
     text = pathlib.Path(f"/proc/{service.process.pid}/status").read_text()
     return 1024 * int(re.search(r"RssAnon:\s+(\d+) kB", text)[1])
 
 
 def attack(service, n, at_once=100):
-    """Connections in groups: each sends, some read what comes, all leave."""
+    """Opens connections in groups: each sends, some read the reply, and all leave."""
     kinds = list(HOSTILE.values())
     for first in range(0, n, at_once):
         with contextlib.ExitStack() as stack:
@@ -57,14 +57,14 @@ def attack(service, n, at_once=100):
 
 
 def await_quiet(service):
-    """Waits until the service has only the connection that asks."""
+    """Waits until the service has only this connection."""
     until(lambda: service.metric("morphod_http_connections") == 1)
 
 
 def test_hostile_connections_leave_nothing_behind(start):
     service = start("--log-level=error", "--header-timeout=1s", "--body-timeout=1s",
                     "--max-connections=2048")
-    attack(service, 2000)  # what a service takes once
+    attack(service, 2000)  # memory that a service allocates once
     await_quiet(service)
     before = memory(service)
     attack(service, N_CONNECTIONS)

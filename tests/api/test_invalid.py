@@ -1,4 +1,4 @@
-"""Jobs that cannot be: each request with its status and, where there is a place, its JSON pointer.
+"""Invalid jobs: each request with its status and, if there is a place, its JSON pointer.
 schema/openapi.yaml and the service agree on what a request is."""
 
 import collections
@@ -16,8 +16,8 @@ PLACE = {"light_xy_m": [4.5, 2.5], "terrain_heights_m": FLAT}
 ROUGH = {"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.1, "seed": 1}
 BLOCK = {"voxels": "1" * 144}
 
-# Where the fault is (a JSON pointer), and values of the request's field that have it there.
-CELLS = {  # of a second design
+# The place of a fault (a JSON pointer), and values of the field that have a fault there.
+CELLS = {  # for a second design
     "": [[], [[0, 0, 0]] * 145],
     "/1": [[[0, 0, 0], [1, 1, 0]]],  # they touch by an edge
     "/2": [[[0, 0, 0], [1, 0, 0], [3, 0, 0]], [[0, 0, 0], [1, 0, 0], [0, 0, 0]]],
@@ -27,7 +27,7 @@ CELLS = {  # of a second design
     "/1/1": [[[0, 0, 0], [0, 6, 0]]],
     "/0/2": [[[0, 0, 4]], [[0, 0, 2**60]]],
 }
-ENVIRONMENT = {  # of a second environment
+ENVIRONMENT = {  # for a second environment
     "": [{"terrain_heights_m": FLAT}, {"light_xy_m": [1, 1]}, PLACE | ROUGH,
          {"light_xy_m": [1, 1], "terrain_sigma_m": 0.1}, "paper-test"],
     "/terrain_heights_m": [PLACE | {"terrain_heights_m": FLAT[1:]},
@@ -60,7 +60,7 @@ COMMON = {
     "/weight": [0, -1, 0.0009, 1000.1, 1e300, "2", None],
 }
 SEED = {"/seed": [-1, 2**53]}
-LEARNING = {  # what trainings and campaigns say of it
+LEARNING = {  # settings of trainings and campaigns
     "/batch": [0, -1, 65537],
     "/schedule": ["paper", "cosine", 0.001, None, {"peak": 0.001}],
     "/schedule/kind": [{"kind": "linear"}],
@@ -109,7 +109,7 @@ TRAINING = {
     "/preset": ["demo", "Paper", "", 2, None, {"name": "paper"}, "x" * 50],
     "/name": ["Walker", "../walker", "", "1" * 65, None],
     "/sensor": ["camera"],
-    "/designs": [[DESIGN]],  # of a pretraining
+    "/designs": [[DESIGN]],  # in a pretraining
     "/steps": [0, -5, 10**9, 10**6 + 1, 10**30, 0.5, "60"],
     "/validation": [50],
     "/validation/every_steps": [{"every_steps": -1}],
@@ -163,10 +163,10 @@ CAMPAIGN = {
     "/selection/size": [{"kind": "tournament", "size": 1}, {"kind": "novelty", "size": 4}],
     "/selection/weight": [{"kind": "novelty", "weight": 2}],
     "/selection/layers": [{"kind": "age-layered", "layers": 1}],
-    "/learning": [{"parent_steps": 1}],  # of zero-shot
+    "/learning": [{"parent_steps": 1}],  # in a zero-shot campaign
     "/exclude_pretraining": [1],
     "/collapse_share": [1.5],
-    "/name": ["walker"],  # of what does not learn
+    "/name": ["walker"],  # in a campaign that does not learn
     **COMMON, **SEED,
 }
 FEW_SHOT = {
@@ -196,7 +196,7 @@ TABLES = [
 ]
 PLACES = [(kind, base, pointer, table[pointer]) for kind, base, table in TABLES
           for pointer in table]
-# Faults of several fields at once, and of the whole.
+# Faults of several fields together, and of the whole body.
 TOGETHER = [
     *((kind, value, [""]) for kind in ("evaluations", "trainings", "campaigns")
       for value in ([], "designs", {})),
@@ -274,8 +274,8 @@ def test_together(service, kind, value, pointers):
     refused(service, kind, value, pointers)
 
 
-# How many of these requests a schema takes, by the first place: what is wrong with them depends on
-# several fields, or on what the service has.
+# How many of these requests fit the schema, by the first place: their faults depend on several
+# fields, or on the state of the service.
 BEYOND_SCHEMA = {
     "evaluations": {"": 1, "/designs/0/voxels": 2, "/designs/0/id": 2, "/designs/1/cells/1": 1,
                     "/designs/1/cells/2": 2, "/controller": 2, "/record": 1, "/record_stride": 1},
@@ -304,7 +304,7 @@ def test_the_contract_refuses_the_same(kind):
 
 
 DESIGNS = '{"designs":[{"cells":[[0,0,0]]}],'
-# Numbers that JSON can write and float64 cannot hold, or only beside what is written.
+# Numbers that JSON can write but float64 cannot represent, or only approximately.
 HUGE = [
     ("evaluations", DESIGNS + '"environments":[{"light_xy_m":[1,1],"terrain_heights_m":[1e400%s]}]}'
      % (",0" * 63), "/environments/0/terrain_heights_m/0"),

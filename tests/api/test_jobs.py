@@ -1,5 +1,5 @@
-"""What evaluations, trainings and campaigns share as jobs: lists, labels, keys, waiting, control,
-events, metrics, and what is not there."""
+"""What evaluations, trainings and campaigns have in common as jobs: lists, labels, keys, waiting,
+control, events, metrics, and unknown ids."""
 
 import concurrent.futures
 import time
@@ -37,7 +37,7 @@ BELOW = {
                   "/designs/0/ancestors", "/designs/0/descendants", "/phylogeny", "/checkpoints",
                   "/phylogeny?format=csv", "/phylogeny?format=newick", "/champions"],
 }
-COUNTED = {  # at least so much after one job
+COUNTED = {  # at least this much after one job
     "evaluations": {"morphod_rollouts_total": 10},
     "trainings": {"morphod_training_steps_total": 3, "morphod_training_checkpoints_total": 1,
                   "morphod_training_robots_total": 6, "morphod_training_step_seconds_total": 1e-9,
@@ -87,7 +87,7 @@ def test_lists(service, ended, kind):
     assert seen == sorted(set(seen), key=int, reverse=True) and done["id"] in seen
     listed = service.pages(f"/v1/{kind}?state=succeeded")
     shown = service.get(f"/v1/jobs/{done['id']}") if kind == "evaluations" else done
-    for long in ("founders", "notes"):  # lists leave out what can be as long as a population
+    for long in ("founders", "notes"):  # lists omit members that can be as long as a population
         shown.pop(long, None)
     assert shown in listed and "results" not in shown
     service.tagged(f"/v1/{kind}?state=succeeded")
@@ -104,7 +104,7 @@ def test_lists(service, ended, kind):
 
 
 def test_what_has_a_label_is_found(service):
-    label = "für Ä & %  " + "😀" * 189  # as long as one may be
+    label = "für Ä & %  " + "😀" * 189  # of the largest length
     first = service.post("/v1/campaigns", CAMPAIGN | {"label": label, "replicates": 2})["id"]
     campaigns = [str(int(first) + 1), first]
     for id in campaigns:
@@ -126,7 +126,7 @@ def test_what_has_a_label_is_found(service):
 
 @each_kind
 def test_idempotency(service, ended, kind):
-    """The same key gives the same job, quoted or not, and also under a race; not with another
+    """The same key returns the same job, quoted or not, and also in a race, but not with another
     body."""
     def submit(key):
         return service.request("POST", f"/v1/{kind}", JOBS[kind], headers={"Idempotency-Key": key})
@@ -211,7 +211,7 @@ def test_wait(service, kind):
 
 
 def position(job):
-    """How far a job has come."""
+    """Returns the progress of a job."""
     of_kind = job.get(job["kind"], {})
     return of_kind.get("step", of_kind.get("generation", job.get("rollouts_done")))
 

@@ -76,7 +76,8 @@ def test_notes_and_the_archive(service):
 
 
 def test_deletion(service):
-    """What goes is gone at once; what others need stays, and so do designs, scores, controllers."""
+    """What is deleted is gone at once. What others need stays, and so do designs, scores and
+    controllers."""
     job = evaluate(service, record=["com"])["id"]
     reply = delete(service, job)
     assert reply.status == 200 and reply.json()["recorded_bytes"] > 0
@@ -87,7 +88,7 @@ def test_deletion(service):
         assert service.request("GET", path).status == 404, path
     assert delete(service, job).status == 404
     assert evaluate(service)["rollouts_cached"] > 0
-    # A campaign from whose population another was bred.
+    # A campaign whose population is the start of another.
     first = run(service, "campaigns", SMALL | {"replicates": 2})["id"]
     second = await_end(service, f"/v1/campaigns/{int(first) + 1}").json()["id"]
     bred = run(service, "campaigns", SMALL | {"initial": {"campaign": second}})["id"]
@@ -145,7 +146,7 @@ def test_usage_survives_a_kill(start, tmp_path):
 
 
 def test_retention(start, tmp_path):
-    """Evaluations go by age; those that somebody noted or archived stay."""
+    """Evaluations are deleted by age; those with a note or in the archive stay."""
     first = start(state=tmp_path)
     jobs = [evaluate(first, record=["com"])["id"] for _ in range(4)]
     edit(first, jobs[0], note="for the paper")
@@ -169,8 +170,8 @@ def test_retention(start, tmp_path):
 
 
 def test_retention_of_runs(start, tmp_path):
-    """Trainings and campaigns go by age, each kind by its own rule; what another needs stays, and
-    so does a controller."""
+    """Trainings and campaigns are deleted by age, each kind by its own rule. What another job needs
+    stays, and so does a controller."""
     first = start(state=tmp_path)
     taught = run(first, "trainings", {
         "kind": "pretrain", "name": "stays", "steps": 1, "batch": 1, "physics": {"n_steps": 5},

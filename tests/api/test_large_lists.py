@@ -60,7 +60,7 @@ def test_few_hexadecimal_voxels(service, bodies):
 
 
 def test_restart_while_they_are_stored(start, tmp_path, bodies):
-    """What waits is stored after a pause and a restart, and goes with the job."""
+    """Waiting designs are stored after a pause and a restart, and deleted with the job."""
     designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies] * 4
     service = start(state=tmp_path / "state")
     job = service.post("/v1/evaluations", WORLD | {"designs": designs})
@@ -145,6 +145,6 @@ def test_morphoctl(ctl, bodies, tmp_path):  # noqa: F811
     status, shown, said = ctl("eval --physics n_steps=10 --best 3 --environments", str(world),
                               str(file))
     assert status == 0 and "@" in shown, said
-    for line in shown.splitlines()[1:]:  # each row has the name of its design
+    for line in shown.splitlines()[1:]:  # each row names its design
         assert line[0] == "…" or f"n{line.split()[0]}" in line.split(), line
     assert "10,400 rollouts" in said and "export evaluations/" in said

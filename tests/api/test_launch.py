@@ -1,4 +1,4 @@
-"""The files that start workers, as morphoctl prints them: what the engines would make of them."""
+"""The files that start workers, as morphoctl prints them: how the engines would read them."""
 
 import inspect
 import re
@@ -38,7 +38,7 @@ def test_a_slurm_job_starts_a_worker(tmp_path):
 
 
 def faults_of(value, kind, place, models):
-    """What of a document is not as the models of Kubernetes say."""
+    """Returns how a document differs from the models of Kubernetes."""
     if kind.startswith(("list[", "dict(")):
         inner = kind[5:-1].split(", ")[-1]
         items = value if isinstance(value, list) else list(value.values())

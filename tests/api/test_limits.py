@@ -1,4 +1,4 @@
-"""One client cannot shut out the others: rates, connections, memory of bodies, and who counts as
+"""One client cannot lock out the others: rates, connections, memory of bodies, and what counts as
 one client."""
 
 import contextlib
@@ -17,7 +17,7 @@ import service as service_module
 from service import BOOTSTRAP, CONTRACT, DESIGN, PATIENCE_S, SHORT, until
 
 EVALUATION = {"designs": [DESIGN], "physics": SHORT}
-USERS = (4001, 4002)  # of no account; only root can open connections as they
+USERS = (4001, 4002)  # without accounts; only root can open connections as these users
 IN_FLIGHT = "morphod_http_requests_in_flight"
 LIBC = ctypes.CDLL(None)
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="connections of several users need root")
@@ -25,7 +25,7 @@ as_root = pytest.mark.skipif(os.geteuid() != 0, reason="connections of several u
 
 @contextlib.contextmanager
 def user(uid):
-    """Sockets that are opened meanwhile belong to this user (setfsuid is of this thread alone)."""
+    """Sockets that are opened inside belong to this user (setfsuid affects only this thread)."""
     LIBC.setfsuid(uid)
     try:
         yield
@@ -39,7 +39,7 @@ def dial(service, uid=None):
 
 
 def half(sock, size, sent):
-    """The beginning of a submission: `sent` of its `size` bytes."""
+    """Sends the beginning of a submission: `sent` of its `size` bytes."""
     sock.sendall(
         b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         b"Content-Length: %d\r\n\r\n" % size + b" " * sent)
@@ -47,7 +47,7 @@ def half(sock, size, sent):
 
 
 def endless(service, **how):
-    """A job that does not end by itself."""
+    """Submits a job that does not end by itself."""
     value = EVALUATION | {"priority": "batch", "precision": "float64",
                           "physics": {"n_steps": 100000}}
     job = service.post("/v1/evaluations", value, **how)["id"]
@@ -56,7 +56,7 @@ def endless(service, **how):
 
 
 def status(sock):
-    """The status of the reply that comes; 0: the connection ends without one."""
+    """Returns the status of the next reply; 0: the connection ends without one."""
     with contextlib.suppress(ConnectionError):
         return int(sock.recv(65536)[9:12] or 0)
     return 0
@@ -76,7 +76,7 @@ def test_rate_covers_whatever_submits_or_stores(start):
         refused = [reply for reply in seen if reply.status == 429]
         assert refused, (path, [reply.status for reply in seen])
         assert all(reply.headers["Retry-After"] == "1" for reply in refused)
-    # A client that sends too much can still stop what runs.
+    # A client that sends too much can still stop its jobs.
     assert 429 not in {service.request("POST", "/v1/jobs/1/pause").status for _ in range(12)}
 
 
@@ -145,7 +145,7 @@ FLOODS = {
 @pytest.mark.parametrize("flood", FLOODS)
 @pytest.mark.parametrize("who", ["user", "token"])
 def test_who_computes_much_keeps_nobody_waiting(start, tmp_path, flood, who):
-    """While one client's requests compute, another's lists, rollouts and bodies come."""
+    """While requests of one client compute, another client gets its lists, rollouts and bodies."""
     if who == "user" and os.geteuid() != 0:
         pytest.skip("connections of several users need root")
     n, path, value = FLOODS[flood]
@@ -167,22 +167,22 @@ def test_who_computes_much_keeps_nobody_waiting(start, tmp_path, flood, who):
              ("POST", "/v1/bodies/random", {"count": 3, "seed": 1})]
     for method, where, content in asked * 2:
         assert service.request(method, where, content, headers=own).status == 200
-    # Most of the others still wait: what came later did not wait for them.
+    # Most of the others still wait: later requests did not wait for them.
     assert len(select.select(flooding, [], [], 0)[0]) < n // 2
     for sock in flooding:
         sock.close()
 
 
 def until_in_flight(service, n):
-    """Waits for n requests beside the one that asks. That one comes on one connection: the end of
-    a request on another may be counted late, in place of one that has not arrived."""
+    """Waits for n requests in addition to this one. This one always uses the same connection: the
+    end of a request on another might be counted late, instead of one that has not arrived."""
     asking = service.connection()
     until(lambda: service.metric(IN_FLIGHT, connection=asking) == n + 1)
     asking.close()
 
 
 def streams(service, n):
-    """Connections that do not give way."""
+    """Opens connections that are never closed in favor of others."""
     held = [dial(service) for _ in range(n)]
     for sock in held:
         sock.sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -191,7 +191,7 @@ def streams(service, n):
 
 
 def ended(sock):
-    """The service has closed it, without a word."""
+    """Returns whether the service has closed it without a reply."""
     sock.settimeout(PATIENCE_S)
     try:
         return sock.recv(100) == b""
@@ -215,9 +215,9 @@ def is_quiet(sock):
 
 def test_idle_connections_give_way_oldest_first(start):
     service = start("--max-connections=64", "--header-timeout=60s")  # of which 8 are kept
-    time.sleep(0.5)  # those that asked whether it is ready are gone
+    time.sleep(0.5)  # the readiness checks have closed their connections
     used = service.connection(
-    )  # the first to come, but not the one that has been idle for the longest
+    )  # the first to arrive, but not the one that has been idle the longest
     used.connect()
     working = streams(service, 20)
     waiting = service.connection()
@@ -226,7 +226,7 @@ def test_idle_connections_give_way_oldest_first(start):
     until(lambda: service.metric("morphod_http_connections", connection=used) == 1 + 20 + 1 + 34)
     for _ in range(30):
         assert service.request("GET", "/v1/jobs").status == 200
-    # At most one for each, and fewer where a connection of a request before is gone or gave way.
+    # At most one for each, and fewer if a connection of an earlier request is closed already.
     gone = service.metric("morphod_http_connections_gave_way_total")
     closed = [not is_open(sock) for sock in idle]
     assert sum(closed) <= gone <= 40 and closed == sorted(closed, reverse=True), (gone, closed)
@@ -262,7 +262,7 @@ def test_kept_connections_are_for_health(start, tmp_path):
             "Connection"] == "close"
         connection = service.connection(unix=True)
         assert service.request("GET", "/v1/jobs", connection=connection).status == 200
-    # They are held on the unix socket, too: what is left is for health.
+    # The same holds on the unix socket: the rest is for health checks.
     waiting = [service.connection(unix=True) for _ in range(4)]
     job = endless(service, unix=True)
     until_in_flight(service, 56)
@@ -278,7 +278,7 @@ def test_kept_connections_are_for_health(start, tmp_path):
 
 
 def whole(service, size):
-    """The status of a submission of so many bytes."""
+    """Returns the status of a submission of this many bytes."""
     body = json.dumps(EVALUATION).ljust(size)
     return service.request("POST", "/v1/evaluations", body=body).status
 
@@ -288,7 +288,7 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
     service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service), 1000000, 600000) for _ in range(4)]
     for _ in range(20):
-        held[0].sendall(b" " * 17000)  # this one goes on, if slowly
+        held[0].sendall(b" " * 17000)  # this one continues slowly
         time.sleep(0.5)
         if (last := whole(service, 900000)) == 202:
             break
@@ -307,7 +307,7 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
 
 @as_root
 def test_unread_replies_take_half_of_the_memory(start):
-    """Who does not read large replies leaves memory to those who upload."""
+    """Clients that do not read large replies leave memory for uploads."""
     # 24 MiB: 12 for one client, 21 for all large bodies and replies.
     service = start("--max-body=1M", "--max-controller=3M", "--max-bundle=1M")
     scene = json.dumps({  # of 4.8 MB
@@ -330,7 +330,7 @@ def test_unread_replies_take_half_of_the_memory(start):
     assert upload.status in (200, 201), upload.body
     for sock, _ in seen:
         sock.close()
-    # What was never read is forgotten with its connection.
+    # Unread replies are dropped with their connection.
     until(lambda: service.metric(IN_FLIGHT) == 1)
     with user(USERS[0]):
         reply = service.request("POST", "/v1/rollouts", body=scene, headers={
@@ -343,7 +343,7 @@ def test_half_sent_bodies_of_all_users_give_way(start):
     service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service, uid), 1000000, 600000) for uid in USERS for _ in range(4)]
     time.sleep(0.5)
-    assert whole(service, 1000) == 202  # of the memory that is kept for small ones
+    assert whole(service, 1000) == 202  # from the memory reserved for small ones
     until(lambda: whole(service, 900000) == 202)
     assert not all(is_quiet(sock) for sock in held)
 
@@ -357,7 +357,7 @@ def test_connections_fit_the_limit_of_open_files(start, monkeypatch, tmp_path):
     held = [dial(service) for _ in range(300)]
     assert service.evaluate(EVALUATION).status == 200
     assert 64 <= service.metric("morphod_http_connections_max") <= 192
-    assert re.search(r"warning: the limit of open files .*max_connections=1024 used=\d+",
+    assert re.search(r"warning: the limit on open files .*max_connections=1024 used=\d+",
                      service.log_text())
     assert held
 
@@ -365,13 +365,13 @@ def test_connections_fit_the_limit_of_open_files(start, monkeypatch, tmp_path):
 def test_connections_that_fit_need_no_word(start):
     service = start("--max-connections=64")
     assert service.metric("morphod_http_connections_max") == 64
-    assert "limit of open files" not in service.log_text()
+    assert "limit on open files" not in service.log_text()
 
 
 @as_root
 def test_one_user_does_not_shut_out_another(start):
-    """64 waits, 1,024 idle connections and four half-sent bodies of one user; prints what another
-    user and health checks feel."""
+    """64 waits, 1,024 idle connections and four half-sent bodies of one user. Prints the effect on
+    another user and on health checks."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
     service = start("--header-timeout=10min")

@@ -1,4 +1,4 @@
-"""A log that nobody reads: the service goes on, lines are dropped and counted, and the end comes in
+"""A log without a reader: the service continues, lines are dropped and counted, and it stops in
 time."""
 
 import fcntl
@@ -12,14 +12,14 @@ import pytest
 
 from service import soon
 
-REQUESTS = 6000  # 260 bytes of log each at least: more than the buffer's 1 MiB
+REQUESTS = 6000  # at least 260 bytes of log each: more than the buffer of 1 MiB
 DROPPED = "morphod_log_lines_dropped_total"
 PATH = "/" + "x" * 180
 
 
 @pytest.fixture
 def unread():
-    """A pipe: (the end to read, the end to write)."""
+    """A pipe: (read end, write end)."""
     ends = list(os.pipe())
     fcntl.fcntl(ends[1], fcntl.F_SETPIPE_SZ, 4096)
     yield ends

@@ -1,4 +1,4 @@
-"""The gauges of running jobs in /metrics, and what reads them: data/grafana."""
+"""The gauges of running jobs in /metrics, and their users in data/grafana."""
 
 import json
 import pathlib
@@ -76,7 +76,7 @@ def test_running_jobs(start):
 
 
 def test_only_so_many(start):
-    """The heaviest, and the newest of those that weigh the same."""
+    """The jobs with the largest weight, and the newest of equal weight."""
     service = start("--max-campaigns=40")
     first = int(service.post("/v1/campaigns", LONG["campaign"] | {"replicates": 40})["id"])
     ids = [str(id) for id in range(first, first + 40)]
@@ -90,7 +90,7 @@ def test_only_so_many(start):
 # ---- Grafana and Prometheus ----
 
 def queries():
-    """What the panels ask, with values for Grafana's variables."""
+    """Returns the queries of the panels, with values for Grafana's variables."""
     asked = [target["expr"] for panel in DASHBOARD["panels"] for target in panel.get("targets", [])]
     asked += [note["expr"] for note in DASHBOARD["annotations"]["list"]]
     return [query.replace("$instance", ".+").replace("$__rate_interval", "5m") for query in asked]
@@ -129,8 +129,8 @@ def test_every_metric_that_is_read_exists(page):
 
 
 def test_dashboard():
-    """Every panel has a place of its own, asks the chosen source for the chosen services, and says
-    what it shows."""
+    """Every panel has its own place, queries the chosen source for the chosen services, and
+    describes what it shows."""
     panels, places = DASHBOARD["panels"], set()
     assert len({panel["id"] for panel in panels}) == len(panels)
     for panel in panels:
@@ -162,7 +162,7 @@ def test_promtool_takes_the_page_and_the_rules(page, tmp_path):
              queries=json.dumps({"groups": [{"name": "panels", "rules": rules}]}))
 
 
-# When an alert fires: what it sees each minute for an hour, and what it then says.
+# When an alert fires: the values of each minute for an hour, and the message.
 SEEN = {
     "MorphodDown": {'up{job="morphod"}': "0x60"},
     "MorphodNotReady": {"morphod_ready": "0x60"},
@@ -190,7 +190,7 @@ SEEN = {
     "MorphodConnectionsUsedUp": {"morphod_http_connections": "91x60",
                                  "morphod_http_connections_max": "100x60"},
 }
-# The same of a service that is well: nothing fires.
+# The same for a healthy service: no alert fires.
 WELL = {
     'up{job="morphod"}': "1x60", "morphod_ready": "1x60", "morphod_store_no_space": "0x60",
     "morphod_store_commits_total": "0+9x30 1+9x30", 'morphod_jobs{state="queued"}': "3x60",

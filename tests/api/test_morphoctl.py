@@ -1,5 +1,5 @@
-"""morphoctl against the daemon itself. Its behavior towards servers that break is tested in
-tests/unit/morphoctl."""
+"""morphoctl with a real daemon. tests/unit/morphoctl tests its behavior with servers that
+misbehave."""
 
 import hashlib
 import json
@@ -41,7 +41,7 @@ def test_a_study(ctl, tmp_path):
     status, out, err = ctl(f"campaign start study -q --population 20 {SHORT}")
     assert status == 0, err
     id = out.strip()
-    assert "batch 0 has not come" in ctl(f"campaign show {id}")[1]
+    assert "waiting for batch 0" in ctl(f"campaign show {id}")[1]
     asked = ctl(f"study ask {id} 8")[1]
     assert asked.count("\n") == 8 and ctl(f"study ask {id} 8")[1] == asked
     (tmp_path / "sampler").write_bytes(bytes(range(256)))
@@ -122,7 +122,8 @@ def test_bodies_of_other_programs_are_refused(ctl, text, said):
 
 
 def test_lists_of_cells_are_read(ctl):
-    """Cells in one piece, in any order; those that are named, or cannot be a robot, in several."""
+    """Cells in one piece, in any order. Named cells, and cells that cannot be a robot, may be in
+    several pieces."""
     for text in ("[[2,2,0],[3,2,0]]", "[[3,3,1],[1,3,1],[2,3,1]]", "[[4,4,3]]",
                  '{"cells": [[0,3,3],[1,1,0],[4,0,0]]}', "[[0,0,0],[1,0,0],[4,0,0]]",
                  "[[5,3,3],[1,1,0]]"):
@@ -155,7 +156,7 @@ def test_designs(ctl):
     assert status == 0 and identity in out
     assert json.loads(ctl(f"design show {identity} --json")[1])["id"] == identity
     ctl("eval",
-        input_text=CELLS)  # the paper's test set with the default physics: what is sorted by score
+        input_text=CELLS)  # the paper's test set with the default physics: can be sorted by score
     status, out, _ = ctl("design list --sort score --limit 1")
     assert status == 0 and len(out.splitlines()) == 2
     newest, oldest = (json.loads(ctl(f"design list --all --json --order {order}")[1])["items"]
@@ -164,7 +165,7 @@ def test_designs(ctl):
 
 
 def test_made_bodies(ctl, tmp_path):
-    """What these commands print, they and the others read."""
+    """All commands read the output of these commands."""
     status, random, _ = ctl("design random --count 6 --seed 3")
     assert status == 0 and len(random.splitlines()) == 6
     assert ctl("design random -n 2 --seed 3")[1] == "".join(random.splitlines(True)[:2])
@@ -314,7 +315,7 @@ def test_status(ctl):
 
 
 def test_wait_over_a_restart(start, ctl, tmp_path):
-    """The exit status is that of the jobs, also over a restart; then a command runs."""
+    """The exit status reflects the jobs, also across a restart. Then a command runs."""
     first = start(state=tmp_path)
     address, marks = first.addresses[0], tmp_path / "marks"
     job = ctl("campaign start zero-shot --preset demo -n 100000 -q", server=address)[1].strip()
@@ -333,7 +334,7 @@ def test_wait_over_a_restart(start, ctl, tmp_path):
 
 
 def test_bundles(service, ctl, tmp_path):
-    """By each word that names campaigns, and by one only."""
+    """Exports by each option that names campaigns, but only by one at a time."""
     path = str(tmp_path / "one.tar.zst")
     id = run(service, "campaigns", {
         "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 20},
@@ -408,7 +409,7 @@ def test_unix_socket_and_token(start, ctl, tmp_path):
 
 
 def test_a_token_by_its_name(start, ctl, tmp_path):
-    """A file of several asks whose token to use, and says no token itself."""
+    """With a file of several tokens, it asks for a name, and shows no token."""
     tokens = tmp_path / "tokens"
     tokens.write_text("# who\nanna\tread  the-token-of-anna-here\n\n"
                       "ben submit the-token-of-ben-here # new\n")

@@ -1,4 +1,4 @@
-"""morphoctl and what runs for long: trainings and campaigns."""
+"""morphoctl with long jobs: trainings and campaigns."""
 
 import fcntl
 import hashlib
@@ -120,8 +120,8 @@ def test_training_pause_resume_cancel(ctl):
 
 
 def watch_on_a_terminal(service, command, job, until_seen, farewell):
-    """What 24 lines of 80 columns show until all of `until_seen` came and Ctrl-C was pressed,
-    without the escapes."""
+    """Returns the text on a terminal of 24 lines and 80 columns until all of `until_seen` has
+    appeared and Ctrl-C was pressed, without escapes."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
     watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job],
@@ -152,7 +152,7 @@ def watch_on_a_terminal(service, command, job, until_seen, farewell):
 
 
 def test_watching_a_training_on_a_terminal(service, ctl):
-    """The live view fits 80 columns with all its numbers; Ctrl-C leaves the training alone."""
+    """The live view fits 80 columns with all its numbers. Ctrl-C does not affect the training."""
     job = ctl("train start pretrain --steps 100000 --batch 2 --physics n_steps=20 "
               "--checkpoint-steps 50 --validation-designs 2")[1].strip()
     view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"),
@@ -259,7 +259,7 @@ def test_campaigns_that_learn_and_replicates(service, ctl):
 
 
 def test_campaigns_are_compared(service, ctl):
-    """With the numbers of the definition; those that ended early are left out and named."""
+    """The numbers follow the definition. Campaigns that ended early are left out and named."""
     a, b = (ctl(f"campaign start zero-shot {SMALL} -n 2 --replicates 3 --seed {seed} -q")[1].split()
             for seed in (1, 11))
     assert ctl("wait", *a, *b)[0] == 0
@@ -283,7 +283,7 @@ def test_campaigns_are_compared(service, ctl):
 
 
 def test_campaigns_that_do_not_compare(service, ctl):
-    """Other physics or worlds are refused; what else differs is named."""
+    """Different physics or worlds are refused; other differences are named."""
     def start(more):
         job = ctl(f"campaign start zero-shot {SMALL} -n 1 {more} -q")[1].strip()
         assert ctl("wait", job)[0] == 0
@@ -332,7 +332,7 @@ def test_wrong_campaigns(ctl):
 
 
 def test_watching_a_campaign_on_a_terminal(service, ctl):
-    """The live view fits 80 columns and 24 lines; Ctrl-C leaves the campaign alone."""
+    """The live view fits 80 columns and 24 lines. Ctrl-C does not affect the campaign."""
     job = ctl(f"campaign start zero-shot {SMALL} -n 100000 -q")[1].strip()
     view = watch_on_a_terminal(service, "campaign", job,
                                ("voxels", "Ctrl-C leaves", " left", "running  generation "),

@@ -1,4 +1,4 @@
-"""What was born in a campaign: populations, designs and their lineage, the phylogeny in all its
+"""The designs of a campaign: populations, designs and their lineage, the phylogeny in all its
 forms, champions."""
 
 import csv
@@ -33,7 +33,7 @@ def designs(service, evolved):
 
 @pytest.fixture(scope="module")
 def large(service):
-    """More designs than a reply holds in one piece."""
+    """A campaign with more designs than one piece of a reply holds."""
     return run_campaign(service, LARGE)
 
 
@@ -68,8 +68,8 @@ def test_pages(service, evolved, designs):
 
 
 def read_standard(text):
-    """A phylogeny by the ALife data standard (https://alife-data-standards.github.io): its rules,
-    and what follows from them."""
+    """Reads a phylogeny in the ALife data standard (https://alife-data-standards.github.io), and
+    checks its rules and their consequences."""
     rows = list(csv.DictReader(io.StringIO(text), strict=True))
     assert {"id", "ancestor_list", "origin_time", "destruction_time"} <= set(rows[0])
     taxa = {}
@@ -110,7 +110,7 @@ def test_standard_csv(service, evolved, designs):
     cells = taxa[3][3]
     for column in (cells["design"], cells["genotype"]):
         with pytest.raises(ValueError):
-            float(column)  # no reader of tables takes them for numbers, and requests take them
+            float(column)  # no reader of tables mistakes them for numbers, and requests accept them
     both = service.evaluate({
         "designs": [{"id": cells["design"]}, {"voxels": cells["genotype"]}],
         "physics": {"n_steps": 5}
@@ -121,7 +121,8 @@ def test_standard_csv(service, evolved, designs):
 
 
 def read_newick(text):
-    """{number: (parent or None, branch length or None)} and the order of each one's children."""
+    """Returns {number: (parent or None, branch length or None)} and the order of the children of
+    each."""
     nodes, children, stack, last, closed = {}, {}, [], None, None
     for token in re.findall(r"[(),;]|[^(),;:\s]+(?::[0-9.]+)?", text):
         if token == "(":
@@ -327,7 +328,7 @@ def ask(sock, campaign, form):
 def test_replies_of_many_pieces(service, large):
     path = large["links"]["phylogeny"]
     rows, cursor = service.get(path + "?limit=100").values()
-    while cursor is not None:  # the contract need not be held against each of the others
+    while cursor is not None:  # the others need not be checked against the contract
         connection = service.connection()
         connection.request("GET", f"{path}?limit=1000&cursor={cursor}")
         more, cursor = json.loads(connection.getresponse().read()).values()
@@ -343,8 +344,8 @@ def test_replies_of_many_pieces(service, large):
 
 
 def test_readers_that_go_away(service, large):
-    """Some read nothing, some a little; then they leave. The service goes on and keeps nothing of
-    them."""
+    """Some read nothing, some a little; then they leave. The service continues and keeps nothing
+    for them."""
     for form, taken in itertools.product(("csv", "newick"), 4 * (0, 1, 5000)):
         with socket.socket() as sock:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -355,7 +356,8 @@ def test_readers_that_go_away(service, large):
 
 
 def test_exports_while_it_runs(service):
-    """Each is of one moment: complete and consistent, however many generations come meanwhile."""
+    """Each is a snapshot: complete and consistent, however many generations are committed
+    meanwhile."""
     id = service.post("/v1/campaigns", LARGE | {"population": 64, "generations": 100000,
                                                 "physics": {"n_steps": 20}})["id"]
     path = f"/v1/campaigns/{id}/phylogeny"
@@ -376,7 +378,7 @@ def test_exports_while_it_runs(service):
 
 
 def test_a_service_that_stops_in_the_middle(start):
-    """A reply that cannot be finished does not look finished: its last chunk is missing."""
+    """A reply that cannot be finished does not look complete: its last chunk is missing."""
     running = start()
     done = run_campaign(running, LARGE | {"generations": 1})
     with socket.socket() as sock:

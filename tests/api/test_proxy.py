@@ -1,5 +1,5 @@
-"""Behind nginx, configured as docs/operations.md shows: hostile framing does not reach the service
-as a second request."""
+"""Behind nginx, configured as in docs/operations.md: hostile framing does not reach the service as
+a second request."""
 
 import json
 import os
@@ -20,8 +20,8 @@ DELETE = b"DELETE /v1/controllers/tiny HTTP/1.1\r\n" + HOST + b"\r\n"
 LENGTH = b"Content-Length: %d" % len(DELETE)
 CHUNKED = b"Transfer-Encoding: chunked"
 
-# The last request of each would be carried out if nginx and the service disagreed about where the
-# first one ends.
+# The last request of each would be executed if nginx and the service disagreed about the end of the
+# first one.
 HOSTILE = {
     "folded length": POST + LENGTH.replace(b": ", b":\r\n ") + b"\r\n\r\n" + DELETE,
     "folded coding": POST + b"Transfer-Encoding:\r\n chunked\r\n\r\n" + DELETE,
@@ -109,8 +109,8 @@ def test_no_hidden_request(behind, name):
 
 
 def test_requests_pass(behind):
-    """What the tests above rely on: the same request alone is carried out, and refusals of the
-    service come through."""
+    """The tests above rely on this: the same request by itself is executed, and refusals of the
+    service are passed on."""
     service, nginx = behind
     (status, _, body), = split_replies(nginx.raw(GET + b"Connection: close\r\n\r\n"))
     assert status == 200 and json.loads(body)["status"] == "ok"

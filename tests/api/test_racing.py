@@ -11,7 +11,7 @@ from test_devices import FLAGS, fake
 from ctl import ctl  # noqa: F401
 from test_worlds import scene
 
-# They walk: among random bodies, hardly any child is bad enough to be cut.
+# Robots that walk: among random bodies, hardly any child is bad enough to be cut.
 FOUNDERS = """
     000800cceec00c8a000c4e20000000000000 0c4e200c8a00cceec0000000000000000000
     0219eb6fdd83fc9f9db8cc793ad1fb107f1a 0ae400c4680048ee00000000000000000000
@@ -42,7 +42,7 @@ def designs(service, raced):
 
 @pytest.fixture(scope="module")
 def whole():
-    """The same campaign without races, on a service that has no score of it."""
+    """The same campaign without races, on a service without its scores."""
     other = Service()
     yield other, run(other, "campaigns", CAMPAIGN | {"racing": "off"})["id"]
     assert other.close() == 0, other.log_text()
@@ -53,8 +53,8 @@ def generations(service, id):
 
 
 def test_the_same_campaign(service, raced, whole, designs):
-    """Populations, births, deaths and statistics are the same; a lower bound is below the score,
-    and the score of nobody who lived."""
+    """Populations, births, deaths and statistics are the same. A lower bound is below the score,
+    and no survivor has a bound for a score."""
     other, id = whole
     full = other.pages(f"/v1/campaigns/{id}/phylogeny")
     assert service.get(f"/v1/campaigns/{raced}")["settings"]["racing"] == "lossless"
@@ -111,7 +111,8 @@ def test_every_form_says_so(service, raced, designs):
 
 
 def test_a_bundle_keeps_them(service, start, raced, designs):
-    """Losses of a part of the environments enter, twice without effect, and leave again."""
+    """Losses in some of the environments are imported, have no effect the second time, and are
+    exported again."""
     other = start()
     bundle = service.request("GET", f"/v1/bundles?campaigns={raced}").body
     entered = enter(other, bundle)
@@ -125,7 +126,7 @@ def test_a_bundle_keeps_them(service, start, raced, designs):
     assert again.status == 200 and again.json()["losses_stored"] == 0
     back = other.request("GET", f"/v1/bundles?campaigns={id}").body
     assert enter(service, back, "verify").json()["items"][0]["campaign"] == raced
-    # The losses that a cut child has are used there, too.
+    # The losses of a cut child are used there as well.
     bound = next(row for row in designs if row["lower_bound"])
     assert evaluated(other, bound)["rollouts_cached"] in (2, 8)
 
@@ -135,8 +136,8 @@ def evaluated(service, row):
 
 
 def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  # noqa: F811
-    """Stored losses are used; the whole score is that of the campaign without races, and does not
-    change what the campaign says."""
+    """Stored losses are used. The complete score is that of the campaign without races, and does
+    not change the campaign's replies."""
     other, id = whole
     bound = next(row for row in reversed(designs) if row["lower_bound"])
     score = other.get(f"/v1/campaigns/{id}/designs/{bound['number']}")["score"]
@@ -161,7 +162,7 @@ def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  
 
 
 def test_few_children_on_a_device(start, whole):
-    """A device is idle at the end of each wave, so that a race of few children takes longer."""
+    """A device is idle at the end of each wave, so a race of few children would take longer."""
     service = start(*FLAGS, environment=fake(devices=1))
     id = run(service, "campaigns", CAMPAIGN | {"device": "cuda"})["id"]
     assert [row["children_cut"] for row in generations(service, id)] == [0] * 5
@@ -199,29 +200,29 @@ MANY = {"environments": LIGHTS, "physics": {"n_steps": 800}}
 
 @pytest.fixture(scope="module")
 def many(service):
-    """Bodies, two of them twice, and one that is none."""
+    """Bodies, two of them twice, and an invalid one."""
     items = service.post("/v1/bodies/random", {"count": 100, "seed": 5})["items"]
     bodies = [{"voxels": item["genotype"]} for item in items]
     return [*bodies[:60], bodies[3], {"cells": [[9, 0, 0]]}, *bodies[60:], bodies[90]]
 
 
 def best_of(results, k):
-    """What the k best and their equals have, by their places."""
+    """Returns the results of the k best and their equals, by their places."""
     scores = sorted(row["score"] for row in results if row["score"] is not None)
     return {place: row for place, row in enumerate(results)
             if row["score"] is not None and row["score"] <= scores[k - 1]}
 
 
 def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
-    """Those of the evaluation of all, with their equals; bounds of the others are true, and stay
-    what they are. The same from services with more workers, and with devices."""
+    """They are the best of the evaluation of all, with their equals. Bounds of the others are valid
+    and do not change. Services with more workers, or with devices, reply the same."""
     request = MANY | {"designs": many, "on_fault": "skip", "best": 5}
     raced = run(service, "evaluations", request)
     assert raced["best"] == 5 and raced["n_skipped"] == 1 and raced["rollouts_cut"] > 0
     assert raced["rollouts_done"] == raced["rollouts_total"] == 9 * 102
     full = run(service, "evaluations", {name: request[name] for name in request if name != "best"})
     assert full["best"] is None and full["rollouts_cut"] == 0
-    # A body that is there twice has its losses from the store.
+    # A body that is listed twice gets its losses from the store.
     assert full["rollouts_cached"] >= full["rollouts_total"] - raced["rollouts_cut"]
     best = best_of(full["results"], 5)
     assert len(best) >= 5 and {place: raced["results"][place] for place in best} == best
@@ -235,7 +236,7 @@ def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
         else:
             assert row == known
     assert service.get(f"/v1/evaluations/{raced['id']}") == raced
-    # What the store has does not change what is computed, and is not computed again.
+    # Stored losses do not change the plan, and are not computed again.
     again = run(service, "evaluations", request | {"label": "again"})
     assert again["results"] == raced["results"] and again["rollouts_cut"] == raced["rollouts_cut"]
     assert again["rollouts_cached"] == again["rollouts_total"] - again["rollouts_cut"]
@@ -249,7 +250,7 @@ def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
 
 
 def test_what_goes_with_best(service, many):
-    """A number of designs; no recording and no second computation."""
+    """`best` is a number of designs, without recording or verification."""
     request = MANY | {"designs": many[:4]}
     for more in ({"best": 5}, {"best": 2, "record": ["com"]}, {"best": 2, "verify": True}):
         reply = service.request("POST", "/v1/evaluations", request | more)
@@ -257,7 +258,7 @@ def test_what_goes_with_best(service, many):
     for more in ({"best": 0}, {"best": 1.5}, {"best": None}, {"best": 10001}):
         reply = service.request("POST", "/v1/evaluations", request | more)
         assert reply.status == 422 and reply.pointers() == ["/best"], more
-    # All of them are asked for: nothing is cut.
+    # All of them are requested: nothing is cut.
     value = run(service, "evaluations", request | {"best": 4})
     assert value["rollouts_cut"] == 0 and not any(row["lower_bound"] for row in value["results"])
     skipped = run(service, "evaluations", MANY | {

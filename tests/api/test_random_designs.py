@@ -1,4 +1,4 @@
-"""Evaluations of random bodies, which are named by their seed and not listed."""
+"""Evaluations of random bodies, which are given by a seed instead of a list."""
 
 import csv
 import io
@@ -63,7 +63,7 @@ def test_more_than_a_list(service):
 
 
 def test_whole_scores_only(service):
-    """Those that are no lower bounds, with their numbers."""
+    """Only scores that are not lower bounds, with the numbers of their designs."""
     far = [{"light_xy_m": [4.5 - 0.4 * k, 1.5], "terrain_sigma_m": 0.03, "seed": k}
            for k in range(8)]
     job = run(service, "evaluations", {"environments": far, "physics": {"n_steps": 800},
@@ -78,8 +78,8 @@ def test_whole_scores_only(service):
 
 
 def test_restart_while_they_are_drawn(start, tmp_path):
-    """What is stored stays, and the rest is the same as without a restart: after a pause, and when
-    the service stops while it draws."""
+    """Stored designs stay, and the others are the same as without a restart: after a pause, and
+    when the service stops while it draws."""
     n = 30_000
     request = WORLD | {"random": {"count": n, "seed": 33}}
     request["environments"] = request["environments"][:1]

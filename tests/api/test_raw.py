@@ -1,5 +1,5 @@
 """Requests that no well-behaved client sends, byte by byte. None may hang, crash, be read twice, or
-be understood differently by a proxy in front."""
+be understood differently by a proxy."""
 
 import json
 import os
@@ -153,7 +153,7 @@ def test_refused(service, name):
     assert (replies[0][0] if replies else 0) in statuses, received
     assert ended or not must_end, "the connection stays open"
     if must_end:
-        assert len(replies) <= 1, "what follows was taken for another request"
+        assert len(replies) <= 1, "trailing bytes were read as another request"
     for status, headers, body in replies:
         if status >= 400:
             assert headers[
@@ -223,7 +223,8 @@ def test_early_ends(service):
 
 
 def test_endless_chunked_body_is_answered(service):
-    """It is longer than what is read for nothing: the reply comes in the middle of it."""
+    """It is longer than what the service reads and discards: the reply arrives in the middle of
+    it."""
     chunk = b"100000\r\n" + bytes(1 << 20) + b"\r\n"
     with socket.create_connection((service.host, service.port), timeout=300) as sock:
         sock.sendall(b"POST /v1/jobs/1/pause HTTP/1.1\r\n" + HOST +
@@ -240,7 +241,7 @@ def test_endless_chunked_body_is_answered(service):
 
 
 def test_last_replies_survive_what_is_still_sent(service):
-    """Closing with unread bytes resets a connection, which may take the reply back."""
+    """Closing with unread bytes resets a connection, which may discard the reply."""
     for data in (GET + b"X: " + b"a" * 2000000, b"GET /" + b"a" * 2000000,
                  POST + b"Content-Length: x\r\n\r\n" + bytes(2000000)):
         with socket.create_connection((service.host, service.port), timeout=300) as sock:

@@ -1,4 +1,4 @@
-"""Room for recordings: they are deleted on request, and the oldest give way to new ones."""
+"""Space for recordings: they are deleted on request, and new ones replace the oldest."""
 
 import ast
 import math
@@ -40,7 +40,7 @@ def test_recordings_are_deleted(service):
     event = service.get(f"/v1/events?format=json&job={evaluation['id']}")["items"][-1]
     assert event["type"] == "evaluation.recordings_removed"
     assert event["data"] == {"id": evaluation["id"], "bytes": BYTES, "reason": "request"}
-    # What the detail promises.
+    # The same motion can be computed again, as the detail promises.
     again = service.request("POST", "/v1/rollouts",
                             RECORDED | {"designs": [{"voxels": evaluation["results"][0]["genotype"]}
                                                     ]},
@@ -50,7 +50,7 @@ def test_recordings_are_deleted(service):
 
 
 def array_of(reply):
-    """Shape, type and numbers of a .npy file."""
+    """Returns shape, type and numbers of a .npy file."""
     assert reply.status == 200 and reply.body[:8] == b"\x93NUMPY\x01\x00"
     start = 10 + int.from_bytes(reply.body[8:10], "little")
     header = ast.literal_eval(reply.body[10:start].decode())
@@ -63,7 +63,7 @@ def array_of(reply):
 
 
 def test_all_recordings_as_one_array(service):
-    """What each rollout has, and for the smaller design what no recording has."""
+    """It holds each rollout, padded for the smaller design with values that no recording has."""
     channels = {"com": None, "masses": 60, "actuation": 78, "contacts": 20}
     evaluation = service.evaluate({"designs": [DESIGN, VOXEL], "physics": SHORT,
                                    "record": list(channels), "record_stride": 5}).json()
@@ -130,7 +130,7 @@ def test_the_oldest_give_way(start, tmp_path):
 
 
 def test_no_budget(start):
-    """0: nothing goes. A budget below what one evaluation may record is that."""
+    """0: nothing is removed. A smaller budget than one evaluation may record is raised to that."""
     for budget in ("0", "1K"):
         running = start("--max-recorded=32K", f"--max-recordings={budget}")
         evaluations = [running.evaluate(RECORDED).json() for _ in range(3)]

@@ -1,5 +1,5 @@
 """The robot that was scored: the notation ID@K of a design in one orientation, which every reply
-has beside a score, and what an id alone means."""
+shows with a score, and the meaning of an id without an orientation."""
 
 import json
 
@@ -19,7 +19,7 @@ CUBE = {"cells": [[0, 0, 0]]}
 
 
 def images(voxels):
-    """The 8 images of a body, as lists of cells."""
+    """Returns the 8 images of a body, as lists of cells."""
     cells = [(place // 24, place // 4 % 6, place % 4)
              for place, digit in enumerate(voxels) if digit == "1"]
     for k in range(8):
@@ -34,8 +34,8 @@ def scored(service, designs, **others):
 
 
 def test_every_image_of_random_bodies(service):
-    """Each image is one robot: its notation, sent back, gives the same bits, whatever the image and
-    the place in the workspace."""
+    """Each image is one robot: sending its notation back yields the same bits, for any image and
+    place in the workspace."""
     for body in service.post("/v1/bodies/random", {"count": 12, "seed": 3})["items"]:
         rows = scored(service, list(images(body["genotype"])))
         assert {row["id"] for row in rows} == {body["id"]}
@@ -83,7 +83,7 @@ def test_what_an_id_alone_means(service):
         first["robot"], first["score"], "best")
     for others in ({"verify": True}, {"record": ["com"]}):
         assert scored(service, [design], **others) == [first]
-    # A score of some of the worlds only is none.
+    # A score in only some of the worlds does not count.
     two = world + [{"light_xy_m": [0.5, 2.5], "terrain_sigma_m": 0, "seed": 4}]
     scored(service, [{"id": design["id"] + "@5"}], environments=[two[1]])
     assert scored(service, [design], environments=two)[0]["orientation"] == "canonical"
@@ -118,8 +118,9 @@ def test_where_else_a_robot_is_taken(service):
 
 
 def test_campaigns(service):
-    """What a campaign prints has the score that it prints, in every form, and so has what the list
-    of the best designs prints; and an id alone is the robot that the campaign scored."""
+    """The robots that a campaign shows have the scores that it shows, in every form, and so do
+    those of the list of the best designs. An id without an orientation is the robot that the
+    campaign scored."""
     campaign = run(service, "campaigns", SEARCH)
     path = f"/v1/campaigns/{campaign['id']}"
     born = service.get(f"{path}/population")["items"]
@@ -136,7 +137,8 @@ def test_campaigns(service):
     for line in service.table(f"{path}/population?format=csv"):
         assert line["robot"] == all_born[int(line["number"])]
         assert line["id"] == "d" + line["robot"][:-2]
-    # Founders that are given by an id alone are the robots that were scored, and it says so.
+    # Founders that are given by an id without an orientation are the robots that were scored, and
+    # the campaign reports this.
     designs = [{"id": item["id"]} for item in born[:3]] + [{"id": born[3]["robot"]}, ROW]
     founded = run(service, "campaigns", dict(SEARCH, generations=1,
                                              initial={"designs": designs}, replicates=2))
@@ -148,7 +150,7 @@ def test_campaigns(service):
 
 
 def test_a_workspace_that_is_not_square(service):
-    """Orientations that the workspace would turn are not taken."""
+    """Orientations that the workspace would turn are not used."""
     flat = dict(SEARCH, workspace=[2, 5, 3], population=8)
     path = f"/v1/campaigns/{run(service, 'campaigns', flat)['id']}"
     born = service.get(f"{path}/population")["items"]
@@ -177,7 +179,7 @@ def test_leaderboard(service):
 
 
 def test_trainings(service):
-    """A finetuning learns on the robots that were scored in the test set, and says so."""
+    """A finetuning learns on the robots that were scored in the test set, and reports this."""
     tuning = {"kind": "finetune", "steps": 1, "batch": 4, "physics": {"n_steps": 20}}
     rows = service.evaluate({"designs": list(images(service.post(
         "/v1/bodies/canonical", {"designs": [LEANING]})["items"][0]["genotype"])),
@@ -192,7 +194,8 @@ def test_trainings(service):
 
 
 def test_studies(service):
-    """A child that is given by an id alone is the robot that was scored under the study's terms."""
+    """A child that is given by an id without an orientation is the robot that was scored under the
+    conditions of the study."""
     study = service.post("/v1/campaigns", {"mode": "study", "population": 12, "physics": QUICK})
     path = f"/v1/campaigns/{study['id']}"
     rows = scored(service, list(images(service.post(
@@ -208,13 +211,13 @@ def test_studies(service):
 
 
 def rows_of(table):
-    """The rows of a table of morphoctl, by their headings."""
+    """Returns the rows of a table of morphoctl, by their headings."""
     lines = [line.split() for line in table.splitlines() if line.strip()]
     return [dict(zip(lines[0], line)) for line in lines[1:]]
 
 
 def test_morphoctl(service, ctl):
-    """What a table shows beside a score has that score, wherever it is given."""
+    """A robot that a table shows with a score has that score everywhere."""
     quick = "--physics n_steps=30"
     campaign = run(service, "campaigns", dict(SEARCH, seed=9))
     status, table, err = ctl(f"campaign champions {campaign['id']} --count 3")
@@ -226,7 +229,7 @@ def test_morphoctl(service, ctl):
     assert status == 0 and "30 of them from the store" in err, err
     assert [(row["design"], row["score"]) for row in rows_of(table)] == [
         (row["design"], row["score"]) for row in best]
-    # Ids alone are the same robots, and that is said.
+    # Ids without an orientation are the same robots, and this is reported.
     ids = [robot[:-2] for robot in robots]
     status, table, err = ctl(f"eval {quick} {' '.join(ids)}")
     assert [(row["design"], row["score"]) for row in rows_of(table)] == [
@@ -234,7 +237,7 @@ def test_morphoctl(service, ctl):
     assert err.count(": its best stored score of all orientations") == 3, err
     status, _, err = ctl(f"eval --physics n_steps=33 {ids[0]}")
     assert f"using {ids[0]}@0, the canonical orientation: no stored score" in err, err
-    # In detail: the orientation, its drawing, and what else takes it.
+    # In detail: the orientation, its drawing, and other commands that accept it.
     status, text, err = ctl(f"design show {robots[0]}")
     assert status == 0 and f"\n{robots[0]}\n" in text and best[0]["score"] in text, text
     drawn = json.loads(ctl(f"eval {quick} {robots[0]} --json")[1])["results"][0]["genotype"]
@@ -247,7 +250,8 @@ def test_morphoctl(service, ctl):
 
 @pytest.mark.parametrize("command", ["picture -o {}.png", "film -o {}/"])
 def test_films(service, ctl, command, tmp_path):
-    """A film and a picture of an id alone show the robot that was scored, and say so."""
+    """A film and a picture of an id without an orientation show the robot that was scored, and say
+    so."""
     [row] = scored(service, [{"cells": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 2, 0], [1, 2, 1]]}])
     command = command.format(tmp_path / "made")
     (tmp_path / "made").mkdir()

@@ -1,4 +1,4 @@
-"""Scores: they travel between services by their content, and what is refused."""
+"""Scores: exchange between services by content, and what is refused."""
 
 import json
 import random
@@ -38,7 +38,7 @@ def fetch(service, query=""):
 
 
 def content(service):
-    """All scores of all designs, without the numbers of rows."""
+    """Returns all scores of all designs, without the numbers of rows."""
     return {design["id"]: [(one["genotype"], sorted(one["scores"], key=str))
                            for one in service.get(f"/v1/designs/{design['id']}")["orientations"]]
             for design in service.pages("/v1/designs")}
@@ -46,7 +46,7 @@ def content(service):
 
 @pytest.fixture(scope="module")
 def home():
-    """A service of its own, with scores of every kind."""
+    """A separate service, with scores of every kind."""
     from service import Service
     running = Service()
     another = bytearray(BOOTSTRAP.read_bytes())
@@ -65,7 +65,7 @@ def file(home):
 
 
 def test_the_same_scores(home, start, file):
-    """They are the same there, are used there, and come once."""
+    """They are the same there, are used there, and are imported once."""
     other = start()
     other.evaluate({"designs": [{"voxels": "1" * 144}], "physics": {"n_steps": 3}})  # ids differ
     before = content(other)
@@ -105,7 +105,7 @@ def test_the_same_scores(home, start, file):
 
 @pytest.mark.parametrize("kind", ["campaign", "verify"])
 def test_an_environment_twice(start, kind):
-    """A row with an environment twice leaves with it once, and is used there."""
+    """A row that has an environment twice is exported with it once, and used there."""
     here, other = start(), start()
     names = [HERE[0], HERE[1], HERE[0], HERE[0]]
     campaign = CAMPAIGN | {"population": 4, "generations": 1, "environments": names}
@@ -178,8 +178,8 @@ CHANGES = [
 
 
 def test_altered_files_leave_nothing(home, start, file):
-    """Whatever is altered, also where all hashes are made again: a refusal in words, and of a block
-    that is refused nothing is stored."""
+    """Every alteration, even with new hashes everywhere, is refused with an explanation, and
+    nothing of a refused block is stored."""
     other = start()
     first, second = blocks(file)
     members = unpack(first)
@@ -189,7 +189,7 @@ def test_altered_files_leave_nothing(home, start, file):
     def refused(data, why, entered=0):
         reply = enter(other, data)
         assert reply.status == 422, (why, reply.body)
-        assert f"{entered} before it" in reply.json()["detail"], why
+        assert f"{entered} blocks before it" in reply.json()["detail"], why
         return reply.json()["errors"][0]["detail"]
 
     for name, how, line in CHANGES:
@@ -234,8 +234,8 @@ def test_a_host_is_no_format(start, file):
 
 
 def test_other_bits_are_told_and_not_stored(home, start, file):
-    """A liar's losses do not replace those that are stored. Where they come first they are stored
-    with their origin, by which they are found and repaired."""
+    """Losses of a liar do not replace stored ones. If they arrive first, they are stored with their
+    origin, by which they are found and repaired."""
     first = blocks(file)[0]
     lie = lies(first)
     total = sum(counts(enter(home, file[:12 + len(first)])))

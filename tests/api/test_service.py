@@ -24,7 +24,7 @@ def test_health(service):
 
 
 def plain(node):
-    """The contract without its examples, which are a file of their own."""
+    """The contract without its examples, which are in a separate file."""
     if isinstance(node, dict):
         return {key: plain(value) for key, value in node.items() if key != "examples"}
     return [plain(value) for value in node] if isinstance(node, list) else node
@@ -40,7 +40,7 @@ def test_index_and_contract(service):
 
 
 def test_contract_lists_every_operation(service):
-    """What the contract lists is there with exactly these methods; Allow says so."""
+    """Every path of the contract exists, with exactly its methods, as Allow shows."""
     examples = {"id": "1", "n": "0", "number": "0", "step": "1", "name": "default",
                 "sha256": "0" * 64, "version": "0" * 16, "folder": "lib", "file": "dom.js"}
     for path, item in CONTRACT.document["paths"].items():
@@ -203,7 +203,7 @@ def test_unix_socket(start, tmp_path):
 
 
 def raw_unix(path, lines):
-    """The status of a request of these header lines, sent over the unix socket."""
+    """Returns the status of a request with these header lines, sent over the unix socket."""
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(PATIENCE_S)
         sock.connect(str(path))
@@ -255,7 +255,8 @@ def test_pages_of_other_sites(start, tmp_path, unix):
 
 
 def test_slow_clients_are_cut_off(start):
-    """A byte now and then keeps no connection: the limits count from the beginning."""
+    """Sending a byte now and then does not keep a connection: the limits count from the
+    beginning."""
     running = start("--header-timeout=1s", "--body-timeout=2s", "--idle-timeout=2s")
     beginnings = {
         "header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1),
@@ -294,7 +295,7 @@ def test_slow_clients_are_cut_off(start):
         thread.join()
     for name, (_, limit) in beginnings.items():
         assert limit * 0.8 < ended[name] < SOON_S, ended
-    # Between requests of one connection too.
+    # The same between requests of one connection.
     with socket.create_connection((running.host, running.port)) as sock:
         sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
         sock.settimeout(SOON_S)

@@ -1,4 +1,4 @@
-"""The state folder: what of it outlives a start, and what is refused."""
+"""The state folder: what survives a start, and what is refused."""
 
 import contextlib
 import hashlib
@@ -15,7 +15,7 @@ START = ("--listen=127.0.0.1:0", "--devices=none", f"--default-controller={BOOTS
 
 
 def morphod(state, *arguments, user=None, text=""):
-    """The end of the program, which does not stay."""
+    """Runs the program, which must end, and returns the result."""
     command = [BINARY, *arguments, f"--state-dir={state}"]
     if user is not None:
         command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
@@ -24,8 +24,8 @@ def morphod(state, *arguments, user=None, text=""):
 
 
 def test_tags_name_the_store(start, tmp_path):
-    """What a client keeps of one store is not taken for what another one has under the same
-    numbers."""
+    """Content that a client cached from one store is not confused with that of another under the
+    same numbers."""
     etags = []
     for name in ("one", "other"):
         running = start(state=tmp_path / name)
@@ -50,7 +50,7 @@ def test_tags_name_the_store(start, tmp_path):
 
 
 def reset_of(service, last):
-    """Whether the stream behind an event begins with a reset."""
+    """Returns whether the stream after an event begins with a reset."""
     raw, _ = service.raw(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n"
                          b"Last-Event-ID: %s\r\n\r\n" % last.encode(), timeout=2)
     page = service.request("GET", f"/v1/events?format=json&after={last}").json()
@@ -60,8 +60,8 @@ def reset_of(service, last):
 
 @pytest.mark.parametrize("how", ["database", "folder"])
 def test_tags_and_events_name_the_history(start, tmp_path, how):
-    """What a client has of the time that a backup does not know is not taken for what came since
-    the backup was restored. A restart changes nothing."""
+    """Content from after a backup is not confused with newer content once the backup is restored. A
+    restart changes nothing."""
     state, backup = tmp_path / "state", tmp_path / "backup"
     work = {"designs": [DESIGN], "physics": SHORT}
 
@@ -93,7 +93,7 @@ def test_tags_and_events_name_the_history(start, tmp_path, how):
         shutil.rmtree(state)
         shutil.copytree(backup, state)
     restored = start(state=state)
-    assert evaluate(restored, 23)[0] == path  # the number is given again
+    assert evaluate(restored, 23)[0] == path  # the number is used again
     assert restored.request("GET", path, headers={"If-None-Match": etag}).status == 200
     for steps in (24, 25, 26):  # more events than were lost
         evaluate(restored, steps)
@@ -104,7 +104,8 @@ def test_tags_and_events_name_the_history(start, tmp_path, how):
 
 
 def refused(path, *names, user=None):
-    """Both a start on this folder and its check end with status 78, and say these names."""
+    """Checks that both a start on this folder and its check end with status 78 and show these
+    names."""
     for flags in (START, (*START, "--check-config")):
         ended = morphod(path, *flags, user=user)
         assert ended.returncode == 78, ended
@@ -122,7 +123,7 @@ def test_a_folder_that_others_may_write_to(tmp_path, mode):
 
 
 def test_a_database_that_is_cut_short(start, tmp_path):
-    """By less than a page, which SQLite would fill up; and one whose schema number is gone."""
+    """Cut by less than a page, which SQLite would fill up; and one without its schema number."""
     running = start(state=tmp_path / "state")
     running.evaluate({"designs": [DESIGN], "physics": SHORT})
     assert running.stop() == 0
@@ -168,9 +169,9 @@ def test_entries_that_lead_elsewhere(start, tmp_path, name):
 @pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None,
                     reason="only root may give files away")
 def test_a_folder_of_somebody_else(start, tmp_path):
-    """Root may not use it either; and a link is followed if root has made it, as systemd does for a
+    """Root may not use it either. A link is followed if root has made it, as systemd does for a
     dynamic user."""
-    for folder in (tmp_path, *tmp_path.parents[:3]):  # xdist has a folder more
+    for folder in (tmp_path, *tmp_path.parents[:3]):  # xdist has one more folder
         folder.chmod(0o755)
     private, link = tmp_path / "private", tmp_path / "morphod"
     private.mkdir(mode=0o700)
@@ -226,7 +227,7 @@ def tree(state):
 @pytest.mark.parametrize("content", (None, b"", b"x"))
 @pytest.mark.parametrize("name", FILES)
 def test_files_without_a_database(tmp_path, name, content):
-    """Something is not mounted: nothing is made, nothing is deleted, and the start says what to do.
+    """Something is not mounted: nothing is created or deleted, and the error says what to do.
     """
     state = tmp_path / "state"
     put_files(state, {name: 30, "controllers/.tmp-4": 5})
@@ -249,7 +250,7 @@ def test_a_database_that_was_lost(start, tmp_path, lost):
     running = start(state=state)
     running.stop(9 if lost != "its end" else 15)
     database = state / "morphod.db"
-    if lost == "all of it":  # the log is there still: SQLite would delete it
+    if lost == "all of it":  # the log still exists: SQLite would delete it
         shutil.rmtree(state / "controllers")
         database.unlink()
     elif lost == "its end":
@@ -340,7 +341,7 @@ def test_clean_makes_no_store(tmp_path):
 
 
 def test_files_of_unused_controllers(start, tmp_path):
-    """A file goes when nothing refers to it, and comes back by another upload."""
+    """A file is deleted when nothing refers to it, and restored by another upload."""
     running = start(state=tmp_path / "state")
 
     def delete(controller, status):
@@ -371,7 +372,7 @@ def test_files_of_unused_controllers(start, tmp_path):
 
 
 def test_store_check(start, tmp_path):
-    """What is sound, what is damaged, and a loss that is another one with a right checksum."""
+    """A sound store, a damaged one, and one with a different loss and a correct checksum."""
     state = tmp_path / "state"
 
     def check(*flags):
@@ -396,8 +397,8 @@ def test_store_check(start, tmp_path):
 
 
 def test_a_clock_that_is_not_credible(start, tmp_path):
-    """What is stored is moved to 400 days ago, as if the clock were wrong: nothing is deleted by
-    age, and the service says so, until a person confirms the clock."""
+    """The stored times are moved back by 400 days, as if the clock were wrong: nothing is deleted
+    by age, and the service reports this, until a user confirms the clock."""
     state = tmp_path / "state"
     flags = ["--keep-evaluations=90d"]
     service = start(*flags, state=state)
@@ -420,7 +421,7 @@ def test_a_clock_that_is_not_credible(start, tmp_path):
         service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 3}})
         service.stop()
     done = morphod(state, "store", "accept-clock")
-    assert done.returncode == 0 and "UTC is taken as the time" in done.stdout, done
+    assert done.returncode == 0 and "UTC is accepted as the time" in done.stdout, done
     service = start(*flags, state=state)
     until(lambda: service.request("GET", f"/v1/jobs/{id}").status == 404)
     until(lambda: "jobs were deleted because of their age jobs=1" in service.log_text())

@@ -1,5 +1,5 @@
-"""Settings far outside of what the physics is made for: no number that is not finite gets into a
-reply, the database or a controller; what diverged is told."""
+"""Settings far outside the range of the physics: no number that is not finite gets into a reply,
+the database or a controller; divergence is reported."""
 
 import json
 import math
@@ -25,7 +25,7 @@ STEPS, BATCH = 2, 6
 
 
 def parts(file):
-    """Of a safetensors file: its header and its numbers."""
+    """Returns the header and the numbers of a safetensors file."""
     start = 8 + struct.unpack("<Q", file[:8])[0]
     return file[:start], struct.unpack(f"<{(len(file) - start) // 4}f", file[start:])
 
@@ -35,12 +35,12 @@ def all_finite(numbers):
 
 
 def plain_json(text):
-    """NaN and Infinity, which Python would take, are no JSON."""
+    """Refuses NaN and Infinity, which Python would accept but JSON does not have."""
     return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} in {text!r}"))
 
 
 def learn(service, controller, physics):
-    """A short finetuning; its rows of the curve."""
+    """Runs a short finetuning, and returns the rows of its curve."""
     request = {
         "kind": "finetune", "controller": controller, "designs": DESIGNS, "steps": STEPS,
         "batch": BATCH, "physics": physics, "schedule": {"kind": "constant", "peak": 0.01},
@@ -64,7 +64,7 @@ def learn(service, controller, physics):
     for row in rows:
         assert (row["mean_loss"] is None) == (row["diverged"] == BATCH), row
         assert row["skipped"] or row["diverged"] + row["zeroed"] < BATCH, row
-    # Without a step that changed a weight nothing was learned.
+    # Nothing was learned unless a step changed a weight.
     assert (training["state"] == "failed") == all(row["skipped"] for row in rows), training
     for row in plain_json(service.request("GET", training["links"]["validations"]).body)["items"]:
         assert row["diverged"] > 0 if row["mean_score"] is None else row["diverged"] < row[
@@ -73,7 +73,7 @@ def learn(service, controller, physics):
 
 
 def score(service, controller, physics):
-    """Numbers of rollouts that diverged and that did not."""
+    """Returns the numbers of rollouts that diverged and that did not."""
     evaluation = plain_json(
         service.evaluate({
             "designs": DESIGNS, "environments": WORLDS, "controller": controller, "physics": physics
@@ -92,7 +92,7 @@ def score(service, controller, physics):
 
 
 def check_stored(path):
-    """Every number of the database, when the daemon has ended."""
+    """Checks every number of the database, after the daemon has ended."""
     database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     checked = 0
     for (table, ) in database.execute(
@@ -133,7 +133,8 @@ def test_nothing_but_numbers(start, tmp_path):
                                       sum(row["diverged"] for row in rows))
     print(told)
     assert service.stop() == 0
-    # Both sides of the border were met: what diverges is told as such, and the rest has its scores.
+    # There are cases on both sides of the border: divergence is reported, and the rest has its
+    # scores.
     assert told["default", "as it is"] == (0, 9, 0)
     assert told["default", "stiffness x4"][0] > 0 and told["default", "stiffness x4"][2] > 0
     assert check_stored(tmp_path / "morphod.db") > 10 * (len(DESIGNS) * len(WORLDS) + STEPS)

@@ -1,4 +1,4 @@
-"""Studies: campaigns whose children a client makes, and the deaths of either side."""
+"""Studies: campaigns whose children a client makes, and crashes of either side."""
 
 import base64
 import http.client
@@ -44,7 +44,7 @@ def rows_of(service, id):
 
 
 def history(service, id):
-    """All that a study holds, but for times and for what the store knew before."""
+    """Returns everything that a study holds, except times and the number of cached rollouts."""
     paths = ("phylogeny?format=csv", "population", "phylogeny?format=newick")
     rows = [{name: row[name] for name in row if name not in ("seconds", "cached")}
             for row in service.pages(f"/v1/campaigns/{id}/generations")]
@@ -58,7 +58,7 @@ def reopen(service, label, headers=None, **more):
 
 
 def test_a_study_is_found_by_its_name(service):
-    """One step gives the open study of a label, or a new one; other settings are refused."""
+    """One request returns the open study of a label, or a new one; other settings are refused."""
     given = {"population": 20, "seed": 3, "physics": {"n_steps": 12, "friction": 0.5},
              "selection": {"kind": "novelty", "weight": 0.25}, "workspace": [4, 4, 4],
              "environments": HERE, "mutation": {"rate": 1 / 64}}
@@ -87,7 +87,7 @@ def test_a_study_is_found_by_its_name(service):
         for pointer, asked, has in (("/population", 30, 20), ("/physics/n_steps", 500, 12))]
     reply = reopen(service, "found", controller="not-there")
     assert reply.status == 422 and reply.pointers() == ["/controller"]
-    # A key stays with the study that it gave, and a refused request keeps none.
+    # A key stays with the study that it returned; a refused request keeps no key.
     refuses, keeps = {"Idempotency-Key": "refused"}, {"Idempotency-Key": "found"}
     for _ in range(2):
         assert reopen(service, "found", refuses, population=30).status == 409
@@ -127,7 +127,7 @@ def test_one_study_for_all_who_open_a_new_name_at_once(service):
 
 
 def test_a_study(service):
-    """Its whole life, as a client sees it."""
+    """A study from its start to its end, as a client sees it."""
     id = new(service, label="told by hand")
     path = f"/v1/campaigns/{id}"
     first = state(service, id)
@@ -161,7 +161,7 @@ def test_a_study(service):
     assert scored["rollouts_cached"] == 4
     assert [one["losses"] for one in scored["results"]] == [row["losses"] for row in rows[:2]]
 
-    # The same batch again, another one, and one out of turn.
+    # The same batch again, another one, and one out of order.
     assert tell(service, id, 0, children, sampler_state=packed(b"\x00after 0")) == told
     for batch, words in ((0, "another content"), (2, "1 is the next"), (7, "1 is the next")):
         reply = service.request("POST", path + "/tell", {"batch": batch, "children": []})
@@ -176,13 +176,13 @@ def test_a_study(service):
     assert {row["number"] for row in living} == {0, 2, 4}
     assert [row["score"] for row in living] == sorted(row["score"] for row in living)
     reply = service.request("GET", path + "/sampler")
-    assert reply.status == 404  # this batch came without
+    assert reply.status == 404  # this batch came without it
     tell(service, id, 2, [{"body": BAR, "parents": [1]}], survivors=[], sampler_state=packed(b"2"))
     assert [row["number"] for row in service.pages(path + "/population")] == [5]
     reply = service.tagged(path + "/sampler")
     assert reply.body == b"2" and reply.headers["Morphod-Batch"] == "2"
 
-    # What every campaign has.
+    # The same as for every campaign.
     lines = service.table(path + "/phylogeny?format=csv")
     assert [line["measures.reach"] for line in lines] == ["1", "4", "", "", "", ""]
     assert lines[1]["operator"] == "mine" and lines[4]["ancestor_list"] == "[3,1]"
@@ -212,7 +212,7 @@ def test_a_study(service):
 
 
 def test_ask(service):
-    """The service varies and selects; what it makes was never seen."""
+    """The service varies and selects; it makes only unseen bodies."""
     id = new(service, population=12, seed=5)
     path = f"/v1/campaigns/{id}"
     seen, sizes = set(), []
@@ -312,7 +312,7 @@ def test_what_a_study_has_not(service):
 
 
 def test_pause_and_a_batch_that_waits(service):
-    """A pending batch is kept by a pause, and others wait for it."""
+    """A pause keeps a pending batch, and other batches wait for it."""
     id = new(service)
     path = f"/v1/campaigns/{id}"
     assert service.act(id, "pause").json()["state"] == "paused"
@@ -332,12 +332,12 @@ def test_pause_and_a_batch_that_waits(service):
     assert service.request("POST", path + "/finish").status == 409
 
 
-# ---- deaths ----
+# ---- crashes ----
 
 
 class Elites:
-    """MAP-Elites over the number of voxels and the height, seeded. What it keeps is all it knows:
-    the next moment begins with the scores of what it has asked for."""
+    """Seeded MAP-Elites over the number of voxels and the height. Its kept state is complete: it
+    continues with the scores of the bodies that it asked for."""
 
     def __init__(self, kept=None):
         self.random = random.Random(3)
@@ -353,7 +353,7 @@ class Elites:
                            "archive": sorted(self.archive.items())}).encode()
 
     def grow(self, cells):
-        """Adds a voxel beside one that is there."""
+        """Adds a voxel next to an existing one."""
         while True:
             cell = list(self.random.choice(cells))
             axis = self.random.randrange(3)
@@ -382,7 +382,7 @@ class Elites:
 
 
 def remembered(service, id):
-    """The search as the service holds it, and its next batch."""
+    """Returns the search as the service stores it, and its next batch."""
     path = f"/v1/campaigns/{id}"
     study = state(service, id)["study"]
     if study["next_batch"] == 0 and not study["pending"]:
@@ -395,7 +395,7 @@ def remembered(service, id):
 
 
 def search(service, id, batches, dies):
-    """Drives a study to its end. dies: kills the service or not; gives that which lives then."""
+    """Runs a study to its end. dies: may kill the service; returns the running one."""
     elites, batch = Elites(), 0
     while batch < batches:
         value = elites.ask(8)
@@ -411,8 +411,8 @@ def search(service, id, batches, dies):
 
 
 def test_either_side_dies(service, start, tmp_path):
-    """The service is killed at any moment of a batch, and the client forgets all that it knows:
-    archive, phylogeny and curve are those of a search that nobody disturbed."""
+    """The service is killed at any moment of a batch, and the client loses its memory: archive,
+    phylogeny and curve equal those of an undisturbed search."""
     luck, deaths = random.Random(8), []
 
     def die(running, id, value):

@@ -37,7 +37,7 @@ def form(service, path, format, **headers):
 
 
 def columns(reply):
-    """{column: values} of the form `columns`."""
+    """Returns {column: values} of the form `columns`."""
     assert reply.headers["Content-Type"] == SCENE
     length = struct.unpack("<I", reply.body[:4])[0]
     header, arrays = json.loads(reply.body[4:4 + length]), reply.body[4 + length:]
@@ -52,7 +52,7 @@ def columns(reply):
 
 
 def at(item, name):
-    """The value of a column: names of members and places in arrays joined by _."""
+    """Returns the value of a column: names of members and places in arrays, joined by _."""
     if name in item:
         return item[name]
     for key in item:
@@ -66,7 +66,7 @@ def at(item, name):
 
 
 def same(cell, value):
-    """Whether a cell of CSV says what JSON says."""
+    """Returns whether a cell of CSV agrees with the JSON value."""
     if value is None:
         return cell == ""
     if isinstance(value, bool):
@@ -134,7 +134,7 @@ def test_no_cell_is_taken_for_a_number(service, campaign):
 
 
 def test_refusals_are_problems(service, campaign):
-    """A list that cannot be read, and a form that is none, are told as in JSON."""
+    """A list that cannot be read, and an unknown form, are refused as in JSON."""
     for query in ("?format=tsv", "?format=csv&limit=0", "?format=csv&limit=-1",
                   f"?format=ndjson&limit={2**64}", "?format=ndjson&cursor=x",
                   "?format=columns&state=odd"):
@@ -178,7 +178,7 @@ def test_wide_tables_have_their_last_column(service, campaign):
 
 
 def test_a_phylogeny_for_trees(service, campaign):
-    """parents=first names at most one parent; root=1 adds one root, behind all other ids."""
+    """parents=first names at most one parent; root=1 adds a root with an id after all others."""
     path = f"/v1/campaigns/{campaign}/phylogeny"
     plain = service.table(path + "?format=csv")
     tree = service.table(path + "?format=csv&parents=first&root=1")

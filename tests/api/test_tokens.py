@@ -1,4 +1,4 @@
-"""Tokens with names and rights: who may use which route, who submitted a job, and who is told."""
+"""Tokens with names and rights: which routes they allow, and where names are shown."""
 
 import http.client
 import signal
@@ -13,7 +13,7 @@ from service import CONTRACT, DESIGN, PATIENCE_S, run
 TOKENS = {right: f"a-token-that-may-{right}-and-no-more" for right in ("read", "submit", "admin")}
 NAMES = {"read": "<b>rita</b>", "submit": "sam", "admin": "ada"}
 RIGHTS = list(TOKENS)
-# What is not for everybody; all other methods and paths are for those who read.
+# Routes that need more than the right to read; all other methods and paths need only that.
 SUBMIT = {("POST", path) for path in (
     "/v1/evaluations", "/v1/trainings", "/v1/campaigns", "/v1/campaigns/{id}/extend",
     "/v1/campaigns/{id}/champions", "/v1/jobs/{id}/cancel", "/v1/jobs/{id}/pause",
@@ -42,7 +42,7 @@ def write(path, text, mode=0o600):
 
 @pytest.fixture
 def tokens(tmp_path):
-    """A file with all rights, and what a person writes beside."""
+    """A file with all rights, and with comments and blank lines."""
     lines = [f"{NAMES[right]}\t{right}   {TOKENS[right]}  # {right}s" for right in RIGHTS]
     return write(tmp_path / "tokens", "# who may do what\n\n" + "\r\n".join(lines) + "\n")
 
@@ -59,7 +59,7 @@ def routes():
 
 
 def test_every_route_has_its_right(service):
-    """Those who lack a right are told so, before anything else of the request is looked at."""
+    """A missing right is reported before anything else in the request is checked."""
     assert SUBMIT | ADMIN < set(routes())
     for method, path in routes():
         needed = ("submit" if (method, path) in SUBMIT else
@@ -92,7 +92,7 @@ def test_a_missing_or_wrong_token(service):
                          ("DELETE", "/v1/controllers/default")):
         body = b"{}" if method == "POST" else None
         assert service.request(method, path, body=body).status == 401
-        # Too long, too short, another's beginning, and one in another form.
+        # Too long, too short, the beginning of another one, and one in another form.
         for token in (TOKENS["read"] + "x", TOKENS["read"][:-1], "", "x" * 600):
             headers = {"Authorization": "Bearer " + token}
             assert service.request(method, path, body=body, headers=headers).status == 401
@@ -107,7 +107,7 @@ def test_whoami(service, start):
 
 
 def test_who_submitted(service):
-    """Every job says who submitted it; lists find it by that."""
+    """Every job shows who submitted it, and lists can filter by it."""
     service.token = TOKENS["submit"]
     mine = run(service, "evaluations", WORK)["id"]
     campaign = run(service, "campaigns", {
@@ -161,13 +161,13 @@ GOOD = "anna read a-token-of-more-than-16\n"
     (GOOD + "ben submit short-secret\n", ("line 2", "12 characters", "16 to 512")),
     (GOOD + "ben submit b-tökèn-of-more-than-16\n", ("line 2", "printable ASCII")),
     (GOOD + "b" * 65 + " submit b-token-of-more-than-16\n", ("line 2", "65 characters", "64")),
-    (GOOD + "ben submit a-token-of-more-than-16\n", ("line 2", '"anna"', "a token of its own")),
+    (GOOD + "ben submit a-token-of-more-than-16\n", ("line 2", '"anna"', "its own token")),
     (GOOD + "anna submit b-token-of-more-than-16\n", ("line 2", "one right")),
     ("".join(f"n{i} read token-number-{i:08}\n" for i in range(65)), ("line 65", "64 tokens")),
-    ("# nothing\n", ("holds no token", "NAME RIGHT TOKEN")),
+    ("# nothing\n", ("has no tokens", "NAME RIGHT TOKEN")),
 ))
 def test_errors_of_the_file(start, tmp_path, text, words):
-    """Each names the line, says what to do, and shows no token."""
+    """Each error names the line, says what to do, and shows no token."""
     path = write(tmp_path / "tokens", text)
     service = start(f"--token-file={path}", wait=False)
     assert service.process.wait(PATIENCE_S) == 78
@@ -179,7 +179,8 @@ def test_errors_of_the_file(start, tmp_path, text, words):
 
 
 def test_no_token_in_the_log(service, tokens):
-    """Names are in it; tokens are not: sent rightly, wrongly, in a query, or read again."""
+    """It contains names but no tokens: whether sent correctly, incorrectly, in a query, or read
+    again."""
     wrong = "an-unknown-token-of-some-length"
     service.request("GET", "/v1/jobs", headers=as_("read"))
     service.request("DELETE", "/v1/controllers/x", headers=as_("read"))
@@ -207,7 +208,8 @@ def test_rights_are_read_again(service, tokens):
 
 
 def test_a_token_on_loopback_and_on_the_unix_socket(start, tokens, tmp_path):
-    """Where none is needed, one that is sent still counts; a user of the unix socket needs none."""
+    """If no token is needed, one that is sent still counts. A user of the unix socket needs
+    none."""
     service = start(f"--token-file={tokens}", listen=("127.0.0.1:0", f"unix:{tmp_path}/socket"))
     for unix in (False, True):
         assert service.get("/v1/whoami", unix=unix)["right"] == "admin"
@@ -229,7 +231,7 @@ def test_blanks_around_a_token(service):
 
 
 def test_a_revoked_token_loses_its_stream(service, tokens):
-    """Streams of tokens that stay go on."""
+    """Streams of the remaining tokens continue."""
     streams = {}
     for right in ("read", "admin"):
         streams[right] = socket.create_connection((service.host, service.port),
@@ -265,7 +267,8 @@ def test_the_dashboard_is_off(start):
 
 
 def test_no_reply_is_framed_or_read_by_other_sites(service):
-    """Whatever the reply: a page, a file of it, JSON, a stream, a refusal, what is not HTTP."""
+    """For any reply: a page, one of its files, JSON, a stream, a refusal, a reply to something that
+    is not HTTP."""
     service.token = TOKENS["admin"]
     page = service.request("GET", "/").body.decode()
     script = next(word for word in page.split('"') if word.endswith("app.js"))
@@ -325,7 +328,7 @@ def forwarded(start, tmp_path):
 
 
 def test_no_page_reaches_a_forwarded_socket(forwarded):
-    """A browser names the host that the page believes to talk with; only loopback is answered."""
+    """A browser sends the host of the page's address; only loopback names are answered."""
     own = f"localhost:{forwarded.port}"
     for host in (own, f"127.0.0.1:{forwarded.port}", f"[::1]:{forwarded.port}"):
         for path in ("/", "/v1/jobs", "/v1/whoami"):
@@ -338,11 +341,11 @@ def test_no_page_reaches_a_forwarded_socket(forwarded):
         for method, path in (("GET", "/"), ("GET", "/v1/jobs"), ("POST", "/v1/evaluations")):
             assert forwarded.status(method, path, Host=host) == 403, host
             assert forwarded.status(method, path, Host=host, Origin=f"http://{host}") == 403
-    # A page of another site, or of another port, that asks in its own name.
+    # A page of another site, or of another port, that sends its own origin.
     for origin in ("http://evil.example", "null", "http://localhost:1", "https://localhost"):
         for method in ("GET", "POST", "DELETE"):
             assert forwarded.status(method, "/v1/jobs/1/cancel", Host=own, Origin=origin) == 403
-    # A form or an image of another page: no Origin, but the browser says where it comes from.
+    # A form or an image of another page: no Origin, but the browser sends the site.
     for site in ("cross-site", "same-site"):
         assert forwarded.status("GET", "/v1/jobs", Host=own, Sec_Fetch_Site=site) == 403
         assert forwarded.status("POST", "/v1/jobs/1/cancel", Host=own, Sec_Fetch_Site=site) == 403

@@ -75,13 +75,13 @@ def test_a_preset_and_what_is_named_over_it(service):
     for request, detail in (
         ({"kind": "pretrain", "preset": "laptop"},
          'must be "workstation", "phototaxis" or "paper", got "laptop"'),
-        (TUNE | {"preset": "phototaxis"}, "of a finetuning")):
+        (TUNE | {"preset": "phototaxis"}, "for a finetuning")):
         reply = service.request("POST", "/v1/trainings", request)
         assert reply.status == 422 and detail in reply.json()["errors"][0]["detail"], reply.body
 
 
 def holds(value, told):
-    """Whether an object has these members, which may be objects of which the same is true."""
+    """Returns whether an object has these members, recursively."""
     return (all(holds(value[key], member) for key, member in told.items())
             if isinstance(told, dict) else value == told)
 
@@ -110,7 +110,7 @@ TUNED = {"kind": "cosine", "peak": 3e-4, "floor": 1e-6, "warmup_steps": 0}
      {"batch": 8192, "schedule": RESTARTS | {"peak": 0.003}}),
     ({"kind": "pretrain", "schedule": "paper-simultaneous"},
      {"schedule": RESTARTS | {"decay": 0.65}}),
-    # A peak below the usual floor lowers the floor.
+    # A peak below the default floor lowers the floor.
     ({"kind": "pretrain", "schedule": {"kind": "cosine", "peak": 1e-6}},
      {"schedule": COSINE | {"peak": 1e-6, "floor": 1e-6}}),
     ({"kind": "pretrain", "schedule": {"kind": "constant", "peak": 0.5, "warmup_steps": 0}},
@@ -155,8 +155,8 @@ def test_the_end(service, trained):
 
 
 def test_the_rule_of_the_adjoint(service):
-    """It and its weight are told, stand in the lineage, and decide what is learned: a bound this
-    low is passed at once."""
+    """The rule and its weight are reported, are part of the lineage, and affect learning: adjoints
+    exceed such a low bound immediately."""
     files = []
     for rule, weight in (("clip", 3), ("restart", 3), ("restart", None), ("restart", 0.5)):
         chosen = {"adjoint_rule": rule} | ({"restart_weight": weight} if weight else {})
@@ -185,7 +185,7 @@ def test_curve(service, trained):
 
 
 def test_validations(service, trained):
-    """The last is an evaluation of the held-out set with the result."""
+    """The last one equals an evaluation of the held-out set with the result."""
     path = trained["links"]["validations"]
     rows = service.pages(path)
     assert [row["step"] for row in rows] == [0, 3, 6] and trained["validation"] == rows[-1]
@@ -229,7 +229,8 @@ def await_idle(service, path):
 
 
 def test_checkpoints_are_deleted(service):
-    """What a training goes on from stays until it has ended; then nothing of it is needed."""
+    """The checkpoint from which a training continues stays until it has ended; after that, none is
+    needed."""
     def delete(path):
         return service.request("DELETE", path).json()
 
@@ -258,7 +259,7 @@ def test_checkpoints_are_deleted(service):
     assert service.act(running["id"], "cancel").status in (200, 202)
     assert await_idle(service, itself)["state"] == "cancelled"
     assert delete(path)["items"]
-    until(lambda: not folder.exists())  # its thread may write one more, whose row is refused
+    until(lambda: not folder.exists())  # its thread may write one more file, but its row is refused
     assert service.get(itself)["checkpoint_step"] is None
     gone = service.request("GET", running["links"]["controller"])
     assert gone.status == 404 and "ended" in gone.json()["detail"]
@@ -271,7 +272,7 @@ def test_checkpoints_are_deleted(service):
 
 
 def test_the_same_again(service, trained):
-    """The same request gives the same file, under another name."""
+    """The same request yields the same file, under another name."""
     request = TRAIN | {"schedule": "paper-pretrain"}
     again = train(service, request | {"name": "again"})["controller"]["sha256"]
     other = train(service, request | {"name": "other", "seed": 2})["controller"]["sha256"]
@@ -319,8 +320,7 @@ def test_a_pause_writes_a_checkpoint(service):
 
 
 def test_lineage_of_the_code(start, tmp_path):
-    """A training that goes on under another instruction set goes on, and says so wherever it is
-    asked."""
+    """A training continues under another instruction set, and reports this everywhere."""
     first = start("--isa=x86-64", state=tmp_path)
     training = first.post("/v1/trainings", LONG | {"name": "mixed"})
     assert training["code"] == []

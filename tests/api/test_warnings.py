@@ -1,5 +1,5 @@
-"""What the result of a job that did what was asked does not show by itself: starts on steep ground,
-lights at the start, robots that diverged, morphospaces without new bodies."""
+"""Warnings about successful jobs with questionable results: starts on steep ground, lights at the
+start, robots that diverged, morphospaces without new bodies."""
 
 import struct
 
@@ -28,7 +28,8 @@ def codes(job):
 
 
 def warnings_of_events(service, job):
-    """What events told of a job, in order: the state at that time, and the code."""
+    """Returns the warnings in the events of a job, in order: the state at that time, and the
+    code."""
     events = service.get(f"/v1/events?format=json&job={job['id']}")["items"]
     return [(event["data"]["state"], event["data"]["code"]) for event in events
             if event["type"] == "job.warning"]

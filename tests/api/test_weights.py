@@ -1,4 +1,4 @@
-"""Weights: what jobs take, show, change and refuse, and what /metrics tells of worker time."""
+"""Weights: what jobs accept, show, change and refuse, and the worker time in /metrics."""
 
 import re
 

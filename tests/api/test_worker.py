@@ -1,4 +1,4 @@
-"""`morphod worker` against a daemon that is played here: leases in, rows out, and what goes wrong.
+"""`morphod worker` with a fake daemon: leases in, rows out, and what can go wrong.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 
 @pytest.fixture(scope="module")
 def known(service):
-    """What a daemon says of some designs: genotypes, environments, weights, losses."""
+    """Replies of a daemon about some designs: genotypes, environments, weights, losses."""
     done = service.evaluate({"designs": [{"cells": design["cells"]} for design in DESIGNS],
                              "physics": {"n_steps": N_STEPS}}).json()
     worlds = service.get("/v1/environment-sets/paper-test")["items"]
@@ -39,7 +39,7 @@ def known(service):
 
 @pytest.fixture
 def launch():
-    """Starts fake daemons and workers of a test's own."""
+    """Starts fake daemons and workers for a single test."""
     started = []
 
     def start(kind, *how, **more):
@@ -59,7 +59,7 @@ def daemon(launch, known):
 
 
 def lease(known, number, epoch=1, designs=(0, 1, 2, 3), n_steps=None, **more):
-    """The paper's test set for some designs, in blocks as it happens."""
+    """The paper's test set for some designs, in blocks of varying size."""
     blocks = [(known["genotypes"][d], part) for d in designs for part in (range(7), range(7, 10))]
     physics = known["physics"] | ({"n_steps": n_steps} if n_steps else {})
     what = {"controller": known["controller"], "physics": physics,
@@ -68,12 +68,12 @@ def lease(known, number, epoch=1, designs=(0, 1, 2, 3), n_steps=None, **more):
 
 
 def long_lease(known, number, n_steps=4000, **more):
-    """Takes some seconds of one processor."""
+    """A lease that takes some seconds of one processor."""
     return lease(known, number, designs=(3, ) * 8, n_steps=n_steps, **more)
 
 
 def endless_lease(known, number):
-    """Takes far longer than a test waits."""
+    """A lease that takes far longer than a test waits."""
     return long_lease(known, number, n_steps=1_000_000)
 
 
@@ -82,7 +82,7 @@ def losses(known, designs=(0, 1, 2, 3)):
 
 
 def running(fake, *ids):
-    """Waits until leases are out."""
+    """Waits until leases have been issued."""
     fake.until(lambda: all(i in fake.out for i in ids))
 
 
@@ -169,8 +169,8 @@ def test_a_daemon_that_starts_again_costs_little(daemon, launch, known):
     daemon.give(lease(known, 0), long_lease(known, 1))
     daemon.until(lambda: daemon.done((1, 0)))
     daemon.close()
-    # While nobody answers, it asks so often that it finds the next daemon in a moment: with pauses
-    # of some seconds, the longest ones, it would take a minute for this.
+    # While there is no reply, it retries so often that it finds the next daemon quickly. With
+    # pauses of some seconds, the longest ones, this would take a minute.
     with socket.create_server(("127.0.0.1", daemon.port)) as deaf, soon():
         deaf.settimeout(SOON_S)
         for _ in range(20):
@@ -179,7 +179,7 @@ def test_a_daemon_that_starts_again_costs_little(daemon, launch, known):
     again.controllers = daemon.controllers
     again.give(lease(known, 0, epoch=2))
     again.until(lambda: again.results)
-    # The weights are still there, and nothing of the old epoch is sent.
+    # The worker still has the weights, and sends nothing of the old epoch.
     assert [result[0] for result in again.results] == [(2, 0)]
     assert not any("/controllers/" in path for _, path in again.requests)
     assert again.done((2, 0)) == losses(known) and worker.stop() == 0
@@ -292,7 +292,7 @@ def test_orders_drain_and_refuse(daemon, launch, known):
 
 
 def test_an_upgrade_is_another_end(daemon, launch, known):
-    """Status 69 and the version that is wanted, unless a signal comes first."""
+    """Status 69 and the requested version, unless a signal arrives first."""
     for stops, status in ((False, 69), (True, 0)):
         worker = launch(Worker, daemon.url)
         daemon.until(lambda: daemon.sessions)
@@ -311,7 +311,7 @@ def test_reasons_to_leave(daemon, launch, known, tmp_path):
     idle = launch(Worker, daemon.url, "--leave-when-idle=1")
     daemon.give(lease(known, 0))
     assert idle.ends() == 0 and daemon.done((1, 0)) and daemon.sessions == {}
-    # 30 s before the end of a job, as its environment or squeue says.
+    # 30 s before the end of a job, according to its environment or squeue.
     squeue = tmp_path / "squeue"
     end = time.strftime("%Y-%m-%dT%H:%M:%S", time.localtime(time.time() + 32))
     squeue.write_text(f'#!/bin/sh\n[ "$*" = "-h -j 17 -o %e" ] && echo {end}\n')
@@ -327,7 +327,7 @@ def test_reasons_to_leave(daemon, launch, known, tmp_path):
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory):
-    """Paths of a self-signed certificate and its key, and the pin."""
+    """Returns the paths of a self-signed certificate and its key, and the pin."""
     folder = tmp_path_factory.mktemp("tls")
     paths = [str(folder / name) for name in ("certificate.pem", "key.pem")]
     subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",

@@ -15,7 +15,8 @@ FORMATS = {"float64": "d", "float32": "f", "uint16": "H", "uint32": "I", "uint8"
 
 
 def scene(reply):
-    """A scene's header, and a function that reads an array of it as rows of numbers."""
+    """Returns the header of a scene, and a function that reads one of its arrays as rows of
+    numbers."""
     assert reply.headers["Content-Type"] == "application/vnd.morphod.scene"
     (length, ) = struct.unpack_from("<I", reply.body)
     header = json.loads(reply.body[4:4 + length])
@@ -111,7 +112,7 @@ def test_a_scene_holds_what_an_evaluation_records(service):
 
 
 def test_scenes_of_recordings(service):
-    """A stored recording as a scene: what the rollouts of the same request give, bit for bit."""
+    """A stored recording as a scene equals the rollouts of the same request, bit for bit."""
     request = {
         "designs": [{"cells": [[0, 0, 0]]}, DESIGN], "environments": [WORLD, {**WORLD, "seed": 8}],
         "physics": {"n_steps": 40, "gravity_m_per_s2": 9.5}, "record_stride": 20,

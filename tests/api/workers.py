@@ -1,5 +1,5 @@
-"""A worker in Python: the messages of src/fleet/wire.h, good and bad ones, and the workers' server
-of a service."""
+"""A worker in Python: the messages of src/fleet/wire.h, valid and invalid ones, and the server for
+workers of a service."""
 
 import base64
 import hashlib
@@ -18,7 +18,7 @@ GRADIENT = 2  # flag of a lease
 
 
 def result(lease, losses, steps=None, state=0, epoch=None, rows=None):
-    """The rows of a lease (a pair of epoch and number), as they travel."""
+    """Encodes the rows of a lease (a pair of epoch and number) for a message."""
     steps = steps or [0] * len(losses)
     return (RESULT.pack(lease[0] if epoch is None else epoch, lease[1], state,
                         len(losses) if rows is None else rows, 0.5, 0.5) +
@@ -32,7 +32,7 @@ def results(*items, magic=b"MOFLEETR", version=VERSION, n=None, size=None):
 
 
 def read_leases(message):
-    """Pairs of a lease's id (epoch, number) and how many rows it has."""
+    """Returns pairs of the id of a lease (epoch, number) and its number of rows."""
     magic, version, n, size = HEADER.unpack_from(message)
     assert (magic, version, size) == (b"MOFLEETL", VERSION, len(message))
     at, leases = HEADER.size, []
@@ -52,7 +52,7 @@ def digest(body):
 
 
 class Workers:
-    """The workers' server of a service, as a worker sees it."""
+    """The server for workers of a service, as a worker sees it."""
     def __init__(self, service, certificate=None, token=None):
         self.service, self.token = service, token
         scheme, _, address = service.addresses[-1].partition("://")
@@ -76,7 +76,7 @@ class Workers:
         return connection
 
     def request(self, method, path, body=None, connection=None, **headers):
-        """Status, header and body of a reply."""
+        """Returns status, header and body of a reply."""
         connection = connection or self.connection()
         try:
             reply = self.send(connection, method, path, body, **headers).getresponse()
@@ -90,7 +90,8 @@ class Workers:
         assert words in json.loads(body)["detail"], body
 
     def offer(self, **others):
-        """The request of a worker like this service, whose canary it tells who guesses wrong."""
+        """Returns the request of a worker that matches this service. The service reveals its canary
+        in the refusal of a wrong one."""
         kind = self.service.get("/v1/fleet")["classes"]["cpu"]
         wanted = {"protocol": 1, "name": "node", "host": "node.test", "n_threads": 1,
                   "n_devices": 0, "version": self.service.get("/healthz")["version"],
@@ -104,7 +105,7 @@ class Workers:
         return wanted | others
 
     def join(self, **others):
-        """The path of a new session."""
+        """Joins, and returns the path of a new session."""
         status, headers, body = self.request("POST", "/v1/fleet/sessions",
                                              json.dumps(self.offer(**others)),
                                              Content_Type="application/json")

@@ -14,7 +14,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "api"))
 
 FLAGS = ("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--ignore-gpu-blocklist", "--hide-scrollbars", "--disable-dev-shm-usage")
-# Faults that a page may not have: what it says on its console, and what its policy forbade.
+# Faults that a page must not have: console messages, and violations of its policy.
 WATCH = """
 window.faults = [];
 addEventListener('securitypolicyviolation',
@@ -23,8 +23,8 @@ addEventListener('error', (event) => faults.push('error: ' + event.message));
 addEventListener('unhandledrejection', (event) => faults.push('rejection: ' + event.reason));
 """
 
-# The most requests, the page's own among them, of which each began after the one before had ended,
-# once the page shows what is asked for.
+# The longest chain of requests, including that for the page, in which each began after the previous
+# one had ended, once the page shows the expected content.
 CHAIN = """
 if (!(%s)) return null;
 const ends = [];
@@ -64,7 +64,7 @@ class Browser:
         self.run = self.driver.execute_script
 
     def open(self, view="", theme=None):
-        """Shows a view, as a new page of a person whose editor is empty."""
+        """Shows a view in a new page with an empty editor."""
         self.driver.get("about:blank")
         self.driver.get_log("browser")  # of pages before this one
         script = "sessionStorage.removeItem('morphod-editor');"
@@ -77,7 +77,7 @@ class Browser:
         self.until("document.querySelector('main h1')")
 
     def until(self, condition, seconds=300):
-        """Waits until a script says so."""
+        """Waits until a script returns true."""
         deadline = time.monotonic() + seconds
         while not self.run(f"return Boolean({condition})"):
             assert time.monotonic() < deadline, f"never true: {condition}; {self.faults()}"
@@ -88,8 +88,8 @@ class Browser:
         self.until("document.querySelector('.stage')?.player?.stage.robots.length", seconds)
 
     def chain(self, view, shown, latency_ms=300):
-        """The length of the longest chain of requests until a script says that a view is shown,
-        over a slow connection and with an empty cache: what lies side by side there overlaps."""
+        """Returns the length of the longest chain of requests until a script reports that a view is
+        shown, over a slow connection and with an empty cache, where concurrent requests overlap."""
         def slow(latency):
             self.driver.execute_cdp_cmd("Network.emulateNetworkConditions",
                                         {"offline": False, "latency": latency,
@@ -110,7 +110,7 @@ class Browser:
             slow(0)
 
     def faults(self):
-        """What is wrong: errors, violations of the page's policy, requests to other hosts."""
+        """Returns all faults: errors, violations of the page's policy, requests to other hosts."""
         entries = self.run(
             "return performance.getEntriesByType('resource').map((entry) => entry.name)")
         found = self.run("return window.faults ?? []")
@@ -132,7 +132,7 @@ class Browser:
         assert done, f"there is no {selector} {text!r}: {self.texts(selector)}"
 
     def pixels(self, selector="canvas"):
-        """The picture of a canvas: (height, width, 4) bytes."""
+        """Returns the picture of a canvas: (height, width, 4) bytes."""
         width, height, data = self.run(PIXELS, selector)
         return numpy.frombuffer(base64.b64decode(data), "u1").reshape(height, width, 4)
 

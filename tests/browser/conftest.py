@@ -36,7 +36,7 @@ def make_study(running):
 
 @pytest.fixture(scope="session")
 def service():
-    """A daemon with something of everything."""
+    """A daemon with jobs and data of every kind."""
     running = Service()
     running.campaign = run(running, "campaigns", CAMPAIGN)["id"]
     running.request("PATCH", f"/v1/jobs/{running.campaign}",

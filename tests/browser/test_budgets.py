@@ -22,8 +22,8 @@ def test_all_files_together_are_small(service):
 
 
 @pytest.mark.parametrize("view, shown, length", [
-    # The page, its frame, the view's modules beside the number of the newest event, the data. The
-    # newest events may come between these.
+    # The page, its frame, the modules of the view along with the number of the newest event, and
+    # the data. The newest events may come between these.
     ("", "document.querySelector('.tile')", 5),
     # The same, then the robots.
     ("stage", "performance.getEntriesByName('morphod-first-picture').length", 6)
@@ -32,8 +32,8 @@ def test_a_page_waits_for_few_requests_in_a_row(browser, view, shown, length):
     assert browser.chain(view, shown) <= length
 
 
-# Draws 100,000 values between 0 and 0.1, one of 1, and a gap; what it takes, and how many rows
-# have the curve's color at the peak, in the gap and elsewhere.
+# Draws 100,000 values between 0 and 0.1, one of 1, and a gap. Returns the cost, and how many rows
+# have the color of the curve at the peak, in the gap and elsewhere.
 DENSE = """
 const done = arguments[arguments.length - 1];
 const folder = document.querySelector('script[type=module]').src.replace(/app.js$/, '');
@@ -67,7 +67,7 @@ import(folder + 'lib/chart.js').then(({ Chart }) => {
 
 
 def test_many_points_are_drawn_as_few(browser):
-    """What is drawn depends on the columns of pixels; a single peak and a gap are still seen."""
+    """The drawing depends on the columns of pixels; a single peak and a gap are still visible."""
     browser.open("nowhere")
     points, height, peak, gap, flat = browser.driver.execute_async_script(DENSE)
     assert points < 5, "for each column of pixels"

@@ -1,4 +1,4 @@
-"""Where links lead: to what they name, in its world, and back to where one was."""
+"""Links lead to what they name, in its world, and back to where the user was."""
 
 import json
 import re
@@ -30,14 +30,14 @@ BROKEN = {
 
 @pytest.fixture(scope="module")
 def own(service):
-    """An evaluation in a world of its own."""
+    """An evaluation in its own world."""
     return run(service, "evaluations", {
         "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 150},
         "environments": [{"light_xy_m": [0.5, 1.0], "terrain_sigma_m": 0.02, "seed": 4}]})
 
 
 def test_broken_links_say_what_is_wrong(service, browser, own):
-    """And show nothing else."""
+    """They show nothing else."""
     browser.open("designs")
     for view, text in BROKEN.items():
         view = view.format(evaluation=own["id"], campaign=service.campaign,
@@ -53,7 +53,8 @@ def test_broken_links_say_what_is_wrong(service, browser, own):
 
 
 def test_the_stage_has_the_world_of_a_score(service, browser, own):
-    """Environments, physics and controller; it says so; and so do the commands to copy."""
+    """It has the environments, physics and controller, and shows them; so do the commands to
+    copy."""
     best = min(own["results"], key=lambda row: row["score"])
     browser.open(f"designs?evaluation={own['id']}")
     browser.until("document.querySelectorAll('.card').length === 2")
@@ -90,7 +91,7 @@ def test_the_stage_has_the_world_of_a_score(service, browser, own):
 
 
 def test_back_leads_to_where_one_was(service, browser):
-    """The place on the page and what was chosen; an open dialog does not stay."""
+    """The place on the page and the choices are restored; an open dialog is closed."""
     service.evaluate({"designs": [{"cells": [[x, 0, 0] for x in range(n)]} for n in (1, 2, 3)]})
     browser.open("designs")
     browser.until("document.querySelectorAll('.card').length > 2")
@@ -153,7 +154,7 @@ def test_the_editor_scores_again_when_the_service_is_back(browser):
 
 
 def test_a_design_is_found_in_a_phylogeny(service, browser):
-    """What was not found is not said any more, and the view goes to what is found."""
+    """The message about a missing design disappears, and the view moves to the design."""
     browser.open(f"campaigns/{service.campaign}/phylogeny")
     find = """
         const form = document.querySelector('main form');
@@ -189,7 +190,7 @@ def fill(browser, values):
 
 
 def test_a_finetuning_from_the_form(service, browser):
-    """On random bodies and on a population; a pretraining is not asked for bodies."""
+    """On random bodies and on a population. The form of a pretraining does not request bodies."""
     browser.open("trainings")
     browser.click("New training")
     browser.until("document.querySelector('dialog[open] form')")
@@ -218,7 +219,7 @@ def test_a_finetuning_from_the_form(service, browser):
 
 
 def test_forms_say_what_they_leave_open(service, browser):
-    """Empty fields show the numbers of the preset; a fault stands once, at its field."""
+    """Empty fields show the numbers of the preset. A fault is shown once, at its field."""
     browser.open("")
     browser.click("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
@@ -264,7 +265,7 @@ def test_dialogs_are_forms(service, browser):
 
 
 def test_colors_of_the_person(browser):
-    """With forced colors, what is set and what is pressed still look different."""
+    """With forced colors, selected and pressed controls still look different."""
     browser.open("editor?voxels=" + "1" + "0" * 143)
     media = {"features": [{"name": "forced-colors", "value": "active"}]}
     browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)

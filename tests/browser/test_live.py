@@ -1,4 +1,5 @@
-"""Pages refresh by themselves: what a person types or presses stays, and each act is answered."""
+"""Pages refresh by themselves: typed text and pressed buttons stay, and each action gets a
+response."""
 
 import pytest
 
@@ -15,19 +16,19 @@ TOAST = "document.querySelector('#toast[data-open]:popover-open')"
 
 
 def module(browser, name, script):
-    """What a function gives that gets a module of the page."""
+    """Returns the result of a function that gets a module of the page."""
     return browser.driver.execute_async_script(MODULE % (name, script))
 
 
 def go(browser, view):
-    """Goes on to a view, as a link does."""
+    """Navigates to a view, as a link does."""
     browser.run("location.hash = '#/' + arguments[0]", view)
     browser.until("!/Loading/.test(document.querySelector('main').innerText)")
 
 
 @pytest.fixture(scope="module")
 def busy(service):
-    """A campaign that runs as long as the tests."""
+    """A campaign that runs during all tests."""
     id = service.post("/v1/campaigns", CAMPAIGN | {"generations": 90000, "label": "busy"})["id"]
     yield id
     service.act(id, "cancel")
@@ -62,7 +63,7 @@ def test_a_refresh_leaves_what_is_typed_and_has_the_focus(browser, busy):
 
 
 def test_lists_are_patched_around_what_is_in_use(browser):
-    """Elements are kept by key; the one with the focus stays where it is, in whatever order."""
+    """Elements are kept by key. The one with the focus stays in its place, for any order."""
     browser.open("nowhere")
     orders = module(browser, "dom", """({ patch, h }) => {
         const list = h('div');
@@ -113,7 +114,7 @@ def test_refusals_and_news_are_seen(browser, busy):
 
 
 def test_the_phase_before_the_first_generation_is_named(browser, service, busy):
-    """No event comes in it: the page asks by itself."""
+    """There are no events in this phase: the page polls."""
     browser.open("campaigns")
     browser.run("""
         const { fetch } = window;
@@ -146,7 +147,7 @@ def test_a_study_waits_for_its_client(service, browser):
 
 
 def test_axes_and_single_values_of_charts(browser):
-    """An axis with a range keeps it; a value that stands alone is drawn whole, also at the edge."""
+    """An axis with a range keeps it. A single value is drawn completely, also at the edge."""
     browser.open("nowhere")
     scale, n, whole = module(browser, "chart", """({ Chart }) => {
         const made = (xRange) => {
@@ -211,11 +212,11 @@ def test_replicates_are_one_row(service, browser):
     assert "replicate 2" in links and "replicate 3" in links
 
 
-# ---- results of little use ----
+# ---- questionable results ----
 
 
 def test_warnings_stand_beside_the_state(start):
-    """Of robots that all diverged, and of a campaign that found no new bodies."""
+    """Warnings about robots that all diverged, and about a campaign that found no new bodies."""
     other = start()
     stiff = {"n_steps": 20, "stiffness_n_per_m": 1e6}
     diverged = run(other, "campaigns", CAMPAIGN | {"physics": stiff, "generations": 1})["id"]

@@ -1,4 +1,4 @@
-"""Every page, with real data: it shows what the API says, breaks no rule, and is usable by all."""
+"""Every page, with real data: it agrees with the API, breaks no rule, and is accessible."""
 
 import json
 import os
@@ -41,8 +41,8 @@ def test_page(service, browser, view, theme):
     assert not re.search(r"\b(null|undefined|NaN)\b", text), text
 
 
-# What a person needs who does not see the page, or has no mouse: names for all that can be used, a
-# label for each picture, one main heading, texts that stand out from their ground.
+# Requirements of users who cannot see the page or have no mouse: names for all controls, a label
+# for each picture, one main heading, and text with enough contrast.
 ACCESSIBILITY = """
 const faults = [];
 const shown = (e) => e.offsetParent !== null || getComputedStyle(e).position === 'fixed';
@@ -125,7 +125,7 @@ def test_editing_by_keyboard(service, browser):
 
 
 def test_what_the_editor_reads(browser):
-    """Arrays of EvoGym become two voxels deep; cells, digits and ids are what they say."""
+    """Arrays of EvoGym become two voxels deep; cells, digits and ids are read unchanged."""
     browser.open("designs")
     read = browser.driver.execute_async_script("""
         const [texts, done] = arguments;
@@ -173,7 +173,7 @@ def test_what_the_editor_does(service, browser):
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.click("Keep")  # the same form, and so the same founder
     assert browser.run("return document.querySelectorAll('.card').length") == 1
-    browser.click("Cross")  # campaigns place the parents first, and then these are equal
+    browser.click("Cross")  # campaigns place the parents first, which makes these equal
     browser.until("/equal; nothing is left/.test(document.getElementById('toast').innerText)")
     assert browser.run(f"return {voxels}") == moved
     browser.click("Undo")
@@ -199,7 +199,8 @@ def test_what_the_editor_does(service, browser):
 
 
 def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
-    """Starts a campaign from the form, watches, pauses, resumes and extends it: no mouse."""
+    """Starts a campaign from the form, and watches, pauses, resumes and extends it without a
+    mouse."""
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
 
@@ -207,7 +208,7 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
         ActionChains(browser.driver).send_keys(*all_keys).perform()
 
     def press(name):
-        """Tabs to a control by its name, as a person would, and presses it."""
+        """Tabs to a control by its name, as a user would, and presses it."""
         for _ in range(80):
             keys(Keys.TAB)
             at = browser.run("const e = document.activeElement;"
@@ -269,7 +270,7 @@ def test_the_leaderboard_from_both_ends(service, browser):
 
 
 def test_links_carry_the_orientation(service, browser):
-    """What a page shows beside a score, and what it leads to, is the robot that has the score."""
+    """A page shows and links to the robot that has the score."""
     cells = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 2, 0], [1, 2, 1], [2, 2, 1]]
     robot = service.evaluate({"designs": [{"cells": cells}]}).json()["results"][0]["robot"]
     assert not robot.endswith("@0")
@@ -289,14 +290,14 @@ def test_links_carry_the_orientation(service, browser):
     selected = "[...document.querySelectorAll('[aria-selected=true]')]"
     browser.until(f"{selected}.map((e) => e.dataset.cell).sort().join(' ') === "
                   f"{' '.join(sorted(cells))!r}")
-    # An id alone becomes the robot that walks, and stays it.
+    # An id without an orientation becomes the robot that walks, and stays it.
     browser.open("stage?designs=" + robot[:-2])
     browser.until(f"decodeURIComponent(location.hash).includes('designs={robot}')")
     assert browser.faults() == []
 
 
 def bred(service, browser, label):
-    """Starts a campaign by "Breed these"; the ids of its founders once it has ended."""
+    """Starts a campaign by "Breed these", and returns the ids of its founders once it has ended."""
     browser.click("Breed these")
     browser.until("document.querySelector('dialog[open] form')")
     browser.run("""
@@ -387,7 +388,7 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
 
 
 def test_lower_bounds_are_no_scores(service, browser):
-    """They are faint, off the scale of colors, and said to be bounds."""
+    """They are faint, outside the color scale, and marked as bounds."""
     id = run(service, "campaigns", RACED | {"generations": 2})["id"]
     rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
     bound = next(row for row in rows if row["lower_bound"])
@@ -406,7 +407,7 @@ def test_lower_bounds_are_no_scores(service, browser):
 
 
 def test_the_best_of_many_come_first(service, browser):
-    """Behind them stand lower bounds, which are said to be such."""
+    """Lower bounds follow them, and are marked as such."""
     bodies = service.post("/v1/bodies/random", {"count": 30, "seed": 12})["items"]
     value = run(service, "evaluations", {
         "designs": [{"voxels": body["genotype"]} for body in bodies], "best": 2})
@@ -430,7 +431,7 @@ COPIED = [
 
 
 def test_an_evaluation_too_large_for_a_list(service, browser):
-    """Its best designs come from pages of results."""
+    """Its best designs are read from pages of results."""
     value = run(service, "evaluations", {
         "random": {"count": 10_200, "seed": 3}, "best": 4, "physics": {"n_steps": 5},
         "environments": [{"light_xy_m": [4, 3], "terrain_sigma_m": 0, "seed": 1}]})
@@ -445,7 +446,7 @@ def test_an_evaluation_too_large_for_a_list(service, browser):
 
 @pytest.mark.parametrize("view", COPIED)
 def test_every_view_can_be_copied(service, browser, tmp_path, view):
-    """What the page gives to copy works as it is."""
+    """The commands to copy work unchanged."""
     design = service.get("/v1/designs?limit=1")["items"][0]["id"]
     evaluation = service.get("/v1/jobs?kind=evaluation&limit=1")["items"][0]["id"]
     browser.open(address(service, view.replace("{evaluation}", evaluation).replace(
@@ -484,7 +485,7 @@ def test_a_form_can_be_copied(service, browser, tmp_path):
 
 
 def test_campaigns_are_compared_with_an_interval(service, browser):
-    """Replicates are a side; the interval of the difference is Welch's."""
+    """Replicates form a side; the interval of the difference is Welch's."""
     base = {"mode": "zero-shot", "population": 4, "generations": 2, "physics": {"n_steps": 30},
             "exclude_pretraining": False, "replicates": 3, "controller": "default"}
     firsts = [run(service, "campaigns", base | {"seed": seed})["id"] for seed in (5, 50)]
@@ -505,7 +506,7 @@ def test_campaigns_are_compared_with_an_interval(service, browser):
     parts = [statistics.variance(side) / 3 for side in sides]
     freedom = sum(parts)**2 / sum(part**2 / 2 for part in parts)
     low, high = (float(one.replace("\u2212", "-")) for one in row[4].split(" to "))
-    told = (high - low) / 2 / sum(parts)**0.5  # the quantile that was used
+    told = (high - low) / 2 / sum(parts)**0.5  # the quantile of the page
     table = {2: 4.3027, 3: 3.1824, 4: 2.7764}
     assert table[int(freedom) + (freedom < 4)] - 2e-2 <= told <= table[int(freedom)] + 2e-2
     shorter = run(service, "campaigns", base | {"replicates": 1, "physics": {"n_steps": 20}})["id"]
@@ -553,7 +554,7 @@ def test_two_controllers_are_compared(service, browser):
     assert browser.faults() == []
 
 
-STATES = {  # what a page says where there is nothing, or not what the address names
+STATES = {  # what a page shows if there is nothing, or not what the address names
     "campaigns": "No campaign yet", "trainings": "No training yet",
     "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
     "": "No job yet", "campaigns/99": "There is no such campaign",
@@ -567,10 +568,10 @@ STATES = {  # what a page says where there is nothing, or not what the address n
 
 
 def test_machines_are_shown_and_changed(start):
-    """Who computes, what was lost, and what an operator does about a worker."""
+    """Which machines compute, which were lost, and an operator's actions on a worker."""
     workers = Workers(start("--fleet-listen=127.0.0.1:0"))
     service = workers.service
-    page = Browser(service)  # before the workers join: they are lost where they are silent for long
+    page = Browser(service)  # before the workers join: they are lost if they are silent for long
     try:
         names = ["<b>one</b>", "two", "gone"]
         sessions = [workers.join(name=name, version="0.0.1") for name in names]
@@ -626,7 +627,8 @@ def test_the_page_says_that_the_service_is_down_and_comes_back(start, browser):
 
 
 def test_jobs_in_order(service, browser):
-    """A job is noted, archived, found again, and deleted after a question that names the loss."""
+    """A job gets a note, is archived, is found again, and is deleted after a confirmation that
+    names the loss."""
     job = run(service, "evaluations", {"designs": [DESIGN], "physics": {"n_steps": 20},
                                        "label": "in order"})["id"]
     rows = "document.querySelectorAll('table.jobs tbody tr').length"

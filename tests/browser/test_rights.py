@@ -1,4 +1,4 @@
-"""What pages offer to those who may only look, and links that bring another token."""
+"""What pages offer to users who may only read, and links with another token."""
 
 
 import pytest
@@ -15,12 +15,13 @@ CAMPAIGN = {
 }
 WRITES = ("New evaluation", "New training", "New campaign", "Pause", "Resume", "Cancel", "Extend",
           "Breed these", "Edit")
-BUTTONS = "main button:not(.stage *, [hidden])"  # the stage has a Pause of its own
+BUTTONS = "main button:not(.stage *, [hidden])"  # the stage has its own Pause
 
 
 @pytest.fixture
 def guarded(start, tmp_path):
-    """A daemon with a job of each state that has buttons, where every request needs a token."""
+    """A daemon that requires a token for every request, with a job in each state that has
+    buttons."""
     path = tmp_path / "tokens"
     path.write_text(f"{NAME} read {READ}\n<b>sam</b> submit {SUBMIT}\n")
     path.chmod(0o600)
@@ -39,7 +40,8 @@ def page(guarded):
 
 
 def shown(browser, view, token=None):
-    """Opens a view, with the token in the address if one is given; the texts of its buttons."""
+    """Opens a view, with the token in the address if one is given. Returns the texts of its
+    buttons."""
     browser.driver.get("about:blank")
     browser.driver.get(f"{browser.base}#/{view}" + (f"&token={token}" if token else ""))
     browser.until("document.querySelector('main h1')")
@@ -47,12 +49,12 @@ def shown(browser, view, token=None):
 
 
 def test_who_may_only_look(guarded, page):
-    """No button that writes, on any page; the reason, and the name as text, on each."""
+    """No page has a button that writes; each shows the reason, and the name as text."""
     views = ("", "campaigns", f"campaigns/{guarded.campaign}", "trainings", "editor", "designs")
     seen = set()
     for i, view in enumerate(views):
         seen |= shown(page, view, SUBMIT if i == 0 else None)
-    # Those who may submit see them. The campaign is paused.
+    # Users who may submit see the buttons. The campaign is paused.
     assert set(WRITES) - {"Pause"} <= seen
     page.run("sessionStorage.clear()")
     for i, view in enumerate(views):
@@ -72,7 +74,8 @@ def test_who_may_only_look(guarded, page):
 
 
 def test_pages_that_only_show(start):
-    """dashboard = read-only: the pages leave out what writes, for everybody; the API takes it."""
+    """dashboard = read-only: the pages omit all buttons that write, for everyone; the API still
+    accepts writes."""
     service = start("--dashboard=read-only")
     service.evaluate({"designs": [DESIGN]})
     browser = Browser(service)
@@ -91,7 +94,8 @@ def whose(page):
 
 
 def test_a_link_asks_before_it_replaces_a_token(guarded, page):
-    """Only where the other one works. The token is out of the address at once, either way."""
+    """Only if the other one works. In any case, the token is removed from the address
+    immediately."""
     shown(page, "", SUBMIT)
     page.until("document.querySelector('.caller').innerText.includes('sam')")
     link = f"location.hash = '#/campaigns&token={READ}'"
@@ -106,7 +110,7 @@ def test_a_link_asks_before_it_replaces_a_token(guarded, page):
     page.until("document.querySelector('dialog[open]')")
     page.click("Use the other token", "dialog button")
     page.until("document.querySelector('.caller').innerText.includes('rita')")
-    # One that does not work any more is replaced without a question.
+    # A token that no longer works is replaced without a question.
     page.run("sessionStorage['morphod-token'] = 'of-nobody-any-more'")
     shown(page, "", SUBMIT)
     page.until("document.querySelector('.caller').innerText.includes('sam')")

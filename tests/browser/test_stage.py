@@ -1,4 +1,4 @@
-"""The stage: what it shows agrees with the recording; what is saved from it is right."""
+"""The stage: it agrees with the recording, and its exports are correct."""
 
 import json
 import re
@@ -15,7 +15,7 @@ PIXELS_PER_M = 260
 
 
 def test_masses_are_where_the_recording_has_them(service, browser):
-    """Seen from above without perspective, the outline of a robot is that of its masses."""
+    """Seen from above without perspective, the outline of a robot equals that of its masses."""
     browser.open("stage?environment=2")
     browser.until_walking()
     browser.run("""
@@ -53,7 +53,7 @@ def test_masses_are_where_the_recording_has_them(service, browser):
         height, width, _ = with_robot.shape
         apart = abs(with_robot[:, :, :3].astype(int) - without[:, :, :3]).max(axis=2)
         changed = numpy.argwhere(apart > 24)[:, ::-1]  # x, y
-        assert len(changed), "the robot is not seen"
+        assert len(changed), "the robot is not visible"
         scale = width / browser.run("return document.querySelector('.stage canvas').width")
         assert scale == 1
         for axis, side in ((0, 1), (1, -1)):
@@ -138,7 +138,7 @@ class Glb:
                                   self.start + view["byteOffset"])
 
     def shape(self, weights):
-        """The places of the masses with these weights of the targets, in a row."""
+        """Returns the positions of the masses with these weights of the targets, as a flat list."""
         used = [(weight, target) for weight, target in zip(weights, self.targets) if weight]
         return [place + sum(weight * target[k] for weight, target in used)
                 for k, place in enumerate(self.base)]
@@ -159,8 +159,8 @@ def test_a_model_for_other_programs(model):
 
 
 def test_assimp_loads_the_model(model):
-    """It finds one mesh with every mass, a target per frame, and the animation; what it then saves
-    has every mass within 1 mm, too."""
+    """It finds one mesh with every mass, a target per frame, and the animation. The file that it
+    saves also has every mass within 1 mm."""
     file, n, frame_s, track = model
     info = subprocess.run(["assimp", "info", file], capture_output=True, text=True, check=True)
     told = dict(re.findall(r"^(\w+): +(\d+)$", info.stdout, re.M))
@@ -215,7 +215,7 @@ def test_a_link_holds_the_view(service, browser):
 
 
 def test_a_race_and_its_link(service, browser):
-    """Robots on one terrain, each with its name and color; the link shows the same again."""
+    """Robots on one terrain, each with its name and color. The link shows the same again."""
     ids = [row["robot"] for row in service.evaluate(
         {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["results"]]
     browser.open(f"stage?designs={','.join(ids)}&environment=2")
@@ -261,7 +261,7 @@ def test_a_race_and_its_link(service, browser):
 
 
 def test_recordings_of_an_evaluation(service, browser):
-    """Reached from the evaluation's page; the stage has the very numbers that were recorded."""
+    """Reached from the page of the evaluation. The stage has exactly the recorded numbers."""
     job = service.evaluate({
         "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 50},
         "record": ["masses", "contacts"], "record_stride": 5,
@@ -295,7 +295,7 @@ def test_recordings_of_an_evaluation(service, browser):
 
 
 def test_commands_to_copy_are_safe_to_paste(service, browser):
-    """What an address brings is one word of a shell, or is not taken at all."""
+    """A value from an address is one word of a shell, or is refused."""
     browser.open("stage?designs=$(touch%20x)")
     assert "$(touch x) is not a design" in browser.texts("main .error")[0]
     assert browser.texts("main button, pre, canvas") == []

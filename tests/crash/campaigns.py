@@ -1,10 +1,11 @@
-"""Small campaigns, and what must be the same however often they run."""
+"""Small campaigns, and what must be the same in every run."""
 import csv
 
 MODES = ("zero-shot", "few-shot", "simultaneous")
 
 
-# Of campaigns in which children are cut short: lights near the start, where a step counts much.
+# For campaigns in which children are cut short: lights near the start, where each step has a large
+# effect.
 RACE = {
     "population": 10, "generations": 6, "physics": {"n_steps": 300},
     "environments": [{"light_xy_m": [2.5 + x, 2.5 + y],
@@ -25,14 +26,14 @@ def request(mode, seed, generations):
 
 
 def without(text, *columns):
-    """A CSV without these columns."""
+    """Returns a CSV without these columns."""
     rows = list(csv.reader(text.splitlines()))
     keep = [i for i, name in enumerate(rows[0]) if name not in columns]
     return [[row[i] for i in keep] for row in rows]
 
 
 def history(daemon, job):
-    """Everything that a repeat must not change."""
+    """Returns everything that a repeated run must not change."""
     path = f"/v1/campaigns/{job}"
 
     def table(what):
@@ -56,8 +57,8 @@ def history(daemon, job):
 
 
 def check_same_lives(raced, whole):
-    """Of two histories, without and with races: all the same, but for what is told of children that
-    were cut short. Returns how many were."""
+    """Checks two histories, with and without races: they are the same except for children that were
+    cut short. Returns the number of these."""
     told = {"generations": ("children_cut", "children_mean", "rollouts", "cached",
                             "rollouts_diverged"), "phylogeny": ("score", "lower_bound")}
     for table, columns in told.items():
@@ -80,7 +81,7 @@ def check_same_lives(raced, whole):
 
 
 def undisturbed(daemon, name, value):
-    """What becomes of a campaign that nothing disturbs: its history, rollouts, and work."""
+    """Runs a campaign without disturbance. Returns its history, rollouts, and work."""
     quiet = daemon(name, workers=2)
     with quiet:
         job = quiet.submit(value, "campaigns")
@@ -91,10 +92,11 @@ def undisturbed(daemon, name, value):
 
 
 def rollouts(daemon):
-    """What was computed for campaigns in this life."""
+    """Returns the rollouts that this process has computed for campaigns."""
     return daemon.counted("morphod_campaign_rollouts_total")
 
 
 def work(daemon):
-    """The same with learning: a step counts as a block of ten rollouts, so that kills find both."""
+    """The same including learning: a step counts as a block of ten rollouts, so that kills hit
+    both."""
     return rollouts(daemon) + 10 * daemon.counted("morphod_campaign_learning_steps_total")

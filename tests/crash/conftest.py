@@ -1,4 +1,4 @@
-"""Fixtures of the crash tests, from surroundings.py, which tests/fleet uses, too."""
+"""Fixtures of the crash tests, from surroundings.py, which tests/fleet also uses."""
 import os
 import sys
 

@@ -1,5 +1,5 @@
-"""A morphod of one's own: started on a free port in a folder of its own, asked over HTTP, stopped
-or killed."""
+"""A separate morphod: started on a free port in its own folder, used over HTTP, stopped or
+killed."""
 import hashlib
 import os
 import pathlib
@@ -19,16 +19,16 @@ OLDER = BUILD / "tests" / "morphod-older"
 MORPHOCTL = BUILD / "clients" / "morphoctl" / "morphoctl"
 ACCEPTED = (200, 202)
 ENDED = ("succeeded", "failed", "cancelled")
-# When a wait for something that must happen gives up: far above what it takes, as the machine may
-# be slow and have other work.
+# Time limit of a wait for something that must happen. It is far above the usual time, because the
+# machine may be slow and have other work.
 PATIENCE_S = 300
-# The service ends 9 s after the signal at the latest. The rest is for such a machine.
+# The service stops at most 9 s after the signal. The rest is for such a machine.
 STOP_S = 40
 CONTROLLER = REPOSITORY / "data" / "controllers" / "bootstrap.safetensors"
 
 
 def grow(generator):
-    """A random contiguous body as a text of 144 digits."""
+    """Returns a random contiguous body as a text of 144 digits."""
     cells = {(generator.randrange(6), generator.randrange(6), generator.randrange(4))}
     size = generator.randint(1, 40)
     while len(cells) < size:
@@ -51,7 +51,7 @@ class Daemon:
     binary = MORPHOD
 
     def __init__(self, folder, beside=None, **settings):
-        """Its log and address are in the folder too, or in one beside it."""
+        """Its log and address are also in the folder, or in the folder `beside`."""
         self.folder = pathlib.Path(folder)
         self.state = self.folder / "state"
         self.log = (beside or self.folder) / "log"
@@ -96,13 +96,13 @@ class Daemon:
             errors="replace").splitlines()[-n:]) if self.log.exists() else ""
 
     def kill(self):
-        """kill -9: what a crash of the machine's power does to the process, minus the disk's cache.
+        """kill -9: like a power cut for the process, but without losing the disk's cache.
         """
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
     def stop(self):
-        """SIGTERM; returns (exit status, seconds)."""
+        """Sends SIGTERM, and returns (exit status, seconds)."""
         begin = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         try:
@@ -113,7 +113,7 @@ class Daemon:
         return status, time.monotonic() - begin
 
     def end(self):
-        """An orderly end, after which the database is sound."""
+        """Stops in order, and checks that the database is sound."""
         assert self.stop()[0] == 0, self.tail()
         check_database(self.state)
 
@@ -139,11 +139,11 @@ class Daemon:
         return reply.json()
 
     def counted(self, name):
-        """A counter of this life, of those without labels."""
+        """Returns a counter of this process, without labels."""
         return int(re.search(rf"^{name} (\d+)$", self.get("/metrics").text, re.M)[1])
 
     def send(self, path, value=None, key=None, wait_s=0, timeout_s=90):
-        """The reply to a POST."""
+        """Sends a POST, and returns the reply."""
         headers = {} if key is None else {"Idempotency-Key": key}
         if wait_s:
             headers["Prefer"] = f"wait={wait_s}"
@@ -151,7 +151,7 @@ class Daemon:
                                  timeout=timeout_s)
 
     def post(self, path, value=None, **options):
-        """The JSON of a POST that is accepted."""
+        """Sends a POST that must be accepted, and returns its JSON."""
         reply = self.send(path, value, **options)
         assert reply.status_code in ACCEPTED, f"{path}: {reply.text}\n{self.tail()}"
         return reply.json()
@@ -166,18 +166,18 @@ class Daemon:
         return self.post(f"/v1/jobs/{job}/{verb}")
 
     def evaluate(self, request, **options):
-        """The reply to an evaluation."""
+        """Sends an evaluation, and returns the reply."""
         return self.send("/v1/evaluations", request, **options)
 
     def submit(self, request, kind="evaluations", **options):
         return self.post(f"/v1/{kind}", request, **options)["id"]
 
     def awaited(self, path, condition, timeout_s=300, every_s=0.005):
-        """What GET gives as soon as it fulfills the condition."""
+        """Returns the JSON of GET as soon as it fulfills the condition."""
         return self.until(lambda: self.json(path), timeout_s, condition, every_s)
 
     def until(self, look, timeout_s=900, holds=bool, every_s=0.005):
-        """What look() gives as soon as that holds."""
+        """Returns the result of look() as soon as it holds."""
         end = time.monotonic() + timeout_s
         while not holds(seen := look()):
             assert time.monotonic() < end, f"{seen}\n{self.tail()}"
@@ -197,7 +197,7 @@ class Daemon:
         return self.succeed(self.submit(request), timeout_s=timeout_s)
 
     def result(self, controller):
-        """The file of a job's result; fails when it is not what its hash says."""
+        """Returns the file of a job's result. Fails if it does not match its hash."""
         reply = self.get(f"/v1/controllers/{controller['name']}/file")
         assert reply.status_code == 200, reply.text
         assert hashlib.sha256(reply.content).hexdigest() == controller["sha256"]
@@ -221,7 +221,7 @@ def open_database(state):
 
 
 def stored_scores(state):
-    """{key: (loss bytes, diverged step)}; fails on a key that is there twice."""
+    """Returns {key: (loss bytes, diverged step)}. Fails on a duplicate key."""
     database = open_database(state)
     scores = {}
     for *key, losses, n, place in database.execute(SCORES):
@@ -234,7 +234,7 @@ def stored_scores(state):
 
 
 def check_database(state):
-    """What must hold of every database that no process uses."""
+    """Checks the conditions for every database that no process uses."""
     database = open_database(state)
     assert database.execute("PRAGMA integrity_check").fetchall() == [("ok", )]
     assert database.execute("PRAGMA foreign_key_check").fetchall() == []

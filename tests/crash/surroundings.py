@@ -29,7 +29,7 @@ def pytest_report_header(config):
 
 @pytest.fixture
 def folder():
-    """A folder for one test, away from the working tree: a unix path in it stays short."""
+    """A folder for one test, outside the working tree: a unix path in it stays short."""
     path = tempfile.mkdtemp(prefix="morphod-crash-")
     yield path
     shutil.rmtree(path, ignore_errors=True)
@@ -37,7 +37,7 @@ def folder():
 
 @pytest.fixture
 def daemon(folder):
-    """daemon(**settings) makes one; all are gone at the end."""
+    """daemon(**settings) makes one; all are closed at the end."""
     made = []
 
     def make(name="one", **settings):
@@ -50,7 +50,7 @@ def daemon(folder):
 
 
 def mounted(folder, *arguments):
-    """A mounted file system, or a skip with the reason."""
+    """Mounts a file system, or skips the test with the reason."""
     path = pathlib.Path(folder) / "small"
     path.mkdir()
     if os.geteuid() != 0:
@@ -69,13 +69,13 @@ def small_disk(folder):
 
 @pytest.fixture
 def training_disk(folder):
-    """Room for a few checkpoints of 12.4 MB."""
+    """A disk with room for a few checkpoints of 12.4 MB."""
     yield from mounted(folder, "-t", "tmpfs", "-o", "size=64m,mode=700", "tmpfs")
 
 
 @pytest.fixture
 def small_blocks(folder):
-    """An ext4 whose blocks are smaller than a page of memory."""
+    """An ext4 file system with blocks smaller than a page of memory."""
     image = f"{folder}/image"
     with open(image, "wb") as file:
         file.truncate(32 << 20)
@@ -86,7 +86,7 @@ def small_blocks(folder):
 
 
 def fill(path):
-    """Takes all room but nothing of what is there; returns the file that does."""
+    """Fills the free space, and returns the file that does so."""
     filler = pathlib.Path(path) / "filler"
     with open(filler, "ab", buffering=0) as file:
         for size in (65536, 512):

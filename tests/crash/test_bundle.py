@@ -1,4 +1,4 @@
-"""kill -9 while a bundle enters: all of it is there afterwards, or nothing."""
+"""kill -9 while a bundle is imported: afterwards either all of it is stored, or nothing."""
 import random
 import threading
 import time

@@ -1,5 +1,5 @@
 """Campaigns end with the same designs, scores, phylogeny, populations and controller, bit for bit,
-whatever kills them and however many workers compute; a kill costs a block of work."""
+whatever kills them and with any number of workers. A kill costs a block of work."""
 import random
 
 import pytest
@@ -7,7 +7,8 @@ from campaigns import MODES, history, request, rollouts, undisturbed, work
 
 
 def kill_one_campaign(daemon, generator, value, round_name, n_kills):
-    """Runs a campaign undisturbed, and again with up to n_kills kills. (kills, kills while it ran)
+    """Runs a campaign undisturbed, and again with up to n_kills kills. Returns (kills, kills while
+    it ran).
     """
     expected, needed, all_work = undisturbed(daemon, f"undisturbed-{round_name}", value)
     assert len(expected["populations"]) == value["generations"] + 1
@@ -19,8 +20,8 @@ def kill_one_campaign(daemon, generator, value, round_name, n_kills):
         victim.start()
         job = victim.submit(value, "campaigns", key="one campaign")
         path = f"/v1/campaigns/{job}"
-        # A life without a generation counts as an attempt, which the next one forgives. After three
-        # such lives a person resumes it.
+        # A process that ends without a generation counts as an attempt, which the next generation
+        # forgives. After three such processes a user resumes it.
         now = victim.json(path)
         if now["state"] == "failed":
             assert "killed" in now["error"]["detail"]
@@ -41,9 +42,9 @@ def kill_one_campaign(daemon, generator, value, round_name, n_kills):
     result = history(victim, job)
     for part, what in expected.items():
         assert result[part] == what, f"{part} differ from those of an undisturbed run"
-    # What was counted before a kill and had no commit yet: about a block per worker, of 10
-    # rollouts. A slow disk can hold back the commit of a generation, and the scores of the next
-    # wait for that. What came between the count and the kill is not counted: the unit test of kills
+    # Work that was counted before a kill but not committed: about a block per worker, of 10
+    # rollouts. A slow disk can delay the commit of a generation, and the scores of the next one
+    # wait for that. Work between the count and the kill is not counted: the unit test of kills
     # counts exactly.
     assert computed - needed <= (kills * 7 + 2 * value["population"]) * 10
     victim.end()
@@ -56,7 +57,7 @@ def test_kill_at_random_moments(daemon, soak, seed, mode):
     generator = random.Random(f"{seed} {mode}")
     n_kills, generations = (100, 60) if soak else (10, 6)
     kills = kills_while_running = rounds = 0
-    while kills < n_kills:  # a campaign may be done before its kills are
+    while kills < n_kills:  # a campaign may end before all its kills
         value = request(mode, seed % 100000 + rounds, generations)
         done = kill_one_campaign(daemon, generator, value, f"{mode}-{rounds}", n_kills - kills)
         kills, kills_while_running = kills + done[0], kills_while_running + done[1]
@@ -68,8 +69,8 @@ def test_kill_at_random_moments(daemon, soak, seed, mode):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_pauses_stops_and_extensions(daemon, seed, mode):
-    """Paused, stopped, killed while paused, and extended: as if all its generations had been asked
-    for at once."""
+    """Paused, stopped, killed while paused, and extended: the result is as if all generations had
+    been requested at once."""
     print(f"seed {seed}")
     expected = undisturbed(daemon, "at-once", request(mode, seed % 100000, 4))[0]
     one = daemon("extended", workers=2).start()

@@ -1,5 +1,6 @@
-"""Deletion of a campaign of many designs, killed at any moment: the job is gone for good, the next
-start goes on, and the database stays sound. Other writes go on between its steps."""
+"""Deletion of a campaign with many designs, killed at any moment: the job is gone permanently, the
+next start continues the deletion, and the database stays sound. Other writes happen between its
+steps."""
 import random
 import sqlite3
 import time
@@ -30,7 +31,7 @@ def test_killed_while_it_deletes(daemon, seed):
     assert designs > 10000
     assert requests.delete(f"{victim.address}/v1/jobs/{campaign}").status_code == 200
     partial, kills = set(), 0
-    while kills == 0 or rows(victim)["jobs"] > 0:  # no look before the first kill: it takes time
+    while kills == 0 or rows(victim)["jobs"] > 0:  # no check before the first kill: it takes time
         time.sleep(generator.uniform(0, 0.004))
         victim.kill()
         kills += 1

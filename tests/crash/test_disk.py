@@ -1,5 +1,5 @@
-"""A disk that is full, a folder that cannot be written: clear refusals, nothing broken, and on it
-goes when there is room."""
+"""A full disk, a folder that cannot be written: clear refusals, no damage, and work continues when
+there is room."""
 import contextlib
 import os
 import pathlib
@@ -25,7 +25,7 @@ def rows_of(daemon, job):
 
 @pytest.fixture(name="one")
 def daemon_on_small_disk(small_disk):
-    """Its state is on the small disk, what it tells is not. Tests start it."""
+    """Its state is on the small disk, but not its log. Tests start it."""
     one = Daemon(small_disk / "d", small_disk.parent)
     yield one
     one.close()
@@ -53,9 +53,9 @@ def test_full_disk(one, small_disk, seed):
     assert refusals > 0
     assert one.process.poll() is None, one.tail()
     assert one.get("/healthz").status_code == 200
-    # What is stored can be read all the while.
+    # Stored data can be read all the time.
     assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
-    # So can what has ended be deleted; its rows go when there is space.
+    # Jobs that have ended can be deleted as well; their rows are removed when there is space.
     assert requests.delete(f"{one.address}/v1/jobs/{old}").status_code == 200
     assert one.get(f"/v1/jobs/{old}").status_code == 404
     filler.unlink()
@@ -73,7 +73,8 @@ def test_full_disk(one, small_disk, seed):
 
 
 def test_full_disk_while_it_computes(one, small_disk, seed):
-    """Room runs out while scores are being saved: the job waits, and ends when there is room."""
+    """The disk fills up while scores are being saved: the job waits, and ends when there is
+    room."""
     one.start()
     job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
     filler = fill(small_disk)
@@ -92,13 +93,13 @@ def test_full_disk_while_it_computes(one, small_disk, seed):
 
 
 def test_full_disk_while_designs_are_stored(one, small_disk):
-    """A large evaluation says what it waits for, and goes on when there is room."""
+    """A large evaluation reports why it waits, and continues when there is room."""
     one.start()
     filler = fill(small_disk)
     request = {"random": {"count": 12_000, "seed": 5}, "physics": {"n_steps": 1},
                "environments": [{"light_xy_m": [4, 3], "terrain_sigma_m": 0, "seed": 1}]}
     reply = one.send("/v1/evaluations", request)
-    if reply.status_code == 507:  # there is not even room for the submission
+    if reply.status_code == 507:  # no room even for the submission
         filler.unlink()
         reply = one.send("/v1/evaluations", request)
         filler = fill(small_disk)
@@ -112,8 +113,8 @@ def test_full_disk_while_designs_are_stored(one, small_disk):
 
 
 def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
-    """Whatever waits for room, and however often it tries, people can pause, cancel and read; the
-    room that is set aside comes back first."""
+    """Whatever waits for room, and however often it retries, users can pause, cancel and read. The
+    reserved room is restored first."""
     reserve = one.state / "reserve"
 
     def held():
@@ -153,7 +154,7 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     one.act(second, "cancel")
     assert campaign(second)["state"] == "cancelled"
     one.act(third, "pause")
-    assert ask("resume", third, 200, 202, 507) == 507, "what is set aside is not for that"
+    assert ask("resume", third, 200, 202, 507) == 507, "the reserved room is not for that"
     one.act(third, "cancel")
     one.act(first, "pause")
     assert one.json("/v1/jobs") and one.json(f"/v1/campaigns/{first}/population")
@@ -168,8 +169,8 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
 
 
 def test_killed_on_a_full_disk(one, small_disk, seed):
-    """The way out outlives the process: killed on a full disk it starts again, short of room as it
-    was; where others took the reserve's room it says what to do."""
+    """Recovery works after a restart: killed on a full disk, it starts again, still without room.
+    If other files took the reserved room, it says what to do."""
     reserve = one.state / "reserve"
 
     def submit():
@@ -234,8 +235,8 @@ def test_start_on_a_full_disk(one, small_disk, seed):
 
 
 def test_start_on_a_full_disk_of_small_blocks(small_blocks):
-    """However little room is left: the start succeeds or is refused, and is never killed while it
-    writes to what it has mapped."""
+    """However little room is left, the start succeeds or is refused, but is never killed while it
+    writes to mapped memory."""
     one = Daemon(small_blocks / "d", small_blocks.parent, workers=1)
     with one:
         pass  # killed: the next start makes a new index of the log
@@ -260,7 +261,7 @@ def test_start_on_a_full_disk_of_small_blocks(small_blocks):
 
 
 def refuses(state, user=None, words=()):
-    """A start on this state folder ends with 74, its check with 78."""
+    """Checks that a start on this state folder ends with 74, and its check with 78."""
     for flag, status in (("--check-config", 78), ("--listen=127.0.0.1:0", 74)):
         command = [str(MORPHOD), flag, f"--state-dir={state}"]
         if user is not None:

@@ -1,5 +1,5 @@
-"""kill -9 at random moments: nothing that was acknowledged is lost, nothing is there twice, every
-bit is as without a crash."""
+"""kill -9 at random moments: no acknowledged work is lost, nothing is duplicated, and every bit is
+as without a crash."""
 import pathlib
 import random
 
@@ -10,7 +10,7 @@ PHYSICS = {"n_steps": 150}
 N_BATCHES = 3
 N_DESIGNS = 120
 N_ENVIRONMENTS = 4
-ROUND = N_BATCHES * N_DESIGNS * N_ENVIRONMENTS  # rollouts of the work that comes every few kills
+ROUND = N_BATCHES * N_DESIGNS * N_ENVIRONMENTS  # rollouts of the work that is added every few kills
 
 
 def batches(seed):
@@ -24,8 +24,8 @@ def run_to_end(daemon, requests):
 
 
 def await_work(daemon, least):
-    """The running evaluations, when so many rollouts were computed in this life, or when nothing is
-    left to compute."""
+    """Returns the running evaluations once this process has computed this many rollouts, or once
+    nothing is left to compute."""
     def look():
         running, queued = (daemon.json(f"/v1/jobs?state={state}")["items"]
                            for state in ("running", "queued"))
@@ -45,7 +45,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
         quiet.end()
     undisturbed = stored_scores(quiet.state)
 
-    # Four lives compute about one round, so that kills hit every part of it: just submitted,
+    # Four processes compute about one round, so that kills hit every part of it: just submitted,
     # computing, the end.
     victim = daemon("victim")
     acknowledged = {}  # key: (request, job id)
@@ -54,7 +54,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
     for kill in range(n_kills):
         victim.start()
         try:
-            # Every few kills new work, with environments of its own so that nothing is in the store
+            # New work every few kills, with new environments, so that the store has nothing of it
             # yet.
             if kill % 4 == 0:
                 round_of += 1
@@ -69,8 +69,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
                     reply = victim.evaluate(own, key=key)
                     assert reply.status_code == 202, reply.text
                     acknowledged[key] = (own, reply.json()["id"])
-            # A request whose reply may be cut off: acknowledged or not, repeating it with its key
-            # must be safe.
+            # A request with a reply that may be lost: acknowledged or not, repeating it with its
+            # key must be safe.
             key = f"cut {kill}"
             own = {"designs": bodies(seed + kill, 3), "physics": PHYSICS}
             acknowledged.setdefault(key, (own, None))
@@ -92,15 +92,15 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert job is None or again == job, "an acknowledged evaluation has another id now"
         assert again not in ids, "two keys have one evaluation"
         ids.add(again)
-        evaluation = victim.succeed(again, timeout_s=1800)  # a kill is no attempt
+        evaluation = victim.succeed(again, timeout_s=1800)  # a kill is not an attempt
         assert evaluation["rollouts_done"] == evaluation["rollouts_total"]
         acknowledged[key] = (request, again)
     total = victim.json("/v1/jobs?limit=1000")
-    assert {job["id"] for job in total["items"]} == ids, "there are jobs that nobody asked for"
+    assert {job["id"] for job in total["items"]} == ids, "there are jobs that were not submitted"
     disturbed = run_to_end(victim, batches(seed))
     victim.end()
 
-    # The same work as in the undisturbed run, after all those kills: the replies and the stored
+    # The same work as in the undisturbed run, after all these kills: the replies and the stored
     # bits are the same.
     for a, b in zip(expected, disturbed):
         assert a["results"] == b["results"]
@@ -108,7 +108,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
     for key, value in undisturbed.items():
         assert after.get(key) == value
 
-    # And what was computed between kills has the bits of a run without any.
+    # Work that was computed between kills has the bits of a run without kills.
     replay = daemon("replay")
     with replay:
         for job in [replay.submit(request) for request, _ in acknowledged.values()]:
@@ -120,7 +120,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
 
 def test_kill_in_a_race(daemon, soak, seed):
     """An evaluation of the best designs ends with the same result after kills in every round of its
-    race, and computes nothing again that was saved."""
+    race, and does not recompute saved work."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills = 100 if soak else 8
@@ -154,7 +154,7 @@ def test_kill_in_a_race(daemon, soak, seed):
 
 
 def calls(daemon):
-    """Reads and writes of files since the process was made."""
+    """Returns reads and writes of files since the process started."""
     counts = dict(
         line.split(": ")
         for line in pathlib.Path(f"/proc/{daemon.process.pid}/io").read_text().splitlines())

@@ -1,6 +1,5 @@
-"""Little memory: whatever is asked for ends, waits with a reason, or is refused with the numbers;
-the service itself is not killed. A job that has it killed all the same fails after three
-attempts."""
+"""Little memory: every request ends, waits with a reason, or is refused with the numbers, and the
+service is not killed. A job that gets it killed anyway fails after three attempts."""
 import ctypes
 import json
 import pathlib
@@ -19,7 +18,7 @@ FULL = {"voxels": "1" * 144}
 
 @pytest.fixture
 def cgroup():
-    """A cgroup of 256 MiB, below the own one; skipped where none can be made."""
+    """A cgroup of 256 MiB, below the current one. Skips the test if it cannot be made."""
     lines = [
         line.split(":", 2) for line in pathlib.Path("/proc/self/cgroup").read_text().splitlines()
     ]
@@ -66,7 +65,7 @@ class Small(Daemon):
 
 
 def saying(content, **said):
-    """The file of a controller with more metadata."""
+    """Returns the file of a controller with more metadata."""
     size = struct.unpack("<Q", content[:8])[0]
     header = json.loads(content[8:8 + size])
     header["__metadata__"].update({f"morphod.{key}": value for key, value in said.items()})
@@ -76,8 +75,8 @@ def saying(content, **said):
 
 
 def test_small_memory(folder, cgroup):
-    """A matrix of jobs, one by one and all at once, where a default campaign would take more than
-    there is."""
+    """A matrix of jobs, one by one and all at once, where a default campaign would need more memory
+    than there is."""
     with Small(f"{folder}/one", cgroup, workers=2) as one:
         def end(job):
             now = one.awaited(job, lambda now: now["state"] in ENDED, 300, 0.1)
@@ -128,8 +127,8 @@ def test_small_memory(folder, cgroup):
 
 
 def test_killed_again_and_again(daemon):
-    """A campaign during whose drawing the process is killed three times fails with a sentence; a
-    power cut counts for nothing."""
+    """A campaign fails with an explanation if the process is killed three times while it draws
+    bodies. A power cut does not count."""
     one = daemon("one").start()
     one.put("pretrained", PRETRAINED.read_bytes())
     job = one.submit({"mode": "zero-shot", "population": 8, "generations": 1,
@@ -144,7 +143,7 @@ def test_killed_again_and_again(daemon):
     (one.state / "crash-marker").write_text("boot 00000000-0000-0000-0000-000000000000\n")
     one.start()
     assert one.json(path)["attempts"] == 0
-    # A fault of the process outside any job, in its main thread, is nobody's.
+    # A fault outside any job, in the main thread, counts against no job.
     await_running()
     ctypes.CDLL(None).tgkill(one.process.pid, one.process.pid, signal.SIGSEGV)
     one.process.wait(PATIENCE_S)
@@ -158,7 +157,7 @@ def test_killed_again_and_again(daemon):
     now = one.json(path)
     assert now["state"] == "failed", now
     assert "killed while it ran this job" in now["error"]["detail"], now
-    # A person may try again; stopped in good order it counts nothing.
+    # A user may try again; an orderly stop does not count.
     one.act(job, "resume")
     await_running()
     assert one.stop()[0] == 0
@@ -175,7 +174,7 @@ def test_killed_again_and_again(daemon):
                    "physics": {"n_steps": 100}}, lambda now: now["progress"]["step"])])
 def test_kills_of_a_healthy_job(daemon, kind, request_of, done):
     """Killed six times within the first generation, or before the first checkpoint is due, a job
-    goes on from what it has saved: it does not fail."""
+    continues from its saved state: it does not fail."""
     one = daemon("one", workers=1).start()
     job = one.submit(request_of, kind)
     path = f"/v1/{kind}/{job}"

@@ -1,6 +1,6 @@
-"""Campaigns whose children race are those without races, bit for bit, but for what is told of
-children that were cut short; also when kills disturb them, for any number of workers. Power cuts:
-tests/unit/jobs/races.c; workers of other machines: tests/fleet/test_same_bits.py."""
+"""Campaigns with races equal those without, bit for bit, except for children that were cut short;
+also when kills disturb them, and for any number of workers. Power cuts: tests/unit/jobs/races.c;
+workers on other machines: tests/fleet/test_same_bits.py."""
 import random
 
 import pytest
@@ -10,8 +10,8 @@ SEEDS = (1, 2, 3)
 
 
 def values(mode, soak):
-    """Small ones, in whose environments robots differ much after few steps. With --soak also the
-    presets "demo", and "workstation" with shorter rollouts and fewer steps of learning."""
+    """Small campaigns, with environments in which robots differ much after few steps. With --soak
+    also the presets "demo", and "workstation" with shorter rollouts and fewer steps of learning."""
     for seed in SEEDS:
         value = {"mode": mode, "seed": seed, "exclude_pretraining": False}
         few = {} if mode == "zero-shot" else {"controller": "default"}
@@ -25,10 +25,10 @@ def values(mode, soak):
 
 
 def start(one, requests):
-    """Submits them, or finds them again; returns their jobs."""
+    """Submits the requests, or finds their jobs again. Returns the jobs."""
     one.start()
     jobs = [one.submit(value, "campaigns", key=str(i)) for i, value in enumerate(requests)]
-    for job in jobs:  # killed in three lives without a generation
+    for job in jobs:  # killed three times without a generation
         if one.json(f"/v1/campaigns/{job}")["state"] == "failed":
             one.act(job, "resume")
     return jobs
@@ -60,4 +60,4 @@ def test_same_campaigns(daemon, soak, seed, mode):
         cut.append(check_same_lives(history(victim, job), expected))
     victim.end()
     print(f"{mode}: {cut} children cut short")
-    assert sum(cut) > 0 or mode != "zero-shot"  # what is learned depends on the processor
+    assert sum(cut) > 0 or mode != "zero-shot"  # learning depends on the processor

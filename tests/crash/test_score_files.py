@@ -1,5 +1,5 @@
-"""kill -9 while scores enter: what was acknowledged is there, of no block a part, and the same file
-sent again completes it."""
+"""kill -9 while scores are imported: acknowledged blocks are stored, no block is stored in part,
+and sending the same file again completes it."""
 import random
 import re
 import subprocess

@@ -21,7 +21,7 @@ def saturate(daemon, seed):
 
 
 def test_sigterm_while_saturated(daemon, seed):
-    """Exit status 0, in time; the work goes on at the next start and loses nothing that was saved.
+    """Exit status 0, in time. The work continues at the next start and loses no saved state.
     """
     print(f"seed {seed}")
     one = daemon("stop").start()
@@ -125,7 +125,7 @@ def test_sighup_reloads_tokens_and_level(daemon):
 
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="the number of a system call")
 def test_crash_counts_against_its_job(daemon, seed):
-    """A fault inside a block parks its job after three attempts, and no other job is touched."""
+    """A fault inside a block parks its job after three attempts, and affects no other job."""
     libc = ctypes.CDLL(None, use_errno=True)
     one = daemon("crash", workers=1)
     one.start()
@@ -140,7 +140,7 @@ def test_crash_counts_against_its_job(daemon, seed):
                 fields = file.read().rsplit(")", 1)[1].split()
             return int(fields[11]) + int(fields[12])
 
-        # The thread that computes is soon the one that has used the most processor time.
+        # The computing thread is soon the one with the most processor time.
         tasks = f"/proc/{one.process.pid}/task"
         _, busiest = one.until(lambda: max((ticks(task), task) for task in os.listdir(tasks)),
                                holds=lambda most: most[0] >= 30)
@@ -158,7 +158,7 @@ def test_crash_counts_against_its_job(daemon, seed):
 
 
 def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
-    """So does a fault on the thread that lays out the next robots while a device computes."""
+    """The same for a fault on the thread that lays out the next robots while a device computes."""
     monkeypatch.setenv("MORPHO_FAKE_FAULT", "1")
     one = daemon("beside", devices="auto",
                  compute_module=BUILD / "tests" / "device" / "fake-device.so")
@@ -177,7 +177,7 @@ def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
 
 
 def test_watchdog_and_readiness(daemon):
-    """What the process tells the service manager: ready, alive, reloading, stopping."""
+    """The process notifies the service manager: ready, alive, reloading, stopping."""
     one = daemon("notify")
     one.folder.mkdir(parents=True)
     path = str(one.folder / "notify.sock")
@@ -203,7 +203,7 @@ def test_watchdog_and_readiness(daemon):
 
 
 def test_passed_socket(daemon):
-    """A listening socket from the service manager is served in place of the default address."""
+    """A listening socket from the service manager is served instead of the default address."""
     one = daemon("passed")
     one.folder.mkdir(parents=True)
     with socket.create_server(("127.0.0.1", 0)) as server:

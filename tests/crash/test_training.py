@@ -1,5 +1,5 @@
-"""Trainings end with the same weights, bit for bit, whatever kills them, however many workers
-compute, and when the disk fills up."""
+"""Trainings end with the same weights, bit for bit, whatever kills them, with any number of
+workers, and when the disk fills up."""
 import hashlib
 import pathlib
 import random
@@ -10,7 +10,7 @@ from daemon import BUILD, Daemon, bodies, open_database
 from test_disk import fill
 
 CHECKPOINT_BYTES = 12.4e6
-# Who computes: with devices a training writes while the next gradient is computed.
+# What computes: with devices, a training writes while the next gradient is computed.
 WHERE = {
     "cpu": {},
     "cuda": {"devices": "auto", "compute_module": BUILD / "tests" / "device" / "fake-device.so"}
@@ -27,7 +27,7 @@ def pretraining(seed, steps, **more):
 
 
 def work(daemon):
-    """Blocks computed in this life: of gradients and of validations."""
+    """Returns the blocks that this process has computed: of gradients and of validations."""
     return daemon.counted("morphod_blocks_total")
 
 
@@ -36,7 +36,8 @@ def weights(daemon, job):
 
 
 def curve(state, job):
-    """Everything that a repeat must not change: steps without their times, and validations."""
+    """Returns everything that a repeated run must not change: steps without their times, and
+    validations."""
     database = open_database(state)
     steps = database.execute(
         "SELECT step, mean_loss, rate, gradient_norm, clipped_share, clipped_robots_share, "
@@ -49,7 +50,7 @@ def curve(state, job):
 
 
 def check_files(state):
-    """Checkpoints on the disk are those that the database speaks of, byte for byte."""
+    """Checks that the checkpoints on disk are those in the database, byte for byte."""
     database = open_database(state)
     rows = {(str(job), f"{step}.checkpoint"): (bytes(sha256), size)
             for job, step, sha256, size in database.execute(
@@ -64,8 +65,8 @@ def check_files(state):
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
-    """Killed 20 times, with another number of workers in every life, against undisturbed runs with
-    1, 2 and 7 workers."""
+    """Killed 20 times, with another number of workers in every process, compared with undisturbed
+    runs with 1, 2 and 7 workers."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills, steps = (200, 1000) if soak else (20, 60)
@@ -85,16 +86,16 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert expected in (None, (result, learned)), f"{workers} workers give another result"
         expected = result, learned
 
-    # Lives of so much work that a training ends after most of them, with what each kill takes back.
-    # Another follows, the same.
+    # Each process does so much work that a training ends after most of the kills, including the
+    # work that each kill loses. Then the same training follows again.
     victim = daemon("victim", workers=1)
     victim.start()
     kills = kills_while_running = 0
     done = []
     while True:
         job = victim.submit(request, "trainings", key=f"training {len(done)}")
-        # A life without a checkpoint counts as an attempt, which the next one forgives. After three
-        # such lives a person resumes it.
+        # A process that ends without a checkpoint counts as an attempt, which the next checkpoint
+        # forgives. After three such processes a user resumes it.
         now = victim.json(f"/v1/trainings/{job}")
         if now["state"] == "failed":
             assert "killed" in now["error"]["detail"]
@@ -124,7 +125,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
     assert kills_while_running >= n_kills // 2
     for job in done:
         assert curve(victim.state, job) == expected[1]
-    victim.start()  # what a crash left is gone
+    victim.start()  # removes what a crash left
     victim.end()
     check_files(victim.state)
 
@@ -165,21 +166,21 @@ def test_finetuning_survives(daemon, seed):
 
 
 def fill_but(disk, room):
-    """Takes all room of a disk but so much; returns the file that does."""
+    """Fills a disk except for this much room, and returns the file that does so."""
     filler = fill(disk)
     with open(filler, "r+b") as file:
         file.truncate(filler.stat().st_size - room)
     return filler
 
 
-ROWS = 4_000_000  # room for rows, none for a checkpoint
+ROWS = 4_000_000  # room for rows, but not for a checkpoint
 FULL_DISK = {"every_steps": 10, "every_s": 0, "keep": 1}
 
 
 @pytest.mark.parametrize("device", WHERE)
 def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
-    """No room for a checkpoint: it waits, says so, can be cancelled, and goes on by itself with the
-    same result."""
+    """No room for a checkpoint: the training waits, reports this, can be cancelled, and continues
+    by itself with the same result."""
     request = pretraining(seed, 30, checkpoint=FULL_DISK, device=device)
     quiet = daemon("roomy", **WHERE[device])
     with quiet:
@@ -204,7 +205,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
         one.act(first, "cancel")
         one.awaited(f"/v1/trainings/{first}", lambda now: now["state"] == "cancelled")
         one.awaited(f"/v1/trainings/{second}", lambda now: now["state"] == "paused")
-        # Not a byte is left: the service lives, and a cancellation is still possible.
+        # Not a byte is left: the service runs, and a cancellation is still possible.
         third = one.submit(request | {"name": "third"}, "trainings")
         before = filler.stat().st_size
         assert fill(training_disk).stat().st_size > before
@@ -221,13 +222,13 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
 
 @pytest.mark.parametrize("device", WHERE)
 def test_stop_on_a_full_disk(training_disk, seed, device):
-    """A stop does not wait for room; the next start goes on from the last checkpoint."""
+    """A stop does not wait for room. The next start continues from the last checkpoint."""
     with Daemon(training_disk / "d", training_disk.parent, **WHERE[device]) as one:
         filler = fill_but(training_disk, ROWS)
         job = one.submit(pretraining(seed, 20, checkpoint=FULL_DISK, device=device), "trainings")
         one.awaited(f"/v1/trainings/{job}", lambda now: now["state"] == "paused")
         assert one.stop()[0] == 0
-        assert "stopped work=" in one.tail(), one.tail()  # it was not ended at its deadline
+        assert "stopped work=" in one.tail(), one.tail()  # it was not stopped at its deadline
         filler.unlink()
         one.start()
         one.succeed(job, "trainings")

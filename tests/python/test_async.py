@@ -1,4 +1,4 @@
-"""The client of asyncio: the same, at the same time."""
+"""The asyncio client: the same requests, concurrently."""
 
 import asyncio
 

@@ -1,4 +1,4 @@
-"""Bodies from what people keep them in."""
+"""Bodies from the forms in which people keep them."""
 
 import numpy as np
 import pandas
@@ -16,7 +16,7 @@ ALL = np.ones(WORKSPACE, dtype=bool)
 
 
 def pieces(voxels):
-    """The pieces of a body as sets of cells, found one cell after the other."""
+    """Returns the pieces of a body as sets of cells, found cell by cell."""
     left = {tuple(cell) for cell in np.argwhere(voxels)}
     found = []
     while left:
@@ -68,7 +68,7 @@ def test_evogym_rows_come_from_the_top():
 
 
 def test_evogym_connections():
-    """What EvoGym's `sample_robot` gives; voxels that it leaves apart are said."""
+    """Robots of EvoGym's `sample_robot`. Voxels that it does not connect are reported."""
     robot = np.array([[3.0, 3.0], [3.0, 0.0]])
     joined = Body.evogym((robot, np.array([[0, 0], [1, 2]])))
     assert joined == Body.evogym(robot.tolist()) and (

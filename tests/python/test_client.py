@@ -78,7 +78,8 @@ def test_repair_is_told(m):
 
 
 def test_faults_are_told_per_design(m):
-    """Found here or by the service: places stay, also in recordings and tables."""
+    """Whether found here or by the service, faults keep their places, also in recordings and
+    tables."""
     bodies = [np.ones((7, 1, 1)), [[0, 0, 0]], [[0, 0, 0], [4, 0, 0]], np.zeros((6, 6, 4)),
               "0" * 36]
     evaluation = m.evaluate(bodies, physics=SHORT, on_fault="skip", record=["com", "masses"])
@@ -124,7 +125,7 @@ def test_what_a_result_does_not_show_is_a_warning(m):
 
 
 def test_what_is_lost_is_a_warning(m):
-    """Where a result has no place for it; a `Body` has said it already."""
+    """A warning only if the result has no place for it; a `Body` has reported it already."""
     materials = np.zeros((2, 6, 6, 4), dtype=int)
     materials[:, 2:4, 2, 0] = [1, 3]
     for use in (m.canonical, m.mutate, lambda bodies: m.cross(bodies, [[[0, 0, 0]]] * 2),
@@ -158,7 +159,7 @@ def test_bodies_of_the_service(m):
 
 
 def test_random_designs(m):
-    """An evaluation of random bodies is that of the list of them."""
+    """An evaluation of random bodies equals one of a list of them."""
     short = {"n_steps": 5}
     listed = m.evaluate(m.random_bodies(30, seed=3, first=7), WORLD, physics=short)
     random = m.evaluate_random(30, seed=3, first=7, environments=WORLD, physics=short, best=2)
@@ -217,7 +218,7 @@ def test_players_are_one_file(m, tmp_path):
     player.save(tmp_path / "player.html")
     page = (tmp_path / "player.html").read_text()
     assert "const DATA=" in page and "class Stage" in page and "bodyOf(" in page
-    # It needs nothing from anywhere.
+    # It loads nothing from anywhere else.
     assert not re.search(r"\bimport\b[^(\n]*from|https?://|src=|fetch\(", page)
     data = json.loads(re.search(r"const DATA=(.*);\n", page)[1])
     assert data["robots"][0]["frames"] == 6 and len(data["worlds"][0]["heights"]) == 64
@@ -497,7 +498,7 @@ def test_jobs_in_order(m):
 
 
 def test_fleet(start):
-    """Workers of other machines: what they do, and what is done about them."""
+    """Workers on other machines: their status, and actions on them."""
     workers = Workers(start("--fleet-listen=127.0.0.1:0"))
     session = workers.join(name="a node").rsplit("/", 1)[1]
     m = morphod.Client(workers.service.addresses[0])

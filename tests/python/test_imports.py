@@ -13,7 +13,7 @@ STAIRS = np.zeros((3, 2, 2), dtype=np.uint8)  # [x, y, z], of two materials
 STAIRS[:, 0, 0] = 1
 STAIRS[2, :, 1] = 3
 STAIRS[2, 1, 0] = 3
-# Two bodies with the hashes that the paper's authors' program gives them.
+# Two bodies, with the hashes that the program of the paper's authors computes.
 POLYCUBES = np.zeros((2, 6, 6, 4), dtype=np.uint8)
 POLYCUBES[0, 1:4, 2, 0] = POLYCUBES[0, 3, 3, 0:2] = 1
 POLYCUBES[1, 0:2, 0:3, 0] = 1
@@ -54,7 +54,7 @@ def test_voxcraft(tmp_path, compression):
 
 
 def test_evogym(tmp_path):
-    """Rows go upwards in the file; an array of EvoGym has its top first."""
+    """Rows go upwards in the file; an array of EvoGym begins with the top."""
     file = tmp_path / "world.json"
     file.write_text(json.dumps({"grid_width": 10, "grid_height": 5, "objects": {
         "robot": {"indices": [12, 13, 14, 24], "types": [3, 3, 4, 4], "neighbors": {}},

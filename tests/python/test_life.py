@@ -1,4 +1,4 @@
-"""The life of a client: forks, copies, event loops, interrupts, and services of its own."""
+"""The life of a client: forks, copies, event loops, interrupts, and its own services."""
 
 import asyncio
 import copy
@@ -228,7 +228,7 @@ def test_an_interrupt_of_the_process_group_leaves_the_service(tmp_path):
 
 
 def test_a_service_ends_with_its_process_not_with_a_thread(tmp_path):
-    """However it ends; a forked child neither ends the service nor keeps it."""
+    """However the process ends. A forked child neither ends the service nor keeps it running."""
     process = script(tmp_path, """
         import morphod, os, sys, threading, time
         found = []

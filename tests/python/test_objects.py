@@ -1,8 +1,8 @@
-"""Any object that people pass for a body is the body of its picture, or a `BodyError` that says
-what to do; never a third.
+"""Any object that is passed as a body becomes the body of its picture, or a `BodyError` that says
+what to do; never anything else.
 
 Each object is made from a picture, a set of cells that is drawn first, so that the tests know what
-the object shows without asking the package.
+the object shows without using the package.
 """
 
 import json
@@ -27,7 +27,7 @@ class Refused:
 
 
 def draw(rng):
-    """A picture: cells in the workspace, in one piece or not."""
+    """Draws a picture: cells in the workspace, in one piece or not."""
     density = rng.choice([0.02, 0.1, 0.5, 1.0])
     full = rng.random(SIDES) < density
     full[tuple(rng.integers(SIDES))] = True
@@ -35,7 +35,7 @@ def draw(rng):
 
 
 def shape_of(picture):
-    """Cells from the origin: where a body lies in the workspace does not matter."""
+    """Returns cells from the origin: the place of a body in the workspace does not matter."""
     cells = np.argwhere(picture)
     return {tuple(cell) for cell in (cells - cells.min(axis=0)).tolist()}
 
@@ -47,7 +47,7 @@ def cells_of(picture, rng):
 
 
 def held(array, rng):
-    """The same array, otherwise in memory."""
+    """Returns the same array with another memory layout."""
     how = rng.integers(5)
     if how == 0:
         return np.asfortranarray(array)
@@ -82,7 +82,7 @@ def material_numbers(picture, rng):
 
 
 def listed_cells(picture, rng):
-    """A list is refused where it could be a robot of EvoGym with three columns."""
+    """A list is refused if it could be a robot of EvoGym with three columns."""
     cells = cells_of(picture, rng)
     row = rng.choice([list, tuple, np.array])
     value = [list, tuple][rng.integers(2)](row(cell) for cell in cells)
@@ -224,7 +224,7 @@ WRONG = [densities, no_numbers, negative, masked, no_voxels, other_order, two_di
 
 
 def check(read, expected):
-    """`read()` gives the body of the picture, or refuses the object for the reason that is."""
+    """`read()` returns the body of the picture, or refuses the object for the expected reason."""
     if isinstance(expected, Refused):
         with pytest.raises(BodyError) as caught:
             read()
@@ -371,7 +371,7 @@ def test_objectives_with_measures_take_many_solutions(one):
 
 
 def test_the_service_scores_what_is_shown(m):
-    """Through `evaluate`: each body that is sent is the one of the picture, or is refused before
+    """With `evaluate`, each body that is sent is the one of the picture, or is refused before
     anything is sent."""
     rng = np.random.default_rng(24)
     pictures = [picture for picture in (draw(rng) for _ in range(120))

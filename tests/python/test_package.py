@@ -1,4 +1,4 @@
-"""The package itself: documentation, and the client made from the other one."""
+"""The package itself: documentation, and the client that is generated from the other one."""
 
 import inspect
 import pathlib
@@ -33,7 +33,7 @@ def test_every_public_name_is_documented():
 
 
 def test_examples_of_the_readme(service, monkeypatch, tmp_path):
-    """They run in order, as they are, against a service."""
+    """The examples run in order, unchanged, with a service."""
     monkeypatch.setenv("MORPHOD_SERVER", f"http://{service.host}:{service.port}")
     monkeypatch.chdir(tmp_path)
     names = {}

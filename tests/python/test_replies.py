@@ -1,4 +1,4 @@
-"""A server that replies with anything: the package ends with a MorphodError that says so."""
+"""A server with arbitrary replies: the package raises a MorphodError that describes them."""
 
 import http.server
 import json

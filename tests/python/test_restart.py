@@ -1,4 +1,4 @@
-"""The service is killed and started again under the package."""
+"""The service is killed and restarted while the package uses it."""
 
 import signal
 import threading
@@ -20,7 +20,7 @@ def all_succeeded(client, seconds=300):
 
 
 def test_kill_and_restart_under_a_client(start, tmp_path):
-    """Submissions, waits and events go on, nothing is made twice, and no event is lost."""
+    """Submissions, waits and events continue, nothing is created twice, and no event is lost."""
     state, socket = tmp_path / "state", tmp_path / "socket"
 
     def run():
@@ -32,7 +32,7 @@ def test_kill_and_restart_under_a_client(start, tmp_path):
 
     def killer():
         nonlocal service
-        while len(kills) < 8 and not stop.wait(1.5):  # a slow machine gets on in the end
+        while len(kills) < 8 and not stop.wait(1.5):  # so that a slow machine also gets to the end
             service.stop(signal.SIGKILL)
             socket.unlink(missing_ok=True)
             time.sleep(0.3)

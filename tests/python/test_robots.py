@@ -1,4 +1,4 @@
-"""Robots: a design in one orientation, ID@K, as what a score belongs to."""
+"""Robots: a design in one orientation, ID@K, to which a score belongs."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ QUICK = {"n_steps": 30}
 
 
 def images(voxels):
-    """The 8 images of a body in the workspace, which is square."""
+    """Returns the 8 images of a body in the workspace, which is square."""
     for k in range(8):
         turned = voxels.swapaxes(0, 1) if k & 4 else voxels
         yield turned[::-1 if k & 1 else 1, ::-1 if k & 2 else 1]
@@ -23,11 +23,12 @@ def test_robots_have_their_scores(m):
     assert again.scores.tolist() == scored.scores.tolist()
     assert [row.genotype for row in again] == [row.genotype for row in scored]
     assert all(row.orientation is None for row in again)
-    # A robot as a body here is that robot there.
+    # A robot that is passed as a body is that robot in the service.
     made = m.evaluate([morphod.Body.of(robot) for robot in scored.robots], physics=QUICK)
     assert made.robots == scored.robots
     assert scored.frame()["robot"].tolist() == scored.robots
-    # An id alone is the best of its orientations, which is the first of 8 images with that score.
+    # An id without an orientation is the best of its orientations: the first of the 8 images with
+    # that score.
     alone = m.evaluate(scored.ids[::8], physics=QUICK)
     for place, row in enumerate(alone):
         eight = [other for other in scored if other.id == row.id]

@@ -1,4 +1,4 @@
-"""Settings as NumPy has them, settings that are absent, and settings that a service corrects."""
+"""Settings from NumPy, absent settings, and settings that a service corrects."""
 
 import fractions
 import types

@@ -1,4 +1,4 @@
-"""Studies: a search of one's own that the service keeps."""
+"""Studies: a custom search that the service stores."""
 
 import asyncio
 import pickle
@@ -15,7 +15,7 @@ SHORT = {"environments": WORLD, "physics": {"n_steps": 12}}
 
 
 class Climber:
-    """Flips voxels of the best, seeded."""
+    """Flips voxels of the best body, with a seed."""
 
     def __init__(self):
         self.random = random.Random(4)
@@ -38,7 +38,8 @@ class Climber:
 
 
 def climb(m, name, batches, dies):
-    """Climbs to the end of a study; raises where it dies, and goes on when it is called again."""
+    """Climbs to the end of a study. Raises an exception where it crashes, and continues when it is
+    called again."""
     with m.study(name, seed=9, **SHORT) as study:
         objective = study.objective()
         climber, known = Climber(), study.restore()
@@ -55,7 +56,7 @@ def climb(m, name, batches, dies):
 
 
 def test_a_search_goes_on_where_it_died(m, start, tmp_path):
-    """Either side dies, and the end is the same; the name finds the study."""
+    """Either side crashes, but the result is the same. The study is found by its name."""
     study, climber = climb(m, "undisturbed", 8, lambda batch: None)
     running, deaths = start(state=tmp_path / "state"), []
 
