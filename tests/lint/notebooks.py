@@ -7,7 +7,7 @@ import json
 import re
 import sys
 
-from text import ADVICE, TOP, WIDTH, WORD
+from text import TOP, WIDTH, worse_words
 
 import tap
 
@@ -54,11 +54,12 @@ def untidy(notebook):
     if not "".join(notebook["cells"][0]["source"]).startswith("# "):
         yield "the first cell is no title"
     for cell in notebook["cells"]:
-        for line in "".join(cell["source"]).splitlines():
+        lines = "".join(cell["source"]).splitlines()
+        for line in lines:
             if len(line) > WIDTH:
                 yield f"{len(line)} columns: {line}"
-            for match in WORD.finditer(line):
-                yield f'"{match.group()}": {ADVICE[int(match.lastgroup[1:])]}'
+        for _, what in worse_words(lines):
+            yield what
 
 
 RULES = {

@@ -93,25 +93,32 @@ def wide_lines(path):
 
 
 def worse(words, begin=r"\b", end=r"\b"):
-    """Returns the check of a rule: it finds these words in a file."""
+    """Returns the check of a rule: it finds these words in lines of text."""
     form = re.compile("|".join(rf"(?P<w{i}>{begin}(?:{word}){end})"
                                for i, word in enumerate(words)), re.I)
     advice = list(words.values())
 
-    def check(path):
-        for number, line in enumerate(path.read_text().splitlines(), 1):
+    def check(lines):
+        for number, line in enumerate(lines, 1):
             for match in form.finditer(line):
                 yield number, f'"{match.group()}": {advice[int(match.lastgroup[1:])]}'
 
     return check
 
 
+worse_words = worse(WORDS)
+
+
+def in_file(check):
+    return lambda path: check(path.read_text().splitlines())
+
+
 # For each rule its check, and the folders that it holds in; None: everywhere.
 RULES = {
     "lines have at most 100 columns": (wide_lines, None),
-    "words": (worse(WORDS), None),
-    "words, strictly": (worse(STRICT_WORDS), STRICT),
-    "parts of names": (worse(NAMES, *PART), STRICT),
+    "words": (in_file(worse_words), None),
+    "words, strictly": (in_file(worse(STRICT_WORDS)), STRICT),
+    "parts of names": (in_file(worse(NAMES, *PART)), STRICT),
 }
 
 

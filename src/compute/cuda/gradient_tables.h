@@ -23,7 +23,6 @@
 #include <stdint.h>
 
 #include "compute/cuda/plan_block.h"
-
 #include "rollout/objective.inc"
 
 enum {
