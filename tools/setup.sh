@@ -66,14 +66,15 @@ fetch_promtool() {
 export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
 
 has_gpu() { [ -e /dev/nvidiactl ]; }
-if has_gpu; then gpu_code=${gpu_code:-all}; fi
+gpu_code="" # set by the scripts, not by the environment
+if has_gpu; then gpu_code=all; fi
 
 configure_in() {
   local folder=$1 output; shift
   if [ ! -f "$folder/build.ninja" ]; then
     output=$(meson setup "$folder" ${gpu_code:+"-Dgpu_code=$gpu_code"} "$@" 2>&1) ||
       { printf '%s\n' "$output"; fail "meson could not configure $folder"; }
-  elif [ -n "${gpu_code:-}" ] && ! meson introspect "$folder" --buildoptions |
+  elif [ -n "$gpu_code" ] && ! meson introspect "$folder" --buildoptions |
       grep -q "\"name\": \"gpu_code\", \"value\": \"$gpu_code\""; then
     meson configure "$folder" "-Dgpu_code=$gpu_code" || fail "meson could not configure $folder"
   fi

@@ -213,7 +213,7 @@ def test_altered_files_leave_nothing(home, start, file):
     assert other.get("/v1/designs")["items"] == []
     assert len(list((other.state / "controllers").iterdir())) == 1
     without = [one for one in unpack(second) if not one[0].startswith("controllers/")]
-    assert "is not here" in refused(block(without), "its weights are in an earlier block")
+    assert "is not stored here" in refused(block(without), "its weights are in an earlier block")
     alike = members[3][1].splitlines(keepends=True)
     alike = ("environments.ndjson", b"".join(alike[:1] + alike[:1] + alike[2:]))
     assert "one environment twice: lines 0 and 1" in refused(

@@ -320,7 +320,7 @@ def test_reasons_to_leave(daemon, launch, known, tmp_path):
                         {"SLURM_JOB_ID": "17", "PATH": f"{tmp_path}:/usr/bin:/bin"}):
         slurm = launch(Worker, daemon.url, "--until-slurm", environment=environment)
         assert slurm.ends() == 0 and daemon.sessions == {}
-        assert "time of the job" in slurm.log_text()
+        assert "job's time limit" in slurm.log_text()
     nobody = launch(Worker, "http://127.0.0.1:1", "--give-up=300ms")
     assert nobody.ends() == 75
 
