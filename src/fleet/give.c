@@ -259,7 +259,8 @@ struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
       session = give_new(fleet, session, back_end, now_ns, after, &number);
       if (session == NULL)
         return NULL;
-      if (number == 0 && session->n_held[back_end] == 0)
+      /* It can have been refused or drained meanwhile. */
+      if (number == 0 && session->state == MO_SESSION_ACTIVE && session->n_held[back_end] == 0)
         lease = mo_give_overdue(fleet, session, back_end, now_ns);
     }
     if (lease != NULL) {

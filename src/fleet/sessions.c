@@ -113,15 +113,31 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
 
 /* ---- refusal ---- */
 
+/* Finds a session that has ended, among those that are still remembered. */
+static struct mo_session *find_ended(const struct mo_fleet *fleet, uint64_t id)
+{
+  struct mo_session *session;
+  TAILQ_FOREACH(session, &fleet->ended, all)
+    if (session->id == id)
+      break;
+  return session;
+}
+
 void mo_session_refuse(struct mo_fleet *fleet, uint64_t id, const char *name, const char *host,
                        const char *why, uint64_t now_ns, struct mo_after *after)
 {
   struct mo_session *session = mo_session_find(fleet, id);
+  struct mo_session *ended = session == NULL ? find_ended(fleet, id) : NULL;
+  const struct mo_session *known = session != NULL ? session : ended;
   struct mo_text text = {0};
-  if (session != NULL && session->state == MO_SESSION_REFUSED)
+  if (known != NULL && known->state == MO_SESSION_REFUSED)
     return;
   mo_event_session(&text, name, host, why);
   mo_after_event(after, "fleet.refused", &text);
+  if (ended != NULL) { /* one event, however many of its results are still to be checked */
+    ended->state = MO_SESSION_REFUSED;
+    snprintf(ended->why, sizeof(ended->why), "%s", why);
+  }
   if (session == NULL)
     return;
   deactivate(fleet, session, MO_SESSION_REFUSED, why, after);

@@ -70,7 +70,8 @@ static void decided(int by_process)
   CHECK_HAS(fake->data, by_process ? "this machine computed" : "another worker gave");
   CHECK(status().audits_failed >= 1 && status().n_sessions == 1);
   /* A new session of the same worker is welcome. */
-  exchange(join(names[0]));
+  struct mo_wire_leases welcome = exchange(join(names[0]));
+  mo_wire_free_leases(&welcome);
   for (int w = 0; w < 3; w++)
     mo_wire_free_leases(&leases[w]);
 }
