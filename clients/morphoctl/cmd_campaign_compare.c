@@ -1,7 +1,7 @@
 /* cmd_campaign_compare.c: campaign compare: compares campaigns by their best scores at the newest
  * generation that all have reached. A campaign with its replicates is one side; their spread gives
- * the interval. Scores of different physics or environments do not compare, so these are refused;
- * other settings that differ are named. */
+ * the interval. Scores of different physics or environments are not comparable, so these are
+ * refused; other settings that differ are named. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -126,15 +126,17 @@ static void add_differences(struct side *side, const json_t *first, const json_t
     const char *setting = text_of(one, "setting");
     if (strcmp(setting, "settings.environments") == 0)
       fail(STATUS_NEGATIVE,
-           "campaigns %s and %s are in different environments: their scores do not compare. Score "
+           "campaigns %s and %s are in different environments: their scores are not comparable. "
+           "Score "
            "their champions in the same ones: campaign champions, eval",
            a, b);
     if (strncmp(setting, "settings.physics.", 17) == 0)
-      fail(STATUS_NEGATIVE,
-           "campaigns %s and %s differ in %s (%s, %s): their scores do not compare. Score their "
-           "champions under one physics: campaign champions, eval",
-           a, b, setting + 9, short_text(value_at(one, "values.0")),
-           short_text(value_at(one, "values.1")));
+      fail(
+          STATUS_NEGATIVE,
+          "campaigns %s and %s differ in %s (%s, %s): their scores are not comparable. Score their "
+          "champions under one physics: campaign champions, eval",
+          a, b, setting + 9, short_text(value_at(one, "values.0")),
+          short_text(value_at(one, "values.1")));
   }
   json_object_set(side->json, "differences", found);
 }
@@ -202,13 +204,13 @@ static void print_verdict(const struct side *first, const struct side *side)
   const double difference = real_at(side->json, "difference");
   if (first->n < 2 || side->n < 2)
     print_plain_line(stdout,
-                     "Whether campaign %s is better than %s is not shown: an interval needs two "
-                     "replicates of each.",
+                     "Cannot say whether campaign %s is better than %s: a confidence interval "
+                     "needs at least two replicates of each.",
                      b, a);
   else if (strcmp(verdict, "undecided") == 0)
     print_plain_line(stdout,
-                     "Which of campaigns %s and %s is better is not shown: the interval of the "
-                     "difference holds 0. More replicates make it narrower.",
+                     "No significant difference between campaigns %s and %s: the confidence "
+                     "interval of the difference includes 0. More replicates would narrow it.",
                      a, b);
   else
     print_plain_line(stdout, "Campaign %s is %s than %s: its best score is %s by %.4f.", b, verdict,

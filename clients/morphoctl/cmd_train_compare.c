@@ -88,8 +88,8 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
                      fmax(fabs(paired->low), fabs(paired->high)));
   else
     print_plain_line(stdout,
-                     "Which of %s and %s is better is not shown: the interval of the difference "
-                     "holds 0. More designs and environments make it narrower.",
+                     "No significant difference between %s and %s: the confidence interval of the "
+                     "difference includes 0. More designs and environments would narrow it.",
                      a, b);
   if (paired->n >= 2 && paired->sign_p < 1 - CONFIDENCE &&
       strcmp(verdict_of(paired->low, paired->high),

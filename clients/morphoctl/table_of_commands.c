@@ -510,12 +510,12 @@ const struct command commands[] = {
      "Ordered by how much they differ from each other: the mean Hamming distance to the others.",
      campaign_champions_options},
     {"campaign compare", "A B...", "Compare the best scores of campaigns.", run_campaign_compare,
-     "At the newest generation that all have reached: the mean over the replicates of each, and "
-     "its "
-     "difference from the first with the 95 % confidence interval (Welch). Replicates that failed "
-     "or were cancelled are left out and named. Two replicates of one group count as one campaign "
-     "each. Settings that differ are named; campaigns with different physics or environments are "
-     "refused, since their scores do not compare. Lower scores are better."},
+     "Compares at the latest generation that all campaigns have reached: prints the mean of each "
+     "over its replicates, and its difference from the first with a 95 % confidence interval "
+     "(Welch). Replicates that failed or were cancelled are left out and listed. If you name two "
+     "replicates of one group, each counts as a separate campaign. Settings that differ are "
+     "listed; campaigns with different physics or environments are refused, because their scores "
+     "are not comparable. Lower scores are better."},
     {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.",
      run_campaign_export, NULL, campaign_export_options},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.", run_job_prune,

@@ -253,7 +253,7 @@ static int serve(struct process *process)
   log_open((enum log_format)process->settings.log_format,
            (enum log_level)process->settings.log_level);
   if (log_start() != 0) { /* after the signals are blocked, so that its thread does not take them */
-    log_error("cannot start", LOG_TEXT("reason", "no thread for the log"));
+    log_error("cannot start", LOG_TEXT("reason", "cannot start the thread of the log"));
     return EXIT_SYSTEM;
   }
   log_info("starting", LOG_TEXT("version", MORPHOD_VERSION),

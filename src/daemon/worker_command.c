@@ -352,7 +352,7 @@ static void read_slurm(struct process *process)
   if (end_s > 0)
     process->config.leave_at_us = (end_s - BEFORE_END_S) * 1000000;
   else if (process->options->until_slurm)
-    log_warning("Slurm reports no end of this job; only SIGTERM will stop the worker");
+    log_warning("Slurm reports no end time for this job; only SIGTERM will stop the worker");
 }
 
 /* Handles signals until the worker's thread has ended. */
@@ -401,7 +401,7 @@ static int run(struct process *process)
            (enum log_level)process->options->log_level);
   read_slurm(process);
   if (log_start() != 0)
-    return complain(EXIT_SYSTEM, "", "no thread for the log");
+    return complain(EXIT_SYSTEM, "", "cannot start the thread of the log");
   int status = prepare(process, &message);
   if (status == EXIT_OK && mo_thread_create(&thread, "worker", run_worker, process) != 0)
     status = EXIT_SYSTEM;

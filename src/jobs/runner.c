@@ -157,12 +157,11 @@ static const char *temporary_text(int error)
 {
   switch (error) {
   case MO_ERR_NO_SPACE:
-    return "no space on the disk of the state folder for %s: make room there; it goes on by itself";
+    return "no space left in the state folder for %s: free some, and it will continue";
   case MO_ERR_BUSY:
-    return "another program holds the database locked, %s cannot be written: end it; it goes on by "
-           "itself";
-  default:
-    return "no memory, or no file descriptor, for %s: it goes on by itself when there is some";
+    return "another program has locked the database, so %s cannot be written: stop that program, "
+           "and it will continue";
+  default: return "no memory or file descriptor for %s: it will continue when there is some";
   }
 }
 

@@ -267,13 +267,13 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (error == MO_ERR_NO_SPACE && mo_reserve_free(store))
     error = read_header(store, &header);
   if (error == MO_ERR_CORRUPT)
-    return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod, or it is damaged",
+    return mo_fail(message, MO_ERR_FORMAT, "%s is not a morphod database, or it is damaged",
                    store->database_path);
   if (error != MO_OK)
     return mo_fail(message, error, "cannot open %s: %s", store->database_path,
                    mo_error_text(error));
   if (header.application != MO_APPLICATION_ID && (header.application != 0 || header.tables != 0))
-    return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
+    return mo_fail(message, MO_ERR_FORMAT, "%s is not a morphod database", store->database_path);
   if (header.version == 0 && header.tables == 0 && store->orphans.n > 0)
     return refuse_without_database(store, message);
   if (header.version == 0 && header.tables > 0)

@@ -42,8 +42,8 @@ static int import_condition(struct mo_store *store, struct entry *entry, uint32_
   if (error == MO_ERR_NOT_FOUND)
     return mo_fail(
         entry->message, MO_ERR_INVALID,
-        "the controller %s is not stored here, and the file has it in an earlier block; send "
-        "the file from its beginning, or store the controller first",
+        "the controller %s is not stored here, but in an earlier block of the file: send the "
+        "file from its start, or store the controller first",
         name);
   if (error == MO_ERR_UNSUPPORTED || (error == MO_OK && sensor != condition->sensor))
     return mo_fail(entry->message, MO_ERR_INVALID,

@@ -372,8 +372,8 @@ static void take_orders(struct mo_worker *worker, const struct mo_link_reply *re
   else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining) {
     memcpy(worker->wanted, orders.wanted, sizeof(worker->wanted));
     drain(worker, DRAIN_MS,
-          orders.wanted[0] != '\0' ? "the daemon drains this worker for an upgrade"
-                                   : "the daemon drains this worker");
+          orders.wanted[0] != '\0' ? "the daemon is draining this worker for an upgrade"
+                                   : "the daemon is draining this worker");
   }
   if (now_ms() - worker->joined_ms >= STEADY_MS)
     found(worker);
@@ -416,10 +416,11 @@ static void watch_clock(struct mo_worker *worker, int64_t now)
   } else if (config->leave_at_us > 0 && mo_clock_wall_us() >= config->leave_at_us) {
     drain(worker, DRAIN_MS, "the job's time limit is near");
   } else if (config->idle_ms > 0 && now - worker->leased_ms >= (int64_t)config->idle_ms) {
-    drain(worker, MO_WORKER_STOP_MS, "no lease for the time set by --leave-when-idle");
+    drain(worker, MO_WORKER_STOP_MS, "no lease within the time set by --leave-when-idle");
   } else if (config->give_up_ms > 0 && worker->lost_ms >= 0 && worker->phase == JOINING &&
              now - worker->lost_ms >= (int64_t)config->give_up_ms) {
-    finish(worker, MO_WORKER_UNREACHABLE, "no session for the time set by --give-up");
+    finish(worker, MO_WORKER_UNREACHABLE,
+           "could not open a session within the time set by --give-up");
   }
 }
 

@@ -174,7 +174,7 @@ def test_what_the_editor_does(service, browser):
     browser.click("Keep")  # the same form, and so the same founder
     assert browser.run("return document.querySelectorAll('.card').length") == 1
     browser.click("Cross")  # campaigns place the parents first, which makes these equal
-    browser.until("/equal; nothing is left/.test(document.getElementById('toast').innerText)")
+    browser.until("/equal, so no voxel is left/.test(document.getElementById('toast').innerText)")
     assert browser.run(f"return {voxels}") == moved
     browser.click("Undo")
     assert browser.run(f"return {voxels}") == bar

@@ -193,7 +193,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
         assert filler.stat().st_size + ROWS > CHECKPOINT_BYTES
         first = one.submit(request, "trainings")
         waiting = one.awaited(f"/v1/trainings/{first}", lambda now: now["state"] == "paused")
-        assert "no space" in waiting["reason"] and "by itself" in waiting["reason"], waiting
+        assert "no space" in waiting["reason"] and "will continue" in waiting["reason"], waiting
         assert waiting["progress"]["step"] == 10
         for path in ("/v1/jobs", "/v1/trainings"):  # it is found by the state that it shows
             found = {

@@ -88,7 +88,7 @@ export async function mount(main, path, parameters, app) {
     return make('cross', {
       designs: [genotype, other.genotype].map((voxels) => ({ voxels })), pairs: [[0, 1]],
       repair: 'largest',
-    }, 'The two bodies are equal; nothing is left.');
+    }, 'The two bodies are equal, so no voxel is left.');
   }
 
   function undo() {
@@ -194,7 +194,7 @@ export async function mount(main, path, parameters, app) {
 
   function drawShelf() {
     fill(shelf, kept.map((one, i) => h('button.card', {
-      type: 'button', title: 'Take this body back into the editor',
+      type: 'button', title: 'Edit this body again',
       onclick: () => change(one.genotype),
     }, picture(one.genotype, `Kept body ${i + 1}`), h('span.muted', {}, one.note))),
     kept.length ? null
@@ -280,7 +280,7 @@ async function startBody(parameters, last) {
   const voxels = parameters.get('voxels');
   if (voxels !== null) {
     if (isBody(voxels)) return voxels;
-    throw new LinkError('voxels: 144 digits, 0 or 1, with at least one 1, are expected.');
+    throw new LinkError('voxels must be 144 digits, each 0 or 1, with at least one 1.');
   }
   const id = parameters.get('design');
   if (id) {

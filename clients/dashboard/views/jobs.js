@@ -81,7 +81,7 @@ export function progressOf(job) {
     if (job.phase === 'replaying' && progress.replay_total) {
       return {
         share: progress.replayed / progress.replay_total, secondsLeft,
-        text: `${text}; drawing the bodies before it again: ${count(progress.replayed)} of ` +
+        text: `${text}; regenerating earlier bodies: ${count(progress.replayed)} of ` +
           count(progress.replay_total),
       };
     }
@@ -276,7 +276,7 @@ export function comparedIn(parameters, id) {
 async function remove(job) {
   const what = {
     evaluation: 'its results and recordings', training: 'its curve and checkpoints',
-    campaign: 'its generations, population and phylogeny, and checkpoints',
+    campaign: 'its generations, population, phylogeny and checkpoints',
   }[job.kind];
   if (!await confirmDialog(`Delete ${titleOf(job)}?`,
     `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id} and ${what} will be deleted ` +

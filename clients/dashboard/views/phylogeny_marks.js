@@ -39,7 +39,7 @@ export class PhylogenyMarks {
     const legends = {
       score: () => [...ramp(`score ${number(scores[1])}`, `${number(scores[0])}, the best`),
         columns.lower_bound.includes(1)
-          ? h('span', {}, 'faint: lower bounds, of children that could not survive') : null],
+          ? h('span', {}, 'faint: lower bounds (children that could not survive)') : null],
       age: () => ramp('short life', 'long life'),
       descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
       operator: () => [...new Set(columns.operator)].sort().map((operator) =>

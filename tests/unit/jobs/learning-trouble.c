@@ -78,7 +78,7 @@ static void waits_for_room(void)
     CHECK(await_reason(id, "no space"));
     CHECK(
         await_reason(id, mode == TRAINING ? "checkpoint of step 6" : "checkpoint of generation 0"));
-    CHECK(await_reason(id, "by itself"));
+    CHECK(await_reason(id, "will continue"));
     CHECK_INT(live_of(id).position, mode == TRAINING ? 6 : 0);
     usleep(350000); /* it has tried again */
     CHECK_INT(live_of(id).phase, MO_PHASE_WAIT);
@@ -109,7 +109,7 @@ static void waits_for_memory(void)
     int64_t id = submit_one(mode);
     CHECK(AWAIT(fake_plan.fail_times + fake_plan.gradient_fails <= often));
     CHECK(await_reason(id, "no memory"));
-    CHECK(await_reason(id, "by itself"));
+    CHECK(await_reason(id, "will continue"));
     check_waiting(mode, id, shorten_memory, MO_OK);
   }
 }
@@ -167,7 +167,7 @@ SERVICE_CASE(waits_for_descriptors, 1)
   none.rlim_cur = 3;
   REQUIRE(setrlimit(RLIMIT_NOFILE, &none) == 0);
   CHECK(await_reason(id, "file descriptor"));
-  CHECK(await_reason(id, "by itself"));
+  CHECK(await_reason(id, "will continue"));
   usleep(500000); /* it has tried again */
   CHECK_INT(state_of(id), MO_JOB_RUNNING);
   REQUIRE(setrlimit(RLIMIT_NOFILE, &before) == 0);

@@ -516,7 +516,7 @@ def test_train_compare():
     for words in (f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} "
                   "for other designs and environments (Student t, 3.0 degrees of freedom)",
                   "3 of 4 designs (75.0 %), 1 equal; sign test p = 0.25",
-                  "1 design that diverged", "is not shown"):
+                  "1 design that diverged", "No significant difference"):
         assert words in out, (words, out)
     assert re.search(r"^A +old +3\.2500 +1 of 5 +1 of 10 ", out, re.M), out
     assert re.search(r"^B +new +1\.7500 +0 of 5 +0 of 10 ", out, re.M), out
@@ -530,7 +530,7 @@ def test_train_compare():
     replies = [{**held_out, "designs": held_out["designs"] * 2}] + known[1:] + [
         scored("8", [1.0] * 10), scored("9", [0.9] * 9 + [3.0])]
     out = ask(replies, "train compare old new")[0]
-    assert "is not shown" in out
+    assert "No significant difference" in out
     assert "most designs are better with new (sign test, p = 0.021)" in out
     # A name that is not there is said before anything is computed.
     _, _, seen = ask(known[:2] + [reply(404, {"title": "T", "detail": "D"})],
@@ -598,7 +598,7 @@ def test_job_lists_name_trainings():
     out = ask([{"items": [short, JOB], "next_cursor": None}], "job list")[0]
     assert re.search(r"7 +finetune +running +batch +1,400 steps +25 %", out), out
     assert re.search(r"7 +evaluation +succeeded .* 2 rollouts +100 %", out), out
-    assert "step 350 of 1,400; morphoctl train show 7" in ask([short], "job show 7")[0]
+    assert "step 350 of 1,400; see morphoctl train show 7" in ask([short], "job show 7")[0]
 
 
 tests = [(name, value) for name, value in sorted(globals().items()) if name.startswith("test_")]
