@@ -118,8 +118,10 @@ static struct mo_session *find_ended(const struct mo_fleet *fleet, uint64_t id)
 {
   struct mo_session *session;
   TAILQ_FOREACH(session, &fleet->ended, all)
-  if (session->id == id)
-    break;
+  {
+    if (session->id == id)
+      break;
+  }
   return session;
 }
 
