@@ -10,6 +10,7 @@
 #include "exchange/columns.h"
 #include "exchange/values.h"
 #include "store/store.h"
+#include "world/environment.h"
 
 #define PATH_BYTES 128
 
@@ -348,21 +349,12 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
 {
   struct mo_json *json = mo_line_begin(lines, line, size);
   struct mo_json_slice key;
-  memset(environment, 0, sizeof(*environment));
+  *environment = mo_environment_defaults;
   if (mo_json_object(json))
-    while (mo_json_member(json, &key)) {
-      uint32_t n = 0;
-      if (mo_json_is(key, "light_xy_m"))
-        read_doubles(json, environment->light_xy_m, 2, &n);
-      else if (mo_json_is(key, "terrain_heights_m"))
-        read_doubles(json, environment->terrain_heights_m, MO_TERRAIN_HEIGHTS, &n);
-      else
+    while (mo_json_member(json, &key))
+      if (!mo_fields_read_member(json, key, &mo_environment_fields, environment))
         mo_json_skip(json); /* the hash is compared below */
-    }
-  uint32_t where;
   const int error = mo_line_end(lines, message);
-  if (error == MO_OK && mo_environment_check(environment, &where) != MO_OK)
-    return mo_fail(message, MO_ERR_FORMAT, "number %u is out of bounds", where);
   mo_environment_write(&lines->again, environment);
   return error == MO_OK ? mo_line_compare(lines, line, size, message) : error;
 }
