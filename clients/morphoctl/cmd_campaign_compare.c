@@ -127,8 +127,7 @@ static void add_differences(struct side *side, const json_t *first, const json_t
     if (strcmp(setting, "settings.environments") == 0)
       fail(STATUS_NEGATIVE,
            "campaigns %s and %s are in different environments: their scores are not comparable. "
-           "Score "
-           "their champions in the same ones: campaign champions, eval",
+           "Score their champions in the same ones: campaign champions, eval",
            a, b);
     if (strncmp(setting, "settings.physics.", 17) == 0)
       fail(

@@ -369,16 +369,13 @@ static const struct option_spec fleet_kubernetes_options[] = {
 
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
-     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, "
-     "the robot that a table shows (ID@K: an id and an orientation, @0 to @7), or an id alone, "
-     "which "
+     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, the "
+     "robot that a table shows (ID@K: an id and an orientation, @0 to @7), or an id alone, which "
      "means its orientation with the best stored score. Files hold, in any mixture: JSON designs, "
-     "alone, one per line or in lists "
-     "({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, {\"id\": \"...\"}, each perhaps "
-     "with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, robots or ids. # begins "
-     "a comment. The score is the mean over the environments of (distance to the light at the end) "
-     "/ "
-     "(at the start): lower is better, 1 is standing still.",
+     "alone, one per line or in lists ({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, "
+     "{\"id\": \"...\"}, each perhaps with a \"name\"), lists of cells [[x,y,z], ...], 144 digits "
+     "0 and 1, robots or ids. # begins a comment. The score is the mean over the environments of "
+     "(distance to the light at the end) / (at the start): lower is better, 1 is standing still.",
      eval_options},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.", run_verify,
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
@@ -392,8 +389,7 @@ const struct command commands[] = {
     {"film", "[DESIGN]...", "Film up to 16 robots, without a display.", run_film,
      "Rolls them out in one environment and draws what happens. --output names the format: "
      "film.mp4 (or another that ffmpeg makes, if it is installed), film.y4m, - for such a stream "
-     "on "
-     "standard output, or a folder, ending with /, for PNG files.",
+     "on standard output, or a folder, ending with /, for PNG files.",
      film_options},
     {"picture", "[DESIGN]...", "Draw up to 16 robots as they walk, without a display.", run_picture,
      "--output is a PNG file, or - for standard output.", picture_options},
@@ -438,21 +434,18 @@ const struct command commands[] = {
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
     {"job delete", "ID...", "Permanently delete jobs that have ended.", run_job_delete,
      "Says what will be deleted, and asks. Designs, scores and controllers stay. A job that "
-     "another "
-     "one needs is not deleted: exit status 3. Delete the first replicate of a group last.",
+     "another one needs is not deleted: exit status 3. Delete the first replicate of a group last.",
      job_delete_options},
     {"usage", "", "Show how much time of cores and devices jobs have used.", run_usage,
      "Deleted jobs are included.", usage_options},
     {"watch", "[JOB]", "Follow a job to its end, or all events.", run_watch,
      "With --json one event per line. After a lost connection it continues where it stopped. Exit "
-     "status "
-     "of a job: 0 if it succeeded, 3 if not.",
+     "status of a job: 0 if it succeeded, 3 if not.",
      watch_options},
     {"wait", "JOB...", "Wait until jobs have ended.", run_wait,
      "Waits through restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
      "cancelled or does not exist, 1 if the command of --run failed, 4 if the server stayed away "
-     "for "
-     "an hour, or as long as --retry says. A paused job has not ended.",
+     "for an hour, or as long as --retry says. A paused job has not ended.",
      wait_options},
     {"train start", "pretrain|finetune [DESIGN]...", "Train a controller.", run_train_start,
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
@@ -487,9 +480,8 @@ const struct command commands[] = {
      run_campaign_start,
      "zero-shot: the controller is frozen. few-shot: it learns again in each generation. "
      "simultaneous: it learns along the way. study: children come only from study tell. DESIGNs "
-     "(as "
-     "those of eval) start the initial population; random bodies fill it up. The campaign is a job "
-     "of the server, which continues without morphoctl, and after a crash.",
+     "(as those of eval) start the initial population; random bodies fill it up. The campaign is a "
+     "job of the server, which continues without morphoctl, and after a crash.",
      campaign_start_options, &campaign_kind},
     {"campaign list", "", "List campaigns, newest first.", run_list, NULL, campaign_list_options},
     {"campaign show", "ID", "Show a campaign with its curves.", run_live_show, NULL, NULL,
