@@ -579,6 +579,7 @@ def test_machines_are_shown_and_changed(start):
         page.open("machines")
         rows = """return [...document.querySelectorAll('[aria-label="%s"] tbody tr')]
                   .map((row) => row.innerText.replace(/\\s+/g, ' '))"""
+        page.until("""document.querySelectorAll('[aria-label="At work"] tbody tr').length >= 3""")
         at_work = page.run(rows % "At work")
         assert [name in row for name, row in zip(["this machine", *names], at_work)] == 3 * [True]
         assert all("0.0.1 (older)" in row for row in at_work[1:])
