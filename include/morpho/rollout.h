@@ -39,10 +39,13 @@ enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
 /* What all rollouts of a block share: it decides which operations they perform. */
 struct mo_scheme {
-  double dt_s;           /* 0.004 */
-  uint32_t n_steps;      /* 1000 */
-  enum mo_impact impact; /* exact */
-  uint32_t bisections;   /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
+  double dt_s;             /* 0.004 */
+  uint32_t n_steps;        /* 1000 */
+  double control_period_s; /* 0: the controller computes its outputs in every step. Otherwise a
+                              whole multiple of dt_s: it computes them at the start of each period,
+                              and they are held until the next one */
+  enum mo_impact impact;   /* exact */
+  uint32_t bisections;     /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
 };
 /* Numbers that the kernels keep for each of their lanes. */
 struct mo_constants {
@@ -62,6 +65,10 @@ struct mo_physics {
 struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
+
+/* Returns the steps in a control period: 1 … n_steps, for a longer period acts like n_steps.
+ * Returns 0 if the period is not a whole multiple of dt_s. */
+uint32_t mo_control_steps(const struct mo_scheme *scheme);
 
 /* The channels of a recording, as bits of a set. */
 enum mo_channel {

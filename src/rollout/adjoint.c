@@ -49,7 +49,6 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
 {
   const struct mo_body *body = r->body;
   const struct mo_physics *physics = r->physics;
-  memset(adjoint->d_activation, 0, body->n_springs * sizeof(double));
   for (uint32_t s = 0; s < body->n_springs; s++) {
     const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
     double d[3], across[3];
@@ -97,11 +96,15 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
   }
 }
 
-void mo_adjoint_step(const struct mo_reference *r, struct mo_step_tape *tape,
+void mo_adjoint_step(const struct mo_reference *r, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint)
 {
   move_masses_adjoint(r, tape, adjoint);
+  if ((step + 1) % r->control_steps == 0 || step + 1 == r->physics->scheme.n_steps)
+    memset(adjoint->d_activation, 0, r->body->n_springs * sizeof(double));
   pull_springs_adjoint(r, tape, adjoint);
+  if (step % r->control_steps != 0)
+    return;
   memset(adjoint->d_input, 0, r->controller->n_inputs * sizeof(double));
   mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs,
                          adjoint->d_activation, &tape->control, adjoint->d_input);

@@ -12,13 +12,15 @@ struct mo_adjoint {
   double *d_position;   /* (n_masses, 3) per m */
   double *d_velocity;   /* (n_masses, 3) per m/s */
   double *d_impulse;    /* (n_masses, 3) per N s */
-  double *d_activation; /* (n_springs) */
+  double *d_activation; /* (n_springs) summed over the steps of a control period */
   double *d_input;      /* (n_inputs) */
 };
 
-/* Turns ∂loss/∂ the state after the step on the tape into ∂loss/∂ the state before it. Leaves in
- * the tape what mo_controller_accumulate needs. */
-void mo_adjoint_step(const struct mo_reference *reference, struct mo_step_tape *tape,
+/* Turns ∂loss/∂ the state after step number `step`, which is on the tape, into ∂loss/∂ the state
+ * before it. Outputs that are held act in later steps, too: the adjoint carries what these
+ * contribute until the step that computed the outputs, whose tape then has what
+ * mo_controller_accumulate needs. */
+void mo_adjoint_step(const struct mo_reference *reference, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 
 /* Computes ∂loss/∂ the final state, whose center of mass is com_m, times `weight`. */

@@ -49,7 +49,8 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   run->start = carve(&carver, n_masses * 3, sizeof(double));
   run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
   run->spring_rest = carve(&carver, n_springs, real);
-  run->activation = carve(&carver, 2 * MO_LANES * panel, real);
+  run->activation = carve(&carver, MO_LANES * panel, real);
+  run->held = carve(&carver, MO_LANES * (run->control_steps > 1 ? springs_padded : panel), real);
   run->contacts = carve(&carver, n_masses, sizeof(uint32_t));
   run->terrain = carve(&carver, (size_t)MO_LANES * MO_CELLS * 4, real);
   if (!pack->passive) {
@@ -90,9 +91,12 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .environments = environments,
                             .n_environments = n_environments,
                             .physics = physics,
+                            .control_steps = mo_control_steps(&physics->scheme),
                             .recordings = recordings,
                             .pause = pause,
                             .outcomes = outcomes};
+  if (run.control_steps == 0)
+    return MO_ERR_INVALID;
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;

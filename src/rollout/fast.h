@@ -50,6 +50,7 @@ struct mo_fast_run {
   const struct mo_environment *const *environments;
   uint32_t n_environments;
   const struct mo_physics *physics;
+  uint32_t control_steps; /* in a control period */
   const struct mo_recording *recordings;
   const struct mo_pause_point *pause;
   struct mo_outcome *outcomes;
@@ -65,7 +66,9 @@ struct mo_fast_run {
   double *start;         /* (n_masses, 3) */
   void *sensor;          /* (n_masses, lanes) */
   void *hidden;          /* (2, lanes, 256) */
-  void *activation;      /* (lanes, panel), then (panel, lanes) */
+  void *activation;      /* (lanes, panel) */
+  void *held;            /* (n_panels · panel, lanes) activations of all springs through a control
+                            period; one panel's if every step has its own */
   void *terrain;         /* (lanes, MO_CELLS, 4) */
   uint32_t *contacts;    /* (n_masses) bits of the lanes that touched the terrain in a step that
                             ends at a frame; of other steps anything */
@@ -95,6 +98,7 @@ struct mo_gradient_run {
   const struct mo_robot *robots;
   uint32_t n;
   const struct mo_physics *physics;
+  uint32_t control_steps; /* in a control period */
   const struct mo_gradient_options *options;
   const struct mo_pause_point *pause;
   struct mo_outcome *outcomes;

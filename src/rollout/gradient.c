@@ -1,10 +1,10 @@
 /* gradient.c: backpropagation through a whole reference rollout in bounded memory.
  *
  * The forward pass stores only the state at the start of every segment of about sqrt(n_steps)
- * steps. The backward pass goes from the last segment to the first: it runs the segment again on a
- * tape, then walks the tape in reverse, and computes the parameters' gradient once per segment. A
- * robot's gradient is summed in its own buffer and added to the result only when all of it is
- * finite. */
+ * steps, in whole control periods. The backward pass goes from the last segment to the first: it
+ * runs the segment again on a tape, then walks the tape in reverse, and computes the parameters'
+ * gradient once per segment. A robot's gradient is summed in its own buffer and added to the result
+ * only when all of it is finite. */
 #include "rollout/adjoint.h"
 #include "rollout/scene.h"
 
@@ -16,13 +16,14 @@ struct gradient {
   struct mo_reference reference;
   const struct mo_gradient_options *options;
   const struct mo_gradient_probe *probe;
-  uint32_t segment;           /* steps per segment; the last one may be shorter */
+  uint32_t segment;           /* steps per segment, in whole control periods; the last one may be
+                                 shorter */
   size_t n_state;             /* doubles of a stored state: positions and velocities */
   double *memory;             /* of all arrays of doubles */
   double *states;             /* (segments + 1, n_state) at the start of each, and at the end */
   struct mo_step_tape *steps; /* (segment) */
   struct mo_controller_tape
-      *control; /* (segment) copies of the tapes' network parts, in order of time */
+      *control; /* (segment / control steps) copies of the tapes' network parts, in order of time */
   struct mo_adjoint adjoint;
   double *d_parameters; /* (n_parameters) of this robot */
   struct mo_goal goal;
@@ -49,22 +50,26 @@ static int allocate(struct gradient *g)
   const struct mo_body *body = g->reference.body;
   const struct mo_controller *controller = g->reference.controller;
   const size_t n = (size_t)body->n_masses * 3;
-  const size_t tape = 2 * n + mo_controller_tape_doubles(controller, body->n_springs);
-  g->segment = (uint32_t)ceil(sqrt((double)g->reference.physics->scheme.n_steps));
+  const size_t pass = mo_controller_tape_doubles(controller, body->n_springs);
+  const uint32_t n_steps = g->reference.physics->scheme.n_steps,
+                 period = g->reference.control_steps;
   g->n_state = 2 * n;
-  const size_t states = (size_t)(segments(g) + 1) * g->n_state, tapes = g->segment * tape;
+  const uint32_t periods = ((uint32_t)ceil(sqrt((double)n_steps)) + period - 1) / period;
+  g->segment = periods * period;
+  const size_t states = (size_t)(segments(g) + 1) * g->n_state,
+               tapes = g->segment * 2 * n + periods * pass;
   g->memory = calloc(states + tapes + 3 * n + body->n_springs + controller->n_inputs +
                          controller->n_parameters,
                      sizeof(double));
   g->steps = calloc(g->segment, sizeof(*g->steps));
-  g->control = calloc(g->segment, sizeof(*g->control));
+  g->control = calloc(periods, sizeof(*g->control));
   if (g->memory == NULL || g->steps == NULL || g->control == NULL)
     return MO_ERR_NO_MEMORY;
-  for (uint32_t s = 0; s < g->segment; s++) {
-    double *memory = g->memory + s * tape;
-    g->control[s] = mo_controller_tape_place(controller, body->n_springs, memory + 2 * n);
-    g->steps[s] = (struct mo_step_tape){memory, memory + n, g->control[s]};
-  }
+  double *memory = g->memory;
+  for (uint32_t p = 0; p < periods; p++, memory += pass)
+    g->control[p] = mo_controller_tape_place(controller, body->n_springs, memory);
+  for (uint32_t s = 0; s < g->segment; s++, memory += 2 * n)
+    g->steps[s] = (struct mo_step_tape){memory, memory + n, g->control[s / period]};
   g->states = g->memory + tapes;
   g->adjoint.d_position = g->states + states;
   g->adjoint.d_velocity = g->adjoint.d_position + n;
@@ -168,10 +173,10 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
         g->counts.clipped_robots += clipped;
         return false;
       }
-      mo_adjoint_step(r, &g->steps[s], &g->adjoint);
+      mo_adjoint_step(r, first + s, &g->steps[s], &g->adjoint);
     }
     mo_controller_accumulate(r->controller, r->body->spring_lattice, r->body->n_springs, g->control,
-                             n, g->d_parameters);
+                             (n + r->control_steps - 1) / r->control_steps, g->d_parameters);
   }
   g->counts.clipped_robots += clipped;
   for (size_t i = 0; i < r->controller->n_parameters; i++)

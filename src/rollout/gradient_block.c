@@ -100,11 +100,14 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *p
                                 .robots = robots,
                                 .n = n,
                                 .physics = physics,
+                                .control_steps = mo_control_steps(&physics->scheme),
                                 .options = options,
                                 .pause = pause,
                                 .outcomes = outcomes,
                                 .d_parameters = d_parameters,
                                 .counts = &block};
+  if (run.control_steps == 0)
+    return MO_ERR_INVALID;
   const int status = mo_gradient_find(pack->isa)(&run);
   if (status == MO_OK && counts != NULL)
     mo_gradient_counts_add(counts, &block);

@@ -1,6 +1,7 @@
 /* physics.c: the constants of a rollout and their bounds. */
 #include "rollout/physics.h"
 
+#include <math.h>
 #include <string.h>
 
 #define BISECTIONS_MAX 52 /* halvings of a float64 mantissa */
@@ -18,6 +19,17 @@ struct mo_physics mo_default_physics(void)
                     .friction_cap = 0.95},
       .drop_height_m = 0.0,
   };
+}
+
+/* A decimal period and a decimal step have a quotient that is off by rounding alone. */
+uint32_t mo_control_steps(const struct mo_scheme *scheme)
+{
+  if (scheme->control_period_s == 0)
+    return 1;
+  const double steps = scheme->control_period_s / scheme->dt_s, whole = round(steps);
+  if (!(whole >= 1 && fabs(steps - whole) <= 1e-9 * whole))
+    return 0;
+  return whole < scheme->n_steps ? (uint32_t)whole : scheme->n_steps;
 }
 
 /* ---- the fields ---- */
@@ -107,7 +119,13 @@ const struct mo_fields mo_physics_fields = MO_FIELDS(rows);
 
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
 {
-  return mo_fields_check(&mo_physics_fields, "", physics, message);
+  const int status = mo_fields_check(&mo_physics_fields, "", physics, message);
+  if (status == MO_OK && mo_control_steps(&physics->scheme) == 0)
+    return mo_fail(message, MO_ERR_RANGE,
+                   "control_period_s must be a whole multiple of dt_s, got %.9g s with steps of "
+                   "%.9g s",
+                   physics->scheme.control_period_s, physics->scheme.dt_s);
+  return status;
 }
 
 /* ---- packed, compared ---- */

@@ -104,7 +104,7 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
 {
   const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
   memcpy(r->tape->position_m, r->position_m, bytes);
-  if (r->controller != NULL)
+  if (r->controller != NULL && step % r->control_steps == 0)
     control(r, step);
   pull_springs(r);
   move_masses(r);
@@ -118,7 +118,9 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                       const struct mo_controller *controller,
                       const struct mo_environment *environment, const struct mo_physics *physics)
 {
-  if (controller != NULL && !mo_workspace_equal(controller->workspace, body->workspace))
+  const uint32_t control_steps = mo_control_steps(&physics->scheme);
+  if (control_steps == 0 ||
+      (controller != NULL && !mo_workspace_equal(controller->workspace, body->workspace)))
     return MO_ERR_INVALID;
   const size_t n = 3 * (size_t)body->n_masses,
                tape =
@@ -132,6 +134,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                             .controller = controller,
                             .environment = environment,
                             .physics = physics,
+                            .control_steps = control_steps,
                             .highest_m = mo_terrain_highest(environment->terrain_heights_m),
                             .position_m = memory,
                             .velocity_m_per_s = memory + n,

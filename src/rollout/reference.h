@@ -13,7 +13,8 @@
 struct mo_step_tape {
   double *position_m;       /* (n_masses, 3) at the start of the step */
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
-  struct mo_controller_tape control; /* over the body's springs */
+  struct mo_controller_tape control; /* over the body's springs; the steps of a control period share
+                                        one */
 };
 
 struct mo_reference {
@@ -21,6 +22,7 @@ struct mo_reference {
   const struct mo_controller *controller; /* NULL: passive */
   const struct mo_environment *environment;
   const struct mo_physics *physics;
+  uint32_t control_steps; /* in a control period */
   double light_m[3];
   double highest_m;          /* of the terrain */
   double *position_m;        /* (n_masses, 3) */
@@ -32,13 +34,15 @@ struct mo_reference {
 };
 
 /* Initializes a rollout. Borrows all arguments. MO_ERR_INVALID: the controller is for another
- * workspace; MO_ERR_NO_MEMORY. */
+ * workspace, or the control period is invalid; MO_ERR_NO_MEMORY. */
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
                       const struct mo_controller *controller,
                       const struct mo_environment *environment, const struct mo_physics *physics);
 void mo_reference_done(struct mo_reference *reference);
 
-/* Runs step number `step`, from 0. False: it diverged; the positions are those before the step. */
+/* Runs step number `step`, from 0. Its tape must hold the controller's outputs of the step before,
+ * unless a control period starts. Returns false if it diverged; the positions are then those before
+ * the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
 
 /* Runs all steps up to a divergence. Calls visit(context, step) with the state before each step and

@@ -499,14 +499,19 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   s.activation = s.hidden + 512;
   place_body(&s);
   const num start = add(distance_to_light(&s), con(1e-8));
+  const struct mo_scheme *scheme = &setup->physics->scheme;
+  const long held =
+      scheme->control_period_s > 0 ? lround(scheme->control_period_s / scheme->dt_s) : 1;
   uint32_t reported = 0;
   for (uint32_t step = 0; step <= setup->physics->scheme.n_steps; step++) {
     while (reported < n && at[reported] == step)
       losses[reported++] = div_(distance_to_light(&s), start);
     if (step == setup->physics->scheme.n_steps)
       break;
-    sense_all(&s, step);
-    control_all(&s);
+    if (step % held == 0) {
+      sense_all(&s, step);
+      control_all(&s);
+    }
     pull_all(&s);
     move_all(&s);
   }

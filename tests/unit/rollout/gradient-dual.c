@@ -71,7 +71,9 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
   return worst;
 }
 
-static void run_cases(const uint32_t *at, uint32_t n_at)
+/* held: the steps of a control period in each case; NULL: the controller computes its outputs in
+ * every step. */
+static void run_cases(const uint32_t *at, uint32_t n_at, const uint32_t *held, uint32_t n_cases)
 {
   double worst_of_all = 0;
   uint32_t untouched = 0;
@@ -80,11 +82,13 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
   for (uint32_t a = 0; a < n_at; a++)
     printf(" %u", at[a]);
   printf(" steps\n");
-  for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
+  for (uint32_t k = 0; k < n_cases; k++) {
     struct gradient_case c = make_gradient_case(k);
     const struct second_parameters d = make_directions(&c, k);
     double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
     c.physics.scheme.n_steps = at[n_at - 1];
+    if (held != NULL)
+      c.physics.scheme.control_period_s = held[k] * c.physics.scheme.dt_s;
     const struct second_setup setup = {c.body, &c.environment, &c.physics, c.controller->sensor};
     struct dual losses[4];
     REQUIRE(dual_rollout(&setup, &d, at, n_at, losses) == 0);
@@ -114,19 +118,26 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
   }
   CHECK(untouched <= 5);
   printf("# largest relative error of %u directional derivatives: %.2e\n",
-         (GRADIENT_CASES * n_at - untouched) * SECOND_LANES, worst_of_all);
+         (n_cases * n_at - untouched) * SECOND_LANES, worst_of_all);
 }
 
 static void short_runs(void)
 {
   static const uint32_t at[] = {10, 50, 200};
-  run_cases(at, 3);
+  run_cases(at, 3, NULL, GRADIENT_CASES);
+}
+
+/* Periods that divide the rollout, and periods that the end of the rollout cuts short. */
+static void held_runs(void)
+{
+  static const uint32_t at[] = {10, 50, 200, 1000}, held[] = {4, 2, 3, 8, 5, 16, 7, 64};
+  run_cases(at, COUNT(at), held, COUNT(held));
 }
 
 static void long_runs(void)
 {
   static const uint32_t at[] = {1000};
-  run_cases(at, 1);
+  run_cases(at, 1, NULL, GRADIENT_CASES);
 }
 
 /* One mass and the transposed derivative of its step, against dual numbers input by input. */
@@ -243,9 +254,8 @@ static void lying(void)
 }
 
 static const struct check_case cases[] = {
-    {"one mass: every branch of contact", contact},
-    {"one mass: lying on the ground", lying},
-    {"whole rollouts: 10, 50 and 200 steps", short_runs},
-    {"whole rollouts: 1000 steps", long_runs},
+    {"one mass: every branch of contact", contact},       {"one mass: lying on the ground", lying},
+    {"whole rollouts: 10, 50 and 200 steps", short_runs}, {"whole rollouts: 1000 steps", long_runs},
+    {"held outputs: 10 to 1000 steps", held_runs},
 };
 CHECK_MAIN(cases)

@@ -190,7 +190,10 @@ static void compare(enum mo_isa first, struct comparison c)
 static void agrees_on_few_steps(void)
 {
   struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1),
-                    bisection = physics_of(40), forty_steps = physics_of(40);
+                    bisection = physics_of(40), forty_steps = physics_of(40), held = physics_of(45),
+                    held_for_long = physics_of(13);
+  held.scheme.control_period_s = 3 * held.scheme.dt_s;
+  held_for_long.scheme.control_period_s = 10 * held.scheme.dt_s;
   bisection.scheme.impact = MO_IMPACT_BISECTION;
   enum { CLIP = MO_ADJOINT_CLIP, RESTART = MO_ADJOINT_RESTART };
   const double bound = MO_ADJOINT_BOUND;
@@ -205,7 +208,10 @@ static void agrees_on_few_steps(void)
       {"bisection", shipped, robots + 3, 4, &bisection, bound, 2e-2, CLIP},
       {"restarts at each step", shipped, robots, ROBOTS, short_life, 0.01, 2e-4, RESTART},
       {"restarts now and then", fresh, robots + 5, 9, short_life, 0.5, 2e-4, RESTART},
-      {"restarts, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, RESTART}};
+      {"restarts, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, RESTART},
+      {"held outputs, 32 robots", fresh, robots, ROBOTS, &held_for_long, bound, 2e-4, CLIP},
+      {"held outputs, 45 steps", shipped, robots + 3, 9, &held, 0, 2e-3, CLIP},
+      {"held outputs, restarts", fresh, robots + 3, 4, &held, 0.5, 2e-3, RESTART}};
   for (size_t i = 0; i < COUNT(list); i++)
     compare(MO_ISA_BASELINE, list[i]);
 }
@@ -296,8 +302,10 @@ static void budgets_do_not_matter(void)
   static const size_t budgets[] = {0, 600000, 1500000, 4000000};
   const struct mo_gradient_options options = {.adjoint_bound = 1e-3, .weight = 1};
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (uint32_t n_steps = 30; n_steps <= 77; n_steps += 47) {
-      const struct mo_physics physics = physics_of(n_steps);
+    for (uint32_t n_steps = 30; n_steps <= 171; n_steps += 47) {
+      struct mo_physics physics = physics_of(n_steps);
+      if (n_steps > 77) /* a period divides neither the rollout nor a segment without it */
+        physics.scheme.control_period_s = 3 * physics.scheme.dt_s;
       /* A pause after every step, forwards, backwards and again. */
       struct stop whole_stop = {.after = UINT32_MAX};
       struct mo_pause_point pause = {1, count_down, &whole_stop};
@@ -314,6 +322,25 @@ static void budgets_do_not_matter(void)
         CHECK(part_stop.calls > 2 * n_steps || budgets[k] > 2000000);
       }
     }
+}
+
+/* A period of one step is no period. */
+static void periods_of_a_step_change_nothing(void)
+{
+  struct mo_physics physics = physics_of(40);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    physics.scheme.control_period_s = 0;
+    struct result absent = plain(shipped, isa, robots + 20, 9, &physics, &options);
+    physics.scheme.control_period_s = physics.scheme.dt_s;
+    struct result step = plain(shipped, isa, robots + 20, 9, &physics, &options);
+    physics.scheme.control_period_s = 4 * physics.scheme.dt_s;
+    struct result held = plain(shipped, isa, robots + 20, 9, &physics, &options);
+    CHECK(same_bits(&absent, &step, 9, shipped->n_parameters));
+    CHECK(!same_bits(&absent, &held, 9, shipped->n_parameters));
+    physics.scheme.control_period_s = 1.5 * physics.scheme.dt_s;
+    CHECK_INT(plain(shipped, isa, robots + 20, 9, &physics, &options).status, MO_ERR_INVALID);
+  }
 }
 
 static void budgets_are_kept(void)
@@ -596,6 +623,7 @@ static const struct check_case cases[] = {
 #endif
     {"neighbors do not change an outcome", neighbors_do_not_matter},
     {"budgets do not change a bit", budgets_do_not_matter},
+    {"periods of a step change nothing", periods_of_a_step_change_nothing},
     {"budgets are kept", budgets_are_kept},
     {"diverged robots contribute nothing", diverged_robots_contribute_nothing},
     {"explosions are zeroed", explosions_are_zeroed},

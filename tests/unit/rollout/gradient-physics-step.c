@@ -127,7 +127,7 @@ static bool run_both(struct both *b, const struct physics_functions *f, uint32_t
   memcpy(b->adjoint.d_velocity, b->d_velocity, bytes);
   memcpy(b->fast.d_position, b->d_position, bytes);
   memcpy(b->fast.d_velocity, b->d_velocity, bytes);
-  mo_adjoint_step(r, &b->tape, &b->adjoint);
+  mo_adjoint_step(r, 0, &b->tape, &b->adjoint);
   for (uint32_t m = 0; m < c->body->n_masses; m++)
     b->d_sensors[m] = b->adjoint.d_input[c->body->mass_lattice[m]];
   return f->step(&b->scene, &b->fast);
