@@ -4,7 +4,8 @@
  * next group. Positions, activations and the springs' lengths stay in shared memory; velocities are
  * the block's own in global memory, and seldom leave the caches. A step:
  *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
- *   think    three hidden layers, then tiles of springs: the length that each wants to have
+ *   think    three hidden layers, then tiles of springs: the length that each wants to have. In a
+ *            step that starts no control period, sense finds the center of mass, think is left out
  *   pull     a thread per mass and row adds its springs up, each seen from both of its ends: no two
  *            threads write one number
  *   move     the same thread moves the mass
@@ -49,16 +50,17 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
     const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
     begin_group(score, shared, memory);
     for (uint32_t step = 0; step < score.n_steps; step++) {
-      const Start start =
-          score.weights != nullptr && thread < MO_HIDDEN ? load_start(score, step) : Start{};
-      sense(score, shared, sensor, memory.position, memory.x, step);
-      if (score.weights != nullptr) {
+      if (score.weights != nullptr && step % score.control_steps == 0) {
+        const Start start = thread < MO_HIDDEN ? load_start(score, step) : Start{};
+        sense<true>(score, shared, sensor, memory.position, memory.x, step);
         if (thread < MO_HIDDEN)
           shared.first[thread] = start_of_first_layer(start);
         mo_cuda_activations_written();
         __syncthreads();
         think(score, shared, memory);
         __syncthreads();
+      } else {
+        sense<false>(score, shared, sensor, memory.position, memory.x, step);
       }
       pull(shared, memory.position, memory.lengths, memory.velocity);
       if (thread == 0 && step % kCancelSteps == 0 && *score.cancel != 0)

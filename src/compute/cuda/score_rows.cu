@@ -98,6 +98,7 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.n_groups = plan.n_groups;
   s.n_steps = score->physics.scheme.n_steps;
   s.max_places = places;
+  s.control_steps = mo_control_steps(&score->physics.scheme);
   return s;
 }
 
@@ -157,6 +158,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
 
 int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
 {
+  if (mo_control_steps(&score->physics.scheme) == 0)
+    return MO_ERR_INVALID;
   const double start_s = now_s();
   const mo_cuda_score_kernel &kernel = *device->score;
   const uint32_t blocks = (uint32_t)device->multiprocessors * kernel.blocks;

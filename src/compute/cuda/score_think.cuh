@@ -14,7 +14,9 @@ __device__ __forceinline__ float light_at(mo_sensor sensor, const float *p, cons
 }
 
 /* Handles two rows per warp, with sixteen lanes each (bit 3 of the lane selects the row). A lane
- * computes the light at every sixteenth mass, and keeps it until the row's mean is known. */
+ * computes the light at every sixteenth mass, and keeps it until the row's mean is known. Without
+ * THINKS, it only finds the center of mass. */
+template <bool THINKS>
 __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sensor,
                                       const float *position, const mo_cuda_activations &x,
                                       uint32_t step)
@@ -27,11 +29,13 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
     const bool used = r < shared.plan.n_rows; /* if not, its place gets a copy of the other row */
     const Row row = shared.rows[used ? r : 2 * pair];
     const float4 light = shared.light[used ? r : 2 * pair];
-    const uint4 inputs = __ldg(
-        reinterpret_cast<const uint4 *>(score.inputs + (size_t)row.body * MO_PLAN_INPUTS) + own);
+    const uint4 inputs = THINKS ? __ldg(reinterpret_cast<const uint4 *>(
+                                            score.inputs + (size_t)row.body * MO_PLAN_INPUTS) +
+                                        own)
+                                : make_uint4(0, 0, 0, 0);
     const uint32_t input[4] = {inputs.x, inputs.y, inputs.z, inputs.w};
     const uint32_t most = max(row.n_masses, __shfl_xor_sync(kAll, row.n_masses, 8));
-    if (score.weights != nullptr)
+    if (THINKS)
       mo_cuda_clear_row(x, r, own);
     /* Four masses at a time, without a branch: missing ones count as 0. */
     float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f}, value[kMost];
@@ -46,12 +50,14 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
         const float *p = position + 3 * (row.first_place + m * row.stride);
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(weight, p[axis], sum[axis]);
-        value[i] = light_at(sensor, p, light);
-        sum[3] = fmaf(weight, value[i], sum[3]);
+        if (THINKS) {
+          value[i] = light_at(sensor, p, light);
+          sum[3] = fmaf(weight, value[i], sum[3]);
+        }
       }
     }
 #pragma unroll
-    for (int k = 0; k < 4; k++) {
+    for (int k = 0; k < (THINKS ? 4 : 3); k++) {
       sum[k] += __shfl_xor_sync(kAll, sum[k], 1);
       sum[k] += __shfl_xor_sync(kAll, sum[k], 2);
       sum[k] += __shfl_xor_sync(kAll, sum[k], 4);
@@ -60,7 +66,7 @@ __device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared
     const float n = (float)row.n_masses;
     if (used && own < 3)
       shared.com[step & 1][r][own] = __fdividef(own == 0 ? sum[0] : own == 1 ? sum[1] : sum[2], n);
-    if (score.weights == nullptr)
+    if (!THINKS)
       continue;
     const float mean = __fdividef(sum[3], n);
     __syncwarp(); /* the zeros have been written */
