@@ -118,6 +118,8 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
   s->profile = mo_cuda_gradient_profile();
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
+  if (mo_control_steps(&call->physics.scheme) == 0)
+    return MO_ERR_INVALID;
   if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) ||
       !fits_half(call->controller)) {
     snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");

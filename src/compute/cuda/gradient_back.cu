@@ -87,16 +87,17 @@ static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t fo
       (const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
 }
 
-template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
-  using own = back_physics<MT, SHARE>;
-  using own::activation_at, own::begin, own::end, own::end_step, own::excluded, own::failed,
-      own::first, own::first_row, own::first_step, own::forget, own::g, own::group_first,
-      own::group_row, own::gx, own::half, own::half_begin, own::HELD, own::hold, own::input, own::k,
-      own::lane, own::lane_begin, own::layer_bytes, own::left, own::mass, own::move_back,
-      own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_at,
-      own::output_tile, own::outputs, own::own_row, own::part, own::position_at, own::result,
-      own::ROWS, own::scale_at, own::sense_back, own::springs_back, own::start, own::tape,
-      own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
+template <int MT, int SHARE, bool PERIODIC> struct back : back_physics<MT, SHARE, PERIODIC> {
+  using own = back_physics<MT, SHARE, PERIODIC>;
+  using own::activation_at, own::begin, own::begins_period, own::end, own::end_step,
+      own::ends_period, own::excluded, own::failed, own::first, own::first_row, own::first_step,
+      own::forget, own::g, own::group_first, own::group_row, own::gx, own::half, own::half_begin,
+      own::HELD, own::hold, own::input, own::k, own::kick_back, own::lane, own::lane_begin,
+      own::layer_bytes, own::left, own::mass, own::move_back, own::n_chunks, own::n_masses,
+      own::n_outputs, own::n_own, own::normal_at, own::output_at, own::output_tile, own::outputs,
+      own::own_row, own::part, own::pass_of, own::position_at, own::result, own::ROWS,
+      own::scale_at, own::sense_back, own::springs_back, own::start, own::tape, own::TAPE_ROWS,
+      own::velocity_at, own::warp, own::width;
   using typename own::held;
   /* This block's share of the group's chunks: the first, and how many. */
   int block_chunk, block_chunks;
@@ -189,14 +190,14 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
       asm volatile("prefetch.global.L2 [%0];" ::"l"((const char *)from + i));
   }
 
-  __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
+  __device__ __forceinline__ void load_normal(int layer, uint32_t pass, __half2 (&n)[MT][2][2],
                                               float (&factor)[MT][2])
   {
     const int column = warp * 16 + 4 * (lane & 3);
     const uint2 *normal = (const uint2 *)(tape + normal_at + layer * layer_bytes) +
-                          (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+                          (size_t)pass * TAPE_ROWS * (MO_HIDDEN / 4);
     const float *scale =
-        (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
+        (const float *)(tape + scale_at) + ((size_t)pass * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -214,14 +215,14 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
 
   /* sums: ∂loss/∂(outputs of ReLU). Stores ∂loss/∂(sums of the layer) in `left`, and on the tape in
    * place of n. */
-  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
+  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t pass, warp_sums<MT> &sums,
                                                  const __half2 (&n)[MT][2][2],
                                                  const float (&factors)[MT][2],
                                                  const norm_columns &columns)
   {
     const int column = warp * 16 + 4 * (lane & 3);
     uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) +
-                   (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+                   (size_t)pass * TAPE_ROWS * (MO_HIDDEN / 4);
     float2 s[MT][2], d_shifts[MT][2], d_gains[MT][2];
     float *gain_sum = norm_sums + layer * 2 * MO_HIDDEN + column, *shift_sum = gain_sum + MO_HIDDEN;
 #pragma unroll
@@ -293,7 +294,7 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
 
   /* The addresses of tiles are known two rounds before they are multiplied, so that loads are not
    * delayed. */
-  __device__ __forceinline__ void add_last(uint32_t step, warp_sums<MT> &sums,
+  __device__ __forceinline__ void add_last(uint32_t pass, warp_sums<MT> &sums,
                                            weights_ahead<MO_GK_AHEAD_BACK> &ahead)
   {
     enum { N = MO_GK_AHEAD_BACK };
@@ -310,7 +311,7 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     output_copy copy = {
         shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
         (uint4 *)(tape + output_at +
-                  ((size_t)step * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
+                  ((size_t)pass * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
             part_of - 2 * before};
     a[0].load(left_at, width * 2);
     if (before > 0) {
@@ -333,7 +334,7 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
   }
 
   /* `ahead` has the last layer's first weights. */
-  __device__ __forceinline__ void control_back(uint32_t step,
+  __device__ __forceinline__ void control_back(uint32_t pass,
                                                weights_ahead<MO_GK_AHEAD_BACK> &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
@@ -343,18 +344,18 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     warp_sums<MT> sums;
     norm_columns columns;
     sums.clear();
-    load_normal(2, step, n, factors);
-    add_last(step, sums, ahead);
+    load_normal(2, pass, n, factors);
+    add_last(pass, sums, ahead);
     columns.load(k.weights, 2, column);
-    norm_relu_back(2, step, sums, n, factors, columns);
+    norm_relu_back(2, pass, sums, n, factors, columns);
 #pragma unroll 1
     for (int layer = 2; layer > 0; layer--) {
       sums.clear();
-      load_normal(layer - 1, step, n, factors);
+      load_normal(layer - 1, pass, n, factors);
       add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer),
                             hidden_tiles(layer - 1));
       columns.load(k.weights, layer - 1, column);
-      norm_relu_back(layer - 1, step, sums, n, factors, columns);
+      norm_relu_back(layer - 1, pass, sums, n, factors, columns);
     }
     sums.clear();
     add_sixteen<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
@@ -369,8 +370,8 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
     __syncthreads();
   }
 
-  /* Prefetches the data that the previous step will read: for a half, its own masses, chunks and
-   * rows. */
+  /* Prefetches the data that the previous step will read and no later step has read: for a half,
+   * its own masses, chunks and rows. */
   __device__ __forceinline__ void fetch_step(uint32_t step)
   {
     enum { ROW_BYTES = MO_HIDDEN * 2 };
@@ -386,10 +387,14 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
         fetch(tape + velocity_at + at, 4 * n_own);
       }
     }
-    fetch(tape + activation_at + ((size_t)step * n_chunks + block_chunk) * 64, 64 * block_chunks);
+    const uint32_t pass = pass_of(step);
+    if (ends_period(step))
+      fetch(tape + activation_at + ((size_t)pass * n_chunks + block_chunk) * 64, 64 * block_chunks);
+    if (!begins_period(step))
+      return;
 #pragma unroll 1
     for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-      const unsigned char *rows_at = tape + normal_at + l * layer_bytes + (size_t)step * normals;
+      const unsigned char *rows_at = tape + normal_at + l * layer_bytes + (size_t)pass * normals;
       if (SHARE == 1) {
         fetch(rows_at, normals);
       } else {
@@ -446,13 +451,17 @@ template <int MT, int SHARE> struct back : back_physics<MT, SHARE> {
         fetch_step(step - 1);
       move_back(step, h);
       springs_back(step);
+      if (!begins_period(step)) {
+        kick_back();
+        continue;
+      }
       forget();
       weights_ahead<MO_GK_AHEAD_BACK> ahead;
       start_ahead(ahead);
       __syncthreads();
       fetch(k.springs + (g.first_chunk + block_chunk) * 32,
             128 * block_chunks); /* they may be evicted before the next step */
-      control_back(step, ahead);
+      control_back(pass_of(step), ahead);
       forget();
       sense_back(inputs);
     }

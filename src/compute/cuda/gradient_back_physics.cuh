@@ -24,11 +24,27 @@ static __device__ __forceinline__ uint32_t load_once(const uint32_t *p)
   asm volatile("ld.global.L1::no_allocate.u32 %0, [%1];" : "=r"(x) : "l"(p));
   return x;
 }
+/* Loads a number that this thread may have stored before; 0 without a load if `there` is false. */
+static __device__ __forceinline__ float load_if(bool there, const float *p)
+{
+  float x;
+  asm volatile("{ .reg .pred p; setp.ne.u32 p, %1, 0; mov.f32 %0, 0f00000000; "
+               "@p ld.global.L1::no_allocate.f32 %0, [%2]; }"
+               : "=f"(x)
+               : "r"((uint32_t)there), "l"(p)
+               : "memory");
+  return x;
+}
 static __device__ __forceinline__ int16_t load_once(const int16_t *p)
 {
   int16_t x;
   asm volatile("ld.global.L1::no_allocate.s16 %0, [%1];" : "=h"(x) : "l"(p));
   return x;
+}
+
+static __device__ __forceinline__ void store(float *p, float x)
+{
+  asm volatile("st.global.f32 [%0], %1;" ::"l"(p), "f"(x) : "memory");
 }
 
 /* Keeps a number in a register, which the compiler would otherwise compute again each time. */
@@ -64,12 +80,13 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
                : "memory");
 }
 
-template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
-  using own = walker<MT, SHARE>;
-  using own::activation_at, own::begin, own::chunk_at, own::end, own::first, own::first_row, own::g,
-      own::group_first, own::group_row, own::is_second, own::k, own::lane, own::lane_begin,
-      own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
-      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
+template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHARE, PERIODIC> {
+  using own = walker<MT, SHARE, PERIODIC>;
+  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::d_activation_at,
+      own::end, own::ends_period, own::first, own::first_row, own::g, own::group_first,
+      own::group_row, own::is_second, own::k, own::lane, own::lane_begin, own::list, own::n0,
+      own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::own_begin,
+      own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::pass_of,
       own::position_at, own::ROWS, own::rows, own::tape, own::velocity_at, own::warp, own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, being loaded from the tape. */
@@ -346,12 +363,15 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
     pair_sync(); /* springs belong to both rows */
   }
 
-  /* As in the forward pass. One of a spring's ends writes ∂loss/∂(the spring's output). */
+  /* As in the forward pass. One of a spring's ends writes ∂loss/∂(the spring's output), in the step
+   * that computed it; both have added the contributions of later steps that hold it. */
   __device__ __forceinline__ void springs_back(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD_BACK };
     const int16_t *kept =
-        (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
+        (const int16_t *)(tape + activation_at) + (size_t)pass_of(step) * n_chunks * 32 + chunk_at;
+    float *const sums = (float *)(tape + d_activation_at) + chunk_at;
+    const bool begins = begins_period(step), adds = !ends_period(step);
     const int n = own_chunks;
     if (n == 0)
       return;
@@ -379,6 +399,10 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
         then[i] = load_once(far + 32 * i);
         kept_then[i] = load_once(kept_far + 32 * i);
       }
+      float later[N]; /* ∂loss/∂activation in the period's later steps */
+#pragma unroll
+      for (int i = 0; i < N; i++)
+        later[i] = PERIODIC ? load_if(adds, sums + 32 * (c + i)) : 0.0f;
       __syncwarp(); /* here, not where they are needed */
 #pragma unroll
       for (int i = 0; i < N; i++) {
@@ -393,14 +417,21 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
         float dd[3];
         const float d_wanted = -lane_spring_back(k.physics.pull, &length,
                                                  wanted_length(k.physics, s, a), d, across, dd);
-        const float d_sum = d_wanted * (rest_length(s) * k.physics.actuation) * fmaf(-a, a, 1.0f);
+        float d_activation = d_wanted * (rest_length(s) * k.physics.actuation);
+        if (PERIODIC) {
+          d_activation += later[i];
+          if (!begins)
+            store(sums + 32 * (c + i), d_activation);
+        }
+        const float d_sum = d_activation * fmaf(-a, a, 1.0f);
         for (int axis = 0; axis < 3; axis++)
           sum[axis] += dd[axis];
         const uint32_t row = MO_GP_SPRING_ROW(s);
         if (!(fabsf(d_sum) <= MO_GK_LARGE))
           bad |= 1 + row;
-        store_if_less(at, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second,
-                      d_sum);
+        if (begins)
+          store_if_less(at, MO_GP_SPRING_OTHER(s),
+                        to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
         if (s & MO_GP_SPRING_LAST) {
           if (at != MO_GP_NO_MASS)
             for (int axis = 0; axis < 3; axis++)
@@ -463,6 +494,20 @@ template <int MT, int SHARE> struct back_physics : walker<MT, SHARE> {
 #pragma unroll 1
     for (int m = lane_begin() + 32 * HELD; m < end(); m += 32)
       push_back(m, sensed(m, __ldg(input + m)), mean);
+    __syncwarp();
+  }
+
+  /* The velocities' adjoints back through the kick, in a step without sensors. */
+  __device__ __forceinline__ void kick_back()
+  {
+    pair_sync(); /* the other warp's springs have read them */
+#pragma unroll 1
+    for (int m = lane_begin(); m < end(); m += 32) {
+      back_mass &to = mass[first + m];
+      to.z_gx.y = lane_kick_back(&k.physics, to.z_gx.y);
+      to.gyz =
+          make_float2(lane_kick_back(&k.physics, to.gyz.x), lane_kick_back(&k.physics, to.gyz.y));
+    }
     __syncwarp();
   }
 

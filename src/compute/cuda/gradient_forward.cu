@@ -28,15 +28,15 @@ struct strikes {
   }
 };
 
-template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
-  using own = walker<MT, SHARE>;
-  using own::activation_at, own::begin, own::chunk_at, own::end, own::end_step, own::first,
-      own::first_row, own::first_step, own::g, own::group_first, own::group_row, own::half_begin,
-      own::hidden_at, own::input_at, own::is_second, own::k, own::lane, own::layer_bytes, own::list,
-      own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_tile,
-      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
-      own::part, own::position_at, own::rows, own::scale_at, own::tape, own::TAPE_ROWS,
-      own::velocity_at, own::warp, own::width;
+template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, PERIODIC> {
+  using own = walker<MT, SHARE, PERIODIC>;
+  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::end, own::end_step,
+      own::first, own::first_row, own::first_step, own::g, own::group_first, own::group_row,
+      own::half_begin, own::hidden_at, own::input_at, own::is_second, own::k, own::lane,
+      own::layer_bytes, own::list, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
+      own::normal_at, own::output_tile, own::own_begin, own::own_chunks, own::own_masses,
+      own::own_row, own::pair_row, own::pair_sync, own::part, own::pass_of, own::position_at,
+      own::rows, own::scale_at, own::tape, own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -124,7 +124,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     }
   }
 
-  __device__ __forceinline__ void norm_relu(int layer, uint32_t step, warp_sums<MT> &sums)
+  __device__ __forceinline__ void norm_relu(int layer, uint32_t pass, warp_sums<MT> &sums)
   {
     const int column = warp * 16 + 4 * (lane & 3);
     const float *columns = norms + 3 * MO_HIDDEN * layer + column;
@@ -152,9 +152,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
     const float4 gain = *(const float4 *)(columns + MO_HIDDEN),
                  shift = *(const float4 *)(columns + 2 * MO_HIDDEN);
     uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) +
-                    (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+                    (size_t)pass * TAPE_ROWS * (MO_HIDDEN / 4);
     float *scale =
-        (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
+        (float *)(tape + scale_at) + ((size_t)pass * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -262,7 +262,7 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   }
 
   /* `ahead` has the first layer's first weights. */
-  __device__ __forceinline__ void control(uint32_t step, weights_ahead<MO_GK_AHEAD> &ahead)
+  __device__ __forceinline__ void control(uint32_t pass, weights_ahead<MO_GK_AHEAD> &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
 #pragma unroll 1
@@ -275,9 +275,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         add_run<1, true>(sums, ahead, left_at, in_turn<1>{hidden_tiles(layer)}, [&] {
           return in_turn<2>{output_tiles(warp), output_tiles(warp + MO_GP_WARPS)};
         });
-      norm_relu(layer, step, sums[0]);
+      norm_relu(layer, pass, sums[0]);
       keep_left(tape + hidden_at + layer * layer_bytes +
-                (size_t)step * TAPE_ROWS * (MO_HIDDEN * 2));
+                (size_t)pass * TAPE_ROWS * (MO_HIDDEN * 2));
     }
     int u = warp;
 #pragma unroll 1
@@ -345,7 +345,9 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
   __device__ __forceinline__ void springs(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD };
-    int16_t *keep = (int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
+    int16_t *keep =
+        (int16_t *)(tape + activation_at) + (size_t)pass_of(step) * n_chunks * 32 + chunk_at;
+    const bool keeps = begins_period(step);
     const int n = own_chunks;
     if (n == 0)
       return;
@@ -367,7 +369,8 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
       for (int i = 0; i < N; i++) {
         const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
         const spring q = spring_of(next);
-        keep[(c + i) * 32] = p.a;
+        if (keeps)
+          keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
         const struct lane_length length = lane_length_of(lane_squared(d));
         const float f =
@@ -514,12 +517,17 @@ template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
         keep[n_masses + m] = p.y;
         keep[2 * n_masses + m] = p.z;
       }
-      sense(step);
-      ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
-      __syncthreads();
-      keep_left(tape + input_at + (size_t)step * TAPE_ROWS * (MO_GP_INPUTS * 2));
-      control(step, ahead);
-      __syncthreads();
+      if (begins_period(step)) {
+        const uint32_t pass = pass_of(step);
+        sense(step);
+        ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
+        __syncthreads();
+        keep_left(tape + input_at + (size_t)pass * TAPE_ROWS * (MO_GP_INPUTS * 2));
+        control(pass, ahead);
+        __syncthreads();
+      } else {
+        pair_sync(); /* waits until the other warp has moved its masses */
+      }
       springs(step);
       pair_sync(); /* also waits for the other warp's springs */
       move(step);

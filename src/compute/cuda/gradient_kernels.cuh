@@ -8,7 +8,7 @@
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
 
-#include "compute/cuda/gradient_tables.h"
+#include "compute/cuda/gradient_tape.h"
 #include "compute/cuda/lane.cuh"
 
 #include <cuda_bf16.h>
@@ -64,8 +64,9 @@ struct mo_gk {
   bool restarts; /* MO_ADJOINT_RESTART */
   int walked;    /* MO_GK_WHOLE … : how groups of 32 rows are computed */
   uint32_t n_steps, n_walks;
-  uint32_t part_steps; /* steps of a task */
-  uint32_t *tickets;   /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
+  uint32_t part_steps;    /* steps of a task: whole control periods */
+  uint32_t control_steps; /* in a control period; not 0 */
+  uint32_t *tickets;      /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
   const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
                                * so slowly (1.3 µs each, one after the other) that products waited
                                * three times as long for it as they took */
@@ -260,8 +261,11 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
 /* The walk of a block: a group, in which each warp has a pair (SHARE 1), two rows of 32 or one of
  * 16; or half of a group of 32 rows (SHARE 2), in which two warps share a pair: each has one of its
  * rows, and some of the springs of both. Rows and masses are numbered within the block; on the tape
- * and in the tables, within the group. */
-template <int MT, int SHARE> struct walker {
+ * and in the tables, within the group.
+ *
+ * PERIODIC: control periods have several steps. The others have kernels of their own, because
+ * registers are short. */
+template <int MT, int SHARE, bool PERIODIC> struct walker {
   const mo_gk &k;
   const mo_gp_group &g;
   enum {
@@ -281,8 +285,8 @@ template <int MT, int SHARE> struct walker {
   uint32_t chunk_at;
   unsigned char *tape;
   /* Offsets on the group's tape, in bytes; layer_bytes: from one layer to the next. */
-  uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at, scale_at,
-      output_at;
+  uint32_t position_at, velocity_at, activation_at, d_activation_at, input_at, normal_at, hidden_at,
+      scale_at, output_at;
   uint32_t layer_bytes;
   uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂outputs */
   uint32_t first_step, end_step;
@@ -318,11 +322,12 @@ template <int MT, int SHARE> struct walker {
     first_row = g.first_row;
     list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;
     chunk_at = first_chunk * 32 + lane;
-    const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
+    const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps, PERIODIC ? k.control_steps : 1);
     tape = k.tape + g.tape_at;
     position_at = (uint32_t)at.position;
     velocity_at = (uint32_t)at.velocity;
     activation_at = (uint32_t)at.activation;
+    d_activation_at = (uint32_t)at.d_activation;
     input_at = (uint32_t)at.input;
     normal_at = (uint32_t)at.normal[0];
     hidden_at = (uint32_t)at.hidden[0];
@@ -337,6 +342,21 @@ template <int MT, int SHARE> struct walker {
     load_rows();
     output_memory = rows + ROWS;
     behind = (unsigned char *)output_memory + (ROWS * width * 2 + 15) / 16 * 16;
+  }
+
+  /* The pass of the network whose outputs act in a step; whether the step is the first of its
+   * control period, which computes them, or the last. */
+  __device__ __forceinline__ uint32_t pass_of(uint32_t step) const
+  {
+    return PERIODIC ? step / k.control_steps : step;
+  }
+  __device__ __forceinline__ bool begins_period(uint32_t step) const
+  {
+    return !PERIODIC || step % k.control_steps == 0;
+  }
+  __device__ __forceinline__ bool ends_period(uint32_t step) const
+  {
+    return !PERIODIC || (step + 1) % k.control_steps == 0 || step + 1 == k.n_steps;
   }
 
   /* Whether this warp's only row is the pair's second. */
@@ -411,15 +431,15 @@ template <int MT, int SHARE> struct walker {
 };
 
 /* Groups of 16 rows: rare, with registers of their own. */
-template <template <int, int> class Way>
+template <template <int, int, bool> class Way, bool PERIODIC>
 static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g,
                                                unsigned char *shared, const mo_gk_task &task)
 {
-  Way<1, 1>(k, g, shared, task).run();
+  Way<1, 1, PERIODIC>(k, g, shared, task).run();
 }
 
 /* WALKED: how groups of 32 rows are computed. */
-template <template <int, int> class Way, int WALKED>
+template <template <int, int, bool> class Way, int WALKED, bool PERIODIC>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
     way_kernel(const __grid_constant__ mo_gk k)
 {
@@ -429,27 +449,32 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
     return;
   const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
   if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
-    Way<1, 2>(k, g, shared, task).run();
+    Way<1, 2, PERIODIC>(k, g, shared, task).run();
   else if (g.n_rows == MO_GP_ROWS_MAX)
-    Way<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
+    Way<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1, PERIODIC>(k, g, shared,
+                                                                                  task)
+        .run();
   else
-    walk_small<Way>(k, g, shared, task);
+    walk_small<Way, PERIODIC>(k, g, shared, task);
   end_task(k, task);
 }
 
-/* The kernels of one direction, by MO_GK_WHOLE … . */
-template <template <int, int> class Way> struct way_kernels {
-  static constexpr void (*kernels[])(const mo_gk) = {
-      way_kernel<Way, MO_GK_WHOLE>, way_kernel<Way, MO_GK_HALVES>, way_kernel<Way, MO_GK_MIXED>};
+/* The kernels of one direction: with PERIODIC or without, by MO_GK_WHOLE … . */
+template <template <int, int, bool> class Way> struct way_kernels {
+  static constexpr void (*kernels[2][3])(const mo_gk) = {
+      {way_kernel<Way, MO_GK_WHOLE, false>, way_kernel<Way, MO_GK_HALVES, false>,
+       way_kernel<Way, MO_GK_MIXED, false>},
+      {way_kernel<Way, MO_GK_WHOLE, true>, way_kernel<Way, MO_GK_HALVES, true>,
+       way_kernel<Way, MO_GK_MIXED, true>}};
 
   /* Finds how much shared memory each of them can use. */
   static int open(uint32_t block_bytes, uint32_t *dynamic_bytes)
   {
     int status = 0;
     *dynamic_bytes = block_bytes;
-    for (size_t i = 0; i < 3 && status == 0; i++) {
+    for (size_t i = 0; i < 6 && status == 0; i++) {
       uint32_t bytes = 0;
-      status = allow_shared(kernels[i], block_bytes, &bytes);
+      status = allow_shared(kernels[i / 3][i % 3], block_bytes, &bytes);
       *dynamic_bytes = min(*dynamic_bytes, bytes);
     }
     return status;
@@ -458,7 +483,8 @@ template <template <int, int> class Way> struct way_kernels {
   static int launch(const mo_gk *k, uint32_t shared_bytes, void *stream)
   {
     const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-    kernels[k->walked]<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+    const auto kernel = kernels[k->control_steps > 1][k->walked];
+    kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
     return (int)cudaGetLastError();
   }
 };
@@ -528,7 +554,7 @@ int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes);
 int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, void *stream);
 int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
-/* jobs: (n) group, kind and block of each product; adds steps first … end − 1. */
+/* jobs: (n) group, kind and block of each product; adds the network's passes first … end − 1. */
 int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first,
                    uint32_t end, void *stream);
 /* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters).

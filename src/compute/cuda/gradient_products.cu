@@ -1,14 +1,14 @@
-/* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a
- * shard's groups, and weights as tiles.
+/* gradient_products.cu: the parameters' gradient as products over rows × passes of the network, its
+ * sum over a shard's groups, and weights as tiles.
  *
  * A block computes 128 × 256 numbers of one matrix of one group: ∂loss/∂(sums of the layer)ᵀ times
- * the inputs of the layer, over all rows of the group and the launch's steps in order, and times
+ * the inputs of the layer, over all rows of the group and the launch's passes in order, and times
  * ones, which yields the sums for biases; the launches are also added in order, and the groups in
  * collect_kernel. So no sum depends on other groups or on the device. */
 #include "compute/cuda/gradient_products.cuh"
 
 enum {
-  DEPTH = 32, /* rows × steps at a time */
+  DEPTH = 32, /* rows × passes at a time */
   LEFT = MO_GK_JOB_COLUMNS,
   RIGHT = MO_HIDDEN,
   LEFT_ROW = LEFT + 8,

@@ -31,7 +31,7 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
 {
   const mo_gp_group &g = k.groups[job >> 8];
   const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
-  const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps);
+  const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps, k.control_steps);
   const mo_gp_sum sum = mo_gp_sum_of(&g);
   uint64_t left, right, to, bias;
   int m_all = MO_HIDDEN;
@@ -89,7 +89,7 @@ enum { ONES = 0x3f803f80 };
 /* ---- compute capability 9.0 ---- */
 
 enum {
-  WIDE_DEPTH = 32, /* rows × steps at a time */
+  WIDE_DEPTH = 32, /* rows × passes at a time */
   WIDE_STAGES = 6,
   WIDE_LINES = WIDE_DEPTH * 128, /* bytes of 64 columns */
   WIDE_STAGE = WIDE_LINES * (MO_GK_JOB_COLUMNS + MO_HIDDEN) / 64,

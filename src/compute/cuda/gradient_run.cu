@@ -21,9 +21,9 @@ extern "C" {
 
 namespace {
 
-/* Steps of a forward or backward task, and of a launch of products: shorter ones would take longer
- * in total. */
-enum { PART_STEPS = 50, PRODUCT_STEPS = 1000, RESERVE_BYTES = 768 << 20 };
+/* Steps of a forward or backward task, and passes of the network of a launch of products: shorter
+ * ones would take longer in total. */
+enum { PART_STEPS = 50, PRODUCT_PASSES = 1000, RESERVE_BYTES = 768 << 20 };
 
 struct work {
   mo_device *device;
@@ -216,8 +216,9 @@ int multiply(work &w, cudaEvent_t after)
 {
   mo_cuda_gradient_state *s = w.s;
   int r = MO_OK;
-  for (uint32_t first = 0; first < w.k.n_steps && r == MO_OK; first += PRODUCT_STEPS) {
-    const uint32_t end = std::min<uint32_t>(first + PRODUCT_STEPS, w.k.n_steps);
+  const uint32_t passes = mo_gp_passes(w.k.n_steps, w.k.control_steps);
+  for (uint32_t first = 0; first < passes && r == MO_OK; first += PRODUCT_PASSES) {
+    const uint32_t end = std::min<uint32_t>(first + PRODUCT_PASSES, passes);
     r = check(w,
               mo_gk_products(&w.k, s->buffers[JOBS].of<uint32_t>(), w.n_jobs, first, end,
                              w.device->stream),
@@ -402,12 +403,13 @@ uint64_t held(const mo_device *device)
 
 /* Finds how much of the device's memory a pass may use. It queries the driver only if the buffers
  * may have to grow, because an answer occasionally takes ten milliseconds. */
-int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most,
-                uint64_t *budget)
+int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint32_t control_steps,
+                uint64_t most, uint64_t *budget)
 {
   mo_gradient_pass all = {};
   *budget = share_of(held(device));
-  if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, n_steps, *budget, &all) == MO_OK &&
+  if (most == 0 &&
+      mo_gradient_pass_next(&plan, 0, 0, n_steps, control_steps, *budget, &all) == MO_OK &&
       all.end == plan.n_groups)
     return MO_OK;
   size_t free_bytes = 0, total = 0;
@@ -431,14 +433,15 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
                          uint64_t memory_bytes)
 {
   mo_cuda_gradient_state *s = &device->gradient;
-  const uint32_t n_steps = call->physics.scheme.n_steps;
+  const uint32_t n_steps = call->physics.scheme.n_steps,
+                 control_steps = mo_control_steps(&call->physics.scheme);
   uint64_t budget = 0;
-  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(device->total_bytes))) {
+  if (!mo_gradient_can_be_held(&plan, n_steps, control_steps, share_of(device->total_bytes))) {
     snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device",
              (unsigned)n_steps);
     return MO_ERR_UNSUPPORTED;
   }
-  int found = find_budget(device, plan, n_steps, memory_bytes, &budget);
+  int found = find_budget(device, plan, n_steps, control_steps, memory_bytes, &budget);
   if (found < 0)
     return found;
   for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
@@ -447,7 +450,7 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.s = s;
     w.call = call;
     w.plan = &plan;
-    int r = mo_gradient_pass_next(&plan, shard, group, n_steps, budget, &w.p);
+    int r = mo_gradient_pass_next(&plan, shard, group, n_steps, control_steps, budget, &w.p);
     if (r < 0)
       return r;
     w.k.physics = lane_physics_of(&call->physics);
@@ -456,7 +459,8 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.k.restarts = call->options.adjoint_rule == MO_ADJOINT_RESTART;
     w.k.restart_weight = call->options.restart_weight;
     w.k.n_steps = n_steps;
-    w.k.part_steps = PART_STEPS;
+    w.k.control_steps = control_steps;
+    w.k.part_steps = mo_gp_passes(PART_STEPS, control_steps) * control_steps;
     const double since = now_s();
     r = upload_pass(w);
     if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: free all of them

@@ -3,6 +3,7 @@
 
 #include "compute/cuda/gradient_pass.h"
 #include "compute/cuda/gradient_plan.h"
+#include "compute/cuda/gradient_tape.h"
 
 #include <stdbool.h>
 
@@ -247,25 +248,60 @@ static void passes(void)
   struct mo_gradient_pass all, pass;
   const struct mo_physics physics = mo_default_physics();
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
-  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, UINT64_MAX, &all) == MO_OK);
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, 1, UINT64_MAX, &all) == MO_OK);
   CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 &&
         all.shared <= options.shared_bytes);
-  CHECK(mo_gradient_can_be_held(&plan, 1000, UINT64_MAX) &&
-        !mo_gradient_can_be_held(&plan, 100000, UINT64_MAX));
-  CHECK(mo_gradient_can_be_held(&plan, 1000, all.tape / 2) &&
-        !mo_gradient_can_be_held(&plan, 1000, all.tape / 8));
+  CHECK(mo_gradient_can_be_held(&plan, 1000, 1, UINT64_MAX) &&
+        !mo_gradient_can_be_held(&plan, 100000, 1, UINT64_MAX));
+  CHECK(mo_gradient_can_be_held(&plan, 1000, 1, all.tape / 2) &&
+        !mo_gradient_can_be_held(&plan, 1000, 1, all.tape / 8));
   uint32_t shard = 0;
   uint64_t tape = 0;
   for (uint32_t group = 0; group < plan.n_groups; group = pass.end, shard = pass.end_shard) {
-    REQUIRE(mo_gradient_pass_next(&plan, shard, group, 1000, all.tape / 2, &pass) == MO_OK);
+    REQUIRE(mo_gradient_pass_next(&plan, shard, group, 1000, 1, all.tape / 2, &pass) == MO_OK);
     CHECK(pass.first == group && pass.end_shard > shard && plan.groups[group].tape_at == 0);
     tape += pass.tape;
   }
   CHECK(shard == 3 && tape == all.tape);
-  CHECK(mo_gradient_pass_next(&plan, 0, 0, 1000, all.tape / 8, &pass) == MO_ERR_NO_MEMORY);
+  CHECK(mo_gradient_pass_next(&plan, 0, 0, 1000, 1, all.tape / 8, &pass) == MO_ERR_NO_MEMORY);
   const uint32_t *springs = plan.springs;
   REQUIRE(mo_gradient_plan_make(robots, SHARD, &physics, &options, &plan) == MO_OK);
   CHECK(plan.springs == springs && plan.n_shards == 1);
+  mo_gradient_plan_free(&plan);
+}
+
+/* With control periods of several steps the network's part of the tape has as many passes as
+ * periods; positions and velocities stay; a sum per spring and lane is added. */
+static void passes_of_periods(void)
+{
+  struct mo_robot *robots = make_batch();
+  struct mo_gradient_plan plan = {0};
+  struct mo_gradient_pass each, held;
+  const struct mo_physics physics = mo_default_physics();
+  CHECK(mo_gp_passes(1000, 1) == 1000 && mo_gp_passes(1000, 4) == 250 &&
+        mo_gp_passes(1000, 3) == 334 && mo_gp_passes(1000, 1000) == 1);
+  REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
+  for (uint32_t i = 0; i < plan.n_groups; i++) {
+    const struct mo_gp_group *g = plan.groups + i;
+    const struct mo_gp_tape steps = mo_gp_tape_of(g, 1000, 1), periods = mo_gp_tape_of(g, 1000, 3),
+                            network = mo_gp_tape_of(g, 334, 1);
+    CHECK(steps.d_activation == steps.input);
+    CHECK(periods.velocity == steps.velocity && periods.activation == steps.activation);
+    CHECK(periods.d_activation - periods.activation == network.input - network.activation);
+    CHECK(periods.input - periods.d_activation ==
+          MO_GP_ALIGN(g->n_chunks * MO_GP_LANES * sizeof(float)));
+    CHECK(periods.normal[0] - periods.input == network.normal[0] - network.input);
+    CHECK(periods.normal[2] - periods.normal[1] == network.normal[2] - network.normal[1]);
+    CHECK(periods.bytes - periods.d_output == network.bytes - network.d_output);
+  }
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, 1, UINT64_MAX, &each) == MO_OK);
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, 4, UINT64_MAX, &held) == MO_OK);
+  CHECK(held.end == each.end && held.sums == each.sums && held.shared == each.shared);
+  CHECK(held.tape < each.tape / 2 && held.tape > each.tape / 4);
+  CHECK(!mo_gradient_can_be_held(&plan, 20000, 1, UINT64_MAX) &&
+        mo_gradient_can_be_held(&plan, 20000, 8, UINT64_MAX));
+  CHECK(!mo_gradient_can_be_held(&plan, 1000, 1, each.tape / 4) &&
+        mo_gradient_can_be_held(&plan, 1000, 8, each.tape / 4));
   mo_gradient_plan_free(&plan);
 }
 
@@ -359,6 +395,7 @@ static const struct check_case cases[] = {
     {"little shared memory: fewer robots in a group", small_shared_memory},
     {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
     {"passes of whole shards", passes},
+    {"the tape of control periods", passes_of_periods},
     {"what a group costs", cost_of_a_group},
     {"groups in halves", halves},
     {"small groups stay whole", no_halves_of_small_groups},
