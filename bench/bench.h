@@ -14,7 +14,14 @@ struct bench_options {
   enum mo_isa isa;
   bool quick;
   const char *controller; /* path */
+  double dt_s,
+      control_period_s; /* of `rollout` and `gradient`; 0: the default step; in each step */
 };
+
+/* The physics of the options: 4 seconds. */
+struct mo_physics bench_physics(const struct bench_options *options);
+/* Returns how often a rollout computes the controller's outputs. */
+uint32_t bench_passes(const struct mo_physics *physics);
 
 int bench_rollout(const struct bench_options *options);
 int bench_accuracy(const struct bench_options *options);
@@ -63,6 +70,8 @@ double bench_controller_flop(const struct mo_body *body);
 int bench_word(const char *const *words, const char *word);
 enum mo_isa bench_isa(const char *name);
 
+/* Parses milliseconds above 0 and returns seconds; ends the program on anything else. */
+double bench_ms(const char *text);
 /* Returns a whole number. Ends the program if the text is not one from `least` to `most`. */
 uint64_t bench_number(const char *text, uint64_t least, uint64_t most);
 

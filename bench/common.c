@@ -42,6 +42,17 @@ int bench_word(const char *const *words, const char *word)
   return i;
 }
 
+double bench_ms(const char *text)
+{
+  char *end = NULL;
+  const double value = strtod(text, &end);
+  if (end == text || *end != '\0' || !(value > 0 && value <= 1e4)) {
+    fprintf(stderr, "morpho-bench: \"%s\" is not a number of milliseconds above 0\n", text);
+    exit(2);
+  }
+  return value / 1e3;
+}
+
 uint64_t bench_number(const char *text, uint64_t least, uint64_t most)
 {
   char *end = NULL;
@@ -155,4 +166,26 @@ struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int n
   struct mo_body *body = NULL;
   bench_check(mo_body_create(scene->lattice, bits, &body), "box");
   return body;
+}
+
+struct mo_physics bench_physics(const struct bench_options *options)
+{
+  struct mo_physics physics = mo_default_physics();
+  struct mo_message message;
+  const double life_s = physics.scheme.n_steps * physics.scheme.dt_s;
+  if (options->dt_s > 0)
+    physics.scheme.dt_s = options->dt_s;
+  physics.scheme.n_steps = (uint32_t)lround(life_s / physics.scheme.dt_s);
+  physics.scheme.control_period_s = options->control_period_s;
+  if (mo_physics_check(&physics, &message) != MO_OK) {
+    fprintf(stderr, "morpho-bench: %s\n", message.text);
+    exit(2);
+  }
+  return physics;
+}
+
+uint32_t bench_passes(const struct mo_physics *physics)
+{
+  const uint32_t steps = mo_control_steps(&physics->scheme);
+  return (physics->scheme.n_steps + steps - 1) / steps;
 }

@@ -32,9 +32,10 @@ struct sample {
   struct mo_physics physics;
 };
 
-static void sample_create(struct sample *s, const struct bench_scene *scene)
+static void sample_create(struct sample *s, const struct bench_scene *scene,
+                          const struct bench_options *options)
 {
-  *s = (struct sample){.scene = scene, .n = scene->n_bodies, .physics = mo_default_physics()};
+  *s = (struct sample){.scene = scene, .n = scene->n_bodies, .physics = bench_physics(options)};
   s->n_blocks = (s->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
   s->options = (struct mo_gradient_options){MO_ADJOINT_BOUND, 1.0 / s->n};
   s->ordered = bench_zeros(s->n, sizeof(*s->ordered));
@@ -58,7 +59,7 @@ static double block_flop(const struct sample *s, uint32_t block)
   double flop = 0;
   for (uint32_t i = 0; i < block_size(s, block); i++)
     flop += 3 * bench_controller_flop(s->ordered[block * MO_GRADIENT_ROBOTS + i].body) *
-            s->physics.scheme.n_steps;
+            bench_passes(&s->physics);
   return flop;
 }
 
@@ -275,7 +276,7 @@ int bench_gradient(const struct bench_options *options)
   struct back_end back_end = {0};
   double masses = 0, springs = 0;
   bench_scene_create(&scene, options, n);
-  sample_create(&sample, &scene);
+  sample_create(&sample, &scene, options);
   bench_sgemm_create(&sgemm);
   (void)bench_sgemm_best(&sgemm); /* warm-up */
   for (uint32_t i = 0; i < n; i++) {

@@ -20,7 +20,10 @@ static const char usage[] =
     "bodies' stream (default 1)\n  --workers N        threads of `accuracy`, `gradient-accuracy`, "
     "`stability` (default: one per processor)\n  --isa NAME         x86-64, avx2 or avx512 "
     "(default: the best that runs here)\n  --controller PATH  safetensors file (default "
-    "data/controllers/bootstrap.safetensors)\n  --quick            a tenth of the bodies\n";
+    "data/controllers/bootstrap.safetensors)\n  --dt MS            time step of `rollout` and "
+    "`gradient` (default 4)\n  "
+    "--period MS        their control period (default: one step)\n  --quick            a tenth of "
+    "the bodies\n";
 
 static const struct {
   const char *name;
@@ -40,6 +43,8 @@ int main(int argc, char **argv)
                                                {"workers", required_argument, NULL, 'w'},
                                                {"isa", required_argument, NULL, 'i'},
                                                {"controller", required_argument, NULL, 'c'},
+                                               {"dt", required_argument, NULL, 'd'},
+                                               {"period", required_argument, NULL, 'p'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
@@ -56,6 +61,8 @@ int main(int argc, char **argv)
     case 'w': options.workers = (uint32_t)bench_number(optarg, 0, 1024); break;
     case 'i': options.isa = bench_isa(optarg); break;
     case 'c': options.controller = optarg; break;
+    case 'd': options.dt_s = bench_ms(optarg); break;
+    case 'p': options.control_period_s = bench_ms(optarg); break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;

@@ -82,8 +82,8 @@ static void measure_sample(struct report *report, const struct runner *runner,
     for (uint32_t i = round; i < scene->n_bodies; i += rounds, n++) {
       const struct mo_body *body = scene->bodies[i];
       round_s += run_s(runner, runner->pack, scene, body, PAPER, physics);
-      flop += bench_controller_flop(body) * PAPER * physics->scheme.n_steps;
-      all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * physics->scheme.n_steps;
+      flop += bench_controller_flop(body) * PAPER * bench_passes(physics);
+      all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * bench_passes(physics);
       report->masses += body->n_masses / (double)scene->n_bodies;
       report->springs += body->n_springs / (double)scene->n_bodies;
       report->voxels += body->n_voxels / (double)scene->n_bodies;
@@ -208,7 +208,7 @@ static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
 int bench_rollout(const struct bench_options *options)
 {
   const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 20 : 200;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = bench_physics(options);
   struct bench_scene scene;
   struct runner runner, runner64;
   struct report report = {0};

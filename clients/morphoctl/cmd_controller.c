@@ -18,6 +18,7 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
       {"name", "{name}"},
       {"sha256", "{sha256}"},
       {"sensor", "{sensor}"},
+      {"control", "[every {control_period_s} s|in every step]"},
       {"workspace", "{workspace.0} × {workspace.1} × {workspace.2} voxels"},
       {"parameters", "{parameters:,}"},
       {"bytes", "{bytes:,}"},

@@ -19,12 +19,13 @@
 extern "C" {
 #endif
 
-#define MO_CPG_INPUTS         5
-#define MO_CPG_RAD_PER_S      10.0
-#define MO_HIDDEN             256
-#define MO_HIDDEN_LAYERS      3
-#define MO_LAYERNORM_EPSILON  1e-5
-#define MO_CONTROLLER_TENSORS 14
+#define MO_CPG_INPUTS           5
+#define MO_CPG_RAD_PER_S        10.0
+#define MO_HIDDEN               256
+#define MO_HIDDEN_LAYERS        3
+#define MO_LAYERNORM_EPSILON    1e-5
+#define MO_CONTROLLER_TENSORS   14
+#define MO_CONTROL_PERIOD_MAX_S 10.0
 #define MO_CONTROLLER_FILE_MAX                                                                     \
   (UINT64_C(4) << 30) /* bytes of a file that mo_controller_read accepts */
 #define MO_SAFETENSORS_HEADER_MAX (UINT32_C(1) << 20)
@@ -49,6 +50,8 @@ struct mo_metadata_entry {
 struct mo_controller {
   struct mo_workspace workspace;
   enum mo_sensor sensor;
+  double control_period_s;      /* it was trained to compute its outputs this often; 0: in every
+                                   step */
   uint32_t n_masses, n_springs; /* of the workspace's lattice */
   uint32_t n_inputs;            /* n_masses + MO_CPG_INPUTS */
   size_t n_parameters;
@@ -58,8 +61,8 @@ struct mo_controller {
   float *bias[MO_HIDDEN_LAYERS + 1]; /* (256) × 3, (n_springs) */
   float *norm_gain[MO_HIDDEN_LAYERS];  /* (256) LayerNorm weight */
   float *norm_shift[MO_HIDDEN_LAYERS]; /* (256) LayerNorm bias */
-  struct mo_metadata_entry
-      *metadata; /* the file's __metadata__, in its order; includes "sensor" and the orders */
+  struct mo_metadata_entry *metadata;  /* the file's __metadata__, in its order; includes "sensor",
+                                          the orders and, unless  it is 0, "control_period_s" */
   size_t n_metadata;
 };
 
@@ -69,13 +72,17 @@ int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor,
                          struct mo_controller **controller);
 void mo_controller_free(struct mo_controller *controller); /* NULL-safe */
 
+/* Sets the control period and its metadata entry. MO_ERR_RANGE: not above 0 and at most
+ * MO_CONTROL_PERIOD_MAX_S; MO_ERR_NO_MEMORY, MO_ERR_LIMIT. */
+int mo_controller_set_period(struct mo_controller *controller, double period_s);
+
 /* Sets Xavier-uniform weights, zero biases, LayerNorm gain 1 and shift 0; layer l draws from stream
  * (seed, WEIGHTS, l, 0). */
 void mo_controller_randomize(struct mo_controller *controller, uint64_t seed);
 
 /* Sets or replaces a metadata entry. MO_ERR_INVALID (not UTF-8), MO_ERR_CONFLICT ("sensor",
- * "workspace" and the orders describe the weights and cannot be changed), MO_ERR_NO_MEMORY,
- * MO_ERR_LIMIT (1024 entries, 64 KiB each). */
+ * "control_period_s", "workspace" and the orders describe the weights and cannot be changed),
+ * MO_ERR_NO_MEMORY, MO_ERR_LIMIT (1024 entries, 64 KiB each). */
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key,
                                const char *value);
 const char *mo_controller_get_metadata(const struct mo_controller *controller,
@@ -90,8 +97,8 @@ int mo_controller_get_metadata_number(const struct mo_controller *controller, co
  * exactly the expected tensors, dtype F32, shapes that agree with one workspace (metadata
  * "workspace" = "6x6x4" names it; if absent, the default is assumed), offsets that tile the data
  * without gap or overlap, finite values within MO_WEIGHT_LIMIT, a known "sensor" (default
- * inverse_sqrt), and known orders if stated. MO_ERR_FORMAT, MO_ERR_LIMIT, MO_ERR_IO,
- * MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
+ * inverse_sqrt), a "control_period_s" within its bounds, and known orders if stated. MO_ERR_FORMAT,
+ * MO_ERR_LIMIT, MO_ERR_IO, MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
 int mo_controller_read(const char *path, struct mo_controller **controller,
                        struct mo_message *message);
 int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,

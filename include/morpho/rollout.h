@@ -66,6 +66,11 @@ struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
 
+/* Completes settings for a controller whose file states this control period: a period of 0 becomes
+ * the controller's. A period of one step becomes 0 again if the controller has none, so that equal
+ * computations have equal settings. MO_ERR_RANGE: the period is not a whole multiple of dt_s. */
+int mo_physics_complete(struct mo_physics *physics, double controller_period_s);
+
 /* Returns the steps in a control period: 1 … n_steps, for a longer period acts like n_steps.
  * Returns 0 if the period is not a whole multiple of dt_s. */
 uint32_t mo_control_steps(const struct mo_scheme *scheme);

@@ -20,6 +20,11 @@ static int write_controller(struct mo_store *store, struct mo_text *text,
   mo_text_member_count(text, "bytes", record->size);
   mo_text_member_count(text, "parameters", record->n_parameters);
   mo_text_member(text, "sensor", mo_sensor_name(record->sensor));
+  mo_text_name(text, "control_period_s");
+  if (record->control_period_s > 0)
+    mo_text_json_number(text, record->control_period_s);
+  else
+    mo_text_add(text, "null");
   mo_text_format(text, ",\"workspace\":[%u,%u,%u],\"metadata\":", record->workspace.nx,
                  record->workspace.ny, record->workspace.nz);
   mo_text_json_stored(text, metadata);

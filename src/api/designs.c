@@ -232,6 +232,7 @@ void mo_api_list_designs(struct mo_request *request)
       return;
     }
     query.controller_sha256 = controller.sha256;
+    (void)mo_physics_complete(&query.physics, controller.control_period_s);
     snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
     snprintf(query.fingerprint, sizeof(query.fingerprint), "%s",
              class != NULL ? class : own_class(mo_api_of(request)->compute));

@@ -120,6 +120,9 @@ static int check(struct mo_json *json, void *any)
   const uint32_t steps = request->physics.scheme.n_steps;
   const struct mo_random_bodies *random = &parsed->parts.random;
   const uint32_t n_designs = random->count + parsed->parts.n_designs + parsed->parts.n_skipped;
+  struct mo_message message;
+  if (mo_physics_check(&request->physics, &message) == MO_ERR_RANGE)
+    mo_json_fault_at(json, 0, "/physics", "%s", message.text);
   if (!parsed->parts.has_designs && !parsed->parts.has_random)
     mo_json_fault_at(json, 0, "",
                      "designs is missing: an array of 1 to %d designs, or random, with the count "

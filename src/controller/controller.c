@@ -137,6 +137,18 @@ void mo_controller_free(struct mo_controller *controller)
   free(controller);
 }
 
+int mo_controller_set_period(struct mo_controller *controller, double period_s)
+{
+  if (!(period_s > 0 && period_s <= MO_CONTROL_PERIOD_MAX_S))
+    return MO_ERR_RANGE;
+  char text[MO_NUMBER_BYTES];
+  mo_number_text(period_s, text);
+  const int r = mo_controller_put_metadata(controller, "control_period_s", text);
+  if (r == MO_OK)
+    controller->control_period_s = period_s;
+  return r;
+}
+
 void mo_controller_randomize(struct mo_controller *controller, uint64_t seed)
 {
   clear_parameters(controller);
@@ -216,12 +228,15 @@ int mo_controller_set_metadata(struct mo_controller *controller, const char *key
       !mo_utf8_is_valid(key) || !mo_utf8_is_valid(value))
     return MO_ERR_INVALID;
   /* These entries describe the parameters, which another value would contradict. */
-  static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "workspace"};
+  static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "control_period_s",
+                                      "workspace"};
   for (size_t i = 0; i < sizeof(fixed) / sizeof(fixed[0]); i++) {
     if (strcmp(key, fixed[i]) != 0)
       continue;
     char size[64];
     const char *current = mo_controller_get_metadata(controller, key);
+    if (current == NULL && strcmp(key, "control_period_s") == 0)
+      return MO_ERR_CONFLICT;
     if (current == NULL) { /* a file without "workspace" */
       mo_controller_workspace_text(controller->workspace, size);
       current = size;

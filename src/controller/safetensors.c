@@ -109,11 +109,33 @@ static int check_entry(const json_t *metadata, const char *key, const char *expe
   return MO_OK;
 }
 
-static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum mo_sensor *sensor,
-                          struct mo_message *message)
+/* Reads the entry "control_period_s", a number as JSON writes it. *period_s: 0 without it. */
+static int read_period(const json_t *metadata, double *period_s, struct mo_message *message)
 {
-  *workspace = MO_DEFAULT_WORKSPACE;
-  *sensor = MO_SENSOR_INVERSE_SQRT;
+  const char *text = json_string_value(json_object_get(metadata, "control_period_s"));
+  *period_s = 0;
+  if (text == NULL)
+    return MO_OK;
+  json_t *value = json_loads(text, JSON_DECODE_ANY, NULL);
+  *period_s = json_number_value(value);
+  json_decref(value);
+  if (*period_s > 0 && *period_s <= MO_CONTROL_PERIOD_MAX_S)
+    return MO_OK;
+  return mo_fail(message, MO_ERR_FORMAT,
+                 "metadata \"control_period_s\" is \"%s\"; expected seconds above 0, at most %g",
+                 printable(text).text, MO_CONTROL_PERIOD_MAX_S);
+}
+
+/* What the metadata say of the controller. */
+struct described {
+  struct mo_workspace workspace;
+  enum mo_sensor sensor;
+  double control_period_s;
+};
+
+static int check_metadata(json_t *metadata, struct described *described, struct mo_message *message)
+{
+  *described = (struct described){MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, 0};
   if (metadata == NULL)
     return MO_OK;
   if (!json_is_object(metadata))
@@ -136,7 +158,7 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
   }
   const char *text = json_string_value(json_object_get(metadata, "workspace"));
   if (text != NULL) {
-    const int r = parse_workspace(text, workspace);
+    const int r = parse_workspace(text, &described->workspace);
     if (r < 0)
       return mo_fail(message, r == MO_ERR_LIMIT ? r : MO_ERR_FORMAT,
                      "metadata \"workspace\" is \"%s\"; expected voxels along each axis, as in "
@@ -149,11 +171,13 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
     return mo_fail(message, MO_ERR_FORMAT,
                    "metadata \"sensor\" is \"%s\"; expected \"inverse_sqrt\" or \"inverse_square\"",
                    printable(text).text);
-  *sensor = (enum mo_sensor)word;
+  described->sensor = (enum mo_sensor)word;
   char mass_order[64];
-  mo_controller_mass_order(*workspace, mass_order);
-  const int r = check_entry(metadata, "mass_order", mass_order, message);
-  return r < 0 ? r : check_entry(metadata, "spring_order", MO_SPRING_ORDER, message);
+  mo_controller_mass_order(described->workspace, mass_order);
+  int r = check_entry(metadata, "mass_order", mass_order, message);
+  if (r == MO_OK)
+    r = check_entry(metadata, "spring_order", MO_SPRING_ORDER, message);
+  return r == MO_OK ? read_period(metadata, &described->control_period_s, message) : r;
 }
 
 /* Formats a shape as in the header, shortened: "[256, 250]". */
@@ -316,16 +340,17 @@ int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size
   if (r < 0)
     return r;
   json_t *metadata = json_object_get(root, "__metadata__");
-  struct mo_workspace workspace;
-  enum mo_sensor sensor;
+  struct described described;
   file->controller = NULL;
-  r = check_metadata(metadata, &workspace, &sensor, message);
+  r = check_metadata(metadata, &described, message);
   if (r == MO_OK)
-    r = check_tensors(root, workspace, size - 8 - header_size, file, message);
+    r = check_tensors(root, described.workspace, size - 8 - header_size, file, message);
   if (r == MO_OK) {
-    r = mo_controller_allocate(workspace, sensor, &file->controller);
-    if (r == MO_OK)
+    r = mo_controller_allocate(described.workspace, described.sensor, &file->controller);
+    if (r == MO_OK) {
+      file->controller->control_period_s = described.control_period_s;
       r = copy_metadata(file->controller, metadata);
+    }
     if (r < 0)
       mo_fail(message, r, "the controller does not fit in memory");
   }

@@ -122,6 +122,8 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
                    (int)settings->mode);
   int r = mo_fields_check(&mo_campaign_fields, "", settings, message);
   if (r == MO_OK)
+    r = mo_physics_check(&settings->physics, message);
+  if (r == MO_OK)
     r = check_designs(settings, message);
   return r == MO_OK && mo_modes[settings->mode].learns ? check_learning(settings, message) : r;
 }

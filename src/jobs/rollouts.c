@@ -130,7 +130,7 @@ static void fill_block(const struct mo_evaluation_request *request, struct mo_ro
   *block = (struct mo_block){.body = rollouts->designs[design].body,
                              .controller = controller->ready,
                              .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
-                             .physics = request->physics,
+                             .physics = rollouts->physics,
                              .precision = request->precision,
                              .urgency = rollouts->is_crowded ? MO_INTERACTIVE : MO_IMMEDIATE,
                              .recordings = request->record != 0 ? recordings + row : NULL,
@@ -186,7 +186,7 @@ static int with_controller(struct mo_jobs *jobs, const struct mo_evaluation_requ
 }
 
 static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha256 *sha256,
-                           struct mo_message *message)
+                           struct mo_physics *physics, struct mo_message *message)
 {
   struct mo_controller_record stored;
   const int error = mo_store_controller(jobs->store, name, &stored);
@@ -195,6 +195,11 @@ static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha
   if (error == MO_OK && !mo_workspace_equal(stored.workspace, MO_DEFAULT_WORKSPACE))
     return mo_fail(message, MO_ERR_UNSUPPORTED, "the controller is for another workspace");
   *sha256 = stored.sha256;
+  if (error == MO_OK && mo_physics_complete(physics, stored.control_period_s) != MO_OK)
+    return mo_fail(message, MO_ERR_RANGE,
+                   "controller \"%s\" computes its outputs every %g s, which must be a whole "
+                   "multiple of physics.dt_s; choose another dt_s, or set physics.control_period_s",
+                   name, stored.control_period_s);
   return error;
 }
 
@@ -205,6 +210,8 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
   int error = rollouts != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (error == MO_OK && atomic_load(&jobs->is_stopping))
     error = MO_ERR_CANCELLED;
+  if (error == MO_OK)
+    rollouts->physics = request->physics;
   if (error == MO_OK && request->n_designs > MO_ROLLOUTS_MAX)
     error = mo_fail(message, MO_ERR_LIMIT,
                     "1 to %d designs are rolled out at once; submit an evaluation for more",
@@ -212,11 +219,11 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
   if (error == MO_OK)
     error = take_environments(jobs, request, rollouts, message);
   if (error == MO_OK)
-    error = find_controller(jobs, request->controller, &rollouts->controller, message);
+    error = find_controller(jobs, request->controller, &rollouts->controller, &rollouts->physics,
+                            message);
   if (error == MO_OK)
     error = take_designs(jobs, request, rollouts, message);
   if (error == MO_OK) {
-    rollouts->physics = request->physics;
     rollouts->precision = request->precision;
     rollouts->is_crowded = is_crowded;
     rollouts->n_frames = mo_recording_frames(&request->physics, request->record_stride);

@@ -15,6 +15,11 @@ static int explain(int error, const char *controller, struct mo_message *message
     return mo_fail(message, error, "the idempotency key was used with another request");
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
+  case MO_ERR_RANGE:
+    return mo_fail(message, error,
+                   "the control period of controller \"%.80s\" must be a whole multiple of "
+                   "physics.dt_s; choose another dt_s, or set physics.control_period_s",
+                   controller);
   case MO_ERR_EMPTY:
     return mo_fail(message, error, "no design of that campaign fits the workspace asked for");
   case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");

@@ -39,9 +39,11 @@ int mo_training_export(const struct mo_training *training, const char *parent_sh
                        struct mo_controller **controller)
 {
   struct mo_controller *made = NULL;
-  int r = mo_controller_create(MO_DEFAULT_WORKSPACE, training->settings.sensor, &made);
-  if (r < 0)
+  int r = mo_training_blank(&training->settings, &made);
+  if (r < 0) {
+    mo_controller_free(made);
     return r;
+  }
   memcpy(made->parameters, training->controller->parameters, made->n_parameters * sizeof(float));
   struct mo_text settings = {0}, code = {0};
   char seed[MO_NUMBER_BYTES], step[MO_NUMBER_BYTES], designs[MO_NUMBER_BYTES];

@@ -39,6 +39,10 @@ struct mo_training {
   } hands[2]; /* the current step and the next; the index is the lowest bit of the step */
 };
 
+/* training.c: creates the controller of such settings, with zero weights. On failure the caller
+ * frees *controller, which may be NULL. */
+int mo_training_blank(const struct mo_training_settings *settings,
+                      struct mo_controller **controller);
 /* training.c: allocates everything that a checkpoint holds, but fills in only the settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);

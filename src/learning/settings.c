@@ -105,5 +105,7 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
                    "kind of training must be %d (pretrain) or %d (finetune), got %d",
                    (int)MO_TRAINING_PRETRAIN, (int)MO_TRAINING_FINETUNE, (int)settings->kind);
   int error = mo_fields_check(&mo_training_fields, "", settings, message);
+  if (error == MO_OK)
+    error = mo_physics_check(&settings->physics, message);
   return error != MO_OK ? error : check_together(settings, message);
 }

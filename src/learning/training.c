@@ -17,6 +17,16 @@ int mo_training_design_is_placed(const uint64_t *design)
              : 0;
 }
 
+int mo_training_blank(const struct mo_training_settings *settings,
+                      struct mo_controller **controller)
+{
+  const double period_s = settings->physics.scheme.control_period_s;
+  int r = mo_controller_create(MO_DEFAULT_WORKSPACE, settings->sensor, controller);
+  if (r == MO_OK && period_s > 0)
+    r = mo_controller_set_period(*controller, period_s);
+  return r;
+}
+
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training)
 {
@@ -26,7 +36,7 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
   made->settings = *settings;
   made->n_designs = n_designs;
   made->n_threads = 1;
-  int r = mo_controller_create(MO_DEFAULT_WORKSPACE, settings->sensor, &made->controller);
+  int r = mo_training_blank(settings, &made->controller);
   if (r == MO_OK) {
     made->adam.first = calloc(made->controller->n_parameters, sizeof(double));
     made->adam.second = calloc(made->controller->n_parameters, sizeof(double));

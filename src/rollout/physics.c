@@ -95,6 +95,9 @@ static const struct mo_field rows[] = {
      .help = "time step"},
     {"n_steps", MO_FIELD_COUNT, 0, AT(scheme.n_steps), .min = 1, .max = MO_STEPS_MAX,
      .unit = "steps", .help = "length of a rollout"},
+    {"control_period_s", MO_FIELD_NUMBER, 0, AT(scheme.control_period_s), .min = 0,
+     .max = MO_CONTROL_PERIOD_MAX_S, .since = 2, .unit = "s",
+     .help = "time for which the controller's outputs are held; 0: as its file says"},
     {"stiffness_n_per_m", MO_FIELD_NUMBER, 0, AT(constants.stiffness_n_per_m), .min = 0, .max = 1e9,
      .unit = "N/m", .help = "stiffness of every spring"},
     {"mass_kg", MO_FIELD_NUMBER, 0, AT(constants.mass_kg), .min = 1e-6, .max = 1e6, .unit = "kg",
@@ -126,6 +129,16 @@ int mo_physics_check(const struct mo_physics *physics, struct mo_message *messag
                    "%.9g s",
                    physics->scheme.control_period_s, physics->scheme.dt_s);
   return status;
+}
+
+int mo_physics_complete(struct mo_physics *physics, double controller_period_s)
+{
+  struct mo_scheme *scheme = &physics->scheme;
+  if (scheme->control_period_s == 0)
+    scheme->control_period_s = controller_period_s;
+  else if (controller_period_s == 0 && scheme->control_period_s == scheme->dt_s)
+    scheme->control_period_s = 0;
+  return mo_control_steps(scheme) != 0 ? MO_OK : MO_ERR_RANGE;
 }
 
 /* ---- packed, compared ---- */

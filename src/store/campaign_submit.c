@@ -23,8 +23,8 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_reques
   *setting =
       (struct setting){.record = request->record, .n_environments = request->record.n_environments};
   if (request->controller != NULL)
-    error =
-        mo_controller_find(writer, request->controller, &setting->controller, &settings->sensor);
+    error = mo_controller_find(writer, request->controller, &setting->controller, &settings->sensor,
+                               &settings->physics);
   if (error == MO_OK)
     error =
         mo_physics_row(writer, &settings->physics, MO_FLOAT32, settings->sensor, &setting->physics);

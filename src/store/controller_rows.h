@@ -6,10 +6,11 @@
 
 #include "store/internal.h"
 
-/* Finds a controller's row and sensor by name or "sha256:…". MO_ERR_NOT_FOUND; MO_ERR_UNSUPPORTED:
- * its workspace is not the default one. */
+/* Finds a controller's row and sensor by name or "sha256:…", and completes the physics (nullable)
+ * with its control period. MO_ERR_NOT_FOUND; MO_ERR_UNSUPPORTED: its workspace is not the default
+ * one; MO_ERR_RANGE: its control period is not a whole multiple of the physics' time step. */
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row,
-                       enum mo_sensor *sensor);
+                       enum mo_sensor *sensor, struct mo_physics *physics);
 /* Reports the controller files that nothing refers to, or (report NULL) removes them. */
 int mo_controllers_clean(struct mo_store *store,
                          void (*report)(void *context, const char *name, uint64_t bytes),

@@ -65,8 +65,8 @@ int mo_controller_content_row(struct mo_connection *writer, const struct mo_cont
 {
   static const char find_sql[] = "SELECT id FROM controllers WHERE sha256=?1";
   static const char insert_sql[] =
-      "INSERT INTO controllers(sha256,size,sensor,nx,ny,nz,n_parameters,metadata,stored_us) "
-      "VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9)";
+      "INSERT INTO controllers(sha256,size,sensor,nx,ny,nz,n_parameters,metadata,stored_us,"
+      "control_period_s) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
   int error = mo_sql_find(writer, row, find_sql, mo_hash(sha256));
   if (error != MO_ERR_NOT_FOUND)
     return error;
@@ -77,7 +77,7 @@ int mo_controller_content_row(struct mo_connection *writer, const struct mo_cont
                               mo_int(controller->sensor), mo_int(controller->workspace.nx),
                               mo_int(controller->workspace.ny), mo_int(controller->workspace.nz),
                               mo_int((int64_t)controller->n_parameters), mo_string(metadata),
-                              mo_int(now_us));
+                              mo_int(now_us), mo_real(controller->control_period_s));
   free(metadata);
   return error;
 }
@@ -158,6 +158,7 @@ int mo_store_controller_put(struct mo_store *store, const char *name, const uint
                                           .sensor = controller->sensor,
                                           .workspace = controller->workspace,
                                           .n_parameters = controller->n_parameters,
+                                          .control_period_s = controller->control_period_s,
                                           .stored_us = call.stored_us};
   snprintf(record->name, sizeof(record->name), "%s", name);
   *created = call.created;
@@ -186,7 +187,7 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 /* Without a name (n: no row), the version is 1, and the time is that of the content. */
 #define COLUMNS                                                                                    \
   "SELECT c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters,n.name,coalesce(n.version,1),"    \
-  "coalesce(n.stored_us,c.stored_us),c.id"
+  "coalesce(n.stored_us,c.stored_us),c.id,c.control_period_s"
 
 static int read_record(sqlite3_stmt *row, void *any)
 {
@@ -198,7 +199,8 @@ static int read_record(sqlite3_stmt *row, void *any)
                                                         (uint16_t)sqlite3_column_int(row, 5)},
                                           .n_parameters = (uint64_t)sqlite3_column_int64(row, 6),
                                           .version = sqlite3_column_int64(row, 8),
-                                          .stored_us = sqlite3_column_int64(row, 9)};
+                                          .stored_us = sqlite3_column_int64(row, 9),
+                                          .control_period_s = sqlite3_column_double(row, 11)};
   mo_column_text(row, 7, record->name, sizeof(record->name));
   return mo_column_hash(row, 0, &record->sha256);
 }
@@ -236,7 +238,7 @@ static int find_record(struct mo_connection *connection, const char *name, int64
 }
 
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row,
-                       enum mo_sensor *sensor)
+                       enum mo_sensor *sensor, struct mo_physics *physics)
 {
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   struct mo_controller_record record;
@@ -244,7 +246,9 @@ int mo_controller_find(struct mo_connection *connection, const char *name, int64
   if (error != MO_OK)
     return error;
   *sensor = record.sensor;
-  return memcmp(&record.workspace, &workspace, sizeof(workspace)) == 0 ? MO_OK : MO_ERR_UNSUPPORTED;
+  if (memcmp(&record.workspace, &workspace, sizeof(workspace)) != 0)
+    return MO_ERR_UNSUPPORTED;
+  return physics != NULL ? mo_physics_complete(physics, record.control_period_s) : MO_OK;
 }
 
 int mo_store_controller(struct mo_store *store, const char *name,

@@ -51,10 +51,12 @@ static int find_rows(struct mo_connection *reader, const struct mo_orienting *un
       .workspace = under->workspace};
   if (under->controller == NULL)
     return MO_ERR_NOT_FOUND;
-  int error = mo_controller_find(reader, under->controller, &found->design.controller, &sensor);
-  if (error == MO_ERR_UNSUPPORTED)
+  struct mo_physics physics = *under->physics;
+  int error =
+      mo_controller_find(reader, under->controller, &found->design.controller, &sensor, &physics);
+  if (error == MO_ERR_UNSUPPORTED || error == MO_ERR_RANGE) /* the submission will be refused */
     return MO_ERR_NOT_FOUND;
-  mo_physics_hash(under->physics, under->precision, sensor, &hash);
+  mo_physics_hash(&physics, under->precision, sensor, &hash);
   if (error == MO_OK)
     error = mo_sql_find(reader, &found->design.physics, physics_sql, mo_hash(&hash));
   return error == MO_OK ? find_environments(reader, under, found) : error;

@@ -142,6 +142,7 @@ struct mo_controller_record {
   enum mo_sensor sensor;
   struct mo_workspace workspace;
   uint64_t n_parameters;
+  double control_period_s; /* 0: in every step */
   int64_t stored_us; /* when this name got this content (by hash: when the content was stored) */
 };
 

@@ -154,7 +154,7 @@ int mo_score_walk_create(struct mo_store *store, const struct mo_score_query *qu
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   *walk = (struct mo_score_walk){.store = store, .since_us = query->since_us};
   if (query->controller != NULL)
-    error = mo_controller_find(reader, query->controller, &walk->controller, &sensor);
+    error = mo_controller_find(reader, query->controller, &walk->controller, &sensor, NULL);
   if (error == MO_OK && query->fingerprint != NULL) {
     error = mo_sql_find(reader, &walk->fingerprint, class_sql, mo_string(query->fingerprint));
     if (error == MO_ERR_NOT_FOUND) {

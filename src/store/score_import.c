@@ -38,7 +38,7 @@ static int import_condition(struct mo_store *store, struct entry *entry, uint32_
   char name[8 + MO_SHA256_DIGITS] = "sha256:";
   enum mo_sensor sensor = condition->sensor;
   mo_sha256_to_hex(&condition->controller, name + 7);
-  int error = mo_controller_find(writer, name, &entry->conditions[place][0], &sensor);
+  int error = mo_controller_find(writer, name, &entry->conditions[place][0], &sensor, NULL);
   if (error == MO_ERR_NOT_FOUND)
     return mo_fail(
         entry->message, MO_ERR_INVALID,

@@ -199,11 +199,12 @@ static int resolve(struct mo_connection *writer, const struct mo_evaluation_requ
                    int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments)
 {
   enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
-  int error = mo_controller_find(writer, request->controller, controller, &sensor);
+  struct mo_physics completed = request->physics;
+  int error = mo_controller_find(writer, request->controller, controller, &sensor, &completed);
   *set = 0;
   *n_environments = request->n_environments;
   if (error == MO_OK)
-    error = mo_physics_row(writer, &request->physics, request->precision, sensor, physics);
+    error = mo_physics_row(writer, &completed, request->precision, sensor, physics);
   return error == MO_OK && request->environment_set != NULL
              ? mo_environment_set_find(writer, request->environment_set, set, n_environments)
              : error;

@@ -26,7 +26,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   int64_t parent = 0;
   int error = MO_OK;
   if (request->parent != NULL)
-    error = mo_controller_find(writer, request->parent, &parent, &record.settings.sensor);
+    error = mo_controller_find(writer, request->parent, &parent, &record.settings.sensor,
+                               &record.settings.physics);
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_TRAINING, id);
   if (error == MO_OK)

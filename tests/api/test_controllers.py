@@ -7,7 +7,7 @@ import urllib.parse
 
 import pytest
 
-from service import BOOTSTRAP, DESIGN, SHORT
+from service import BOOTSTRAP, DESIGN, SHORT, run
 
 BYTES = BOOTSTRAP.read_bytes()
 HEADER_SIZE = struct.unpack("<Q", BYTES[:8])[0]
@@ -45,6 +45,97 @@ def test_round_trip(service):
     service.refuses(path, "", status=404)
     assert service.request("DELETE", path).status == 404
     assert service.request("DELETE", "/v1/controllers/default").status == 409
+
+
+def test_control_periods(service):
+    """A controller states how often it computes its outputs; a request can override that."""
+    metadata = {**HEADER["__metadata__"], "control_period_s": "0.016"}
+    put = service.upload("slow", pack({**HEADER, "__metadata__": metadata}))
+    assert put.status == 201 and put.json()["control_period_s"] == 0.016
+    assert service.get("/v1/controllers/default")["control_period_s"] is None
+    request = {"designs": [DESIGN], "physics": {"n_steps": 200}}
+
+    def run(controller, **physics):
+        body = {**request, "controller": controller, "physics": {"n_steps": 200, **physics}}
+        value = service.evaluate(body).json()
+        rolled = service.post("/v1/rollouts", body)
+        losses = value["results"][0]["losses"]
+        assert [r["loss"] for r in rolled["rollouts"]] == losses
+        assert rolled["physics"] == value["physics"]
+        return value["physics"]["control_period_s"], losses
+
+    every_step, held = run("default"), run("slow")
+    assert every_step[0] == 0 and held[0] == 0.016 and held[1] != every_step[1]
+    assert run("slow", control_period_s=0.004) == (0.004, every_step[1])
+    assert run("default", control_period_s=0.004) == every_step  # by its plain name
+    assert run("default", control_period_s=0.016) == held
+    long = run("default", control_period_s=10)[1]
+    assert long == run("default", control_period_s=0.8)[1] != held[1]  # one computation in both
+
+    # The best robots under a controller are those under its own period.
+    best = service.get("/v1/designs?sort=score&controller=slow")["items"]
+    assert best == []  # 200 steps are not the default
+    service.evaluate({"designs": [DESIGN], "controller": "slow"})
+    assert len(service.get("/v1/designs?sort=score&controller=slow")["items"]) == 1
+
+
+def test_control_periods_that_do_not_fit(service):
+    for text in ("", "0", "-1", "11", "NaN", "x", "0.016 s", "[0.016]", "1e999"):
+        metadata = {**HEADER["__metadata__"], "control_period_s": text}
+        put = service.upload("bad", pack({**HEADER, "__metadata__": metadata}))
+        assert put.status == 422 and "control_period_s" in put.json()["detail"], text
+    metadata = {**HEADER["__metadata__"], "control_period_s": "0.016"}
+    service.upload("slow", pack({**HEADER, "__metadata__": metadata}))
+    for kind in ("evaluations", "rollouts"):
+        for physics, place in (({"dt_s": 0.005}, "slow"), ({"control_period_s": 0.006}, "physics"),
+                               ({"control_period_s": 0.001}, "physics")):
+            reply = service.request("POST", f"/v1/{kind}", {
+                "designs": [DESIGN], "controller": "slow", "physics": {"n_steps": 10, **physics}})
+            assert reply.status == 422, reply.body
+            assert place in reply.json()["detail"] and "whole multiple" in reply.json()["detail"]
+    learned = {"kind": "pretrain", "name": "n", "steps": 1, "batch": 1,
+               "physics": {"n_steps": 4, "control_period_s": 0.006}}
+    assert "whole multiple" in service.request("POST", "/v1/trainings", learned).json()["detail"]
+    finetune = {"kind": "finetune", "name": "n", "controller": "slow", "steps": 1, "batch": 1,
+                "designs": [DESIGN], "physics": {"n_steps": 4, "dt_s": 0.005}}
+    assert "whole multiple" in service.request("POST", "/v1/trainings", finetune).json()["detail"]
+
+
+def test_a_controller_keeps_the_period_that_it_learned_with(service):
+    """Training, finetuning and campaigns pass a control period on."""
+    small = {"steps": 1, "batch": 2, "validation": {"every_steps": 0}}
+    slow = {"n_steps": 12, "control_period_s": 0.012}
+
+    def train(**settings):
+        job = run(service, "trainings", {**small, **settings})
+        return service.get(f"/v1/trainings/{job['id']}")["settings"]["physics"]
+
+    train(kind="pretrain", name="slow-pretrained", physics=slow)
+    assert service.get("/v1/controllers/slow-pretrained")["control_period_s"] == 0.012
+    own = train(kind="finetune", name="slow-finetuned", controller="slow-pretrained",
+                designs=[DESIGN], physics={"n_steps": 12})
+    assert own["control_period_s"] == 0.012
+    assert service.get("/v1/controllers/slow-finetuned")["control_period_s"] == 0.012
+    other = train(kind="finetune", name="quick-finetuned", controller="slow-pretrained",
+                  designs=[DESIGN], physics={"n_steps": 12, "control_period_s": 0.004})
+    assert other["control_period_s"] == 0.004
+    assert service.get("/v1/controllers/quick-finetuned")["control_period_s"] == 0.004
+    for mode, start in (("zero-shot", {"controller": "slow-finetuned"}),
+                        ("few-shot", {"controller": "slow-finetuned"}), ("simultaneous", {})):
+        request = {"mode": mode, "preset": "demo", "name": "slow-" + mode, "population": 4,
+                   "generations": 1, "exclude_pretraining": False, **start,
+                   "physics": {"n_steps": 12} if start else slow}
+        if mode == "zero-shot":
+            del request["name"]
+        else:
+            request["learning"] = {"parent_steps": 1, "child_steps": 1, "batch": 2}
+        job = run(service, "campaigns", request)
+        campaign = service.get(f"/v1/campaigns/{job['id']}")
+        assert campaign["settings"]["physics"]["control_period_s"] == 0.012
+        if mode != "zero-shot":
+            sha256 = campaign["result"]["controller"]["sha256"]
+            result = service.get(f"/v1/controllers/sha256:{sha256}")
+            assert result["control_period_s"] == 0.012
 
 
 def test_repointing_changes_what_is_computed(service):

@@ -54,9 +54,9 @@ def test_own_environments_order_and_float64(service):
 
 def test_physics_are_echoed(service):
     physics = {
-        "dt_s": 0.002, "n_steps": 30, "stiffness_n_per_m": 12000, "mass_kg": 1.5, "drag_per_s": 10,
-        "gravity_m_per_s2": 9.81, "actuation": 0.1, "friction": 0.8, "friction_cap": 0.9,
-        "drop_height_m": 0.01, "impact": "bisection8"
+        "dt_s": 0.002, "n_steps": 30, "control_period_s": 0.008, "stiffness_n_per_m": 12000,
+        "mass_kg": 1.5, "drag_per_s": 10, "gravity_m_per_s2": 9.81, "actuation": 0.1,
+        "friction": 0.8, "friction_cap": 0.9, "drop_height_m": 0.01, "impact": "bisection8"
     }
     assert service.evaluate({"designs": [DESIGN], "physics": physics}).json()["physics"] == physics
 

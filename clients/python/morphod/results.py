@@ -182,6 +182,12 @@ class Controller:
         """The metadata of the file: sensor, parent, settings, …"""
         return read_safetensors(self.content)[1]
 
+    @property
+    def control_period_s(self) -> float | None:
+        """Seconds for which its outputs are held; None: it computes them in every step."""
+        text = self.metadata.get("control_period_s")
+        return None if text is None else float(text)
+
     def torch(self) -> Any:
         """The controller as a `torch.nn.Module`. Needs torch."""
         return torch_module(self.arrays)

@@ -89,6 +89,7 @@ static void settings_kept(void)
       .held_out_environments = 13};
   s.physics = (struct mo_physics){.scheme.dt_s = 0.003,
                                   .scheme.n_steps = 77,
+                                  .scheme.control_period_s = 0.009,
                                   .constants.stiffness_n_per_m = 1e4,
                                   .constants.mass_kg = 1.25,
                                   .constants.drag_per_s = 14,
@@ -275,7 +276,7 @@ static void lineage(void)
              "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":"
              "\"clip\",\"restart_weight\":3,"
              "\"physics\":{"
-             "\"dt_s\":0.004,\"n_steps\":1000,"
+             "\"dt_s\":0.004,\"n_steps\":1000,\"control_period_s\":0,"
              "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,"
              "\"actuation\":0.2,"
              "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"}"

@@ -72,9 +72,13 @@ static void opens_version_14(void)
   const int64_t old = submit_evaluation(&submission);
   REQUIRE(old > 0);
   REQUIRE_OK(reopen_after("CREATE TABLE outcasts(user TEXT, name TEXT) STRICT;"
-                          "INSERT INTO outcasts VALUES('','liar'); PRAGMA user_version=14"));
+                          "INSERT INTO outcasts VALUES('','liar');"
+                          "ALTER TABLE controllers DROP COLUMN control_period_s;"
+                          "PRAGMA user_version=14"));
   CHECK_TEXT(job_of(old).label, "old");
   CHECK_OK(check_whole());
+  CHECK_INT(outside_integer("SELECT count(*) FROM controllers WHERE control_period_s=0"),
+            outside_integer("SELECT count(*) FROM controllers"));
   close_store();
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
   CHECK_INT(outside_integer("SELECT count(*) FROM sqlite_schema WHERE name='outcasts'"), 0);
