@@ -4,14 +4,15 @@
  * cuda-gradient reference FILE WEIGHTS [WORKERS]
  *     writes the float64 gradient of 256 robots, computed on the processor, into FILE
  * cuda-gradient check [WEIGHTS FILE]…
- *     compares with these files, and the bits of two runs, of one shard, of little memory and of
- *     groups in halves; robots that diverge or whose adjoints do; cancelled calls
+ *     compares with these files, and with float64 where outputs are held through control periods;
+ *     the bits of two runs, of one shard, of little memory and of groups in halves; robots that
+ *     diverge or whose adjoints do; cancelled calls
  * cuda-gradient alone [WORKERS]
  *     robots whose adjoints restart, one by one, against float64 with the same weight and with
  *     another
  * cuda-gradient time [ROBOTS]…
  *     learning steps of this many robots (default 1024 and 8192), with whole groups, with some in
- *     halves, and with all in halves
+ *     halves, and with all in halves; by default also of 8192 with control periods
  * cuda-gradient short [ROBOTS STEPS]
  *     a few steps of everything, in the same three ways, for compute-sanitizer and profilers
  *
@@ -28,9 +29,11 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 enum { LIKE = 256, MOST = 8192, REPEATS = 5, BLOCKS = 16 };
 #define COSINE_BOUND 0.99
+#define NORM_BOUND   0.1 /* relative */
 #define STEP_BOUND_S 0.25
 
 static struct mo_device *device;
@@ -104,12 +107,23 @@ static struct mo_controller *weights_of(const char *weights)
   return controller;
 }
 
+/* Physics of n_steps with control periods of that many steps; 0: none. */
+static struct mo_physics physics_of(uint32_t n_steps, uint32_t control_steps)
+{
+  struct mo_physics physics = mo_default_physics();
+  physics.scheme.n_steps = n_steps;
+  physics.scheme.control_period_s = control_steps * physics.scheme.dt_s;
+  return physics;
+}
+
 /* ---- the reference ---- */
 
 /* Robots i, i + 16, … form one sum; the sums are added in order. */
 struct reference {
-  struct scene scene;
+  const struct scene *scene;
+  uint32_t n; /* at most LIKE */
   const struct mo_controller *controller;
+  struct mo_physics physics;
   struct mo_gradient_options options;
   struct mo_gradient_counts counts[BLOCKS];
   double *sums[BLOCKS];
@@ -120,44 +134,58 @@ struct reference {
 static void *reference_work(void *context)
 {
   struct reference *r = context;
-  const struct mo_physics physics = mo_default_physics();
   for (;;) {
     const uint32_t block = __atomic_fetch_add(&r->next, 1, __ATOMIC_RELAXED);
     if (block >= BLOCKS)
       return NULL;
-    for (uint32_t i = block; i < LIKE; i += BLOCKS)
-      must(mo_gradient_reference(r->scene.bodies[i], r->controller, &r->scene.environments[i],
-                                 &physics, &r->options, &r->outcomes[i], r->sums[block],
+    for (uint32_t i = block; i < r->n; i += BLOCKS)
+      must(mo_gradient_reference(r->scene->bodies[i], r->controller, &r->scene->environments[i],
+                                 &r->physics, &r->options, &r->outcomes[i], r->sums[block],
                                  &r->counts[block]),
            "reference");
   }
+}
+
+/* Computes the mean gradient of the scene's first n robots: sums[0], counts[0]; and outcomes. */
+static void compute_reference(struct reference *r, long workers)
+{
+  r->options.weight = 1.0 / r->n;
+  for (int i = 0; i < BLOCKS; i++)
+    r->sums[i] = must_have(calloc(r->controller->n_parameters, sizeof(double)));
+  on_threads(workers, reference_work, r);
+  for (int i = 1; i < BLOCKS; i++) {
+    mo_gradient_counts_add(&r->counts[0], &r->counts[i]);
+    for (size_t k = 0; k < r->controller->n_parameters; k++)
+      r->sums[0][k] += r->sums[i][k];
+  }
+}
+
+static void drop_reference(struct reference *r)
+{
+  for (int i = 0; i < BLOCKS; i++)
+    free(r->sums[i]);
 }
 
 static int make_reference(const char *path, const char *weights, uint32_t workers)
 {
   static struct reference r;
   struct mo_controller *controller = weights_of(weights);
-  make_scene(&r.scene, LIKE);
-  r.controller = controller;
-  r.options = options_of(weights);
-  r.options.weight = 1.0 / LIKE;
-  for (int i = 0; i < BLOCKS; i++)
-    r.sums[i] = must_have(calloc(controller->n_parameters, sizeof(double)));
-  on_threads((long)workers, reference_work, &r);
-  for (int i = 1; i < BLOCKS; i++) {
-    mo_gradient_counts_add(&r.counts[0], &r.counts[i]);
-    for (size_t k = 0; k < controller->n_parameters; k++)
-      r.sums[0][k] += r.sums[i][k];
-  }
+  struct scene scene;
+  make_scene(&scene, LIKE);
+  r = (struct reference){.scene = &scene,
+                         .n = LIKE,
+                         .controller = controller,
+                         .physics = mo_default_physics(),
+                         .options = options_of(weights)};
+  compute_reference(&r, (long)workers);
   FILE *file = fopen(path, "wb");
   int written =
       file != NULL && fwrite(&r.counts[0], sizeof(r.counts[0]), 1, file) == 1 &&
       fwrite(r.outcomes, sizeof(r.outcomes), 1, file) == 1 &&
       fwrite(r.sums[0], sizeof(double), controller->n_parameters, file) == controller->n_parameters;
   written = file != NULL && fclose(file) == 0 && written;
-  for (int i = 0; i < BLOCKS; i++)
-    free(r.sums[i]);
-  drop_scene(&r.scene);
+  drop_reference(&r);
+  drop_scene(&scene);
   mo_controller_free(controller);
   return written ? 0 : 1;
 }
@@ -292,6 +320,44 @@ static void check_likeness(const char *weights, const char *path, const struct s
   mo_controller_free(controller);
 }
 
+/* Outputs held through control periods: a period that divides the rollout, periods that its end
+ * cuts short, one longer than a task of 50 steps, and one longer than the rollout. */
+static void check_periods(const struct scene *s)
+{
+  static const struct {
+    const char *weights;
+    uint32_t n, n_steps, control_steps;
+  } cases[] = {{"1", LIKE, 1000, 4},
+               {"1", 64, 200, 3},
+               {"1", 64, 300, 64},
+               {"1", 64, 100, 500},
+               {"restart=1:1", 64, 200, 4}};
+  static struct reference r;
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    struct mo_controller *controller = weights_of(cases[i].weights);
+    struct result own;
+    r = (struct reference){.scene = s,
+                           .n = cases[i].n,
+                           .controller = controller,
+                           .physics = physics_of(cases[i].n_steps, cases[i].control_steps),
+                           .options = options_of(cases[i].weights)};
+    compute_reference(&r, sysconf(_SC_NPROCESSORS_ONLN));
+    run_with(&own, controller, s, 0, cases[i].n, &r.physics, &r.options, 0);
+    const struct likeness like =
+        likeness_of(own.call.d_parameters, r.sums[0], controller->n_parameters);
+    print_counts("device", &own.call.counts);
+    print_counts("float64", &r.counts[0]);
+    expect(like.cosine >= COSINE_BOUND && fabs(like.norm / like.norm_reference - 1) <= NORM_BOUND,
+           "weights %s, %u steps, periods of %u: cosine %.6f, relative error %.3g, norms %.6g and "
+           "%.6g",
+           cases[i].weights, cases[i].n_steps, cases[i].control_steps, like.cosine, like.error,
+           like.norm, like.norm_reference);
+    drop(&own);
+    drop_reference(&r);
+    mo_controller_free(controller);
+  }
+}
+
 /* ---- single robots ---- */
 
 /* Where adjoints restart, a few robots dominate the gradient of a batch, and float16 changes their
@@ -406,9 +472,32 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   mo_controller_free(controller);
 }
 
+/* A period of one step is none; one that is not a whole number of steps is refused. */
+static void check_short_periods(const struct scene *s)
+{
+  enum { FEW = 50, STEPS = 120 };
+  struct mo_controller *controller = weights_of("1");
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_physics physics = physics_of(STEPS, 0), step = physics_of(STEPS, 1),
+                    held = physics_of(STEPS, 7);
+  struct result a, b;
+  run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
+  run_with(&b, controller, s, 0, FEW, &step, &options, 0);
+  expect(same_result(&a, &b), "a period of one step changes no bit");
+  drop(&b);
+  run_with(&b, controller, s, 0, FEW, &held, &options, 0);
+  expect(!same_result(&a, &b), "one of seven steps does");
+  struct mo_device_gradient call = b.call;
+  call.physics.scheme.control_period_s *= 1.1;
+  expect(mo_cuda_gradient_run(device, &call, 0) == MO_ERR_INVALID, "7.7 steps are refused");
+  drop(&a);
+  drop(&b);
+  mo_controller_free(controller);
+}
+
 /* Groups computed by one block, by two, and some by each: where the last group has 16 robots, where
  * some of a group's 32 rows are empty, where adjoints restart, where some robots diverge, and where
- * some are left out. */
+ * some are left out; and the same where outputs are held. */
 static void check_halves(const struct scene *s)
 {
   const struct {
@@ -416,14 +505,20 @@ static void check_halves(const struct scene *s)
     const char *options;
     uint32_t n;
     double stiffness, bound, last_layer; /* relative to the usual */
-  } cases[] = {{"clipped", "", 300, 1, 1, 1},
-               {"empty rows", "", 50, 1, 1, 1},
-               {"restarts", "restart:", 256, 1, 1, 1},
-               {"springs 1.7 times as stiff", "", 200, 1.7, 1, 1},
-               {"no bound", "", 200, 1, 0, 81}};
+    uint32_t control_steps;
+  } cases[] = {{"clipped", "", 300, 1, 1, 1, 0},
+               {"empty rows", "", 50, 1, 1, 1, 0},
+               {"restarts", "restart:", 256, 1, 1, 1, 0},
+               {"springs 1.7 times as stiff", "", 200, 1.7, 1, 1, 0},
+               {"no bound", "", 200, 1, 0, 81, 0},
+               {"clipped, periods of 4", "", 300, 1, 1, 1, 4},
+               {"empty rows, periods of 3", "", 50, 1, 1, 1, 3},
+               {"restarts, periods of 4", "restart:", 256, 1, 1, 1, 4},
+               {"springs 1.7 times as stiff, periods of 64", "", 200, 1.7, 1, 1, 64},
+               {"no bound, periods of 4", "", 200, 1, 0, 81, 4}};
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
     struct mo_controller *controller = weights_of("1");
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = physics_of(1000, cases[i].control_steps);
     struct mo_gradient_options options = options_of(cases[i].options);
     struct result ways[3];
     uint32_t halved[3];
@@ -536,17 +631,18 @@ static void check_cancel(const struct scene *s)
   mo_controller_free(controller);
 }
 
-static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves halves,
-                       double bound_s)
+static void time_steps(const struct scene *s, uint32_t n, const struct mo_physics *physics,
+                       enum mo_cuda_halves halves, double bound_s)
 {
   static const char *const names[] = {
       "", " as whole groups", " as groups some of which are in halves", " as groups in halves"};
   struct mo_controller *controller = weights_of("1");
+  const struct mo_gradient_options options = mo_default_gradient_options();
   double total[REPEATS], device_s[REPEATS];
   mo_cuda_gradient_set_halves(device, halves);
   for (int i = -1; i < REPEATS; i++) {
     struct result r;
-    run(&r, controller, s, 0, n, 1000, 0);
+    run_with(&r, controller, s, 0, n, physics, &options, 0);
     if (i >= 0) {
       total[i] = r.total_s;
       device_s[i] = r.call.device_s;
@@ -554,8 +650,11 @@ static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves ha
     drop(&r);
   }
   mo_cuda_gradient_set_halves(device, MO_CUDA_HALVES_IF_FASTER);
-  printf("%u robots%s: median %.3f s, of the device %.3f s\n", n, names[halves],
-         quantile(total, REPEATS, 0.5), quantile(device_s, REPEATS, 0.5));
+  printf("%u robots%s, %u steps of %g ms, control periods of %g ms: median %.3f s, of the device "
+         "%.3f s\n",
+         n, names[halves], physics->scheme.n_steps, 1e3 * physics->scheme.dt_s,
+         1e3 * physics->scheme.control_period_s, quantile(total, REPEATS, 0.5),
+         quantile(device_s, REPEATS, 0.5));
   if (bound_s > 0)
     expect(quantile(device_s, REPEATS, 0.5) <= bound_s,
            "a learning step of 8192 within 0.25 s of device time");
@@ -577,6 +676,10 @@ int main(int argc, char **argv)
   must(mo_device_module()->open(0, &device), "open");
   struct scene s;
   if (strcmp(what, "time") == 0) {
+    const struct mo_physics physics = physics_of(1000, 0), held = physics_of(1000, 4);
+    struct mo_physics fine = held; /* half the step, the same periods */
+    fine.scheme.dt_s /= 2;
+    fine.scheme.n_steps *= 2;
     make_scene(&s, MOST);
     for (int i = 2; i < argc; i++) {
       const uint32_t n = (uint32_t)atoi(argv[i]);
@@ -585,11 +688,13 @@ int main(int argc, char **argv)
         return 2;
       }
       for (int halves = MO_CUDA_HALVES_IF_FASTER; halves <= MO_CUDA_HALVES_ALWAYS; halves++)
-        time_steps(&s, n, (enum mo_cuda_halves)halves, 0);
+        time_steps(&s, n, &physics, (enum mo_cuda_halves)halves, 0);
     }
     if (argc <= 2) {
-      time_steps(&s, 1024, MO_CUDA_HALVES_IF_FASTER, 0);
-      time_steps(&s, MOST, MO_CUDA_HALVES_IF_FASTER, STEP_BOUND_S);
+      time_steps(&s, 1024, &physics, MO_CUDA_HALVES_IF_FASTER, 0);
+      time_steps(&s, MOST, &physics, MO_CUDA_HALVES_IF_FASTER, STEP_BOUND_S);
+      time_steps(&s, MOST, &held, MO_CUDA_HALVES_IF_FASTER, 0);
+      time_steps(&s, MOST, &fine, MO_CUDA_HALVES_IF_FASTER, 0);
     }
   } else if (strcmp(what, "alone") == 0) {
     make_scene(&s, LIKE);
@@ -604,12 +709,18 @@ int main(int argc, char **argv)
       mo_cuda_gradient_set_halves(device, (enum mo_cuda_halves)halves);
       run(&r, controller, &s, 0, n, n_steps, 0);
       drop(&r);
+      const struct mo_physics held = physics_of(n_steps, 2);
+      const struct mo_gradient_options options = mo_default_gradient_options();
+      run_with(&r, controller, &s, 0, n, &held, &options, 0);
+      drop(&r);
     }
     mo_controller_free(controller);
   } else {
     make_scene(&s, 2 * MO_DEVICE_SHARD);
     for (int i = 2; i + 1 < argc; i += 2)
       check_likeness(argv[i], argv[i + 1], &s);
+    check_periods(&s);
+    check_short_periods(&s);
     check_bits(&s, 250);
     check_halves(&s);
     check_rare(&s);

@@ -2,9 +2,10 @@
  * times.
  *
  * cuda-bench MODULE check [FILE]
- *     agreement, bits, divergence, cancelling; FILE keeps the float64 losses
+ *     agreement, bits, control periods, divergence, cancelling; FILE keeps the float64 losses of
+ *     rollouts without control periods
  * cuda-bench MODULE time
- *     8192 bodies × 10 environments, evolved bodies, smaller batches
+ *     8192 bodies × 10 environments, also with control periods, evolved bodies, smaller batches
  * cuda-bench MODULE spread
  *     8192 bodies × 10 environments on all devices, and in parts on one
  * cuda-bench MODULE short
@@ -157,6 +158,8 @@ static void check_golden(struct mo_device_controller *controller)
 
 struct references {
   const struct mo_robot *robots;
+  uint32_t n;
+  const struct mo_physics *physics;
   double *loss;
   uint32_t next;
 };
@@ -164,52 +167,63 @@ struct references {
 static void *compute_references(void *context)
 {
   struct references *references = context;
-  const struct mo_physics physics = mo_default_physics();
   for (;;) {
     const uint32_t i = __atomic_fetch_add(&references->next, 1, __ATOMIC_RELAXED);
-    if (i >= RANDOM)
+    if (i >= references->n)
       return NULL;
     struct mo_outcome outcome;
     must(mo_rollout_reference(references->robots[i].body, golden.controller,
-                              references->robots[i].environment, &physics, NULL, &outcome),
+                              references->robots[i].environment, references->physics, NULL,
+                              &outcome),
          "reference");
     references->loss[i] = outcome.loss;
   }
 }
 
-static void load_references(const char *path, const struct mo_robot *robots, double *loss)
+static void load_references(const char *path, const struct mo_robot *robots, uint32_t n,
+                            const struct mo_physics *physics, double *loss)
 {
   FILE *file = path != NULL ? fopen(path, "rb") : NULL;
   if (file != NULL) {
-    const size_t n = fread(loss, sizeof(*loss), RANDOM, file);
+    const size_t read = fread(loss, sizeof(*loss), n, file);
     fclose(file);
-    if (n == RANDOM)
+    if (read == n)
       return;
   }
-  struct references references = {robots, loss, 0};
+  struct references references = {robots, n, physics, loss, 0};
   on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_references, &references);
   file = path != NULL ? fopen(path, "wb") : NULL;
   if (file != NULL) {
-    fwrite(loss, sizeof(*loss), RANDOM, file);
+    fwrite(loss, sizeof(*loss), n, file);
     fclose(file);
   }
 }
 
-static void check_random(struct mo_device_controller *controller, const char *path)
+static struct mo_physics physics_with_period(uint32_t control_steps)
+{
+  struct mo_physics physics = mo_default_physics();
+  if (control_steps > 0)
+    physics.scheme.control_period_s = control_steps * physics.scheme.dt_s;
+  return physics;
+}
+
+/* control_steps: 0: no control period. */
+static void check_random(struct mo_device_controller *controller, const char *name, uint32_t n,
+                         uint32_t control_steps, const char *path)
 {
   struct mo_body **bodies = random_bodies(golden.lattice, RANDOM, 20251101);
   static struct mo_environment environments[RANDOM];
   static struct mo_robot robots[RANDOM];
   static struct mo_outcome outcomes[RANDOM];
   static double truth[RANDOM];
-  for (uint32_t i = 0; i < RANDOM; i++) {
+  for (uint32_t i = 0; i < n; i++) {
     mo_environment_held_out(20251101, i, environments + i);
     robots[i] = (struct mo_robot){bodies[i], environments + i};
   }
-  load_references(path, robots, truth);
-  const struct mo_physics physics = mo_default_physics();
-  run(controller, robots, RANDOM, &physics, outcomes);
-  compare("random, exact impact", outcomes, truth, RANDOM);
+  const struct mo_physics physics = physics_with_period(control_steps);
+  load_references(path, robots, n, &physics, truth);
+  run(controller, robots, n, &physics, outcomes);
+  compare(name, outcomes, truth, n);
   free_bodies(bodies, RANDOM);
 }
 
@@ -276,10 +290,16 @@ static void check_sizes(uint32_t n_steps)
     enum mo_sensor sensor;
     enum mo_impact impact;
     int is_passive;
-  } kinds[] = {{"inverse root", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0},
-               {"inverse root, bisection8", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_BISECTION, 0},
-               {"inverse square", MO_SENSOR_INVERSE_SQUARE, MO_IMPACT_EXACT, 0},
-               {"passive", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1}};
+    uint32_t control_steps;
+  } kinds[] = {{"inverse root", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 0},
+               {"inverse root, bisection8", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_BISECTION, 0, 0},
+               {"inverse square", MO_SENSOR_INVERSE_SQUARE, MO_IMPACT_EXACT, 0, 0},
+               {"passive", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 0},
+               {"period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 4},
+               {"period of 3 steps, bisection8, inverse square", MO_SENSOR_INVERSE_SQUARE,
+                MO_IMPACT_BISECTION, 0, 3},
+               {"period of 100 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 100},
+               {"passive, period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 4}};
   enum { SIZES = sizeof(sizes) / sizeof(sizes[0]), PLACES = 3 };
   struct mo_body *bodies[SIZES];
   for (int b = 0; b < SIZES; b++)
@@ -288,7 +308,7 @@ static void check_sizes(uint32_t n_steps)
   const enum mo_sensor sensor = golden.controller->sensor;
   for (size_t kind = 0; kind < sizeof(kinds) / sizeof(kinds[0]); kind++) {
     struct mo_device_controller *controller = NULL;
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = physics_with_period(kinds[kind].control_steps);
     double worst = 0, start = 0;
     physics.scheme.n_steps = n_steps;
     physics.drop_height_m = 0.05;
@@ -320,7 +340,8 @@ static void check_sizes(uint32_t n_steps)
     mo_body_free(bodies[b]);
 }
 
-static void check_bits(struct mo_device_controller *controller, uint32_t n_bodies, uint32_t n_steps)
+static void check_bits(struct mo_device_controller *controller, uint32_t n_bodies, uint32_t n_steps,
+                       uint32_t control_steps)
 {
   struct mo_body **bodies = random_bodies(golden.lattice, n_bodies, 5);
   struct rows *rows = make_rows(bodies, n_bodies, 3);
@@ -330,7 +351,7 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
   int same = 1;
   for (uint32_t i = 0; i < n; i++)
     turned[n - 1 - i] = rows->robots[i];
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = physics_with_period(control_steps);
   physics.scheme.n_steps = n_steps;
   run(controller, rows->robots, n, &physics, rows->outcomes);
   run(controller, rows->robots, n, &physics, again);
@@ -349,6 +370,31 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
   free(turned);
   free_rows(rows);
   free_bodies(bodies, n_bodies);
+}
+
+/* A period of one step is none; one that is not a whole number of steps is refused. */
+static void check_periods(struct mo_device_controller *controller)
+{
+  enum { N = 64 };
+  struct mo_body **bodies = random_bodies(golden.lattice, N, 11);
+  struct rows *rows = make_rows(bodies, N, 1);
+  struct mo_outcome again[N];
+  struct mo_physics physics = physics_with_period(0), step = physics_with_period(1),
+                    held = physics_with_period(4), refused = physics_with_period(1);
+  refused.scheme.control_period_s *= 1.5;
+  run(controller, rows->robots, N, &physics, rows->outcomes);
+  run(controller, rows->robots, N, &step, again);
+  expect(memcmp(rows->outcomes, again, sizeof(again)) == 0, "a period of one step changes no bit");
+  run(controller, rows->robots, N, &held, again);
+  expect(memcmp(rows->outcomes, again, sizeof(again)) != 0, "one of four steps does");
+  struct mo_device_score score = {.controller = controller,
+                                  .robots = rows->robots,
+                                  .n = N,
+                                  .physics = refused,
+                                  .outcomes = again};
+  expect(module->score(device, &score) == MO_ERR_INVALID, "one and a half steps are refused");
+  free_rows(rows);
+  free_bodies(bodies, N);
 }
 
 /* Springs too stiff for the time step: compares which rows diverge, when, and at which position. */
@@ -438,20 +484,20 @@ static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
 }
 
 static void time_rows(struct mo_device_controller *controller, const char *what,
-                      struct mo_body **bodies, uint32_t n_bodies, uint32_t each, double bound_s)
+                      const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
+                      uint32_t each, double bound_s)
 {
   struct rows *rows = make_rows(bodies, n_bodies, each);
-  const struct mo_physics physics = mo_default_physics();
   double wall[REPEATS], device_s[REPEATS], host_s[REPEATS], masses = 0, springs = 0, mean = 0;
   for (uint32_t b = 0; b < n_bodies; b++) {
     masses += (double)bodies[b]->n_masses / n_bodies;
     springs += (double)bodies[b]->n_springs / n_bodies;
   }
-  run(controller, rows->robots, rows->n, &physics, rows->outcomes);
+  run(controller, rows->robots, rows->n, physics, rows->outcomes);
   for (int i = 0; i < REPEATS; i++) {
     const double start = now_s();
     const struct mo_device_score score =
-        run(controller, rows->robots, rows->n, &physics, rows->outcomes);
+        run(controller, rows->robots, rows->n, physics, rows->outcomes);
     wall[i] = now_s() - start;
     device_s[i] = score.device_s;
     host_s[i] = score.host_s;
@@ -473,11 +519,18 @@ static void time_all(struct mo_device_controller *controller)
 {
   enum { N = 8192 };
   struct mo_body **bodies = random_bodies(golden.lattice, N, 1), **evolved = evolved_bodies(N);
-  time_rows(controller, "random bodies", bodies, N, 10, 1.0);
-  time_rows(controller, "evolved bodies", evolved, N, 10, 1.0);
-  time_rows(controller, "random bodies", bodies, N, 1, 0);
-  time_rows(controller, "random bodies", bodies, 1024, 1, 0);
-  time_rows(controller, "random bodies", bodies, 102, 10, 0);
+  const struct mo_physics physics = mo_default_physics(), held = physics_with_period(4);
+  struct mo_physics fine = held; /* half the step, the same periods */
+  fine.scheme.dt_s /= 2;
+  fine.scheme.n_steps *= 2;
+  time_rows(controller, "random bodies", &physics, bodies, N, 10, 1.0);
+  time_rows(controller, "random bodies, period 16 ms", &held, bodies, N, 10, 0);
+  time_rows(controller, "random bodies, period 16 ms, dt 2 ms, 2000 steps", &fine, bodies, N, 10,
+            0);
+  time_rows(controller, "evolved bodies", &physics, evolved, N, 10, 1.0);
+  time_rows(controller, "random bodies", &physics, bodies, N, 1, 0);
+  time_rows(controller, "random bodies", &physics, bodies, 1024, 1, 0);
+  time_rows(controller, "random bodies", &physics, bodies, 102, 10, 0);
   free_bodies(evolved, N);
   free_bodies(bodies, N);
 }
@@ -619,13 +672,18 @@ int main(int argc, char **argv)
     spread(n);
   } else if (strcmp(what, "short") == 0) {
     check_sizes(3);
-    check_bits(controller, 20, 3);
+    check_bits(controller, 20, 3, 0);
+    check_bits(controller, 20, 3, 2);
   } else {
     check_sizes(40);
     check_starts(controller);
     check_golden(controller);
-    check_random(controller, argc > 3 ? argv[3] : NULL);
-    check_bits(controller, 400, 1000);
+    check_random(controller, "random, exact impact", RANDOM, 0, argc > 3 ? argv[3] : NULL);
+    check_random(controller, "random, period of 4 steps", RANDOM / 2, 4, NULL);
+    check_random(controller, "random, period of 3 steps", RANDOM / 2, 3, NULL);
+    check_bits(controller, 400, 1000, 0);
+    check_bits(controller, 100, 1000, 3);
+    check_periods(controller);
     check_divergence(controller);
     check_cancel(controller);
   }
