@@ -191,12 +191,6 @@ static void read_pages(struct bench_campaign *campaign)
   free(rows);
 }
 
-static int take(void *context, const struct mo_bits *genotype)
-{
-  const int status = mo_seen_add(context, genotype->words);
-  return status < 0 ? status : MO_OK;
-}
-
 /* Does what a process does when it resumes the campaign. */
 static void resume(struct bench_campaign *campaign)
 {
@@ -207,7 +201,7 @@ static void resume(struct bench_campaign *campaign)
   const double state_s = bench_now_s() - start;
   start = bench_now_s();
   bench_check(mo_seen_create(MO_DEFAULT_WORKSPACE, NULL, &seen), "seen");
-  bench_check(mo_store_campaign_each(campaign->store, campaign->id, take, seen), "designs");
+  bench_check(mo_store_campaign_each(campaign->store, campaign->id, mo_seen_take, seen), "designs");
   printf("resumed: the population in %.3f s, the forms of %llu designs in %.2f s\n", state_s,
          (unsigned long long)mo_seen_count(seen), bench_now_s() - start);
   mo_campaign_state_free(state);

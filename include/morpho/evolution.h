@@ -156,7 +156,10 @@ void mo_seen_free(struct mo_seen *seen); /* NULL-safe */
 int mo_seen_add(struct mo_seen *seen,
                 const uint64_t *genotype); /* 1: new, added; 0: already present; MO_ERR_NO_MEMORY,
                                               MO_ERR_EMPTY */
-uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_add */
+/* Adds a genotype of any workspace, moved to the set's (a struct mo_seen): a callback for readers
+ * of genotypes. MO_OK also if it is present; MO_ERR_RANGE: it does not fit. */
+int mo_seen_take(void *seen, const struct mo_genotype *genotype);
+uint64_t mo_seen_count(const struct mo_seen *seen); /* forms added by mo_seen_add, mo_seen_take */
 
 /* Adds to `set` (of `workspace`) the forms of the first n_bodies that a pretraining of `seed`
  * learned from and that fit `workspace`. The bodies are those of mo_training_draw, without held-out

@@ -9,7 +9,8 @@
  *
  * A genotype is a bit array of mo_workspace_words() 64-bit words owned by the caller; voxel v is
  * bit v & 63 of word v >> 6; bits past the last voxel are 0. "Valid" below means: not empty and
- * contiguous through voxel faces. */
+ * contiguous through voxel faces. Functions take the workspace and the words: those of one struct
+ * mo_genotype, or of a list with one workspace for all. */
 #ifndef MORPHO_MORPHOSPACE_H
 #define MORPHO_MORPHOSPACE_H
 
@@ -46,6 +47,21 @@ uint32_t mo_workspace_masses(struct mo_workspace workspace);
 uint32_t mo_workspace_springs(struct mo_workspace workspace);
 
 /* ---- genotypes ---- */
+
+/* A genotype and its workspace, which has at most MO_DEFAULT_WORDS words; words beyond those of the
+ * workspace are 0. All zero: no genotype. */
+struct mo_genotype {
+  struct mo_workspace workspace;
+  uint64_t words[MO_DEFAULT_WORDS];
+};
+/* An element of a list of genotypes whose workspace the list's owner knows: a million of them take
+ * 24 bytes each, and the words of a list lie one after another. */
+struct mo_bits {
+  uint64_t words[MO_DEFAULT_WORDS];
+};
+struct mo_genotype mo_genotype_of(struct mo_workspace workspace, const struct mo_bits *bits);
+bool mo_genotype_equal(const struct mo_genotype *a, const struct mo_genotype *b);
+struct mo_genotype mo_genotype_form(const struct mo_genotype *genotype); /* the canonical form */
 
 /* Why a list of cells is not a body: the first invalid cell in the list. */
 struct mo_cell_fault {

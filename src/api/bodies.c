@@ -2,6 +2,7 @@
  * searches that run elsewhere. Nothing is stored; the same request gives the same bodies. */
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include <morpho/evolution.h>
 
@@ -133,7 +134,7 @@ static int check_pairs(struct mo_json *json, void *any)
 
 /* A design of the request. */
 struct place {
-  struct mo_bits genotype;           /* placed; empty: skipped */
+  struct mo_genotype genotype;       /* placed; empty: skipped */
   const struct mo_design_note *note; /* nullable */
 };
 
@@ -153,7 +154,7 @@ static bool is_empty(const struct place *place)
 }
 
 /* Returns the designs of the request (malloc); NULL: no memory. */
-static struct place *places_of(const struct parsed *parsed)
+static struct place *places_of(const struct parsed *parsed, struct mo_workspace workspace)
 {
   const struct mo_parts *parts = &parsed->parts;
   struct place *places = calloc(n_given(parsed) + 1, sizeof(*places));
@@ -161,21 +162,20 @@ static struct place *places_of(const struct parsed *parsed)
     places[parts->notes[i].place].note = &parts->notes[i];
   for (uint32_t i = 0, n = 0; places != NULL && i < n_given(parsed); i++)
     if (!is_empty(&places[i])) {
-      places[i].genotype = parts->genotypes[n++];
-      mo_genotype_place(MO_DEFAULT_WORKSPACE, places[i].genotype.words);
+      places[i].genotype = mo_genotype_of(workspace, &parts->genotypes[n++]);
+      mo_genotype_place(workspace, places[i].genotype.words);
     }
   return places;
 }
 
 /* Adds a body. parents: (n_parents) places; genotype empty: `note` says why. */
-static void add(struct bodies *bodies, const struct mo_bits *genotype, const uint32_t *parents,
+static void add(struct bodies *bodies, const struct mo_genotype *genotype, const uint32_t *parents,
                 unsigned n_parents, const struct mo_design_note *note)
 {
   struct mo_text *text = &bodies->text;
-  struct mo_bits form;
   if (bodies->error != MO_OK)
     return;
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, form.words);
+  const struct mo_genotype form = mo_genotype_form(genotype);
   mo_text_object(text);
   bodies->error = mo_members_design(text, bodies->lattice, &form, genotype, note);
   mo_text_name(text, "parents");
@@ -188,7 +188,7 @@ static void add_none(struct bodies *bodies, const uint32_t *parents, unsigned n_
                      const char *pointer, const char *detail)
 {
   struct mo_design_note note = {0};
-  const struct mo_bits none = {{0}};
+  const struct mo_genotype none = {.words = {0}};
   snprintf(note.fault.where, sizeof(note.fault.where), "%s", pointer);
   snprintf(note.fault.detail, sizeof(note.fault.detail), "%s", detail);
   add(bodies, &none, parents, n_parents, &note);
@@ -206,7 +206,7 @@ static void reply_bodies(struct mo_request *request, const struct mo_fields *fie
   struct mo_parts *parts = &bodies.parsed.parts;
   mo_read_words(request->body, request->body_size, &mo_design_rules_fields, parts, NULL);
   if (mo_read_request(request, fields, &bodies.parsed, parts, check, "body")) {
-    bodies.places = places_of(&bodies.parsed);
+    bodies.places = places_of(&bodies.parsed, bodies.lattice->workspace);
     mo_text_add(&bodies.text, "{\"items\":[");
     if (bodies.places != NULL)
       make(&bodies);
@@ -237,7 +237,7 @@ static int check_random(struct mo_json *json, void *any)
  * one. Which bodies are new depends on all earlier ones, so those are drawn as well, in about 6 µs
  * each. */
 static int take_stream(struct mo_random_stream *kept, const struct parsed *parsed,
-                       struct mo_body_stream **stream)
+                       struct mo_workspace workspace, struct mo_body_stream **stream)
 {
   struct mo_bits passed;
   uint32_t next = 0;
@@ -251,7 +251,7 @@ static int take_stream(struct mo_random_stream *kept, const struct parsed *parse
   }
   pthread_mutex_unlock(&kept->mutex);
   if (*stream == NULL)
-    error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, parsed->seed, stream);
+    error = mo_body_stream_create(workspace, parsed->seed, stream);
   for (; next < parsed->first && error == MO_OK; next++)
     error = mo_body_stream_next(*stream, passed.words, NULL);
   return error;
@@ -272,10 +272,11 @@ static void keep_stream(struct mo_random_stream *kept, const struct parsed *pars
 
 static void make_random(struct bodies *bodies)
 {
+  const struct mo_workspace workspace = bodies->lattice->workspace;
   struct mo_body_stream *stream;
-  bodies->error = take_stream(bodies->random_stream, &bodies->parsed, &stream);
+  bodies->error = take_stream(bodies->random_stream, &bodies->parsed, workspace, &stream);
   for (uint32_t i = 0; i < bodies->parsed.count && bodies->error == MO_OK; i++) {
-    struct mo_bits genotype;
+    struct mo_genotype genotype = {.workspace = workspace};
     bodies->error = mo_body_stream_next(stream, genotype.words, NULL);
     add(bodies, &genotype, NULL, 0, NULL);
   }
@@ -312,7 +313,7 @@ static void brood_free(struct brood *brood)
 }
 
 static int brood_create(struct brood *brood, const struct parsed *parsed,
-                        const struct place *places)
+                        struct mo_workspace workspace, const struct place *places)
 {
   const size_t n = parsed->parts.n_designs;
   *brood = (struct brood){.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_DEMO),
@@ -320,6 +321,7 @@ static int brood_create(struct brood *brood, const struct parsed *parsed,
                           .children = malloc((n + 1) * W * sizeof(uint64_t)),
                           .births = malloc((n + 1) * sizeof(*brood->births)),
                           .made = calloc(n * parsed->children + 1, sizeof(*brood->made))};
+  brood->settings.workspace = workspace;
   brood->settings.seed = parsed->seed;
   brood->settings.population = (uint32_t)n;
   brood->settings.mutation_share = 1;
@@ -327,10 +329,10 @@ static int brood_create(struct brood *brood, const struct parsed *parsed,
   if (brood->parents == NULL || brood->children == NULL || brood->births == NULL ||
       brood->made == NULL)
     return MO_ERR_NO_MEMORY;
-  int error = mo_seen_create(MO_DEFAULT_WORKSPACE, NULL, &brood->seen);
+  int error = mo_seen_create(workspace, NULL, &brood->seen);
   for (uint32_t i = 0; i < n_given(parsed) && error >= 0; i++)
     if (!is_empty(&places[i])) {
-      *(struct mo_bits *)(void *)&brood->parents[W * brood->n++] = places[i].genotype;
+      memcpy(brood->parents + W * brood->n++, places[i].genotype.words, W * sizeof(uint64_t));
       error = mo_seen_add(brood->seen, places[i].genotype.words);
     }
   return error < 0 ? error : MO_OK;
@@ -344,8 +346,8 @@ static int brood_bear(struct brood *brood, uint32_t round)
   const int error = mo_variation(&brood->settings, round + 1, brood->parents, brood->n, brood->seen,
                                  brood->children, brood->births, &n, &counts, NULL);
   for (uint32_t i = 0; i < n; i++)
-    brood->made[(size_t)round * brood->n + brood->births[i].parents[0]] =
-        *(struct mo_bits *)(void *)&brood->children[(size_t)W * i];
+    memcpy(brood->made[(size_t)round * brood->n + brood->births[i].parents[0]].words,
+           brood->children + (size_t)W * i, W * sizeof(uint64_t));
   return error;
 }
 
@@ -355,13 +357,14 @@ static void write_children(struct bodies *bodies, const struct brood *brood)
   for (uint32_t i = 0; i < n_given(&bodies->parsed); i++) {
     const struct place *place = &bodies->places[i];
     for (uint32_t round = 0; round < bodies->parsed.children; round++) {
-      const struct mo_bits *child = &brood->made[(size_t)round * brood->n + n];
+      const struct mo_genotype child =
+          mo_genotype_of(bodies->lattice->workspace, &brood->made[(size_t)round * brood->n + n]);
       if (is_empty(place))
         add(bodies, &place->genotype, &i, 1, place->note);
-      else if (mo_genotype_count(MO_DEFAULT_WORKSPACE, child->words) == 0)
+      else if (mo_genotype_count(child.workspace, child.words) == 0)
         add_none(bodies, &i, 1, "/children", "no further body was found");
       else
-        add(bodies, child, &i, 1, place->note);
+        add(bodies, &child, &i, 1, place->note);
     }
     n += !is_empty(place);
   }
@@ -370,7 +373,7 @@ static void write_children(struct bodies *bodies, const struct brood *brood)
 static void make_children(struct bodies *bodies)
 {
   struct brood brood;
-  bodies->error = brood_create(&brood, &bodies->parsed, bodies->places);
+  bodies->error = brood_create(&brood, &bodies->parsed, bodies->lattice->workspace, bodies->places);
   for (uint32_t round = 0; round < bodies->parsed.children && bodies->error == MO_OK; round++)
     bodies->error = brood_bear(&brood, round);
   if (bodies->error == MO_OK)
@@ -391,14 +394,15 @@ static void make_crossed(struct bodies *bodies)
     const struct pair pair = bodies->parsed.pairs[i];
     const uint32_t parents[2] = {pair.first, pair.second};
     const struct place *first = &bodies->places[pair.first], *second = &bodies->places[pair.second];
-    struct mo_bits child;
+    struct mo_genotype child = {.workspace = bodies->lattice->workspace};
     char pointer[32];
     snprintf(pointer, sizeof(pointer), "/pairs/%u", i);
     if (is_empty(first) || is_empty(second)) {
-      add(bodies, &(struct mo_bits){{0}}, parents, 2, is_empty(first) ? first->note : second->note);
+      add(bodies, &(struct mo_genotype){.words = {0}}, parents, 2,
+          is_empty(first) ? first->note : second->note);
       continue;
     }
-    const int error = mo_genotype_crossover(MO_DEFAULT_WORKSPACE, first->genotype.words,
+    const int error = mo_genotype_crossover(child.workspace, first->genotype.words,
                                             second->genotype.words, child.words);
     if (error == MO_ERR_EMPTY)
       add_none(bodies, parents, 2, pointer,
@@ -421,8 +425,7 @@ static void make_canonical(struct bodies *bodies)
 {
   for (uint32_t i = 0; i < n_given(&bodies->parsed); i++) {
     const struct place *place = &bodies->places[i];
-    struct mo_bits form;
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, place->genotype.words, form.words);
+    const struct mo_genotype form = mo_genotype_form(&place->genotype);
     add(bodies, &form, NULL, 0, place->note);
   }
 }

@@ -167,12 +167,12 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   return code == MO_OK;
 }
 
-int mo_robot_read(const char *text, size_t size, struct mo_bits *genotype, int *orientation)
+int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, int *orientation)
 {
   const char *at = memchr(text, '@', size);
   const size_t digits = at != NULL ? (size_t)(at - text) : size;
   const size_t letter = digits == MO_DEFAULT_ID_DIGITS + 1 && text[0] == 'd' ? 1 : 0;
-  return mo_genotype_from_robot(MO_DEFAULT_WORKSPACE, text + letter, size - letter, genotype->words,
+  return mo_genotype_from_robot(genotype->workspace, text + letter, size - letter, genotype->words,
                                 orientation);
 }
 
@@ -180,10 +180,12 @@ static bool read_id(struct mo_json *json, struct shape *shape)
 {
   unsigned depth = json->depth;
   struct mo_json_slice text;
+  struct mo_genotype read = {.workspace = MO_DEFAULT_WORKSPACE};
   int orientation = -1;
   if (!mo_json_string(json, &text))
     return false;
-  int code = mo_robot_read(text.bytes, text.size, shape->bits, &orientation);
+  int code = mo_robot_read(text.bytes, text.size, &read, &orientation);
+  memcpy(shape->bits->words, read.words, sizeof(read.words));
   if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
     mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
   else if (code != MO_OK)

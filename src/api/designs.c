@@ -13,7 +13,7 @@
 
 /* Opens the object and writes the members that every representation of a design has. May fail with
  * MO_ERR_NO_MEMORY. */
-static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_bits *form,
+static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_genotype *form,
                       int64_t first_seen_us)
 {
   struct mo_design_size size = {0};
@@ -23,7 +23,7 @@ static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_
   mo_text_member_count(text, "voxels", size.voxels);
   mo_text_member_count(text, "masses", size.masses);
   mo_text_member_count(text, "springs", size.springs);
-  mo_member_bits(text, "genotype", form);
+  mo_member_genotype(text, "genotype", form);
   mo_text_member_time(text, "first_seen_at", first_seen_us);
   return error;
 }
@@ -61,7 +61,8 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
 }
 
 /* Writes the campaigns in which the design was born. Its lineage differs between campaigns. */
-static int write_campaigns(struct mo_store *store, struct mo_text *text, const struct mo_bits *form)
+static int write_campaigns(struct mo_store *store, struct mo_text *text,
+                           const struct mo_genotype *form)
 {
   struct mo_campaign_place *places = malloc(CAMPAIGNS_MAX * sizeof(*places));
   int64_t n = places != NULL ? mo_store_campaigns_of_design(store, form, 0, places, CAMPAIGNS_MAX)
@@ -92,7 +93,7 @@ static int write_design(struct mo_api *api, struct mo_text *text, const struct m
     const struct mo_design_orientation *orientation = &design->orientations[i];
     mo_text_object(text);
     mo_member_robot(text, &orientation->genotype);
-    mo_member_bits(text, "genotype", &orientation->genotype);
+    mo_member_genotype(text, "genotype", &orientation->genotype);
     mo_text_open(text, "scores", "[");
     for (uint32_t k = 0; k < orientation->n_scores; k++)
       write_score(text, &orientation->scores[k]);
@@ -112,7 +113,7 @@ void mo_api_get_design(struct mo_request *request)
   const char *id = request->parameters[0];
   struct mo_design *design = NULL;
   struct mo_text text = {0};
-  struct mo_bits genotype, form;
+  struct mo_genotype genotype = {.workspace = api->lattice->workspace};
   int orientation;
   if (mo_robot_read(id, strlen(id), &genotype, &orientation) != MO_OK) {
     mo_reply_problem(request, 404, NULL,
@@ -121,7 +122,7 @@ void mo_api_get_design(struct mo_request *request)
                      MO_DEFAULT_ID_DIGITS);
     return;
   }
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype.words, form.words);
+  const struct mo_genotype form = mo_genotype_form(&genotype);
   int error = mo_store_design(api->store, &form, &design);
   if (error == MO_OK)
     error = write_design(api, &text, design);
@@ -155,7 +156,7 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
     if (query->sort == MO_DESIGNS_BY_SCORE) {
       mo_text_member_number(&text, "score", rows[i].score);
       mo_member_robot(&text, &rows[i].genotype);
-      mo_member_bits(&text, "scored_genotype", &rows[i].genotype);
+      mo_member_genotype(&text, "scored_genotype", &rows[i].genotype);
     }
     mo_text_add(&text, "}");
   }

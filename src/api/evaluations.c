@@ -16,8 +16,9 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   const uint32_t columns = results->n_environments;
   const int32_t *steps = &results->diverged_steps[(size_t)d * columns];
   mo_text_object(text);
-  const int error =
-      mo_members_design(text, lattice, &results->forms[d], &results->genotypes[d], note);
+  const struct mo_genotype form = mo_genotype_of(lattice->workspace, &results->forms[d]),
+                           genotype = mo_genotype_of(lattice->workspace, &results->genotypes[d]);
+  const int error = mo_members_design(text, lattice, &form, &genotype, note);
   mo_member_orientation(text, note != NULL ? note->orientation : MO_ORIENTATION_GIVEN);
   mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);

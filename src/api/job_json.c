@@ -39,7 +39,7 @@ void mo_member_notes(struct mo_text *text, const char *name, const struct mo_des
 }
 
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
-                      const struct mo_bits *form, const struct mo_bits *genotype,
+                      const struct mo_genotype *form, const struct mo_genotype *genotype,
                       const struct mo_design_note *note)
 {
   struct mo_design_size size;
@@ -48,7 +48,7 @@ int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
   if (known) {
     mo_member_form(text, "id", form);
     mo_member_robot(text, genotype);
-    mo_member_bits(text, "genotype", genotype);
+    mo_member_genotype(text, "genotype", genotype);
   } else {
     mo_text_member(text, "id", NULL);
     mo_text_member(text, "robot", NULL);

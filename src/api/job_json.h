@@ -13,7 +13,7 @@ void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation
  * note (nullable). If the genotype is empty, id, robot, genotype and sizes are null. May fail with
  * MO_ERR_NO_MEMORY. */
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
-                      const struct mo_bits *form, const struct mo_bits *genotype,
+                      const struct mo_genotype *form, const struct mo_genotype *genotype,
                       const struct mo_design_note *note);
 /* Writes notes with their places, as a member. */
 void mo_member_notes(struct mo_text *text, const char *name, const struct mo_design_note *notes,

@@ -124,8 +124,10 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
   mo_held_out_environments(seed, n_environments, environments);
   mo_text_add(&text, "{\"designs\":[");
   for (uint32_t i = 0; i < n_designs; i++) {
+    const struct mo_genotype genotype =
+        mo_genotype_of(mo_api_of(request)->lattice->workspace, &genotypes[i]);
     mo_text_object(&text);
-    mo_member_bits(&text, "voxels", &genotypes[i]);
+    mo_member_genotype(&text, "voxels", &genotype);
     mo_text_add(&text, "}");
   }
   mo_text_add(&text, "],\"environments\":[");

@@ -48,11 +48,11 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     mo_text_json_number(text, row->score);
   mo_text_add(text, ",d"); /* letters, because programs that read tables mistake 8e00… for a number
                             */
-  mo_bits_write_id(text, &row->form);
+  mo_form_write(text, &row->form);
   mo_text_add(text, ",");
   mo_robot_write(text, &row->genotype);
   mo_text_add(text, ",g");
-  mo_bits_write(text, &row->genotype);
+  mo_genotype_write(text, &row->genotype);
   mo_text_format(text, ",%u,%u,%u,%u,%d", row->size.voxels, row->size.footprint, row->size.masses,
                  row->size.springs, row->is_cut);
   for (uint32_t m = 0; m < shape->n_measures; m++) {

@@ -53,9 +53,9 @@ extern const struct mo_field_own mo_name_field;
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
 /* Adds a note on a design; one with a fault says that it was skipped. False: no memory. */
 bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
-/* Reads the notation of a robot or an id, which may follow the letter d as in CSV files, into the
- * placed genotype. The errors and *orientation are those of mo_genotype_from_robot. */
-int mo_robot_read(const char *text, size_t size, struct mo_bits *genotype, int *orientation);
+/* Reads a robot's notation or an id, perhaps after the letter d as in CSV files, into the words of
+ * a genotype with a workspace: placed. Errors and *orientation as in mo_genotype_from_robot. */
+int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, int *orientation);
 /* Returns item n of a growing array of n items of `size` bytes each. NULL: no memory. */
 void *mo_next_item(void **items, size_t n, size_t size);
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */

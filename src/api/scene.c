@@ -106,9 +106,9 @@ static const struct {
               {{0, 1, 0}, {2, 3, 7, 6}},  {{0, 0, -1}, {0, 2, 6, 4}}, {{0, 0, 1}, {1, 5, 7, 3}}};
 
 /* Whether a genotype has a voxel at (x, y, z); none has one outside of the workspace. */
-static bool has_voxel(struct mo_workspace workspace, const struct mo_bits *genotype, int x, int y,
-                      int z)
+static bool has_voxel(const struct mo_genotype *genotype, int x, int y, int z)
 {
+  const struct mo_workspace workspace = genotype->workspace;
   if (x < 0 || y < 0 || z < 0 || x >= workspace.nx || y >= workspace.ny || z >= workspace.nz)
     return false;
   const uint32_t voxel = ((uint32_t)x * workspace.ny + (uint32_t)y) * workspace.nz + (uint32_t)z;
@@ -136,7 +136,7 @@ struct geometry {
 };
 
 static void add_voxel(const struct mo_lattice *lattice, const struct mo_body *body,
-                      const struct mo_bits *genotype, uint32_t voxel, struct geometry *geometry)
+                      const struct mo_genotype *genotype, uint32_t voxel, struct geometry *geometry)
 {
   const struct mo_workspace w = lattice->workspace;
   const int x = (int)(voxel / (w.ny * w.nz)), y = (int)(voxel / w.nz % w.ny),
@@ -146,7 +146,7 @@ static void add_voxel(const struct mo_lattice *lattice, const struct mo_body *bo
     masses[c] = position_of(body, lattice->voxel_mass[voxel * 8 + c]);
   for (int side = 0; side < 6; side++) {
     const int8_t *step = sides[side].step;
-    if (has_voxel(w, genotype, x + step[0], y + step[1], z + step[2]))
+    if (has_voxel(genotype, x + step[0], y + step[1], z + step[2]))
       continue;
     uint16_t *face = geometry->faces[geometry->n_faces++];
     for (int k = 0; k < 4; k++)
@@ -158,7 +158,7 @@ static void add_voxel(const struct mo_lattice *lattice, const struct mo_body *bo
 
 int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
                         const struct mo_lattice *lattice, const struct mo_body *body,
-                        const struct mo_bits *genotype)
+                        const struct mo_genotype *genotype)
 {
   struct geometry geometry = {.springs = malloc(body->n_springs * sizeof(*geometry.springs)),
                               .voxels = malloc(body->n_voxels * sizeof(*geometry.voxels)),
@@ -249,7 +249,7 @@ static int write_designs(struct mo_text *text, struct mo_text *arrays,
     mo_member_form(text, "id", &design->form);
     mo_member_robot(text, &design->genotype);
     mo_member_orientation(text, design->orientation);
-    mo_member_bits(text, "genotype", &design->genotype);
+    mo_member_genotype(text, "genotype", &design->genotype);
     mo_text_member_count(text, "repaired", design->dropped);
     mo_text_member_number(text, "score", design->score);
     if (arrays != NULL)

@@ -32,7 +32,7 @@ void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
  * are written as JSON arrays. May fail with MO_ERR_NO_MEMORY. */
 int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
                         const struct mo_lattice *lattice, const struct mo_body *body,
-                        const struct mo_bits *genotype);
+                        const struct mo_genotype *genotype);
 /* Replies with the inputs and the results of rollouts: as a scene, or as JSON, which has no
  * recordings. */
 void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,

@@ -3,6 +3,7 @@
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "api/job_json.h"
 #include "api/jobs.h"
@@ -65,7 +66,7 @@ static int read_designs(struct mo_api *api, struct told *told)
     told->n += error == MO_OK ? (uint32_t)found : 0;
   }
   for (uint32_t i = 0; i < told->n; i++)
-    told->genotypes[i] = told->designs[i].genotype;
+    memcpy(told->genotypes[i].words, told->designs[i].genotype.words, sizeof(*told->genotypes));
   return error == MO_OK ? mo_jobs_study_losses(api->jobs, id, told->genotypes, told->n,
                                                told->losses, told->known)
                         : error;
@@ -220,7 +221,7 @@ static void write_asked(struct mo_text *text, const struct mo_asked *asked)
     const struct mo_study_child *child = &asked->children[i];
     mo_text_next(text);
     mo_text_add(text, "{\"body\":{\"voxels\":\"");
-    mo_bits_write(text, &child->genotype);
+    mo_genotype_write(text, &child->genotype);
     mo_text_add(text, "\"}");
     mo_member_parents(text, &child->descent);
     mo_text_member(text, "operator", mo_operator_words[child->descent.op]);

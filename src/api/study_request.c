@@ -92,7 +92,8 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
   if (mo_genotype_count(MO_DEFAULT_WORKSPACE, body->words) == 0)
     return true; /* it has a fault already */
   mo_genotype_place(MO_DEFAULT_WORKSPACE, body->words);
-  if (mo_fits_as_it_is(w, body))
+  const struct mo_genotype placed = mo_genotype_of(MO_DEFAULT_WORKSPACE, body);
+  if (mo_fits_as_it_is(w, &placed))
     return true;
   snprintf(note.fault.where, sizeof(note.fault.where), "/children/%u/body", place);
   snprintf(note.fault.detail, sizeof(note.fault.detail),
@@ -140,7 +141,7 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
     mo_json_fault_at(json, depth, "", "body is missing: a design");
   *is_kept = parsed->parts.n_designs > before;
   if (*is_kept)
-    child->genotype = parsed->parts.genotypes[before];
+    child->genotype = mo_genotype_of(MO_DEFAULT_WORKSPACE, &parsed->parts.genotypes[before]);
   return memory;
 }
 

@@ -154,8 +154,11 @@ static int fill_rollout(struct mo_api *api, const struct place *place,
     error = MO_ERR_CORRUPT;
   if (error == MO_OK) {
     rollouts->environments[0] = rollouts->environments[k];
-    *design = (struct mo_rolled_design){
-        .form = results->forms[0], .genotype = results->genotypes[0], .score = results->scores[0]};
+    const struct mo_workspace workspace = api->lattice->workspace;
+    *design =
+        (struct mo_rolled_design){.form = mo_genotype_of(workspace, &results->forms[0]),
+                                  .genotype = mo_genotype_of(workspace, &results->genotypes[0]),
+                                  .score = results->scores[0]};
     rolled->outcome = (struct mo_outcome){.loss = results->losses[k],
                                           .diverged_step = results->diverged_steps[k]};
     error = mo_body_create(api->lattice, design->genotype.words, &design->body);

@@ -76,7 +76,7 @@ void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row)
     mo_text_object(text);
     mo_member_form(text, "id", &row->form);
     mo_member_robot(text, &row->genotype);
-    mo_member_bits(text, "genotype", &row->genotype);
+    mo_member_genotype(text, "genotype", &row->genotype);
     mo_member_hash(text, "controller", &row->controller_sha256);
     mo_member_hash(text, "environment", &row->environment_sha256[k]);
     mo_member_hash(text, "physics", &row->physics_sha256);

@@ -99,16 +99,17 @@ void mo_api_get_job_environments(struct mo_request *request)
   reply_environments(request, error, environments, n, mo_job_kind_name(kind));
 }
 
-/* Reads the design that a path names: the notation of a robot, an id, whose body is canonical, or
- * a genotype. False: the reply is made. */
-static bool read_design(struct mo_request *request, struct mo_bits *genotype)
+/* Reads the design that a path names into a genotype with its workspace: the notation of a robot,
+ * an id, whose body is canonical, or a genotype. False: the reply is made. */
+static bool read_design(struct mo_request *request, struct mo_genotype *genotype)
 {
   const char *digits = request->parameters[0];
   const size_t size = strlen(digits);
   int orientation;
-  const int error = size == MO_DEFAULT_VOXELS ? mo_genotype_from_text(MO_DEFAULT_WORKSPACE, digits,
-                                                                      size, genotype->words, NULL)
-                                              : mo_robot_read(digits, size, genotype, &orientation);
+  const struct mo_workspace workspace = genotype->workspace;
+  const int error = size == mo_workspace_voxels(workspace)
+                        ? mo_genotype_from_text(workspace, digits, size, genotype->words, NULL)
+                        : mo_robot_read(digits, size, genotype, &orientation);
   if (error == MO_OK)
     return true;
   mo_reply_problem(request, 404, NULL,
@@ -120,17 +121,17 @@ static bool read_design(struct mo_request *request, struct mo_bits *genotype)
 void mo_api_get_design_body(struct mo_request *request)
 {
   const struct mo_lattice *lattice = mo_api_of(request)->lattice;
-  struct mo_bits genotype;
+  struct mo_genotype genotype = {.workspace = lattice->workspace};
   struct mo_body *body = NULL;
   struct mo_text text = {0};
   if (!read_design(request, &genotype))
     return;
-  mo_genotype_place(MO_DEFAULT_WORKSPACE, genotype.words);
+  mo_genotype_place(genotype.workspace, genotype.words);
   int error = mo_body_create(lattice, genotype.words, &body);
   if (error == MO_OK) {
     mo_text_object(&text);
     mo_member_robot(&text, &genotype);
-    mo_member_bits(&text, "genotype", &genotype);
+    mo_member_genotype(&text, "genotype", &genotype);
     error = mo_scene_write_body(&text, NULL, lattice, body, &genotype);
     mo_text_add(&text, "}");
   }

@@ -68,7 +68,7 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
     mo_loaded_release(&controllers, loaded);
     if (error == MO_OK && !agrees) {
       char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
-      (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, samples[i].genotype.words, robot);
+      (void)mo_genotype_robot(samples[i].genotype.workspace, samples[i].genotype.words, robot);
       printf("a loss of the body %s differs from the one computed again: %.17g is stored\n", robot,
              samples[i].loss);
       (*n_differ)++;
@@ -86,7 +86,7 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
 static int check_classes(struct mo_store *store, size_t n, uint64_t *n_differ)
 {
   struct mo_lattice *lattice = NULL;
-  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice);
+  int error = mo_lattice_create(MO_STORE_WORKSPACE, &lattice);
   for (int isa = 0; isa <= (int)mo_isa_best() && error == MO_OK; isa++) {
     const struct mo_compute_config config = {.n_workers = 1, .isa = (enum mo_isa)isa};
     struct mo_compute *compute = NULL;

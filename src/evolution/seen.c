@@ -51,6 +51,19 @@ int mo_seen_add(struct mo_seen *seen, const uint64_t *genotype)
   return add(seen, seen->excluded, genotype);
 }
 
+int mo_seen_take(void *any, const struct mo_genotype *genotype)
+{
+  struct mo_seen *seen = any;
+  struct mo_scratch moved;
+  if (mo_scratch_open(&moved, mo_workspace_words(seen->workspace)) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  int r = mo_genotype_move(genotype->workspace, genotype->words, seen->workspace, moved.bits);
+  if (r == MO_OK)
+    r = mo_seen_add(seen, moved.bits);
+  mo_scratch_close(&moved);
+  return r < 0 ? r : MO_OK;
+}
+
 int mo_seen_add_own(struct mo_seen *seen, const uint64_t *genotype)
 {
   return add(seen, NULL, genotype);

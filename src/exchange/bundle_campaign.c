@@ -207,11 +207,10 @@ static const char *check_design(const struct mo_reading *reading,
     return "a score must be at least 0";
   if (design->is_cut && (n == 0 || design->died != design->born || !isfinite(design->score)))
     return "only the score of a child that was never selected can be a lower bound";
-  if (memcmp(&record->settings.workspace, &MO_DEFAULT_WORKSPACE,
-             sizeof(record->settings.workspace)) != 0 &&
+  if (!mo_workspace_equal(record->settings.workspace, design->genotype.workspace) &&
       mo_workspace_words(record->settings.workspace) <= MO_DEFAULT_WORDS &&
-      mo_genotype_move(MO_DEFAULT_WORKSPACE, design->genotype.words, record->settings.workspace,
-                       moved.words) != MO_OK)
+      mo_genotype_move(design->genotype.workspace, design->genotype.words,
+                       record->settings.workspace, moved.words) != MO_OK)
     return "the body does not fit the workspace of the campaign";
   for (int p = 0; p < n; p++) {
     const uint32_t parent = descent->parents[p];

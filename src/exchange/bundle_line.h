@@ -19,7 +19,7 @@ struct mo_bundle_lines {
 /* Skips a member that follows from others. It is compared when the line is written again. */
 void mo_line_skip(struct mo_json *json, void *value);
 extern const struct mo_field_own mo_line_store, /* uint64_t: the id of a store */
-    mo_line_genotype;                           /* struct mo_bits, placed as for scoring */
+    mo_line_genotype;                           /* struct mo_genotype, placed as for scoring */
 
 /* Reads a text. A text that is refused leaves `text` unchanged. */
 void mo_line_text(struct mo_json *json, char *text, size_t size);

@@ -193,25 +193,26 @@ const struct mo_field_own mo_line_store = {.read = read_store, .write = write_st
 
 static void read_genotype(struct mo_json *json, void *value)
 {
-  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
-  struct mo_bits *genotype = value, placed;
+  struct mo_genotype *genotype = value, placed;
   struct mo_json_slice slice;
   if (!mo_json_string(json, &slice))
     return;
-  if (mo_genotype_from_text(workspace, slice.bytes, slice.size, genotype->words, NULL) != MO_OK) {
+  genotype->workspace = MO_STORE_WORKSPACE;
+  if (mo_genotype_from_text(genotype->workspace, slice.bytes, slice.size, genotype->words, NULL) !=
+      MO_OK) {
     mo_json_fault(json, "144 digits 0 or 1 of a body in one piece are expected");
     return;
   }
   placed = *genotype;
-  mo_genotype_place(workspace, placed.words);
-  if (memcmp(&placed, genotype, sizeof(placed)) != 0)
+  mo_genotype_place(placed.workspace, placed.words);
+  if (!mo_genotype_equal(&placed, genotype))
     mo_json_fault(json, "the body is not centered on the ground");
 }
 
 static void write_genotype(struct mo_text *text, const void *genotype)
 {
   mo_text_add(text, "\"");
-  mo_bits_write(text, genotype);
+  mo_genotype_write(text, genotype);
   mo_text_add(text, "\"");
 }
 const struct mo_field_own mo_line_genotype = {.read = read_genotype, .write = write_genotype};
@@ -396,7 +397,7 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
     error = mo_design_size(lines->lattice, design->genotype.words, &design->size);
   if (error != MO_OK)
     return error;
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, design->genotype.words, design->form.words);
+  design->form = mo_genotype_form(&design->genotype);
   if (lines->is_checked)
     return MO_OK;
   mo_bundle_write_design(&lines->again, design);

@@ -225,7 +225,7 @@ static int read_design(struct mo_bundle_lines *lines, const char *line, size_t s
   memset(design, 0, sizeof(*design));
   const int error = mo_line_read(lines, line, size, &design_fields, design, NULL, message);
   if (error == MO_OK)
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, design->genotype.words, design->form.words);
+    design->form = mo_genotype_form(&design->genotype);
   return error;
 }
 

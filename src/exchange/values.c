@@ -10,44 +10,44 @@
 
 /* ---- values, and members of an object ---- */
 
-void mo_bits_write(struct mo_text *text, const struct mo_bits *bits)
+void mo_genotype_write(struct mo_text *text, const struct mo_genotype *genotype)
 {
-  char digits[MO_DEFAULT_VOXELS + 1];
-  mo_genotype_to_text(MO_DEFAULT_WORKSPACE, bits->words, digits);
-  mo_text_bytes(text, digits, MO_DEFAULT_VOXELS);
+  char digits[64 * MO_DEFAULT_WORDS + 1];
+  mo_genotype_to_text(genotype->workspace, genotype->words, digits);
+  mo_text_add(text, digits);
 }
 
-void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form)
+void mo_form_write(struct mo_text *text, const struct mo_genotype *form)
 {
-  char id[MO_DEFAULT_ID_DIGITS + 1];
-  mo_genotype_id(MO_DEFAULT_WORKSPACE, form->words, id);
-  mo_text_bytes(text, id, MO_DEFAULT_ID_DIGITS);
+  char id[16 * MO_DEFAULT_WORDS + 1];
+  mo_genotype_id(form->workspace, form->words, id);
+  mo_text_add(text, id);
 }
 
-void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype)
+void mo_robot_write(struct mo_text *text, const struct mo_genotype *genotype)
 {
-  char robot[MO_DEFAULT_ROBOT_DIGITS + 1] = "";
-  (void)mo_genotype_robot(MO_DEFAULT_WORKSPACE, genotype->words, robot); /* it is not empty */
+  char robot[16 * MO_DEFAULT_WORDS + 3] = "";
+  (void)mo_genotype_robot(genotype->workspace, genotype->words, robot); /* it is not empty */
   mo_text_add(text, robot);
 }
 
-void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits)
+void mo_member_genotype(struct mo_text *text, const char *name, const struct mo_genotype *genotype)
 {
   mo_text_name(text, name);
   mo_text_bytes(text, "\"", 1);
-  mo_bits_write(text, bits);
+  mo_genotype_write(text, genotype);
   mo_text_bytes(text, "\"", 1);
 }
 
-void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form)
+void mo_member_form(struct mo_text *text, const char *name, const struct mo_genotype *form)
 {
   mo_text_name(text, name);
   mo_text_bytes(text, "\"", 1);
-  mo_bits_write_id(text, form);
+  mo_form_write(text, form);
   mo_text_bytes(text, "\"", 1);
 }
 
-void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype)
+void mo_member_robot(struct mo_text *text, const struct mo_genotype *genotype)
 {
   mo_text_name(text, "robot");
   mo_text_bytes(text, "\"", 1);
@@ -140,7 +140,7 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
   mo_member_form(text, "id", &row->form);
   if (words != NULL)
     mo_member_robot(text, &row->genotype);
-  mo_member_bits(text, "genotype", &row->genotype);
+  mo_member_genotype(text, "genotype", &row->genotype);
   mo_campaign_json_life(text, row);
   mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
                  row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);

@@ -8,17 +8,17 @@
 #include "store/evaluations.h"
 
 /* Write the digits of a genotype, or of an id, without quotes. */
-void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);
-void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form);
+void mo_genotype_write(struct mo_text *text, const struct mo_genotype *genotype);
+void mo_form_write(struct mo_text *text, const struct mo_genotype *form);
 /* Write members of an object: a genotype, the id of a form, a hash, an array of numbers. */
-void mo_member_bits(struct mo_text *text, const char *name, const struct mo_bits *bits);
-void mo_member_form(struct mo_text *text, const char *name, const struct mo_bits *form);
+void mo_member_genotype(struct mo_text *text, const char *name, const struct mo_genotype *genotype);
+void mo_member_form(struct mo_text *text, const char *name, const struct mo_genotype *form);
 void mo_member_hash(struct mo_text *text, const char *name, const struct mo_sha256 *hash);
 void mo_member_numbers(struct mo_text *text, const char *name, const double *numbers, size_t n);
 /* Write the notation of a genotype as it is scored: the member "robot"; only the value, without
  * quotes. */
-void mo_member_robot(struct mo_text *text, const struct mo_bits *genotype);
-void mo_robot_write(struct mo_text *text, const struct mo_bits *genotype);
+void mo_member_robot(struct mo_text *text, const struct mo_genotype *genotype);
+void mo_robot_write(struct mo_text *text, const struct mo_genotype *genotype);
 /* Write members that are null if the value is not known. */
 void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint64_t count);
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);

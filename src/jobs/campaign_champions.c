@@ -46,7 +46,7 @@ static int choose(struct mo_workspace workspace, const struct mo_campaign_design
   int error = genotypes == NULL || scores == NULL || picks == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     scores[i] = designs[i].score;
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, designs[i].genotype.words, workspace,
+    error = mo_genotype_move(designs[i].genotype.workspace, designs[i].genotype.words, workspace,
                              genotypes + words * i);
   }
   if (error == MO_OK)
@@ -202,7 +202,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
               ? MO_ERR_NO_MEMORY
               : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, NULL, &n);
   for (uint32_t i = 0; i < n; i++)
-    genotypes[i] = rows[i].genotype;
+    memcpy(genotypes[i].words, rows[i].genotype.words, sizeof(*genotypes));
   struct mo_sha256 sha256 =
       status.job.has_result ? status.job.result_sha256 : status.job.controller_sha256;
   if (error == MO_OK && mo_modes[status.record.settings.mode].learns && !status.job.has_result)

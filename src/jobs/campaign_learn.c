@@ -121,7 +121,7 @@ static int begin_training(struct mo_campaign_run *run)
   struct mo_controller *random = NULL;
   int error = MO_OK;
   if (run->controller == NULL) {
-    error = mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random);
+    error = mo_controller_create(run->jobs->lattice->workspace, settings.sensor, &random);
     if (error == MO_OK)
       mo_controller_randomize(random, settings.seed);
   }

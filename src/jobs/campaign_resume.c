@@ -82,7 +82,7 @@ static int read_population(struct mo_campaign_run *run)
     run->rows->numbers[i] = state->numbers[i];
     run->rows->born[i] = state->born[i];
     run->rows->scores[i] = state->scores[i];
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, state->genotypes[i].words,
+    error = mo_genotype_move(run->jobs->lattice->workspace, state->genotypes[i].words,
                              run->settings->workspace, run->rows->genotypes + run->words * i);
     if (error == MO_OK)
       error = mo_design_size(run->jobs->lattice, run->rows->bits[i].words, &run->rows->sizes[i]);

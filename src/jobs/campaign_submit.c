@@ -18,11 +18,11 @@
 /* ---- memory ---- */
 
 /* Adds the set of all excluded bodies, and a second set that separates the bodies of one part. The
- * first part in the default workspace needs no second set. */
+ * first part in the service's workspace needs no second set. */
 static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *lineage,
                          struct mo_workspace workspace, struct mo_need *need)
 {
-  const struct mo_workspace all = MO_DEFAULT_WORKSPACE;
+  const struct mo_workspace all = jobs->lattice->workspace;
   const bool is_all = mo_workspace_equal(workspace, all);
   const uint32_t n = jobs->memory.n_workers;
   uint64_t total = 0, apart = 0,
@@ -150,7 +150,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
     error = check_memory(jobs, &record->settings, request.controller,
                          (enum mo_back_end)request.job.back_end, message);
   if (error == MO_OK)
-    error = mo_placed_create(asked->genotypes, record->n_listed, &placed);
+    error = mo_placed_create(jobs->lattice->workspace, asked->genotypes, record->n_listed, &placed);
   if (error == MO_OK)
     error = orient(jobs, &request, &placed, message);
   request.forms = placed.forms;

@@ -8,17 +8,6 @@
 
 /* ---- bodies that must not be born ---- */
 
-static int remember(void *context, const struct mo_bits *born)
-{
-  struct mo_campaign_run *run = context;
-  struct mo_bits moved;
-  int error =
-      mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, run->settings->workspace, moved.words);
-  if (error == MO_OK)
-    error = mo_seen_add(run->seen, moved.words);
-  return error < 0 ? error : MO_OK;
-}
-
 /* Collects the designs that must not be born again. */
 static int read_seen(struct mo_campaign_run *run)
 {
@@ -29,7 +18,7 @@ static int read_seen(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_seen_create(run->settings->workspace, excluded, &run->seen);
   if (error == MO_OK)
-    error = mo_store_campaign_each(run->jobs->store, run->id, remember, run);
+    error = mo_store_campaign_each(run->jobs->store, run->id, mo_seen_take, run->seen);
   return error;
 }
 
@@ -55,7 +44,7 @@ static int make_first(struct mo_campaign_run *run, uint32_t *n)
   if (error == MO_OK && n_given > settings->population)
     error = MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < n_given && error == MO_OK; i++)
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, given[i].words, settings->workspace,
+    error = mo_genotype_move(run->jobs->lattice->workspace, given[i].words, settings->workspace,
                              genotype(run, i));
   free(given);
   if (error == MO_OK)
@@ -79,16 +68,16 @@ static void describe_range(void *context, size_t first, size_t end)
 {
   struct describing *describing = context;
   struct mo_campaign_run *run = describing->run;
+  const struct mo_workspace home = run->jobs->lattice->workspace;
   for (uint32_t i = (uint32_t)first; i < end; i++) {
     const uint32_t place = run->n_parents + i;
-    int error = mo_genotype_move(run->settings->workspace, genotype(run, place),
-                                 MO_DEFAULT_WORKSPACE, run->rows->bits[place].words);
+    int error = mo_genotype_move(run->settings->workspace, genotype(run, place), home,
+                                 run->rows->bits[place].words);
     if (error != MO_OK) {
       atomic_store(&describing->error, error);
       return;
     }
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, run->rows->bits[place].words,
-                          run->rows->forms[i].words);
+    mo_genotype_canonical(home, run->rows->bits[place].words, run->rows->forms[i].words);
     error =
         mo_design_size(run->jobs->lattice, run->rows->bits[place].words, &run->rows->sizes[place]);
     run->rows->numbers[place] = (uint32_t)(run->n_designs + i);
@@ -123,8 +112,9 @@ static int read_batch(struct mo_campaign_run *run, uint32_t *n)
                                              .attempts = 1};
     run->variation.mutants += descent->op == MO_BORN_MUTATION;
     run->variation.recombinants += descent->op == MO_BORN_CROSSOVER;
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, batch->children[i].genotype.words,
-                             run->settings->workspace, genotype(run, run->n_parents + i));
+    const struct mo_genotype *born = &batch->children[i].genotype;
+    error = mo_genotype_move(born->workspace, born->words, run->settings->workspace,
+                             genotype(run, run->n_parents + i));
   }
   run->variation.mutation_attempts = run->variation.mutants;
   run->variation.crossover_attempts = run->variation.recombinants;

@@ -47,7 +47,7 @@ static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream
   if (error == MO_OK && is_stopping(all->runners))
     error = MO_ERR_CANCELLED;
   if (error == MO_OK)
-    error = mo_placed_create(genotypes, n, &placed);
+    error = mo_placed_create(all->jobs->lattice->workspace, genotypes, n, &placed);
   if (error == MO_OK)
     error = mo_store_group(all->jobs->store, id, first, placed.forms, placed.genotypes, n);
   mo_placed_free(&placed);
@@ -64,7 +64,7 @@ static int store_rest(struct mo_evaluations *all, int64_t id)
     return error;
   const uint32_t n_stored = job.n_designs - job.n_waiting;
   if (job.is_random)
-    error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, job.random_seed, &stream);
+    error = mo_body_stream_create(all->jobs->lattice->workspace, job.random_seed, &stream);
   if (job.is_random && error == MO_OK)
     error = draw(all, stream, job.random_first + n_stored, NULL);
   for (uint32_t first = n_stored, n; first < job.n_designs && error == MO_OK; first += n) {

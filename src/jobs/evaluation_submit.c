@@ -74,7 +74,7 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
                                      .n_environments = request->n_environments,
                                      .physics = &request->physics,
                                      .precision = request->precision,
-                                     .workspace = MO_DEFAULT_WORKSPACE};
+                                     .workspace = jobs->lattice->workspace};
   return mo_placed_orient(jobs, &under, (enum mo_back_end)request->job.back_end, placed,
                           request->n_designs, request->notes, request->n_notes, message);
 }
@@ -104,7 +104,7 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     error = mo_environments_count(jobs, request.environment_set, &request.n_environments, message);
   const bool waits = asked->genotypes == NULL || asked->n_designs > MO_DESIGNS_MAX;
   if (error == MO_OK && !waits) {
-    error = mo_placed_create(asked->genotypes, asked->n_designs, &placed);
+    error = mo_placed_create(jobs->lattice->workspace, asked->genotypes, asked->n_designs, &placed);
     request.genotypes = placed.genotypes;
   }
   request.forms = placed.forms;

@@ -132,7 +132,7 @@ static int recover(struct mo_jobs *jobs, const char *marker)
 
 static int prepare(struct mo_jobs *jobs, const char *marker)
 {
-  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &jobs->lattice);
+  int error = mo_lattice_create(MO_STORE_WORKSPACE, &jobs->lattice);
   if (error == MO_OK)
     error = mo_back_end_prepare(jobs);
   if (error == MO_OK)

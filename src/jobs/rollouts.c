@@ -49,9 +49,10 @@ static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_re
 static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                         struct mo_rollouts *rollouts, struct mo_message *message)
 {
+  const struct mo_workspace workspace = jobs->lattice->workspace;
   struct mo_evaluation_request here = *request;
   struct mo_placed placed;
-  int error = mo_placed_create(request->genotypes, request->n_designs, &placed);
+  int error = mo_placed_create(workspace, request->genotypes, request->n_designs, &placed);
   if (error != MO_OK)
     return error;
   here.job.back_end = MO_ON_CPU;
@@ -62,8 +63,8 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
   for (uint32_t i = 0; i < request->n_designs && error == MO_OK; i++) {
     struct mo_rolled_design *design = &rollouts->designs[i];
     rollouts->n_designs = i + 1;
-    design->form = placed.forms[i];
-    design->genotype = placed.genotypes[i];
+    design->form = mo_genotype_of(workspace, &placed.forms[i]);
+    design->genotype = mo_genotype_of(workspace, &placed.genotypes[i]);
     error = mo_body_create(jobs->lattice, design->genotype.words, &design->body);
   }
   for (uint32_t i = 0; i < request->n_notes && error == MO_OK; i++) {
@@ -192,7 +193,7 @@ static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha
   const int error = mo_store_controller(jobs->store, name, &stored);
   if (error == MO_ERR_NOT_FOUND)
     return mo_fail(message, error, "there is no controller \"%s\"", name);
-  if (error == MO_OK && !mo_workspace_equal(stored.workspace, MO_DEFAULT_WORKSPACE))
+  if (error == MO_OK && !mo_workspace_equal(stored.workspace, jobs->lattice->workspace))
     return mo_fail(message, MO_ERR_UNSUPPORTED, "the controller is for another workspace");
   *sha256 = stored.sha256;
   if (error == MO_OK && mo_physics_complete(physics, stored.control_period_s) != MO_OK)

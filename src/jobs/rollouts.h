@@ -8,7 +8,7 @@
 #define MO_ROLLOUTS_MAX 64 /* in one request: a design in the largest set, or several designs */
 
 struct mo_rolled_design {
-  struct mo_bits form, genotype; /* canonical; as it was scored */
+  struct mo_genotype form, genotype; /* canonical; as it was scored */
   struct mo_body *body;
   double score;     /* mean loss; +infinity: a rollout diverged */
   uint32_t dropped; /* voxels that its repair removed */

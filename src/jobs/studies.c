@@ -22,9 +22,9 @@ static int place_bodies(struct mo_workspace workspace, struct mo_study_telling *
   for (uint32_t i = 0; i < telling->batch.n_children; i++) {
     struct mo_study_child *child = &telling->batch.children[i];
     struct mo_bits moved;
-    mo_genotype_place(MO_DEFAULT_WORKSPACE, child->genotype.words);
+    mo_genotype_place(child->genotype.workspace, child->genotype.words);
     const int error =
-        mo_genotype_move(MO_DEFAULT_WORKSPACE, child->genotype.words, workspace, moved.words);
+        mo_genotype_move(child->genotype.workspace, child->genotype.words, workspace, moved.words);
     if (error != MO_OK)
       return error;
   }
@@ -48,14 +48,16 @@ static int orient(struct mo_jobs *jobs, int64_t id, const struct mo_campaign_sta
                                               &under.n_environments)
                   : MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n && error == MO_OK; i++)
-    placed.genotypes[i] = telling->batch.children[i].genotype;
+    memcpy(placed.genotypes[i].words, telling->batch.children[i].genotype.words,
+           sizeof(*placed.genotypes));
   mo_sha256_to_hex(&status->job.controller_sha256, controller + strlen(controller));
   under.environments = environments;
   if (error == MO_OK)
     error = mo_placed_orient(jobs, &under, status->job.back_end, &placed, n, telling->notes,
                              telling->n_notes, message);
   for (uint32_t i = 0; i < n && error == MO_OK; i++)
-    telling->batch.children[i].genotype = placed.genotypes[i];
+    telling->batch.children[i].genotype =
+        mo_genotype_of(jobs->lattice->workspace, &placed.genotypes[i]);
   free(environments);
   mo_placed_free(&placed);
   return error;
@@ -133,17 +135,6 @@ struct asking {
   struct mo_seen *seen;
 };
 
-static int remember(void *context, const struct mo_bits *born)
-{
-  const struct asking *asking = context;
-  struct mo_bits moved;
-  int error =
-      mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, asking->settings.workspace, moved.words);
-  if (error == MO_OK)
-    error = mo_seen_add(asking->seen, moved.words);
-  return error < 0 ? error : MO_OK;
-}
-
 /* Reads the numbers and bodies of the parents: all, in their order, or as many as bodies are asked
  * for, at random. So a study that asks for its whole population is a campaign. */
 static int read_parents(struct asking *asking, const struct mo_ask *ask)
@@ -178,7 +169,7 @@ static int read_parents(struct asking *asking, const struct mo_ask *ask)
   if (error == MO_ERR_NOT_FOUND)
     error = MO_ERR_RANGE;
   for (uint32_t i = 0; i < asking->n_parents && error == MO_OK; i++)
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, designs[i].genotype.words,
+    error = mo_genotype_move(designs[i].genotype.workspace, designs[i].genotype.words,
                              asking->settings.workspace, asking->parents + asking->words * i);
   mo_campaign_state_free(state);
   free(designs);
@@ -193,7 +184,7 @@ static int make(struct asking *asking, bool is_random, struct mo_asked *asked)
   const bool varies = !is_random && asking->n_parents > 0;
   int error = mo_seen_create(asking->settings.workspace, NULL, &asking->seen);
   if (error == MO_OK)
-    error = mo_store_campaign_each(asking->jobs->store, asking->id, remember, asking);
+    error = mo_store_campaign_each(asking->jobs->store, asking->id, mo_seen_take, asking->seen);
   if (error == MO_OK && varies)
     error = mo_variation(&asking->settings, asking->generation, asking->parents, asking->n_parents,
                          asking->seen, asking->genotypes, asking->births, &asked->n, &counts, NULL);
@@ -209,8 +200,9 @@ static int make(struct asking *asking, bool is_random, struct mo_asked *asked)
         child->descent.parents[p] = asking->numbers[asking->births[i].parents[p]];
     if (varies)
       child->descent.op = (uint8_t)asking->births[i].op;
+    child->genotype.workspace = asking->jobs->lattice->workspace;
     error = mo_genotype_move(asking->settings.workspace, asking->genotypes + asking->words * i,
-                             MO_DEFAULT_WORKSPACE, child->genotype.words);
+                             child->genotype.workspace, child->genotype.words);
   }
   return error;
 }

@@ -56,7 +56,8 @@ int mo_submitting_end(struct mo_jobs *jobs, const struct mo_submitting *submitti
 
 /* ---- parts of requests ---- */
 
-int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *placed)
+int mo_placed_create(struct mo_workspace workspace, const struct mo_bits *asked, uint32_t n,
+                     struct mo_placed *placed)
 {
   placed->forms = calloc((size_t)n + 1, sizeof(*placed->forms));
   placed->genotypes = calloc((size_t)n + 1, sizeof(*placed->genotypes));
@@ -66,8 +67,8 @@ int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *
   }
   for (uint32_t i = 0; i < n; i++) {
     placed->genotypes[i] = asked[i];
-    mo_genotype_place(MO_DEFAULT_WORKSPACE, placed->genotypes[i].words);
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, placed->genotypes[i].words, placed->forms[i].words);
+    mo_genotype_place(workspace, placed->genotypes[i].words);
+    mo_genotype_canonical(workspace, placed->genotypes[i].words, placed->forms[i].words);
   }
   return MO_OK;
 }

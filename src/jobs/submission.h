@@ -28,7 +28,8 @@ struct mo_placed {
   struct mo_bits *genotypes; /* (n) placed */
 };
 /* Places every genotype, a body, and finds its canonical form. MO_ERR_NO_MEMORY. */
-int mo_placed_create(const struct mo_bits *asked, uint32_t n, struct mo_placed *placed);
+int mo_placed_create(struct mo_workspace workspace, const struct mo_bits *asked, uint32_t n,
+                     struct mo_placed *placed);
 void mo_placed_free(struct mo_placed *placed);
 /* Turns designs that came as an id alone as mo_store_orient does, and completes their notes. The
  * class in `under` is that of the back end. */

@@ -441,7 +441,7 @@ static struct mo_need estimate(const struct mo_jobs *jobs, const struct mo_train
   if (settings->kind == MO_TRAINING_PRETRAIN)
     need.own +=
         hands * settings->batch * DRAWN_BYTES +
-        mo_form_set_estimate(MO_DEFAULT_WORKSPACE, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
+        mo_form_set_estimate(jobs->lattice->workspace, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
   else
     need.own += record->n_designs * MO_DESIGN_BYTES + hands * settings->batch * MO_ROBOT_BYTES;
   return need;
@@ -484,7 +484,7 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
                                      .environment_set = "paper-test",
                                      .physics = &record->settings.physics,
                                      .precision = MO_FLOAT32,
-                                     .workspace = MO_DEFAULT_WORKSPACE};
+                                     .workspace = jobs->lattice->workspace};
   struct mo_bits *population = NULL;
   struct mo_need need;
   int error = mo_back_end_choose(jobs, &request->job, true, true, message);
@@ -495,7 +495,8 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
     error = mo_memory_check(jobs, &need, message);
   }
   if (error == MO_OK)
-    error = mo_placed_create(population != NULL ? population : request->genotypes,
+    error = mo_placed_create(jobs->lattice->workspace,
+                             population != NULL ? population : request->genotypes,
                              record->n_designs, placed);
   free(population);
   if (error == MO_OK)

@@ -150,6 +150,26 @@ uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits)
   return mo_bits_count(bits, mo_workspace_words(workspace));
 }
 
+struct mo_genotype mo_genotype_of(struct mo_workspace workspace, const struct mo_bits *bits)
+{
+  struct mo_genotype genotype = {.workspace = workspace};
+  memcpy(genotype.words, bits->words, sizeof(genotype.words));
+  return genotype;
+}
+
+bool mo_genotype_equal(const struct mo_genotype *a, const struct mo_genotype *b)
+{
+  return mo_workspace_equal(a->workspace, b->workspace) &&
+         memcmp(a->words, b->words, sizeof(a->words)) == 0;
+}
+
+struct mo_genotype mo_genotype_form(const struct mo_genotype *genotype)
+{
+  struct mo_genotype form = {.workspace = genotype->workspace};
+  mo_genotype_canonical(genotype->workspace, genotype->words, form.words);
+  return form;
+}
+
 /* ---- ids ---- */
 
 /* Reads bits from the digits; MO_ERR_FORMAT for any other character or bits past the last voxel. */

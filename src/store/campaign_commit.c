@@ -113,7 +113,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   const uint32_t born = commit->row.generation;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
-    error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us,
+    error = mo_genotype_row(writer, commit->forms[i].words, commit->genotypes[i].words, now_us,
                             &call->genotypes[i]);
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
     const struct mo_campaign_design design = {

@@ -7,7 +7,7 @@
 
 struct mo_campaign_design {
   uint32_t number;
-  struct mo_bits form, genotype;
+  struct mo_genotype form, genotype;
   struct mo_descent descent; /* parents as numbers */
   uint32_t born;
   int64_t died; /* first generation whose population lacks it (`born`: never selected); −1: none */
@@ -67,7 +67,7 @@ struct mo_campaign_place {
   uint32_t number;
 };
 /* Finds births of a form, by campaign, in campaigns > after_campaign. */
-int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bits *form,
+int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_genotype *form,
                                      int64_t after_campaign, struct mo_campaign_place *places,
                                      size_t limit);
 

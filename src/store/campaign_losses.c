@@ -150,7 +150,7 @@ static int find_known(struct mo_connection *reader, struct mo_saved_design *desi
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   uint8_t bits[MO_BITS_BYTES];
-  mo_encode_bits(genotype, bits);
+  mo_encode_genotype(genotype->words, bits);
   int error = mo_sql_find(reader, &design->genotype, find_sql, mo_blob(bits, sizeof(bits)));
   if (error == MO_OK)
     error = mo_losses_read(reader, design, environments, n, scores);

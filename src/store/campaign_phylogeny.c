@@ -81,7 +81,7 @@ static int design_from_row(sqlite3_stmt *row, void *any)
                   : MO_ERR_CORRUPT;
   if (error == MO_OK)
     error = column_measures(row, 11, design->measures, &design->n_measures);
-  return error == MO_OK ? mo_column_genotype(row, 8, 9, &design->genotype, &design->form) : error;
+  return error == MO_OK ? mo_column_design(row, 8, 9, &design->genotype, &design->form) : error;
 }
 
 int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after,
@@ -292,7 +292,7 @@ static int take_place(sqlite3_stmt *row, void *any)
   return MO_OK;
 }
 
-int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bits *form,
+int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_genotype *form,
                                      int64_t after_campaign, struct mo_campaign_place *places,
                                      size_t limit)
 {
@@ -301,7 +301,7 @@ int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bit
       " campaign_designs d ON d.genotype=g.id WHERE x.form=?1 AND d.job>?2"
       " ORDER BY d.job LIMIT ?3";
   uint8_t bytes[MO_BITS_BYTES];
-  mo_encode_bits(form, bytes);
+  mo_encode_genotype(form->words, bytes);
   return mo_read_page(
       store, sql,
       MO_VALUES(mo_blob(bytes, sizeof(bytes)), mo_int(after_campaign), mo_int((int64_t)limit)),

@@ -161,7 +161,7 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   state->born[i] = mo_column_u32(row, 0);
-  return mo_column_genotype(row, 1, 2, &state->genotypes[i], NULL);
+  return mo_column_listed(row, 1, 2, &state->genotypes[i], NULL);
 }
 
 static int load_state(struct mo_connection *reader, const void *key, void *ret)
@@ -205,7 +205,8 @@ int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campai
 #define EACH_PAGE 4096
 
 /* Reads a page of designs. Designs are never deleted, so no reader is held while `take` runs. */
-static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *designs)
+static int64_t load_page(struct mo_store *store, int64_t id, int64_t after,
+                         struct mo_genotype *designs)
 {
   static const char sql[] =
       "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
@@ -216,16 +217,16 @@ static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, stru
   sqlite3_stmt *row =
       mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(after), mo_int(EACH_PAGE));
   for (; mo_sql_next(reader, row, &error); n++)
-    error = sqlite3_column_int64(row, 0) == after + 1 + n ? mo_column_bits(row, 1, &designs[n])
+    error = sqlite3_column_int64(row, 0) == after + 1 + n ? mo_column_genotype(row, 1, &designs[n])
                                                           : MO_ERR_CORRUPT;
   return error != MO_OK ? error : n;
 }
 
 int mo_store_campaign_each(struct mo_store *store, int64_t id,
-                           int (*take)(void *context, const struct mo_bits *genotype),
+                           int (*take)(void *context, const struct mo_genotype *genotype),
                            void *context)
 {
-  struct mo_bits *page = calloc(EACH_PAGE, sizeof(*page));
+  struct mo_genotype *page = calloc(EACH_PAGE, sizeof(*page));
   int64_t after = -1, n = EACH_PAGE;
   int status = page == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   while (status == MO_OK && n == EACH_PAGE) {

@@ -33,7 +33,7 @@ void mo_campaign_state_free(void *state); /* NULL-safe */
 /* Calls `take` with the genotype of every design ever born, in order, on the caller's thread. Stops
  * at a non-zero result and returns it. */
 int mo_store_campaign_each(struct mo_store *store, int64_t id,
-                           int (*take)(void *context, const struct mo_bits *genotype),
+                           int (*take)(void *context, const struct mo_genotype *genotype),
                            void *context);
 
 /* Losses of one candidate of the current generation. place: among the candidates to be scored

@@ -43,11 +43,11 @@ static int find_member(struct mo_connection *writer, const struct mo_campaign_re
 {
   static const char sql[] = "SELECT d.genotype,g.bits FROM campaign_designs d"
                             " JOIN genotypes g ON g.id=d.genotype WHERE d.job=?1 AND d.number=?2";
-  struct mo_bits bits;
+  struct mo_genotype bits;
   sqlite3_stmt *row;
   int error = mo_sql_row(writer, &row, sql, mo_int(record->initial_campaign), mo_int(number));
   if (error == MO_OK)
-    error = mo_column_bits(row, 1, &bits);
+    error = mo_column_genotype(row, 1, &bits);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   *genotype = sqlite3_column_int64(row, 0);

@@ -22,8 +22,8 @@ struct walk {
 
 static int check_genotype(sqlite3_stmt *row)
 {
-  struct mo_bits bits;
-  return mo_column_genotype(row, 1, 2, &bits, NULL);
+  struct mo_genotype genotype, form;
+  return mo_column_design(row, 1, 2, &genotype, &form);
 }
 
 static int check_environment(sqlite3_stmt *row)
@@ -222,7 +222,7 @@ static int take_sample(struct mo_connection *reader, sqlite3_stmt *row, uint64_t
   enum mo_sensor sensor;
   int error = mo_score_from_row(row, 0, &condition, losses, steps);
   if (error == MO_OK)
-    error = mo_column_bits(row, 8, &sample->genotype);
+    error = mo_column_genotype(row, 8, &sample->genotype);
   if (error == MO_OK)
     error = mo_column_hash(row, 9, &sample->controller_sha256);
   if (error == MO_OK)

@@ -15,7 +15,7 @@ int mo_store_check_contents(struct mo_store *store,
 
 /* A stored loss, and everything needed to compute it again. */
 struct mo_score_sample {
-  struct mo_bits genotype;
+  struct mo_genotype genotype;
   struct mo_sha256 controller_sha256;
   struct mo_environment environment;
   struct mo_physics physics;

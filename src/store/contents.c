@@ -39,8 +39,8 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
   return content_row(writer, find_sql, insert_sql, bytes, size, row);
 }
 
-int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
-                    const struct mo_bits *genotype, int64_t now_us, int64_t *row)
+int mo_genotype_row(struct mo_connection *writer, const uint64_t *form, const uint64_t *genotype,
+                    int64_t now_us, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   static const char find_design_sql[] = "SELECT id FROM designs WHERE form=?1";
@@ -48,11 +48,11 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
   static const char insert_sql[] = "INSERT INTO genotypes(bits,design) VALUES(?1,?2)";
   uint8_t bits[MO_BITS_BYTES], canonical[MO_BITS_BYTES];
   int64_t design = 0;
-  mo_encode_bits(genotype, bits);
+  mo_encode_genotype(genotype, bits);
   int error = mo_sql_find(writer, row, find_sql, mo_blob(bits, sizeof(bits)));
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  mo_encode_bits(form, canonical);
+  mo_encode_genotype(form, canonical);
   error = mo_sql_find(writer, &design, find_design_sql, mo_blob(canonical, sizeof(canonical)));
   if (error == MO_ERR_NOT_FOUND)
     error = mo_sql_insert(writer, &design, insert_design_sql, mo_blob(canonical, sizeof(canonical)),
@@ -165,7 +165,7 @@ int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_
   for (uint32_t i = 0, place = 0, k = 0; i < n && error == MO_OK; i++, place++) {
     for (; k < n_notes && notes[k].place <= place; k++)
       place += mo_is_skipped(&notes[k]);
-    error = mo_genotype_row(writer, &forms[i], &genotypes[i], now_us, &row);
+    error = mo_genotype_row(writer, forms[i].words, genotypes[i].words, now_us, &row);
     if (error == MO_OK)
       error = mo_design_insert(writer, id, place, row);
   }
@@ -260,7 +260,7 @@ int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_desi
   while (designs->n < n && mo_sql_next(connection, row, &error)) {
     designs->rows[designs->n] = sqlite3_column_int64(row, 0);
     designs->positions[designs->n] = mo_column_u32(row, 3);
-    error = mo_column_genotype(row, 1, 2, &designs->genotypes[designs->n++], NULL);
+    error = mo_column_listed(row, 1, 2, &designs->genotypes[designs->n++], NULL);
   }
   return error == MO_OK && designs->n != n ? MO_ERR_CORRUPT : error;
 }

@@ -11,8 +11,8 @@ int mo_environment_row(struct mo_connection *writer, const struct mo_environment
 int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,
                    enum mo_precision precision, enum mo_sensor sensor, int64_t *row);
 /* A design and one of its orientations. */
-int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
-                    const struct mo_bits *genotype, int64_t now_us, int64_t *row);
+int mo_genotype_row(struct mo_connection *writer, const uint64_t *form, const uint64_t *genotype,
+                    int64_t now_us, int64_t *row);
 enum mo_texts { MO_FINGERPRINTS, MO_ORIGINS };
 int mo_text_row(struct mo_connection *writer, enum mo_texts table, const char *text, int64_t *id);
 /* Finds a named set and its size. MO_ERR_NOT_FOUND. */

@@ -240,13 +240,12 @@ static int find_record(struct mo_connection *connection, const char *name, int64
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row,
                        enum mo_sensor *sensor, struct mo_physics *physics)
 {
-  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   struct mo_controller_record record;
   const int error = find_record(connection, name, row, &record);
   if (error != MO_OK)
     return error;
   *sensor = record.sensor;
-  if (memcmp(&record.workspace, &workspace, sizeof(workspace)) != 0)
+  if (!mo_workspace_equal(record.workspace, MO_STORE_WORKSPACE))
     return MO_ERR_UNSUPPORTED;
   return physics != NULL ? mo_physics_complete(physics, record.control_period_s) : MO_OK;
 }

@@ -15,7 +15,7 @@ static int read_by_row(sqlite3_stmt *row, void *any)
   *design = (struct mo_design_row){.row = sqlite3_column_int64(row, 0),
                                    .first_seen_us = sqlite3_column_int64(row, 2),
                                    .score = NAN};
-  return mo_column_bits(row, 1, &design->form);
+  return mo_column_genotype(row, 1, &design->form);
 }
 
 /* Finds the ranking that a query selects. MO_ERR_NOT_FOUND: no scores. */
@@ -65,7 +65,7 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
                                      .genotype_row = sqlite3_column_int64(row, 0)};
     error = mo_set_score_from_row(row, 1, ranking, design->genotype_row, &design->score);
     if (error == MO_OK)
-      error = mo_column_genotype(row, 3, 5, &design->genotype, &design->form);
+      error = mo_column_design(row, 3, 5, &design->genotype, &design->form);
   }
   return error != MO_OK ? error : n;
 }
@@ -109,6 +109,7 @@ static int load_orientations(struct mo_connection *reader, int64_t id, struct mo
 {
   static const char sql[] = "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON"
                             " d.id=g.design WHERE g.design=?1 ORDER BY g.id LIMIT ?2";
+  struct mo_genotype form;
   int error = MO_OK;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(ORIENTATIONS_MAX));
   design->orientations = calloc(ORIENTATIONS_MAX, sizeof(*design->orientations));
@@ -116,8 +117,8 @@ static int load_orientations(struct mo_connection *reader, int64_t id, struct mo
     return MO_ERR_NO_MEMORY;
   while (mo_sql_next(reader, row, &error)) {
     genotypes[design->n_orientations] = sqlite3_column_int64(row, 0);
-    error = mo_column_genotype(row, 1, 2, &design->orientations[design->n_orientations++].genotype,
-                               NULL);
+    error = mo_column_design(row, 1, 2, &design->orientations[design->n_orientations++].genotype,
+                             &form);
   }
   return error;
 }
@@ -230,19 +231,20 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
   return error;
 }
 
-static int load_design(struct mo_connection *reader, const void *form, void *ret)
+static int load_design(struct mo_connection *reader, const void *any, void *ret)
 {
+  const struct mo_genotype *form = any;
   static const char sql[] = "SELECT id,first_seen_us FROM designs WHERE form=?1";
   struct mo_design *design = ret;
   uint8_t bytes[MO_BITS_BYTES];
   int64_t genotypes[ORIENTATIONS_MAX] = {0};
   uint32_t room = ROLLOUTS_MAX;
   sqlite3_stmt *row;
-  mo_encode_bits(form, bytes);
+  mo_encode_genotype(form->words, bytes);
   int error = mo_sql_row(reader, &row, sql, mo_blob(bytes, sizeof(bytes)));
   if (error != MO_OK)
     return error;
-  design->form = *(const struct mo_bits *)form;
+  design->form = *form;
   design->first_seen_us = sqlite3_column_int64(row, 1);
   error = load_orientations(reader, sqlite3_column_int64(row, 0), design, genotypes);
   for (uint32_t i = 0; i < design->n_orientations && error == MO_OK && room != UINT32_MAX; i++)
@@ -262,7 +264,7 @@ void mo_design_free(void *any)
   free(design);
 }
 
-int mo_store_design(struct mo_store *store, const struct mo_bits *form, struct mo_design **ret)
+int mo_store_design(struct mo_store *store, const struct mo_genotype *form, struct mo_design **ret)
 {
   int error;
   *ret = mo_read_whole(store, sizeof(**ret), load_design, form, mo_design_free, &error);

@@ -6,10 +6,10 @@
 
 /* One page row of designs. */
 struct mo_design_row {
-  int64_t row;         /* cursor of sort=id */
-  struct mo_bits form; /* canonical */
+  int64_t row;             /* cursor of sort=id */
+  struct mo_genotype form; /* canonical */
   int64_t first_seen_us;
-  struct mo_bits genotype; /* sort=score: the scored genotype, oriented and placed */
+  struct mo_genotype genotype; /* sort=score: the scored genotype, oriented and placed */
   double score; /* sort=score: mean loss; +infinity: a rollout diverged. NaN with other sorts */
   int64_t genotype_row; /* sort=score: with score, the cursor */
 };
@@ -31,13 +31,13 @@ struct mo_design_score {
 };
 
 struct mo_design_orientation {
-  struct mo_bits genotype; /* placed */
+  struct mo_genotype genotype; /* placed */
   uint32_t n_scores;
   struct mo_design_score *scores; /* (n_scores) */
 };
 
 struct mo_design {
-  struct mo_bits form; /* canonical */
+  struct mo_genotype form; /* canonical */
   int64_t first_seen_us;
   uint32_t n_orientations;
   struct mo_design_orientation *orientations; /* (n_orientations) in the order in which they were
@@ -48,7 +48,7 @@ void mo_design_free(void *design); /* NULL-safe */
 
 struct mo_store;
 
-int mo_store_design(struct mo_store *store, const struct mo_bits *form,
+int mo_store_design(struct mo_store *store, const struct mo_genotype *form,
                     struct mo_design **design); /* MO_ERR_NOT_FOUND */
 
 enum mo_design_sort {
@@ -82,9 +82,9 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
 
 /* ---- the orientation of designs that are given as ids ---- */
 
-/* Returns whether a placed genotype fits a workspace, which is not larger than the default one,
- * without being turned. mo_genotype_move also turns bodies, which then have other scores. */
-bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_bits *genotype);
+/* Returns whether a placed genotype fits a workspace, which is not larger than its own, without
+ * being turned. mo_genotype_move also turns bodies, which then have other scores. */
+bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_genotype *genotype);
 /* The conditions of a score, apart from the body. */
 struct mo_orienting {
   const char *controller;                    /* name or "sha256:…"; NULL: random weights */
@@ -95,14 +95,7 @@ struct mo_orienting {
   enum mo_precision precision;
   int64_t fingerprint,
       workers; /* its class; and the class of bodies that devices leave to the workers */
-  struct mo_workspace workspace; /* that
-                                    the
-                                    orientation
-                                    must
-                                    fit
-                                    without
-                                    being
-                                    turned */
+  struct mo_workspace workspace; /* which the orientation must fit without being turned */
 };
 /* Turns each design that was given as an id without an orientation, according to its note (the
  * genotype is canonical), to the orientation with the best stored score, the mean loss over all

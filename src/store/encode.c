@@ -74,18 +74,18 @@ static uint8_t reversed(uint8_t byte)
 
 _Static_assert(MO_DEFAULT_VOXELS == 8 * MO_BITS_BYTES, "every bit of the bytes is a voxel");
 
-void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES])
+void mo_encode_genotype(const uint64_t words[MO_DEFAULT_WORDS], uint8_t bytes[MO_BITS_BYTES])
 {
   for (unsigned i = 0; i < MO_BITS_BYTES; i++)
-    bytes[i] = reversed((uint8_t)(bits->words[i >> 3] >> 8 * (i & 7)));
+    bytes[i] = reversed((uint8_t)(words[i >> 3] >> 8 * (i & 7)));
 }
 
-int mo_decode_bits(const uint8_t *bytes, size_t size, struct mo_bits *bits)
+int mo_decode_genotype(const uint8_t *bytes, size_t size, struct mo_genotype *genotype)
 {
   if (size != MO_BITS_BYTES || bytes == NULL)
     return MO_ERR_CORRUPT;
-  memset(bits, 0, sizeof(*bits));
+  *genotype = (struct mo_genotype){.workspace = MO_STORE_WORKSPACE};
   for (unsigned i = 0; i < MO_BITS_BYTES; i++)
-    bits->words[i >> 3] |= (uint64_t)reversed(bytes[i]) << 8 * (i & 7);
+    genotype->words[i >> 3] |= (uint64_t)reversed(bytes[i]) << 8 * (i & 7);
   return MO_OK;
 }

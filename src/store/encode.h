@@ -28,8 +28,10 @@ size_t mo_encode_physics(const struct mo_physics *physics, enum mo_precision pre
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor);
 
-/* Encodes a genotype as ceil(voxels / 8) bytes, voxel 0 in the top bit of byte 0. */
-void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);
-int mo_decode_bits(const uint8_t *bytes, size_t size, struct mo_bits *bits); /* MO_ERR_CORRUPT */
+/* Encodes the words of a genotype of the store's workspace as ceil(voxels / 8) bytes, voxel 0 in
+ * the top bit of byte 0. */
+void mo_encode_genotype(const uint64_t words[MO_DEFAULT_WORDS], uint8_t bytes[MO_BITS_BYTES]);
+/* MO_ERR_CORRUPT. */
+int mo_decode_genotype(const uint8_t *bytes, size_t size, struct mo_genotype *genotype);
 
 #endif

@@ -117,7 +117,7 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
     const uint32_t n = mo_column_u32(row, 0) - range->first;
     if (n >= results->n_designs)
       return MO_ERR_CORRUPT;
-    error = mo_column_genotype(row, 2, 3, &results->genotypes[n], &results->forms[n]);
+    error = mo_column_listed(row, 2, 3, &results->genotypes[n], &results->forms[n]);
     keys->design.genotype = sqlite3_column_int64(row, 1);
     if (error == MO_OK && !keys->verify && keys->design.fingerprint != 0)
       error = load_losses(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);

@@ -71,7 +71,7 @@ int mo_compare_design(struct mo_store *store, struct mo_import_comparison *rows,
     rows->room = room;
   }
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  mo_encode_bits(&design->genotype, bits);
+  mo_encode_genotype(design->genotype.words, bits);
   int64_t *row = &rows->genotypes[rows->n++];
   return absent(mo_sql_find(reader, row, sql, mo_blob(bits, sizeof(bits))), row);
 }

@@ -271,8 +271,8 @@ int mo_import_design(struct mo_import *import, const struct mo_campaign_design *
 {
   int64_t genotype = 0;
   beat(import);
-  const int error = mo_genotype_row(&import->store->writer, &design->form, &design->genotype,
-                                    import->now_us, &genotype);
+  const int error = mo_genotype_row(&import->store->writer, design->form.words,
+                                    design->genotype.words, import->now_us, &genotype);
   return error == MO_OK
              ? mo_campaign_design_row(&import->store->writer, import->id, genotype, design, NULL, 0)
              : error;

@@ -62,12 +62,12 @@ static int find_rows(struct mo_connection *reader, const struct mo_orienting *un
   return error == MO_OK ? find_environments(reader, under, found) : error;
 }
 
-bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_bits *genotype)
+bool mo_fits_as_it_is(struct mo_workspace workspace, const struct mo_genotype *genotype)
 {
-  struct mo_bits moved = {{0}}, back = {{0}};
-  return mo_genotype_move(MO_DEFAULT_WORKSPACE, genotype->words, workspace, moved.words) == MO_OK &&
-         mo_genotype_move(workspace, moved.words, MO_DEFAULT_WORKSPACE, back.words) == MO_OK &&
-         memcmp(&back, genotype, sizeof(back)) == 0;
+  struct mo_genotype moved = {.workspace = workspace}, back = {.workspace = genotype->workspace};
+  return mo_genotype_move(genotype->workspace, genotype->words, workspace, moved.words) == MO_OK &&
+         mo_genotype_move(workspace, moved.words, genotype->workspace, back.words) == MO_OK &&
+         mo_genotype_equal(&back, genotype);
 }
 
 /* Computes the mean loss of a genotype. *known: whether it has all losses. */
@@ -94,19 +94,20 @@ static int orient(struct mo_connection *reader, const struct scored_under *under
 {
   static const char sql[] = "SELECT g.id,g.bits,d.form FROM designs d JOIN genotypes g"
                             " ON g.design=d.id WHERE d.form=?1 LIMIT ?2";
-  struct mo_bits form = {{0}}, found[MO_ORIENTATIONS];
+  struct mo_genotype found[MO_ORIENTATIONS], its_form;
+  struct mo_bits form = {{0}};
   int64_t rows[MO_ORIENTATIONS];
   uint8_t bytes[MO_BITS_BYTES];
   double best = INFINITY;
   uint32_t n = 0;
   int error = MO_OK;
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, form.words);
-  mo_encode_bits(&form, bytes);
+  mo_genotype_canonical(MO_STORE_WORKSPACE, genotype->words, form.words);
+  mo_encode_genotype(form.words, bytes);
   sqlite3_stmt *row =
       mo_sql_rows(reader, &error, sql, mo_blob(bytes, sizeof(bytes)), mo_int(MO_ORIENTATIONS));
   while (mo_sql_next(reader, row, &error)) {
     rows[n] = sqlite3_column_int64(row, 0);
-    error = mo_column_genotype(row, 1, 2, &found[n++], NULL);
+    error = mo_column_design(row, 1, 2, &found[n++], &its_form);
   }
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     char robot[MO_DEFAULT_ROBOT_DIGITS + 1];
@@ -115,12 +116,12 @@ static int orient(struct mo_connection *reader, const struct scored_under *under
     error = score_of(reader, under, rows[i], &score, &known);
     if (error != MO_OK || !known || !mo_fits_as_it_is(under->workspace, &found[i]))
       continue;
-    mo_genotype_robot(MO_DEFAULT_WORKSPACE, found[i].words, robot);
+    mo_genotype_robot(found[i].workspace, found[i].words, robot);
     if (note->orientation != MO_ORIENTATION_BEST || score < best ||
         (score == best && strcmp(robot, note->robot) < 0)) {
       note->orientation = MO_ORIENTATION_BEST;
       memcpy(note->robot, robot, sizeof(robot));
-      *genotype = found[i];
+      memcpy(genotype->words, found[i].words, sizeof(genotype->words));
       best = score;
     }
   }
@@ -148,7 +149,7 @@ int mo_store_orient(struct mo_store *store, const struct mo_orienting *under,
     struct mo_design_note *note = k > 0 && notes[k - 1].place == place ? &notes[k - 1] : NULL;
     if (note == NULL || note->orientation == MO_ORIENTATION_GIVEN)
       continue;
-    mo_genotype_robot(MO_DEFAULT_WORKSPACE, genotypes[i].words, note->robot);
+    mo_genotype_robot(MO_STORE_WORKSPACE, genotypes[i].words, note->robot);
     if (scored)
       error = orient(reader, &found, &genotypes[i], note);
   }

@@ -29,7 +29,7 @@ static int read_row(struct mo_connection *reader, struct mo_origin_place place,
   if (error == MO_OK)
     error = mo_score_from_row(found, 0, &condition, row->stored.losses, row->stored.diverged_steps);
   if (error == MO_OK)
-    error = mo_column_genotype(found, 8, 9, &row->genotype, &row->form);
+    error = mo_column_design(found, 8, 9, &row->genotype, &row->form);
   if (error == MO_OK)
     error = mo_column_hash(found, 10, &row->controller_sha256);
   if (error == MO_OK)

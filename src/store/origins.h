@@ -19,7 +19,7 @@ bool mo_loss_rows_equal(const struct mo_loss_row *a, const struct mo_loss_row *b
 /* A row of `scores`, and everything needed to compute it again. */
 struct mo_origin_row {
   int64_t genotype_row, condition;
-  struct mo_bits form, genotype; /* canonical; as scored */
+  struct mo_genotype form, genotype; /* canonical; as scored */
   struct mo_sha256 controller_sha256, physics_sha256;
   struct mo_physics physics;
   enum mo_precision precision;

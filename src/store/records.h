@@ -1,8 +1,7 @@
 /* records.h: records that the store returns: jobs and controllers.
  *
  * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
- * terminated. The service works in the default workspace, so a genotype has MO_DEFAULT_WORDS words.
- */
+ * terminated. Lists of genotypes (struct mo_bits) are of the store's workspace. */
 #ifndef MORPHO_STORE_RECORDS_H
 #define MORPHO_STORE_RECORDS_H
 
@@ -20,6 +19,10 @@
 #include "store/design_notes.h"
 #include "store/hash.h"
 
+/* The workspace of the database: of its genotypes, of ids, and of the controllers that score. The
+ * service's lattice is made for it. */
+#define MO_STORE_WORKSPACE MO_DEFAULT_WORKSPACE
+
 #define MO_DESIGNS_MAX           10000    /* in a request's list, except for large evaluations */
 #define MO_LARGE_MAX             1000000  /* designs of an evaluation */
 #define MO_RANDOM_BODIES_MAX     1000000  /* of one seed */
@@ -35,10 +38,6 @@
 #define MO_PAGE_MAX              1000 /* rows of one page of any list */
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
 #define MO_WEIGHT_MAX            1e3
-
-struct mo_bits {
-  uint64_t words[MO_DEFAULT_WORDS];
-};
 
 enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING = 1, MO_JOB_CAMPAIGN = 2 };
 #define MO_JOB_KINDS 3

@@ -19,7 +19,7 @@ struct mo_scored_condition {
   enum mo_sensor sensor; /* of the controller */
 };
 struct mo_scored_design {
-  struct mo_bits genotype, form;
+  struct mo_genotype genotype, form;
 };
 /* A file of scores has one or more blocks. Each can be read without the others, except for the
  * weights of a controller, which are in the first block with its scores. */

@@ -131,8 +131,8 @@ static int design_place(struct mo_score_walk *walk, struct mo_connection *reader
   }
   int error = mo_sql_row(reader, &row, sql, mo_int(genotype));
   if (error == MO_OK)
-    error = mo_column_genotype(row, 0, 1, &block->designs[*place].genotype,
-                               &block->designs[*place].form);
+    error =
+        mo_column_design(row, 0, 1, &block->designs[*place].genotype, &block->designs[*place].form);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   walk->design = genotype;

@@ -67,8 +67,8 @@ static int import_tables(struct mo_store *store, struct entry *entry)
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
     error = mo_environment_row(&store->writer, &block->environments[i], &entry->environments[i]);
   for (uint32_t i = 0; i < block->n_designs && error == MO_OK; i++)
-    error = mo_genotype_row(&store->writer, &block->designs[i].form, &block->designs[i].genotype,
-                            entry->now_us, &entry->designs[i]);
+    error = mo_genotype_row(&store->writer, block->designs[i].form.words,
+                            block->designs[i].genotype.words, entry->now_us, &entry->designs[i]);
   return error;
 }
 

@@ -263,25 +263,35 @@ int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash)
   return MO_OK;
 }
 
-int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits)
+int mo_column_genotype(sqlite3_stmt *statement, int column, struct mo_genotype *genotype)
 {
   const void *blob = sqlite3_column_blob(statement, column);
-  return mo_decode_bits(blob, (size_t)sqlite3_column_bytes(statement, column), bits);
+  return mo_decode_genotype(blob, (size_t)sqlite3_column_bytes(statement, column), genotype);
 }
 
-int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column,
-                       struct mo_bits *genotype, struct mo_bits *form)
+int mo_column_design(sqlite3_stmt *statement, int genotype_column, int form_column,
+                     struct mo_genotype *genotype, struct mo_genotype *form)
 {
-  struct mo_bits stored, canonical = {{0}};
-  int error = mo_column_bits(statement, bits_column, genotype);
+  int error = mo_column_genotype(statement, genotype_column, genotype);
   if (error == MO_OK)
-    error = mo_column_bits(statement, form_column, &stored);
+    error = mo_column_genotype(statement, form_column, form);
   if (error != MO_OK)
     return error;
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotype->words, canonical.words);
+  const struct mo_genotype canonical = mo_genotype_form(genotype);
+  return mo_genotype_equal(&canonical, form) ? MO_OK : MO_ERR_CORRUPT;
+}
+
+int mo_column_listed(sqlite3_stmt *statement, int genotype_column, int form_column,
+                     struct mo_bits *genotype, struct mo_bits *form)
+{
+  struct mo_genotype read, canonical;
+  const int error = mo_column_design(statement, genotype_column, form_column, &read, &canonical);
+  if (error != MO_OK)
+    return error;
+  memcpy(genotype->words, read.words, sizeof(genotype->words));
   if (form != NULL)
-    *form = stored;
-  return memcmp(&canonical, &stored, sizeof(stored)) == 0 ? MO_OK : MO_ERR_CORRUPT;
+    memcpy(form->words, canonical.words, sizeof(form->words));
+  return MO_OK;
 }
 
 int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,

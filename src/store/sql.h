@@ -99,11 +99,14 @@ int mo_sql_error(sqlite3 *db, int code);
 int mo_column_missing(sqlite3_stmt *statement);
 /* Each reads a column and checks it: MO_ERR_CORRUPT. */
 int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
-int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
-/* Reads a genotype and its design's form (nullable), and checks that one is an orientation of the
- * other, so that a damaged body is never mistaken for the scored one. */
-int mo_column_genotype(sqlite3_stmt *statement, int bits_column, int form_column,
-                       struct mo_bits *genotype, struct mo_bits *form);
+int mo_column_genotype(sqlite3_stmt *statement, int column, struct mo_genotype *genotype);
+/* Reads a genotype and its design's form, and checks that one is an orientation of the other, so
+ * that a damaged body is never mistaken for the scored one. */
+int mo_column_design(sqlite3_stmt *statement, int genotype_column, int form_column,
+                     struct mo_genotype *genotype, struct mo_genotype *form);
+/* The same for a list. form: nullable. */
+int mo_column_listed(sqlite3_stmt *statement, int genotype_column, int form_column,
+                     struct mo_bits *genotype, struct mo_bits *form);
 /* Reads an environment and checks its hash. */
 int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
                           struct mo_environment *environment);

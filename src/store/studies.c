@@ -85,7 +85,7 @@ static uint8_t *encode(int64_t id, const struct mo_study_batch *batch, const str
       measures[m] = NAN;
     for (uint32_t m = 0; m < batch->n_measures; m++)
       measures[places->measures[m]] = batch->measures[(size_t)batch->n_measures * i + m];
-    mo_encode_bits(&child->genotype, row.bits);
+    mo_encode_genotype(child->genotype.words, row.bits);
     memcpy(at, &row, sizeof(row));
     memcpy(at + sizeof(row), measures, n * sizeof(*measures));
   }
@@ -101,7 +101,7 @@ static int decode_child(const uint8_t *at, struct mo_study_child *child)
   memcpy(&row, at, sizeof(row));
   child->place = row.place;
   child->descent = (struct mo_descent){{row.parents[0], row.parents[1]}, row.op};
-  return mo_decode_bits(row.bits, sizeof(row.bits), &child->genotype);
+  return mo_decode_genotype(row.bits, sizeof(row.bits), &child->genotype);
 }
 
 static int decode(int64_t id, const uint8_t *bytes, size_t size, struct mo_study_batch *batch)

@@ -16,10 +16,10 @@ int mo_store_study_find(struct mo_store *store, const char *label, int64_t *id);
 
 /* A child of a batch. */
 struct mo_study_child {
-  struct mo_bits genotype;   /* placed */
-  uint32_t place;            /* in the request */
-  struct mo_descent descent; /* parents: numbers of any designs born before the batch; op: below
-                                MO_OPERATORS, or MO_OPERATORS + index of the study's own word */
+  struct mo_genotype genotype; /* placed */
+  uint32_t place;              /* in the request */
+  struct mo_descent descent;   /* parents: numbers of any designs born before the batch; op: below
+                                  MO_OPERATORS, or MO_OPERATORS + index of the study's own word */
 };
 struct mo_study_batch {
   uint32_t number; /* = generation */

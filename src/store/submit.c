@@ -178,7 +178,7 @@ static int store_group(struct mo_store *store, void *arguments)
     error = mo_sql_do(writer, waiting_sql, mo_int(group->id), mo_int(group->first));
   for (uint32_t i = 0; i < group->n && error == MO_OK; i++) {
     int64_t row = 0;
-    error = mo_genotype_row(writer, &group->forms[i], &group->genotypes[i], now_us, &row);
+    error = mo_genotype_row(writer, group->forms[i].words, group->genotypes[i].words, now_us, &row);
     if (error == MO_OK)
       error = mo_design_insert(writer, group->id, group->first + i, row);
   }

@@ -319,8 +319,8 @@ static void designs(void)
 {
   struct mo_campaign_design row = {
       .number = 5,
-      .form = {{1}},
-      .genotype = {{1}},
+      .form = {MO_DEFAULT_WORKSPACE, {1}},
+      .genotype = {MO_DEFAULT_WORKSPACE, {1}},
       .descent = {.parents = {3, MO_NO_PARENT}, .op = MO_BORN_MUTATION},
       .born = 2,
       .died = 4,

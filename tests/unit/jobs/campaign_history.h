@@ -179,7 +179,7 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   const uint32_t n_parents = g > 0 ? history->populations[g - 1].n : 0;
   const uint32_t *numbers = g > 0 ? history->populations[g - 1].numbers : NULL;
   for (uint32_t i = 0; i < n_parents; i++) {
-    bits[i] = history->designs[numbers[i]].genotype;
+    memcpy(bits[i].words, history->designs[numbers[i]].genotype.words, sizeof(bits[i]));
     plain_move(&bits[i], workspace, genotypes + words * i);
   }
   *row = (struct mo_campaign_generation){.generation = g, .first_loss = NAN, .last_loss = NAN};
@@ -200,10 +200,11 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     struct mo_campaign_design *design = &history->designs[history->n_designs + i];
     CHECK_OK(mo_genotype_move(workspace, genotypes + words * (n_parents + i), MO_DEFAULT_WORKSPACE,
                               bits[n_parents + i].words));
-    *design = (struct mo_campaign_design){.number = history->n_designs + i,
-                                          .genotype = bits[n_parents + i],
-                                          .born = g,
-                                          .descent.op = (uint8_t)births[i].op};
+    *design = (struct mo_campaign_design){
+        .number = history->n_designs + i,
+        .genotype = mo_genotype_of(MO_DEFAULT_WORKSPACE, &bits[n_parents + i]),
+        .born = g,
+        .descent.op = (uint8_t)births[i].op};
     for (int k = 0; k < 2; k++)
       design->descent.parents[k] =
           births[i].parents[k] == MO_NO_PARENT ? MO_NO_PARENT : numbers[births[i].parents[k]];
@@ -310,8 +311,7 @@ static inline bool same_number(double a, double b)
 static inline bool same_design(const struct history *x, const struct history *y, uint32_t i)
 {
   const struct mo_campaign_design *a = &x->designs[i], *b = &y->designs[i];
-  return a->number == i && b->number == i &&
-         memcmp(&a->genotype, &b->genotype, sizeof(a->genotype)) == 0 &&
+  return a->number == i && b->number == i && mo_genotype_equal(&a->genotype, &b->genotype) &&
          a->descent.op == b->descent.op && a->descent.parents[0] == b->descent.parents[0] &&
          a->descent.parents[1] == b->descent.parents[1] && a->born == b->born &&
          a->died == b->died && same_number(a->score, b->score) && a->is_cut == b->is_cut;

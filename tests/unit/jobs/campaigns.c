@@ -61,7 +61,7 @@ SERVICE_CASE(scores_nothing_twice, 1)
           rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
   REQUIRE(mo_store_campaign_designs(store, id, -1, designs, POPULATION) == POPULATION);
   for (int i = 0; i < POPULATION; i++)
-    genotypes[i] = designs[i].genotype;
+    memcpy(genotypes[i].words, designs[i].genotype.words, sizeof(*genotypes));
   struct mo_evaluation_request evaluation = service_request(genotypes, POPULATION);
   evaluation.physics = request.record.settings.physics;
   id = submit_evaluation(&evaluation);
@@ -165,7 +165,7 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   request.record.initial_campaign = id;
   request.record.settings.population = 4; /* the best of them */
   for (int i = 0; i < 4; i++)
-    inherited[i] = designs[i].genotype;
+    memcpy(inherited[i].words, designs[i].genotype.words, sizeof(*inherited));
   origin = origin_of(&request);
   origin.given = inherited;
   origin.n_given = 4;

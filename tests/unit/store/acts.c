@@ -275,7 +275,9 @@ static int do_scores(const struct life *life, struct mo_store *of, const struct 
   for (uint32_t i = 0; i < DESIGNS_MAX; i++) {
     const size_t body = (size_t)(life_hash(act->seed, i) % BODIES);
     struct mo_campaign_score *score = &block.scores[i];
-    block.designs[i] = (struct mo_scored_design){life->genotypes[body], life->forms[body]};
+    block.designs[i] =
+        (struct mo_scored_design){mo_genotype_of(MO_DEFAULT_WORKSPACE, &life->genotypes[body]),
+                                  mo_genotype_of(MO_DEFAULT_WORKSPACE, &life->forms[body])};
     *score = (struct mo_campaign_score){.number = i,
                                         .fingerprint = "another class",
                                         .origin = "y@x",

@@ -273,7 +273,8 @@ static int tell(const struct life *life, struct mo_store *of, const struct subje
   replay(study, batch, &generation);
   for (uint32_t i = 0; i < MEMBERS; i++) {
     children[i] =
-        (struct mo_study_child){life->genotypes[first + i], i, descent_of(&generation, i)};
+        (struct mo_study_child){mo_genotype_of(MO_DEFAULT_WORKSPACE, &life->genotypes[first + i]),
+                                i, descent_of(&generation, i)};
     measures[i] = number(life_hash(seed, i));
   }
   memcpy(telling.words.operators[0], operator_word, sizeof(operator_word));

@@ -10,8 +10,8 @@
 
 static bool same_design(const struct mo_campaign_design *a, const struct mo_campaign_design *b)
 {
-  return a->number == b->number && memcmp(&a->form, &b->form, sizeof(a->form)) == 0 &&
-         memcmp(&a->genotype, &b->genotype, sizeof(a->genotype)) == 0 &&
+  return a->number == b->number && mo_genotype_equal(&a->form, &b->form) &&
+         mo_genotype_equal(&a->genotype, &b->genotype) &&
          a->descent.parents[0] == b->descent.parents[0] &&
          a->descent.parents[1] == b->descent.parents[1] && a->descent.op == b->descent.op &&
          a->born == b->born && a->died == b->died &&
@@ -91,13 +91,12 @@ struct taken {
   bool same;
 };
 
-static int take(void *context, const struct mo_bits *genotype)
+static int take(void *context, const struct mo_genotype *genotype)
 {
   struct taken *taken = context;
   if (taken->n == taken->until)
     return 42;
-  taken->same =
-      taken->same && memcmp(genotype, &taken->all[taken->n++].genotype, sizeof(*genotype)) == 0;
+  taken->same = taken->same && mo_genotype_equal(genotype, &taken->all[taken->n++].genotype);
   return 0;
 }
 
@@ -120,8 +119,8 @@ static void check_children(int64_t id, const struct mo_campaign_commit *commit)
                                       2 * MADE_POPULATION),
             n);
   for (uint32_t i = 0; i < n; i++)
-    CHECK(memcmp(&page[i].form, &commit->forms[i], sizeof(page[i].form)) == 0 &&
-          memcmp(&page[i].genotype, &commit->genotypes[i], sizeof(page[i].genotype)) == 0 &&
+    CHECK(SAME(&commit->forms[i], page[i].form.words, 1) &&
+          SAME(&commit->genotypes[i], page[i].genotype.words, 1) &&
           memcmp(&page[i].size, &commit->sizes[i], sizeof(page[i].size)) == 0 &&
           memcmp(&page[i].score, &commit->child_scores[i], sizeof(page[i].score)) == 0);
 }
@@ -156,7 +155,8 @@ static void finds_where_a_form_was_born(void)
   struct made made[3] = {{0}};
   struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, 3);
   struct mo_campaign_place places[4];
-  struct mo_bits nowhere = {{1}}, form, turned;
+  struct mo_genotype nowhere = {.workspace = MO_DEFAULT_WORKSPACE, .words = {1}}, form;
+  struct mo_bits turned;
   int64_t ids[3];
   for (int i = 0; i < 3; i++) {
     ids[i] = submit_campaign(&submission);
@@ -169,7 +169,7 @@ static void finds_where_a_form_was_born(void)
       CHECK(memcmp(&turned, &made[i].children[4], sizeof(turned)) != 0);
       made[i].children[4] = turned;
     }
-    form = made[i].forms[4];
+    form = mo_genotype_of(MO_DEFAULT_WORKSPACE, &made[i].forms[4]);
     REQUIRE_OK(mo_store_campaign_commit(store, ids[i], &made[i].commit));
   }
   CHECK_INT(mo_store_campaigns_of_design(store, &form, 0, places, 4), 2);

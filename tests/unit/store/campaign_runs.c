@@ -243,7 +243,8 @@ static void shares_scores(void)
     CHECK(same_losses(&known[i], loss));
   }
   /* As the designs' own pages show them. */
-  REQUIRE_OK(mo_store_design(store, &made.forms[1], &design));
+  const struct mo_genotype form = mo_genotype_of(MO_DEFAULT_WORKSPACE, &made.forms[1]);
+  REQUIRE_OK(mo_store_design(store, &form, &design));
   CHECK(design->n_orientations == 1 && design->orientations[0].n_scores == 1);
   CHECK_TEXT(design->orientations[0].scores[0].environment_set, "paper-test");
   CHECK_TEXT(design->orientations[0].scores[0].fingerprint, "by hand");

@@ -211,14 +211,16 @@ static void inherits_a_population(void)
   REQUIRE(second > 0);
   found = designs_of(second, &n);
   n_notes = notes_of(second, &notes);
-  for (uint32_t i = 0; i < MADE_POPULATION; i++)
-    if (mo_fits_as_it_is(submission.record.settings.workspace, &before[i])) {
+  for (uint32_t i = 0; i < MADE_POPULATION; i++) {
+    const struct mo_genotype member = mo_genotype_of(MO_DEFAULT_WORKSPACE, &before[i]);
+    if (mo_fits_as_it_is(submission.record.settings.workspace, &member)) {
       CHECK(n_fitting < n && SAME(&found[n_fitting], &before[i], 1));
       n_fitting++;
     } else {
       CHECK(n_noted < n_notes && notes[n_noted].place == i && mo_is_skipped(&notes[n_noted]));
       n_noted++;
     }
+  }
   CHECK(n_fitting == n && n_noted == n_notes && n > 0 && n_notes > 0);
   /* If none fits, nothing is stored. */
   submission.record.settings.workspace = (struct mo_workspace){2, 1, 1};

@@ -26,16 +26,19 @@ static void shares_designs_between_orientations(void)
   int64_t id = submit_evaluation(&submission);
   REQUIRE_OK(run_by_hand(id, made_up_loss));
   CHECK_INT(outside_integer("SELECT count(*) FROM designs"), 1);
-  REQUIRE_OK(mo_store_design(store, &same_forms[0], &design));
+  const struct mo_genotype form = mo_genotype_of(MO_DEFAULT_WORKSPACE, &same_forms[0]),
+                           image = mo_genotype_of(MO_DEFAULT_WORKSPACE, &images[1]),
+                           absent = mo_genotype_of(MO_DEFAULT_WORKSPACE, &genotypes[39]);
+  REQUIRE_OK(mo_store_design(store, &form, &design));
   CHECK_INT(design->n_orientations, 2);
-  CHECK(memcmp(&design->orientations[1].genotype, &images[1], sizeof(images[1])) == 0);
+  CHECK(mo_genotype_equal(&design->orientations[1].genotype, &image));
   REQUIRE(design->orientations[1].n_scores == 1);
   CHECK_TEXT(design->orientations[1].scores[0].environment_set, "paper-test");
   CHECK_INT(design->orientations[1].scores[0].n_losses, 10);
   CHECK(design->orientations[1].scores[0].losses[3] == made_up_loss(1, 3));
   CHECK_TEXT(design->orientations[1].scores[0].fingerprint, "by hand");
   mo_design_free(design);
-  CHECK_INT(mo_store_design(store, &genotypes[39], &design), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_design(store, &absent, &design), MO_ERR_NOT_FOUND);
 }
 
 /* Of a design with 8 orientations, which were scored in the order below: their mean losses. */
@@ -214,7 +217,7 @@ static void ranks_designs(void)
     for (int64_t i = 0; i < n; i++) {
       CHECK(rows[i].score > last);
       last = rows[i].score;
-      CHECK(memcmp(&rows[i].form, &forms[seen], sizeof(forms[0])) == 0);
+      CHECK(SAME(&forms[seen], rows[i].form.words, 1));
       seen++;
     }
     if (n == 0)
@@ -229,10 +232,10 @@ static void ranks_designs(void)
   CHECK(rows[0].score == last && rows[1].score < last); /* the worst first */
   query = (struct mo_design_query){.sort = MO_DESIGNS_BY_ID};
   CHECK_INT(mo_store_designs(store, &query, rows, 8), 8);
-  CHECK(memcmp(&rows[7].form, &forms[7], sizeof(forms[0])) == 0);
+  CHECK(SAME(&forms[7], rows[7].form.words, 1));
   query.after_row = rows[7].row;
   CHECK_INT(mo_store_designs(store, &query, rows, 8), 8);
-  CHECK(memcmp(&rows[0].form, &forms[8], sizeof(forms[0])) == 0);
+  CHECK(SAME(&forms[8], rows[0].form.words, 1));
 }
 
 static void keeps_controllers(void)

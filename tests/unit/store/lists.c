@@ -35,12 +35,11 @@ static void checksum(sqlite3_context *context, int n, sqlite3_value **values)
 /* The canonical form of a body. */
 static void canonical(sqlite3_context *context, int n, sqlite3_value **values)
 {
-  struct mo_bits bits, form = {{0}};
+  struct mo_genotype genotype;
   uint8_t bytes[MO_BITS_BYTES];
   (void)n;
-  (void)mo_decode_bits(sqlite3_value_blob(values[0]), MO_BITS_BYTES, &bits);
-  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, bits.words, form.words);
-  mo_encode_bits(&form, bytes);
+  (void)mo_decode_genotype(sqlite3_value_blob(values[0]), MO_BITS_BYTES, &genotype);
+  mo_encode_genotype(mo_genotype_form(&genotype).words, bytes);
   sqlite3_result_blob(context, bytes, sizeof(bytes), SQLITE_TRANSIENT);
 }
 

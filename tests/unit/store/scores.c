@@ -191,7 +191,7 @@ static size_t place_of(const uint8_t *bytes, size_t size, uint32_t n, uint64_t r
   if (is_loss)
     memcpy(pattern, (double[]){lively_loss(n, 0), lively_loss(n, 1)}, 16);
   else
-    mo_encode_bits(&genotypes[n], pattern);
+    mo_encode_genotype(genotypes[n].words, pattern);
   const uint8_t *at = memmem(bytes, size, pattern, length);
   return at == NULL ? 4096 : (size_t)(at - bytes) - 12 + (size_t)(random >> 8) % (extent + 12);
 }
@@ -278,7 +278,8 @@ static void checks_contents(void)
     CHECK_INT(mo_store_sample(store, "by hand", 12345, samples, 4), 4);
     for (int k = 0; k < 4; k++) {
       uint32_t n = 0;
-      while (n < DESIGNS && memcmp(&samples[k].genotype, &genotypes[n], sizeof(*genotypes)) != 0)
+      while (n < DESIGNS &&
+             memcmp(samples[k].genotype.words, &genotypes[n], sizeof(*genotypes)) != 0)
         n++;
       CHECK(n < DESIGNS);
       CHECK_INT(samples[k].diverged_step, isinf(samples[k].loss) ? 17 : 0);
