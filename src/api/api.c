@@ -63,7 +63,6 @@ static void stop(void *context)
 static void destroy(struct mo_api *api)
 {
   mo_body_stream_free(api->random_stream.stream);
-  mo_lattice_free(api->lattice);
   free(api);
 }
 
@@ -74,16 +73,14 @@ int mo_api_start(const struct mo_http_config *config, const struct mo_api_servic
   const struct mo_http_service service = {
       .routes = routes, .context = api, .start = start, .tick = tick, .stop = stop};
   struct mo_sha256 contract;
-  struct mo_lattice *lattice = NULL;
-  if (api == NULL || mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK) {
+  if (api == NULL) {
     mo_http_refuse_listeners(config);
-    free(api);
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory for the server");
   }
   *api = (struct mo_api){.store = services->store,
                          .jobs = services->jobs,
                          .compute = services->compute,
-                         .lattice = lattice,
+                         .lattice = mo_jobs_lattice(services->jobs),
                          .log_dropped = services->log_dropped,
                          .dashboard = services->dashboard,
                          .listener = -1,

@@ -61,7 +61,7 @@ static void read_initial(struct mo_json *json, void *value)
 /* Finds the size of the body in voxels along x, y, z; zeros for an empty body. */
 static void extent(const struct mo_bits *bits, uint32_t size[3])
 {
-  const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
+  const struct mo_workspace ours = MO_STORE_WORKSPACE;
   uint32_t low[3] = {ours.nx, ours.ny, ours.nz}, high[3] = {0};
   for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++) {
     if (!(bits->words[v >> 6] >> (v & 63) & 1))
@@ -146,7 +146,7 @@ static void check_sizes(struct founders *founders, struct mo_workspace workspace
                 size[0], size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
     } else if (size[0] > 0) {
       struct listed *listed = &founders->listed[founders->n_listed++];
-      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, genotypes[i].words, listed->form.words);
+      mo_genotype_canonical(MO_STORE_WORKSPACE, genotypes[i].words, listed->form.words);
       listed->place = i;
     }
   }
@@ -174,7 +174,7 @@ static void close_gaps(struct mo_parts *parts)
 {
   uint32_t n = 0;
   for (uint32_t i = 0; i < parts->n_designs; i++)
-    if (mo_genotype_count(MO_DEFAULT_WORKSPACE, parts->genotypes[i].words) > 0)
+    if (mo_genotype_count(MO_STORE_WORKSPACE, parts->genotypes[i].words) > 0)
       parts->genotypes[n++] = parts->genotypes[i];
   parts->n_designs = n;
   if (parts->n_notes > 0)

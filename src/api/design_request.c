@@ -32,10 +32,10 @@ static int repaired(int code, struct shape *shape)
   uint64_t *bits = shape->bits->words;
   if (code != MO_ERR_NOT_CONTIGUOUS)
     return code;
-  const uint32_t before = mo_genotype_count(MO_DEFAULT_WORKSPACE, bits);
+  const uint32_t before = mo_genotype_count(MO_STORE_WORKSPACE, bits);
   if (shape->repairs) {
-    code = mo_genotype_keep_largest(MO_DEFAULT_WORKSPACE, bits);
-    shape->dropped = before - mo_genotype_count(MO_DEFAULT_WORKSPACE, bits);
+    code = mo_genotype_keep_largest(MO_STORE_WORKSPACE, bits);
+    shape->dropped = before - mo_genotype_count(MO_STORE_WORKSPACE, bits);
   } else {
     *shape->bits = (struct mo_bits){{0}};
   }
@@ -103,7 +103,7 @@ static bool read_cells(struct mo_json *json, struct shape *shape)
   if (json->stop || json->faults->n > before)
     return false;
   struct mo_cell_fault fault;
-  int code = repaired(mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n,
+  int code = repaired(mo_genotype_from_cells(MO_STORE_WORKSPACE, (const int64_t(*)[3])cells, n,
                                              shape->bits->words, &fault),
                       shape);
   if (code != MO_OK)
@@ -140,9 +140,9 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   char digits[MO_DEFAULT_VOXELS];
   if (spread(text, digits))
     text = (struct mo_json_slice){digits, sizeof(digits)};
-  int code = repaired(mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size,
-                                            shape->bits->words, &fault),
-                      shape);
+  int code = repaired(
+      mo_genotype_from_text(MO_STORE_WORKSPACE, text.bytes, text.size, shape->bits->words, &fault),
+      shape);
   switch (code) {
   case MO_OK: break;
   case MO_ERR_RANGE:
@@ -180,7 +180,7 @@ static bool read_id(struct mo_json *json, struct shape *shape)
 {
   unsigned depth = json->depth;
   struct mo_json_slice text;
-  struct mo_genotype read = {.workspace = MO_DEFAULT_WORKSPACE};
+  struct mo_genotype read = {.workspace = MO_STORE_WORKSPACE};
   int orientation = -1;
   if (!mo_json_string(json, &text))
     return false;

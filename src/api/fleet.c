@@ -130,7 +130,7 @@ static int check_offer(struct mo_json *json, void *any)
 static void reply_session(struct mo_request *request, int64_t id)
 {
   const struct mo_api *api = mo_api_of(request);
-  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  const struct mo_workspace workspace = api->lattice->workspace;
   struct mo_text text = {0};
   mo_text_object(&text);
   mo_text_member_id(&text, "session", id);

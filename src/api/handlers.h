@@ -42,7 +42,7 @@ struct mo_api {
   _Atomic(struct mo_fleet *) fleet;     /* NULL: none */
   uint64_t fleet_epoch;
   const char *fleet_compute;
-  struct mo_lattice *lattice;
+  const struct mo_lattice *lattice; /* of `jobs` */
   char version[32];
   char contract_tag[MO_SHA256_DIGITS + 1]; /* of openapi.json */
   uint64_t (*log_dropped)(void);

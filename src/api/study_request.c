@@ -89,10 +89,10 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
   struct mo_parts *parts = &parsed->parts;
   struct mo_bits *body = &parts->genotypes[parts->n_designs - 1];
   struct mo_design_note note = {.place = place};
-  if (mo_genotype_count(MO_DEFAULT_WORKSPACE, body->words) == 0)
+  if (mo_genotype_count(MO_STORE_WORKSPACE, body->words) == 0)
     return true; /* it has a fault already */
-  mo_genotype_place(MO_DEFAULT_WORKSPACE, body->words);
-  const struct mo_genotype placed = mo_genotype_of(MO_DEFAULT_WORKSPACE, body);
+  mo_genotype_place(MO_STORE_WORKSPACE, body->words);
+  const struct mo_genotype placed = mo_genotype_of(MO_STORE_WORKSPACE, body);
   if (mo_fits_as_it_is(w, &placed))
     return true;
   snprintf(note.fault.where, sizeof(note.fault.where), "/children/%u/body", place);
@@ -141,7 +141,7 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
     mo_json_fault_at(json, depth, "", "body is missing: a design");
   *is_kept = parsed->parts.n_designs > before;
   if (*is_kept)
-    child->genotype = mo_genotype_of(MO_DEFAULT_WORKSPACE, &parsed->parts.genotypes[before]);
+    child->genotype = mo_genotype_of(MO_STORE_WORKSPACE, &parsed->parts.genotypes[before]);
   return memory;
 }
 

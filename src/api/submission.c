@@ -163,7 +163,7 @@ bool mo_names_unknown(const struct mo_post *post, int error)
 
 void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults)
 {
-  const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
+  const struct mo_workspace ours = MO_STORE_WORKSPACE;
   struct mo_controller_record controller;
   int code = reference != NULL ? mo_store_controller(store, reference, &controller) : MO_OK;
   if (code == MO_ERR_NOT_FOUND)

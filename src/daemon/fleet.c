@@ -150,6 +150,7 @@ int fleet_create(const struct settings *settings, struct mo_store *store,
   struct fleet *fleet = enough(calloc(1, sizeof(*fleet)));
   *fleet = (struct fleet){.store = store, .compute = compute};
   struct mo_fleet_config config = {.source = mo_fleet_source_of(compute),
+                                   .workspace = MO_STORE_WORKSPACE,
                                    .epoch = mo_store_epoch(store),
                                    .version = MORPHOD_VERSION,
                                    .name_class = name_class,

@@ -24,10 +24,10 @@ struct drawing {
   uint64_t seed;
   uint32_t n_threads;
   const volatile int *cancel;
-  struct mo_form_set *distinct; /* detects duplicates */
-  struct mo_form_set *set;      /* NULL: `distinct` is the set */
-  struct mo_workspace workspace;
-  size_t words; /* words of a form of the workspace */
+  struct mo_form_set *distinct;        /* detects duplicates */
+  struct mo_form_set *set;             /* NULL: `distinct` is the set */
+  struct mo_workspace home, workspace; /* of the bodies, of the set */
+  size_t words;                        /* words of a form of the workspace */
   uint64_t first;
   size_t n, room;
   uint64_t *bodies;    /* (room, MO_DEFAULT_WORDS); NULL without `set` */
@@ -49,12 +49,12 @@ static void draw_some(void *context, size_t first, size_t end)
         (i - first) % ASK_EVERY == 0 && mo_is_cancelled(drawing->cancel) ? MO_ERR_CANCELLED : MO_OK;
     mo_random_init(&random, drawing->seed, MO_PURPOSE_BODY, 0, drawing->first + i);
     if (r == MO_OK)
-      r = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body);
+      r = mo_genotype_random(drawing->home, &random, body);
     if (r < 0) {
       atomic_store(&drawing->error, r);
       return;
     }
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
+    mo_genotype_canonical(drawing->home, body, form);
     drawing->marks[i] = mo_held_out_form(form) ? MO_FORM_OUT : MO_FORM_IN;
     drawing->hashes[i] = mo_form_set_hash(drawing->distinct, form);
   }
@@ -69,7 +69,7 @@ static void move_some(void *context, size_t first, size_t end)
   for (size_t i = first; i < end && r == MO_OK; i++) {
     uint64_t *form = drawing->elsewhere + drawing->words * i;
     if (drawing->marks[i] == MO_FORM_NEW)
-      r = mo_genotype_move(MO_DEFAULT_WORKSPACE, drawing->bodies + MO_DEFAULT_WORDS * i,
+      r = mo_genotype_move(drawing->home, drawing->bodies + MO_DEFAULT_WORDS * i,
                            drawing->workspace, moved.bits);
     if (drawing->marks[i] != MO_FORM_NEW || r != MO_OK) {
       drawing->marks[i] = MO_FORM_OUT;
@@ -162,10 +162,10 @@ int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace w
                          uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
                          struct mo_form_set *set)
 {
-  const bool tells_apart =
-      mo_workspace_equal(workspace, MO_DEFAULT_WORKSPACE) && mo_form_set_count(set) == 0;
+  const struct mo_workspace home = MO_DEFAULT_WORKSPACE; /* of the pretraining */
+  const bool tells_apart = mo_workspace_equal(workspace, home) && mo_form_set_count(set) == 0;
   struct mo_form_set *own = NULL;
-  int r = tells_apart ? MO_OK : mo_form_set_create(MO_DEFAULT_WORKSPACE, &own);
+  int r = tells_apart ? MO_OK : mo_form_set_create(home, &own);
   if (r < 0)
     return r;
   struct drawing drawing = {.seed = seed,
@@ -176,6 +176,7 @@ int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace w
                             .cancel = cancel,
                             .distinct = tells_apart ? set : own,
                             .set = tells_apart ? NULL : set,
+                            .home = home,
                             .workspace = workspace,
                             .words = mo_workspace_words(workspace)};
   r = make_room(&drawing, n_bodies);

@@ -43,7 +43,7 @@ static int read_controller(struct mo_reading *reading)
   int error = mo_bundle_read_weights(member, &controller, reading->message);
   if (error != MO_OK)
     return error;
-  if (!mo_workspace_equal(controller->workspace, MO_DEFAULT_WORKSPACE)) {
+  if (!mo_workspace_equal(controller->workspace, MO_STORE_WORKSPACE)) {
     mo_controller_free(controller);
     return mo_reading_refuse(reading, 0, "the controller has a different workspace");
   }

@@ -44,7 +44,8 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
 {
   int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &canary->lattice);
   if (error == MO_OK)
-    error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &canary->controller);
+    error = mo_controller_create(canary->lattice->workspace, MO_SENSOR_INVERSE_SQRT,
+                                 &canary->controller);
   if (error == MO_OK) {
     mo_controller_randomize(canary->controller, SEED);
     error = mo_compute_controller_create(compute, canary->controller, &canary->prepared);
@@ -53,7 +54,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
     struct mo_random random;
     struct mo_block *block = &canary->blocks[b];
     mo_random_init(&random, SEED, MO_PURPOSE_CHECK, 0, b);
-    error = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, canary->genotypes[b]);
+    error = mo_genotype_random(canary->lattice->workspace, &random, canary->genotypes[b]);
     *block = (struct mo_block){.lattice = canary->lattice,
                                .genotype = canary->genotypes[b],
                                .controller = canary->prepared,

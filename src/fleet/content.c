@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Bodies are of the default workspace, as all controllers are. */
+/* Bodies and controllers are of the service's workspace. */
 #define GENOTYPE_BYTES (MO_DEFAULT_WORDS * sizeof(uint64_t))
 
 /* Numbers of environments by address, with open addressing. */

@@ -10,10 +10,10 @@ static void *compute(void *context)
   const struct mo_fleet_source *source = &fleet->config.source;
   struct mo_decision *decision = &fleet->decision;
   const struct mo_weights *weights = decision->lease->weights;
-  decision->error = source->recompute(source->compute, &decision->lease->content,
-                                      weights != NULL ? weights->file.bytes : NULL,
-                                      weights != NULL ? weights->file.size : 0, &decision->cancel,
-                                      decision->losses, decision->diverged_steps);
+  decision->error = source->recompute(
+      source->compute, fleet->config.workspace, &decision->lease->content,
+      weights != NULL ? weights->file.bytes : NULL, weights != NULL ? weights->file.size : 0,
+      &decision->cancel, decision->losses, decision->diverged_steps);
   atomic_store(&decision->is_done, true);
   return NULL;
 }

@@ -20,7 +20,7 @@ static int encode(struct mo_fleet *fleet, struct mo_session *session, const uint
     leases[message.n] = lease;
     message.items[message.n++] = lease->content;
   }
-  int error = mo_wire_put_leases(&message, MO_DEFAULT_WORKSPACE, down, down_size);
+  int error = mo_wire_put_leases(&message, fleet->config.workspace, down, down_size);
   for (uint32_t i = 0; i < message.n && error != MO_OK; i++)
     (void)mo_lease_release(fleet, leases[i], (uint32_t)mo_lease_held_by(leases[i], session), false,
                            now_ns, after);

@@ -30,6 +30,7 @@ extern const char *const mo_session_state_words[]; /* "active", …; NULL */
 
 struct mo_fleet_config {
   struct mo_fleet_source source;
+  struct mo_workspace workspace; /* of all bodies and controllers */
   uint64_t epoch;
   uint64_t seed;       /* of the choice of audits; the same in tests */
   const char *version; /* of the program; workers of any may join whose class is one of these */

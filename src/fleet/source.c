@@ -28,14 +28,15 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
   return error;
 }
 
-static int recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
-                     const uint8_t *weights, size_t weights_bytes, const volatile int *cancel,
-                     double *losses, uint32_t *diverged_steps)
+static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
+                     const struct mo_wire_lease *lease, const uint8_t *weights,
+                     size_t weights_bytes, const volatile int *cancel, double *losses,
+                     uint32_t *diverged_steps)
 {
   struct mo_lattice *lattice = NULL;
   struct mo_controller *controller = NULL;
   struct mo_compute_controller *prepared = NULL;
-  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice);
+  int error = mo_lattice_create(workspace, &lattice);
   if (error == MO_OK && weights != NULL)
     error = mo_controller_decode(weights, weights_bytes, &controller, NULL);
   if (error == MO_OK)

@@ -23,9 +23,9 @@ struct mo_fleet_source {
   /* Computes a lease of one block in this process, to decide which of two sessions gave wrong bits.
    * weights: the file of its controller; NULL: passive bodies. Rows as in a result. *cancel ends it
    * early. NULL: nobody decides. Returns MO_OK or an error. */
-  int (*recompute)(struct mo_compute *compute, const struct mo_wire_lease *lease,
-                   const uint8_t *weights, size_t weights_bytes, const volatile int *cancel,
-                   double *losses, uint32_t *diverged_steps);
+  int (*recompute)(struct mo_compute *compute, struct mo_workspace workspace,
+                   const struct mo_wire_lease *lease, const uint8_t *weights, size_t weights_bytes,
+                   const volatile int *cancel, double *losses, uint32_t *diverged_steps);
 };
 struct mo_fleet_source mo_fleet_source_of(struct mo_compute *compute);
 

@@ -3,8 +3,8 @@
  *
  * The candidates of a generation lie in one row: the population (n_parents, best first), then its
  * children. Place i of each array belongs to candidate i. Each body is stored twice: in the
- * campaign's workspace for variation, selection and diversity, and in the default workspace for the
- * controllers and the store. */
+ * campaign's workspace for variation, selection and diversity, and in the service's workspace for
+ * the controllers and the store. */
 #ifndef MORPHO_JOBS_CAMPAIGN_RUN_H
 #define MORPHO_JOBS_CAMPAIGN_RUN_H
 
@@ -14,7 +14,7 @@
 #include "store/studies.h"
 
 /* The candidates of a generation: type, name and length of each column. n: the population; words:
- * of a genotype; e: environments. bits: in the default workspace; forms, births: of the children;
+ * of a genotype; e: environments. bits: in the service's workspace; forms, births: of the children;
  * parent_losses: NaN: not known; cut: the score is a lower bound. */
 /* clang-format off */
 #define MO_CAMPAIGN_COLUMNS(X)                                                                     \

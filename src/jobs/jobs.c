@@ -299,6 +299,11 @@ int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edi
 
 /* ---- figures ---- */
 
+const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs)
+{
+  return jobs->lattice;
+}
+
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
 {
   *stats = (struct mo_jobs_stats){

@@ -78,9 +78,10 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
   const size_t batch = training->settings.batch;
   int r = MO_OK;
   if (training->lattice == NULL)
-    r = mo_lattice_create(MO_DEFAULT_WORKSPACE, &training->lattice);
+    r = mo_lattice_create(training->controller->workspace, &training->lattice);
   if (r == MO_OK && pretrain && training->stream == NULL) {
-    r = mo_body_stream_create(MO_DEFAULT_WORKSPACE, training->settings.seed, &training->stream);
+    r = mo_body_stream_create(training->controller->workspace, training->settings.seed,
+                              &training->stream);
     if (r == MO_OK)
       (void)mo_body_stream_set_threads(training->stream,
                                        training->n_threads); /* a failure only makes it slower */

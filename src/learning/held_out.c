@@ -8,6 +8,8 @@
 
 #include <string.h>
 
+#define HOME MO_DEFAULT_WORKSPACE /* of the bodies: the hash takes the 192 bits of its forms */
+
 int mo_held_out_form(const uint64_t *form)
 {
   const uint32_t counter[4] = {(uint32_t)form[0], (uint32_t)(form[0] >> 32), (uint32_t)form[1],
@@ -25,10 +27,10 @@ static int draw(uint64_t seed, uint32_t n, struct mo_form_set *seen, uint64_t *d
     uint64_t body[MO_DEFAULT_WORDS], form[MO_DEFAULT_WORDS];
     struct mo_random random;
     mo_random_init(&random, seed, MO_PURPOSE_HELD_OUT_BODY, 0, i);
-    int r = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body);
+    int r = mo_genotype_random(HOME, &random, body);
     if (r < 0)
       return r;
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
+    mo_genotype_canonical(HOME, body, form);
     r = mo_held_out_form(form) ? mo_form_set_add(seen, form) : 0;
     if (r < 0)
       return r;
@@ -43,7 +45,7 @@ int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs)
   if (n > MO_TRAINING_DESIGNS_MAX)
     return MO_ERR_RANGE;
   struct mo_form_set *seen = NULL;
-  int r = mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen);
+  int r = mo_form_set_create(HOME, &seen);
   if (r == MO_OK)
     r = draw(seed, n, seen, designs);
   mo_form_set_free(seen);

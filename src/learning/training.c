@@ -7,14 +7,14 @@
 
 int mo_training_design_is_placed(const uint64_t *design)
 {
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   uint64_t placed[MO_DEFAULT_WORDS];
   if (design[MO_DEFAULT_WORDS - 1] >> (MO_DEFAULT_VOXELS % 64) != 0)
     return 0;
   memcpy(placed, design, sizeof(placed));
-  mo_genotype_place(MO_DEFAULT_WORKSPACE, placed);
-  return memcmp(placed, design, sizeof(placed)) == 0
-             ? mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, design)
-             : 0;
+  mo_genotype_place(workspace, placed);
+  return memcmp(placed, design, sizeof(placed)) == 0 ? mo_genotype_is_contiguous(workspace, design)
+                                                     : 0;
 }
 
 int mo_training_blank(const struct mo_training_settings *settings,

@@ -10,7 +10,7 @@
  * generation's children in the order of variation. The births of a generation are one BLOB, and its
  * population is another, so that the phylogeny of a million designs can be read in milliseconds.
  *
- * Threads and errors as in store.h. Genotypes here are placed in the default workspace. */
+ * Threads and errors as in store.h. Genotypes here are placed in the store's workspace. */
 #ifndef MORPHO_STORE_CAMPAIGNS_H
 #define MORPHO_STORE_CAMPAIGNS_H
 
@@ -25,7 +25,7 @@ struct mo_campaign_request {
                                        n_environments, group, replicate */
   const char *controller; /* name or "sha256:<hex>"; NULL: random weights (simultaneous) */
   const struct mo_environment *environments; /* (record.n_environments) without a set */
-  const struct mo_bits *genotypes;           /* (record.n_listed) of the default workspace */
+  const struct mo_bits *genotypes;           /* (record.n_listed) */
   const struct mo_bits *forms;               /* (record.n_listed) canonical; as stored */
   struct mo_design_note *notes;              /* (n_notes) as in mo_evaluation_request */
   uint32_t n_notes;

@@ -7,13 +7,14 @@
 
 static atomic_bool may_recompute;
 
-static int recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
-                     const uint8_t *file, size_t file_bytes, const volatile int *cancel,
-                     double *losses, uint32_t *diverged_steps)
+static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
+                     const struct mo_wire_lease *lease, const uint8_t *file, size_t file_bytes,
+                     const volatile int *cancel, double *losses, uint32_t *diverged_steps)
 {
   while (!atomic_load(&may_recompute) && !*cancel)
     usleep(100);
-  return fake_recompute(compute, lease, file, file_bytes, cancel, losses, diverged_steps);
+  return fake_recompute(compute, workspace, lease, file, file_bytes, cancel, losses,
+                        diverged_steps);
 }
 
 /* Gives the loss of the first row a wrong bit. */

@@ -288,6 +288,7 @@ static inline struct fake *make_fake(uint64_t seed)
   struct mo_fleet_config config = {.source = {(struct mo_compute *)fake, fake_take, fake_put_back,
                                               fake_keep, fake_split, fake_is_cancelled,
                                               fake_deliver, fake_want, fake_waiting, NULL},
+                                   .workspace = MO_DEFAULT_WORKSPACE,
                                    .epoch = 5,
                                    .seed = seed,
                                    .version = "1.0.0",
@@ -380,13 +381,15 @@ static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lea
 }
 
 /* A `recompute` of the source: this process decides. Without it both sessions are refused. */
-static inline int fake_recompute(struct mo_compute *compute, const struct mo_wire_lease *lease,
-                                 const uint8_t *file, size_t file_bytes, const volatile int *cancel,
-                                 double *losses, uint32_t *diverged_steps)
+static inline int fake_recompute(struct mo_compute *compute, struct mo_workspace workspace,
+                                 const struct mo_wire_lease *lease, const uint8_t *file,
+                                 size_t file_bytes, const volatile int *cancel, double *losses,
+                                 uint32_t *diverged_steps)
 {
   struct mo_wire_result result = fake_compute(lease, NULL);
   (void)compute;
   (void)cancel;
+  CHECK(mo_workspace_equal(workspace, MO_DEFAULT_WORKSPACE));
   CHECK(lease->n_blocks == 1 && file == NULL && file_bytes == 0);
   memcpy(losses, result.losses, result.n_rows * sizeof(*losses));
   memcpy(diverged_steps, result.diverged_steps, result.n_rows * sizeof(*diverged_steps));

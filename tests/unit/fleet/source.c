@@ -58,8 +58,8 @@ static struct mo_wire_result result_of_lease(const struct mo_wire_lease *lease, 
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     struct mo_wire_lease one = *lease;
     one.blocks = &lease->blocks[b];
-    make_check(source.recompute(source.compute, &one, file->bytes, file->size, NULL,
-                                &result.losses[row], &result.diverged_steps[row]),
+    make_check(source.recompute(source.compute, MO_DEFAULT_WORKSPACE, &one, file->bytes, file->size,
+                                NULL, &result.losses[row], &result.diverged_steps[row]),
                "a block");
     row += lease->blocks[b].n_environments;
   }
@@ -126,6 +126,7 @@ static void real_queues(void)
   struct mo_compute_controller *prepared = make_compute_controller(compute, controller);
   mo_compute_leave_remote(compute, true);
   const struct mo_fleet_config config = {.source = mo_fleet_source_of(compute),
+                                         .workspace = MO_DEFAULT_WORKSPACE,
                                          .epoch = 1,
                                          .version = "1.0.0",
                                          .silence_ms = 600000,
