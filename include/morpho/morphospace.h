@@ -25,7 +25,8 @@
 extern "C" {
 #endif
 
-#define MO_VOXEL_M           0.1 /* edge of a voxel, meters */
+#define MO_VOXEL_M           0.1                                   /* edge of a voxel, meters */
+#define MO_DIAGONAL_M        (MO_VOXEL_M * 1.41421356237309504880) /* diagonal of a face */
 #define MO_VOXELS_MAX        (UINT32_C(1) << 20)
 #define MO_DEFAULT_WORKSPACE ((struct mo_workspace){6, 6, 4})
 #define MO_DEFAULT_VOXELS    144
@@ -185,12 +186,11 @@ uint64_t mo_body_stream_draws(
 struct mo_lattice {
   struct mo_workspace workspace;
   uint32_t n_voxels, n_masses, n_springs;
-  const uint32_t *spring_a;       /* (n_springs) lower mass index */
-  const uint32_t *spring_b;       /* (n_springs) higher mass index */
-  const uint8_t *spring_diagonal; /* (n_springs) 0: edge, rest length MO_VOXEL_M; 1: face diagonal,
-                                     MO_VOXEL_M·√2 */
-  const uint32_t *voxel_mass;     /* (n_voxels, 8) ascending */
-  const uint32_t *voxel_spring;   /* (n_voxels, 24) ascending */
+  const uint32_t *spring_a;     /* (n_springs) lower mass index */
+  const uint32_t *spring_b;     /* (n_springs) higher mass index */
+  const double *spring_rest_m;  /* (n_springs) without actuation: MO_VOXEL_M, or MO_DIAGONAL_M */
+  const uint32_t *voxel_mass;   /* (n_voxels, 8) ascending */
+  const uint32_t *voxel_spring; /* (n_voxels, 24) ascending */
 };
 int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice);
 void mo_lattice_free(struct mo_lattice *lattice); /* NULL-safe */
@@ -204,7 +204,7 @@ struct mo_body {
   const uint16_t *mass_xyz;            /* (n_masses, 3) lattice coordinates */
   const uint32_t *spring_lattice;      /* (n_springs) lattice spring index, ascending */
   const uint32_t *spring_a, *spring_b; /* (n_springs) positions in the mass arrays, a < b */
-  const uint8_t *spring_diagonal;      /* (n_springs) as in the lattice */
+  const double *spring_rest_m;         /* (n_springs) as in the lattice */
 };
 /* MO_ERR_EMPTY, MO_ERR_NO_MEMORY. */
 int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_body **body);

@@ -1,7 +1,6 @@
 /* scene.c: see scene.h. */
 #include "api/scene.h"
 
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -170,7 +169,7 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
   for (uint32_t s = 0; good && s < body->n_springs; s++) {
     geometry.springs[s][0] = (uint16_t)body->spring_a[s];
     geometry.springs[s][1] = (uint16_t)body->spring_b[s];
-    geometry.rest_lengths_m[s] = (float)(MO_VOXEL_M * (body->spring_diagonal[s] ? sqrt(2) : 1));
+    geometry.rest_lengths_m[s] = (float)body->spring_rest_m[s];
   }
   for (uint32_t v = 0; good && v < lattice->n_voxels; v++)
     if (genotype->words[v >> 6] >> (v & 63) & 1)

@@ -41,9 +41,9 @@ static uint32_t position(const struct marks *marks, uint32_t mass)
 
 /* The arrays of a body, widest elements first, after the structure itself. */
 struct arrays {
+  double *spring_rest_m;
   uint32_t *mass_lattice, *spring_lattice, *spring_a, *spring_b;
   uint16_t *mass_xyz;
-  uint8_t *spring_diagonal;
 };
 
 static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct arrays *arrays)
@@ -51,16 +51,16 @@ static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct ar
   const size_t header = (sizeof(struct mo_body) + MO_CACHE_LINE_BYTES - 1) / MO_CACHE_LINE_BYTES *
                         MO_CACHE_LINE_BYTES;
   size_t bytes = header + n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
-                 n_springs * (3 * sizeof(uint32_t) + sizeof(uint8_t));
+                 n_springs * (sizeof(double) + 3 * sizeof(uint32_t));
   char *memory = mo_alloc_aligned(bytes, 1);
   if (memory == NULL)
     return NULL;
-  arrays->mass_lattice = (uint32_t *)(void *)(memory + header);
+  arrays->spring_rest_m = (double *)(void *)(memory + header);
+  arrays->mass_lattice = (uint32_t *)(arrays->spring_rest_m + n_springs);
   arrays->spring_lattice = arrays->mass_lattice + n_masses;
   arrays->spring_a = arrays->spring_lattice + n_springs;
   arrays->spring_b = arrays->spring_a + n_springs;
   arrays->mass_xyz = (uint16_t *)(void *)(arrays->spring_b + n_springs);
-  arrays->spring_diagonal = (uint8_t *)(arrays->mass_xyz + (size_t)3 * n_masses);
   struct mo_body *body = (struct mo_body *)(void *)memory;
   body->n_masses = n_masses;
   body->n_springs = n_springs;
@@ -69,7 +69,7 @@ static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct ar
   body->spring_lattice = arrays->spring_lattice;
   body->spring_a = arrays->spring_a;
   body->spring_b = arrays->spring_b;
-  body->spring_diagonal = arrays->spring_diagonal;
+  body->spring_rest_m = arrays->spring_rest_m;
   return body;
 }
 
@@ -95,7 +95,7 @@ static void fill(const struct mo_lattice *lattice, const struct marks *marks, st
       arrays->spring_lattice[n] = spring;
       arrays->spring_a[n] = position(marks, lattice->spring_a[spring]);
       arrays->spring_b[n] = position(marks, lattice->spring_b[spring]);
-      arrays->spring_diagonal[n] = lattice->spring_diagonal[spring];
+      arrays->spring_rest_m[n] = lattice->spring_rest_m[spring];
       n++;
     }
   }

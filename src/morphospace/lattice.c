@@ -61,9 +61,10 @@ struct step {
 static const struct step steps[STEPS] = {{0, 0, 1},  {0, 1, -1}, {0, 1, 0}, {0, 1, 1}, {1, -1, 0},
                                          {1, 0, -1}, {1, 0, 0},  {1, 0, 1}, {1, 1, 0}};
 
-static int is_diagonal(struct step step)
+static double rest_of(struct step step)
 {
-  return (step.x != 0) + (step.y != 0) + (step.z != 0) > 1;
+  const int axes = (step.x != 0) + (step.y != 0) + (step.z != 0);
+  return axes > 1 ? MO_DIAGONAL_M : MO_VOXEL_M;
 }
 
 /* Returns a bit mask: bit i is set if step i leads to a mass of the workspace. */
@@ -87,7 +88,7 @@ static uint32_t mass_at(struct mo_workspace workspace, int32_t x, int32_t y, int
          (uint32_t)z;
 }
 
-static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b, uint8_t *diagonal,
+static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b, double *rest_m,
                          uint32_t *first)
 {
   uint32_t spring = 0;
@@ -101,7 +102,7 @@ static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b
           if (mask >> i & 1) {
             a[spring] = mass;
             b[spring] = mass_at(workspace, x + steps[i].x, y + steps[i].y, z + steps[i].z);
-            diagonal[spring] = (uint8_t)is_diagonal(steps[i]);
+            rest_m[spring] = rest_of(steps[i]);
             spring++;
           }
         }
@@ -143,27 +144,28 @@ int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice
     return code;
   const size_t n_voxels = mo_workspace_voxels(workspace), n_masses = mo_workspace_masses(workspace),
                n_springs = mo_workspace_springs(workspace);
-  struct mo_lattice *made =
-      malloc(sizeof(*made) + (32 * n_voxels + 2 * n_springs) * sizeof(uint32_t) + n_springs);
+  struct mo_lattice *made = malloc(sizeof(*made) + n_springs * sizeof(double) +
+                                   (32 * n_voxels + 2 * n_springs) * sizeof(uint32_t));
   uint32_t *first = malloc(n_masses * sizeof(*first));
   if (made == NULL || first == NULL) {
     free(made);
     free(first);
     return MO_ERR_NO_MEMORY;
   }
-  uint32_t *voxel_mass = (uint32_t *)(made + 1), *voxel_spring = voxel_mass + 8 * n_voxels;
+  double *rest_m = (double *)(made + 1);
+  uint32_t *voxel_mass = (uint32_t *)(rest_m + n_springs),
+           *voxel_spring = voxel_mass + 8 * n_voxels;
   uint32_t *spring_a = voxel_spring + 24 * n_voxels, *spring_b = spring_a + n_springs;
-  uint8_t *diagonal = (uint8_t *)(spring_b + n_springs);
   *made = (struct mo_lattice){.workspace = workspace,
                               .n_voxels = (uint32_t)n_voxels,
                               .n_masses = (uint32_t)n_masses,
                               .n_springs = (uint32_t)n_springs,
                               .spring_a = spring_a,
                               .spring_b = spring_b,
-                              .spring_diagonal = diagonal,
+                              .spring_rest_m = rest_m,
                               .voxel_mass = voxel_mass,
                               .voxel_spring = voxel_spring};
-  fill_springs(workspace, spring_a, spring_b, diagonal, first);
+  fill_springs(workspace, spring_a, spring_b, rest_m, first);
   size_t voxel = 0;
   for (int32_t x = 0; x < workspace.nx; x++) {
     for (int32_t y = 0; y < workspace.ny; y++) {

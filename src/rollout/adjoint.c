@@ -58,7 +58,7 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
       across[axis] = adjoint->d_impulse[b + axis] - adjoint->d_impulse[a + axis];
     }
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), guarded = length + 1e-8;
-    const double free_rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
+    const double free_rest = body->spring_rest_m[s];
     const double rest = free_rest * (1.0 + physics->constants.actuation * tape->control.output[s]);
     const double stiffness = physics->scheme.dt_s * physics->constants.stiffness_n_per_m;
     const double pull = stiffness * (length - rest) / guarded;

@@ -60,7 +60,7 @@ static void pull_springs(struct mo_reference *r)
     for (int axis = 0; axis < 3; axis++)
       d[axis] = r->position_m[a + axis] - r->position_m[b + axis];
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-    double rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
+    double rest = body->spring_rest_m[s];
     if (r->controller != NULL)
       rest *= 1.0 + physics->constants.actuation * r->tape->control.output[s];
     const double pull = physics->scheme.dt_s * physics->constants.stiffness_n_per_m *

@@ -417,7 +417,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
         float dd[3];
         const float d_wanted = -lane_spring_back(k.physics.pull, &length,
                                                  wanted_length(k.physics, s, a), d, across, dd);
-        float d_activation = d_wanted * (rest_length(s) * k.physics.actuation);
+        float d_activation = d_wanted * (lane_rest(MO_GP_SPRING_DIAGONAL(s)) * k.physics.actuation);
         if (PERIODIC) {
           d_activation += later[i];
           if (!begins)

@@ -232,22 +232,16 @@ static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_b
                                    (int)*dynamic_bytes);
 }
 
-/* A spring's activation from the tape, its length without actuation, and its target length. */
+/* A spring's activation from the tape, and its target length. */
 static __device__ __forceinline__ float activation_of(int16_t kept)
 {
   return (float)kept * (1.0f / 32767.0f);
 }
 
-static __device__ __forceinline__ float rest_length(uint32_t spring)
-{
-  return MO_GP_SPRING_DIAGONAL(spring) ? (float)(MO_VOXEL_M * 1.41421356237309504880)
-                                       : (float)MO_VOXEL_M;
-}
-
 static __device__ __forceinline__ float wanted_length(const lane_physics &k, uint32_t spring,
                                                       float activation)
 {
-  return lane_wanted(rest_length(spring), k.actuation, activation);
+  return lane_wanted(lane_rest(MO_GP_SPRING_DIAGONAL(spring)), k.actuation, activation);
 }
 
 template <class T> static __device__ __forceinline__ T sum_lanes(T x)

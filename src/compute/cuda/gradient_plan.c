@@ -166,12 +166,13 @@ static void fill_springs(const struct mo_gp_group *g, const struct mo_gp_pair *p
       const uint32_t at = bodies[k]->spring_lattice[i];
       const uint32_t output =
           (uint32_t)g->output_place[at / MO_GP_TILE] * MO_GP_TILE + at % MO_GP_TILE;
+      const bool diagonal = bodies[k]->spring_rest_m[i] > MO_VOXEL_M;
       const uint32_t ends[2] = {from + bodies[k]->spring_a[i], from + bodies[k]->spring_b[i]};
       for (int e = 0; e < 2; e++) {
         const uint32_t place = order.place[ends[e]],
                        chunk = order.chunk[place / MO_GP_LANES] + used[place]++;
         chunks[chunk * MO_GP_LANES + place % MO_GP_LANES] =
-            MO_GP_SPRING(ends[e], ends[1 - e], output, k, bodies[k]->spring_diagonal[i]);
+            MO_GP_SPRING(ends[e], ends[1 - e], output, k, diagonal);
       }
     }
   for (uint32_t place = 0; place < (order.n_masses + MO_GP_LANES - 1) / MO_GP_LANES * MO_GP_LANES;

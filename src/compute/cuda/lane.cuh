@@ -73,6 +73,15 @@ MO_INLINE V v_sqrt(V a)
 #define LANE_HEIGHT float
 #include "rollout/lane_adjoint.inc"
 
+/* ---- springs ---- */
+
+/* Returns the rest length of a spring, without actuation: the device's tables know only which of
+ * the lattice's two lengths it is. */
+MO_INLINE V lane_rest(bool diagonal)
+{
+  return diagonal ? v_set(MO_DIAGONAL_M) : v_set(MO_VOXEL_M);
+}
+
 /* ---- terrain ---- */
 
 /* heights: (64), as in mo_environment; i, j: whole numbers. */

@@ -373,7 +373,7 @@ int mo_plan_input_mass(uint32_t input)
 
 /* Returns a sort key that the springs of a pair share: edges first, by direction and line, then
  * diagonals, by the middle of their face. */
-static uint32_t pair_key(uint32_t a, uint32_t b, int diagonal)
+static uint32_t pair_key(uint32_t a, uint32_t b)
 {
   const uint32_t xyz_a[3] = {a / (SIDE_Y * SIDE_Z), a / SIDE_Z % SIDE_Y, a % SIDE_Z};
   const uint32_t xyz_b[3] = {b / (SIDE_Y * SIDE_Z), b / SIDE_Z % SIDE_Y, b % SIDE_Z};
@@ -382,6 +382,7 @@ static uint32_t pair_key(uint32_t a, uint32_t b, int diagonal)
     sum[axis] = xyz_a[axis] + xyz_b[axis];
   const uint32_t middle = (sum[0] * 16 + sum[1]) * 16 + sum[2];
   const uint32_t direction = sum[0] % 2 != 0 ? 0 : sum[1] % 2 != 0 ? 1 : 2;
+  const bool diagonal = sum[0] % 2 + sum[1] % 2 + sum[2] % 2 > 1;
   return diagonal ? 1U << 16 | middle : direction << 14 | middle;
 }
 
@@ -405,8 +406,7 @@ int mo_plan_slots(uint16_t *slots)
   if (status != MO_OK)
     return status;
   for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++)
-    keyed[s] = (struct keyed){
-        pair_key(lattice->spring_a[s], lattice->spring_b[s], lattice->spring_diagonal[s] != 0), s};
+    keyed[s] = (struct keyed){pair_key(lattice->spring_a[s], lattice->spring_b[s]), s};
   mo_lattice_free(lattice);
   qsort(keyed, MO_DEFAULT_SPRINGS, sizeof(*keyed), by_key);
   for (uint32_t slot = 0; slot < MO_DEFAULT_SPRINGS; slot++)

@@ -132,12 +132,6 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   }
 }
 
-/* Returns the rest length of an unactuated spring. */
-__device__ __forceinline__ float rest_length(bool is_edge)
-{
-  return is_edge ? (float)MO_VOXEL_M : (float)(MO_VOXEL_M * 1.41421356237309504880);
-}
-
 /* The memory after the block's Shared. */
 struct Memory {
   mo_cuda_activations x;
@@ -271,7 +265,7 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Me
       const Part &part = shared.parts[p];
       const mo_plan_body &body = score.bodies[score.parts[plan.first_part + p].body];
       for (uint32_t k = thread; k < body.n_slots * part.n_rows; k += MO_CUDA_THREADS)
-        memory.lengths[part.first_length + k] = rest_length(k < body.n_edges * part.n_rows);
+        memory.lengths[part.first_length + k] = lane_rest(k >= body.n_edges * part.n_rows);
     }
   }
   __syncthreads();

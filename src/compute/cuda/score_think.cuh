@@ -188,7 +188,7 @@ __device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Sh
 __device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t pair,
                                          const float2 &bias, const float (&sum)[4])
 {
-  const float rest = rest_length(2 * pair < MO_PLAN_EDGES);
+  const float rest = lane_rest(2 * pair >= MO_PLAN_EDGES);
   float wanted[4];
 #pragma unroll
   for (int k = 0; k < 4; k++)

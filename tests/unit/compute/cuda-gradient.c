@@ -48,7 +48,7 @@ static void check_spring(const struct mo_robot *robots, const struct mo_gp_group
   REQUIRE(spring != UINT32_MAX);
   CHECK(g->output_tile[output / MO_GP_TILE] * MO_GP_TILE + output % MO_GP_TILE ==
         body->spring_lattice[spring]);
-  CHECK(MO_GP_SPRING_DIAGONAL(s) == body->spring_diagonal[spring]);
+  CHECK(MO_GP_SPRING_DIAGONAL(s) == (body->spring_rest_m[spring] == MO_DIAGONAL_M));
   ends[own]++;
   found[row]++;
 }

@@ -222,7 +222,7 @@ static void slots(void)
     REQUIRE(slots[s] < MO_DEFAULT_SPRINGS);
     CHECK_INT(spring_at[slots[s]], UINT32_MAX);
     spring_at[slots[s]] = s;
-    CHECK_INT(slots[s] >= MO_PLAN_EDGES, lattice->spring_diagonal[s] != 0);
+    CHECK_INT(slots[s] >= MO_PLAN_EDGES, lattice->spring_rest_m[s] == MO_DIAGONAL_M);
   }
   for (uint32_t slot = MO_PLAN_EDGES; slot < MO_DEFAULT_SPRINGS; slot += 2) {
     uint32_t middle[2][3];

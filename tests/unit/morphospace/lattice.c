@@ -3,6 +3,8 @@
 
 #include <morpho/morphospace.h>
 
+#include <math.h>
+
 static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
                                                  {1, 1, 2}, {1, 2, 1}, {3, 5, 2},
                                                  {6, 4, 4}, {2, 3, 7}, {12, 9, 10}};
@@ -25,7 +27,7 @@ static void full_default(void)
   for (uint32_t s = 0; s < body->n_springs; s++) {
     CHECK(body->spring_lattice[s] == s && body->spring_a[s] == lattice->spring_a[s] &&
           body->spring_b[s] == lattice->spring_b[s]);
-    diagonals += body->spring_diagonal[s];
+    diagonals += body->spring_rest_m[s] == MO_DIAGONAL_M;
   }
   CHECK_INT(diagonals, 1032);
 }
@@ -80,7 +82,7 @@ static void springs_in_order(void)
         int kind = relation(w, a, b);
         if (kind != 0) {
           wrong += s >= lattice->n_springs || lattice->spring_a[s] != a ||
-                   lattice->spring_b[s] != b || lattice->spring_diagonal[s] != kind - 1;
+                   lattice->spring_b[s] != b || lattice->spring_rest_m[s] != 0.1 * sqrt(kind);
           s++;
         }
       }
@@ -178,7 +180,7 @@ static void bodies(void)
                  body->spring_a[n] >= body->n_masses || body->spring_b[n] >= body->n_masses ||
                  body->mass_lattice[body->spring_a[n]] != lattice->spring_a[s] ||
                  body->mass_lattice[body->spring_b[n]] != lattice->spring_b[s] ||
-                 body->spring_diagonal[n] != lattice->spring_diagonal[s];
+                 body->spring_rest_m[n] != lattice->spring_rest_m[s];
         n++;
       }
     }

@@ -406,7 +406,7 @@ static void pull_all(struct second *s)
     const num d[3] = {sub(a[0], b[0]), sub(a[1], b[1]), sub(a[2], b[2])};
     const num length = root(square_sum(d));
     const num stretch = add(con(1), scaled(s->activation[k], physics->constants.actuation));
-    const num rest = scaled(stretch, body->spring_diagonal[k] ? 0.1 * M_SQRT2 : 0.1);
+    const num rest = scaled(stretch, body->spring_rest_m[k]);
     const num pull =
         div_(scaled(sub(length, rest), physics->scheme.dt_s * physics->constants.stiffness_n_per_m),
              add(length, con(1e-8)));

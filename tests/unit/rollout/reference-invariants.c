@@ -93,7 +93,7 @@ static struct energy measure(const struct mo_reference *r)
     const double *a = x + 3 * r->body->spring_a[s], *b = x + 3 * r->body->spring_b[s];
     const double length = sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
                                (a[2] - b[2]) * (a[2] - b[2]));
-    const double rest = r->body->spring_diagonal[s] ? MO_VOXEL_M * sqrt(2) : MO_VOXEL_M;
+    const double rest = r->body->spring_rest_m[s];
     e.spring += 0.5 * r->physics->constants.stiffness_n_per_m * (length - rest) * (length - rest);
   }
   return e;

@@ -278,8 +278,7 @@ static void actuation(void)
   physics.constants.gravity_m_per_s2 = 0;
   for (uint32_t k = 0; k < controller->n_springs; k++) {
     struct scene *s = make_scene(one, physics, controller);
-    const double a = k % 2 ? tanh(0.5) : -tanh(0.25),
-                 length = s->body->spring_diagonal[k] ? 0.1 * sqrt(2) : 0.1;
+    const double a = k % 2 ? tanh(0.5) : -tanh(0.25), length = s->body->spring_rest_m[k];
     memset(controller->bias[3], 0, 24 * sizeof(float));
     controller->bias[3][k] = k % 2 ? 0.5F : -0.25F;
     REQUIRE(mo_reference_step(&s->r, 0));
