@@ -97,6 +97,8 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .outcomes = outcomes};
   if (run.control_steps == 0)
     return MO_ERR_INVALID;
+  for (uint32_t e = 0; e < n_environments; e++)
+    run.constants[e] = &physics->constants;
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;

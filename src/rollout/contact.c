@@ -127,7 +127,7 @@ double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const dou
 
 /* Drops the part of the velocity along the terrain's normal and slows the tangential part by
  * friction. */
-static void strike(const struct mo_physics *physics, const double gradient[2], double v[3])
+static void strike(const struct mo_constants *constants, const double gradient[2], double v[3])
 {
   const double length = sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1] + 1.0);
   const double normal[3] = {-gradient[0] / length, -gradient[1] / length, 1.0 / length};
@@ -135,17 +135,17 @@ static void strike(const struct mo_physics *physics, const double gradient[2], d
   for (int axis = 0; axis < 3; axis++)
     v[axis] -= vn * normal[axis];
   const double vt = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-  const double lost =
-      fmin(physics->constants.friction * fabs(vn), physics->constants.friction_cap * vt);
+  const double lost = fmin(constants->friction * fabs(vn), constants->friction_cap * vt);
   const double scale = vt > 0 ? 1.0 - lost / vt : 0.0;
   for (int axis = 0; axis < 3; axis++)
     v[axis] *= scale;
 }
 
-bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
-                     double highest_m, double position_m[3], double velocity_m_per_s[3])
+bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *constants,
+                     const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                     double position_m[3], double velocity_m_per_s[3])
 {
-  const double dt = physics->scheme.dt_s;
+  const double dt = scheme->dt_s;
   double *p = position_m, *v = velocity_m_per_s;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
   if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
@@ -153,15 +153,15 @@ bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
       p[axis] = next[axis];
     return false;
   }
-  const double impact = physics->scheme.impact == MO_IMPACT_EXACT
+  const double impact = scheme->impact == MO_IMPACT_EXACT
                             ? mo_impact_exact(heights_m, p, v, dt)
-                            : mo_impact_bisection(heights_m, p, v, dt, physics->scheme.bisections);
+                            : mo_impact_bisection(heights_m, p, v, dt, scheme->bisections);
   p[0] += impact * v[0];
   p[1] += impact * v[1];
   p[2] = mo_terrain_height(heights_m, p[0], p[1]);
   double gradient[2];
   mo_terrain_gradient(heights_m, p[0], p[1], gradient);
-  strike(physics, gradient, v);
+  strike(constants, gradient, v);
   const double rest = dt - impact;
   for (int axis = 0; axis < 3; axis++)
     p[axis] += rest * v[axis];
@@ -185,16 +185,15 @@ static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, doub
 
 /* Differentiates strike() at velocity v; dw: ∂loss/∂ its result. Adds to dv and to the terrain
  * gradient's dg. */
-static void strike_adjoint(const struct mo_physics *physics, const double g[2], const double v[3],
-                           const double dw[3], double dv[3], double dg[2])
+static void strike_adjoint(const struct mo_constants *constants, const double g[2],
+                           const double v[3], const double dw[3], double dv[3], double dg[2])
 {
   const double length = sqrt(g[0] * g[0] + g[1] * g[1] + 1.0);
   const double normal[3] = {-g[0] / length, -g[1] / length, 1.0 / length};
   const double vn = v[0] * normal[0] + v[1] * normal[1] + v[2] * normal[2];
   const double u[3] = {v[0] - vn * normal[0], v[1] - vn * normal[1], v[2] - vn * normal[2]};
   const double vt = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
-  const double slowed = physics->constants.friction * fabs(vn),
-               cap = physics->constants.friction_cap * vt;
+  const double slowed = constants->friction * fabs(vn), cap = constants->friction_cap * vt;
   double du[3] = {0, 0, 0}, dn[3] = {0, 0, 0}, dvn = 0;
   if (vt > 0) {
     const double scale = 1.0 - fmin(slowed, cap) / vt;
@@ -204,7 +203,7 @@ static void strike_adjoint(const struct mo_physics *physics, const double g[2], 
     if (slowed < cap) {
       /* scale = 1 − friction |vn| / vt; with the cap it is the constant 1 − friction_cap */
       const double d_scale = u[0] * dw[0] + u[1] * dw[1] + u[2] * dw[2];
-      dvn -= d_scale * copysign(physics->constants.friction, vn) / vt;
+      dvn -= d_scale * copysign(constants->friction, vn) / vt;
       /* vt = |u| */
       const double d_vt = d_scale * slowed / (vt * vt);
       for (int k = 0; k < 3; k++)
@@ -247,12 +246,12 @@ static void impact_adjoint(double impact, double dt, const double *ground, const
     dp[k] += ground == NULL ? along[k] : k < 2 ? push * (g[k] - ground[k]) : 0;
 }
 
-void mo_contact_move_adjoint(const struct mo_physics *physics,
+void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
                              const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3])
 {
-  const double dt = physics->scheme.dt_s;
+  const double dt = scheme->dt_s;
   const double *p = position_m, *v = velocity_m_per_s;
   double *dp = d_position, *dv = d_velocity;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
@@ -263,15 +262,15 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
     return;
   }
   /* Repeat the forward step: impact at `hit`, velocity `slid` after it, end of the step `end`. */
-  const double impact = physics->scheme.impact == MO_IMPACT_EXACT
+  const double impact = scheme->impact == MO_IMPACT_EXACT
                             ? mo_impact_exact(heights_m, p, v, dt)
-                            : mo_impact_bisection(heights_m, p, v, dt, physics->scheme.bisections);
+                            : mo_impact_bisection(heights_m, p, v, dt, scheme->bisections);
   const double rest = dt - impact;
   double hit[3] = {p[0] + impact * v[0], p[1] + impact * v[1], 0}, slid[3] = {v[0], v[1], v[2]},
          g[2], end[3];
   hit[2] = mo_terrain_height(heights_m, hit[0], hit[1]);
   mo_terrain_gradient(heights_m, hit[0], hit[1], g);
-  strike(physics, g, slid);
+  strike(constants, g, slid);
   for (int k = 0; k < 3; k++)
     end[k] = hit[k] + rest * slid[k];
 
@@ -297,7 +296,7 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
     d_impact -= slid[k] * d_end[k];
   }
   /* slid = strike(g, v) */
-  strike_adjoint(physics, g, v, d_slid, dv, dg);
+  strike_adjoint(constants, g, v, d_slid, dv, dg);
   /* g = ∇h(hit) */
   const double bend = twist(heights_m, hit[0], hit[1]);
   d_hit[0] += bend * dg[1];
@@ -315,6 +314,6 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
   double ground[2];
   const bool lies = !(p[2] > mo_terrain_height(heights_m, p[0], p[1]));
   mo_terrain_gradient(heights_m, p[0], p[1], ground);
-  if (physics->scheme.impact == MO_IMPACT_EXACT)
+  if (scheme->impact == MO_IMPACT_EXACT)
     impact_adjoint(impact, dt, lies ? ground : NULL, g, v, d_impact, dp, dv);
 }

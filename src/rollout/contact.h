@@ -15,13 +15,14 @@ double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const dou
 
 /* Moves a mass for one step; `highest_m` is the terrain's largest height. Returns whether it
  * touched the terrain. */
-bool mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
-                     double highest_m, double position_m[3], double velocity_m_per_s[3]);
+bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *constants,
+                     const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                     double position_m[3], double velocity_m_per_s[3]);
 
 /* Differentiates mo_contact_move at the given position and velocity. d_position, d_velocity: in,
  * ∂loss/∂ of its results; out, ∂loss/∂ of its inputs. With MO_IMPACT_BISECTION the time of impact
  * counts as constant. */
-void mo_contact_move_adjoint(const struct mo_physics *physics,
+void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
                              const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3]);

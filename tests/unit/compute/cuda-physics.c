@@ -88,13 +88,14 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
     const double from[3] = {position[0], position[1], position[2]}, with[3] = {v[0], v[1], v[2]};
     if (!lane_move(&lane, heights32, 1e9f, p, w))
       continue;
-    mo_contact_move(&physics, heights, INFINITY, position, speed);
+    mo_contact_move(&physics.scheme, &physics.constants, heights, INFINITY, position, speed);
     for (int k = 0; k < 3; k++) {
       d_position[k] = dp[k] = (float)uniform(-1, 1);
       d_velocity[k] = dv[k] = (float)uniform(-0.05, 0.05);
     }
     lane_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
-    mo_contact_move_adjoint(&physics, heights, INFINITY, from, with, d_position, d_velocity);
+    mo_contact_move_adjoint(&physics.scheme, &physics.constants, heights, INFINITY, from, with,
+                            d_position, d_velocity);
     double distance = 0, error = 0, size = 0;
     for (int k = 0; k < 3; k++) {
       const double center = k < 2 ? MO_WORLD_CENTRE_M : 0;

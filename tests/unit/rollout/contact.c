@@ -138,7 +138,7 @@ static void strike_flat(void)
   flat(heights_m, 0.25);
   /* The cap: 0.9 · 2 > 0.95 · 1. */
   double p[3] = {2.5, 2.5, 0.25 + 0.003}, v[3] = {1, 0, -2};
-  mo_contact_move(&physics, heights_m, 0.25, p, v);
+  mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, p, v);
   CHECK_NEAR(v[0], 0.05, 1e-15);
   CHECK_NEAR(v[1], 0, 0);
   CHECK_NEAR(v[2], 0, 0);
@@ -146,23 +146,23 @@ static void strike_flat(void)
   CHECK_NEAR(p[2], 0.25, 0);
   /* Friction proper: 5 m/s tangential lose 0.9 · 2. */
   double q[3] = {2.5, 2.5, 0.25 + 0.003}, w[3] = {3, -4, -2};
-  mo_contact_move(&physics, heights_m, 0.25, q, w);
+  mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, q, w);
   CHECK_NEAR(w[0], 3 * (1 - 1.8 / 5), 1e-15);
   CHECK_NEAR(w[1], -4 * (1 - 1.8 / 5), 1e-15);
   CHECK_NEAR(q[1], 2.5 - 4 * 0.0015 - 4 * (1 - 1.8 / 5) * 0.0025, 1e-15);
   /* Straight down: nothing tangential to divide by. */
   double s[3] = {2.5, 2.5, 0.25}, u[3] = {0, 0, -2};
-  mo_contact_move(&physics, heights_m, 0.25, s, u);
+  mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, s, u);
   CHECK(u[0] == 0 && u[1] == 0 && u[2] == 0 && s[2] == 0.25);
   /* No friction. */
   physics.constants.friction = 0;
   double a[3] = {2.5, 2.5, 0.25}, b[3] = {3, 0, -2};
-  mo_contact_move(&physics, heights_m, 0.25, a, b);
+  mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, a, b);
   CHECK_NEAR(b[0], 3, 0);
   CHECK_NEAR(a[0], 2.512, 1e-15);
   /* Above the ground: nothing but motion. */
   double c[3] = {2.5, 2.5, 0.25}, d[3] = {1, 2, 0};
-  mo_contact_move(&physics, heights_m, 0.25, c, d);
+  mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, c, d);
   CHECK_NEAR(c[1], 2.508, 1e-15);
   CHECK_NEAR(d[1], 2, 0);
 }
@@ -181,7 +181,7 @@ static void strike_slope(void)
   const double t[3] = {v[0] - vn * n[0], v[1], v[2] - vn * n[2]};
   const double vt = sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2]);
   const double scale = 1 - 0.9 * fabs(vn) / vt;
-  mo_contact_move(&physics, heights_m, 2.0, p, v);
+  mo_contact_move(&physics.scheme, &physics.constants, heights_m, 2.0, p, v);
   for (int axis = 0; axis < 3; axis++)
     CHECK_NEAR(v[axis], scale * t[axis], 1e-15);
   CHECK_NEAR(v[0] * n[0] + v[2] * n[2], 0, 1e-15);
@@ -206,7 +206,8 @@ static void never_below(void)
            v[3] = {uniform(-30, 30), uniform(-30, 30), uniform(-30, 5)};
     p[2] = mo_terrain_height(heights_m, p[0], p[1]) + (trial % 5 ? uniform(0, 0.05) : 0);
     const double before = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], vz = v[2];
-    mo_contact_move(&physics, heights_m, mo_terrain_highest(heights_m), p, v);
+    mo_contact_move(&physics.scheme, &physics.constants, heights_m, mo_terrain_highest(heights_m),
+                    p, v);
     REQUIRE(p[2] >= mo_terrain_height(heights_m, p[0], p[1]));
     REQUIRE(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] <= before * (1 + 1e-14));
     struck += v[2] != vz;

@@ -166,8 +166,8 @@ static uint64_t step_back(struct mass *m, double *error)
       forward[lane] += m->back_p[i] * dp[i].t[lane] + m->back_v[i] * dv[i].t[lane];
     size = fmax(size, fabs(forward[lane]));
   }
-  mo_contact_move_adjoint(m->physics, heights_m, mo_terrain_highest(heights_m), m->p, m->v,
-                          m->back_p, m->back_v);
+  mo_contact_move_adjoint(&m->physics->scheme, &m->physics->constants, heights_m,
+                          mo_terrain_highest(heights_m), m->p, m->v, m->back_p, m->back_v);
   *error = 0;
   for (int i = 0; i < 3; i++)
     *error = fmax(

@@ -64,8 +64,8 @@ static void shift(struct both *b, uint32_t m)
     r->position_m[i] = b->tape.position_m[i];
     r->velocity_m_per_s[i] = b->tape.velocity_m_per_s[i];
   }
-  mo_contact_move(r->physics, r->environment->terrain_heights_m, r->highest_m, r->position_m + at,
-                  r->velocity_m_per_s + at);
+  mo_contact_move(&r->physics->scheme, &r->physics->constants, r->environment->terrain_heights_m,
+                  r->highest_m, r->position_m + at, r->velocity_m_per_s + at);
 }
 
 /* Moves masses by as little as springs bear to where float32 hardly tells sides apart, or where
@@ -159,8 +159,10 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
       dp[i] = b->d_position[at + i];
       dv[i] = b->d_velocity[at + i];
     }
-    mo_contact_move(r->physics, heights_m, r->highest_m, next, speed);
-    mo_contact_move_adjoint(r->physics, heights_m, r->highest_m, p, v, dp, dv);
+    mo_contact_move(&r->physics->scheme, &r->physics->constants, heights_m, r->highest_m, next,
+                    speed);
+    mo_contact_move_adjoint(&r->physics->scheme, &r->physics->constants, heights_m, r->highest_m, p,
+                            v, dp, dv);
     for (size_t i = 0; i < 3; i++) {
       dv[i] *= keep;
       if (n < 0)
