@@ -82,12 +82,13 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
 
 template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHARE, PERIODIC> {
   using own = walker<MT, SHARE, PERIODIC>;
-  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::d_activation_at,
-      own::end, own::ends_period, own::first, own::first_row, own::g, own::group_first,
-      own::group_row, own::is_second, own::k, own::lane, own::lane_begin, own::list, own::n0,
-      own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::own_begin,
-      own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::pass_of,
-      own::position_at, own::ROWS, own::rows, own::tape, own::velocity_at, own::warp, own::width;
+  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::constants_of,
+      own::d_activation_at, own::end, own::ends_period, own::first, own::first_row, own::g,
+      own::group_first, own::group_row, own::is_second, own::k, own::lane, own::lane_begin,
+      own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
+      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
+      own::pass_of, own::physics_of, own::position_at, own::ROWS, own::rows, own::tape,
+      own::velocity_at, own::warp, own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, being loaded from the tape. */
   struct held {
@@ -285,7 +286,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
       const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
       float dp[3] = {s * d[0], s * d[1], s * d[2]},
             dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
-      lane_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
+      const lane_physics physics = physics_of(own_row(second));
+      lane_move_back(&physics, of.heights, of.highest, p, v, dp, dv);
       for (int axis = 0; axis < 3; axis++)
         d[axis] = dp[axis];
       to.z_gx.y = dv[0];
@@ -306,9 +308,10 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
       float *d = gx + 3 * (first + m);
       back_mass &to = mass[first + m];
       const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
+      const lane_physics physics = physics_of(own_row(second));
       float next[3];
       lane_cell g;
-      struck = s > 0 && lane_strikes(&k.physics, of.heights, of.highest, p, v, next, &g);
+      struck = s > 0 && lane_strikes(&physics, of.heights, of.highest, p, v, next, &g);
       if (!struck) {
         float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
         if (s > 0) {
@@ -316,7 +319,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
           const float before[3] = {s * to.z_gx.y, s * yz.x, s * yz.y};
           for (int axis = 0; axis < 3; axis++) {
             dp[axis] = s * d[axis];
-            dv[axis] = lane_drift_back(&k.physics, dp[axis], before[axis]);
+            dv[axis] = lane_drift_back(&physics, dp[axis], before[axis]);
           }
         }
         for (int axis = 0; axis < 3; axis++)
@@ -390,7 +393,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
     uint32_t s = now[0], at = MO_GP_SPRING_OWN(s);
     back_mass other = load_mass(own_mass, MO_GP_SPRING_OTHER(s)),
               here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
-    float sum[3] = {0, 0, 0};
+    float pull = constants_of(s).pull, actuation = constants_of(s).actuation, sum[3] = {0, 0, 0};
     for (int c = 0;; c += N) {
       const uint32_t *far = list + 32 * (c + N);
       const int16_t *kept_far = kept + 32 * (c + N);
@@ -415,9 +418,9 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
                                  other.gyz.y - here.gyz.y};
         const struct lane_length length = lane_length_of(lane_squared(d));
         float dd[3];
-        const float d_wanted = -lane_spring_back(k.physics.pull, &length,
-                                                 wanted_length(k.physics, s, a), d, across, dd);
-        float d_activation = d_wanted * (lane_rest(MO_GP_SPRING_DIAGONAL(s)) * k.physics.actuation);
+        const float d_wanted =
+            -lane_spring_back(pull, &length, wanted_length(actuation, s, a), d, across, dd);
+        float d_activation = d_wanted * (lane_rest(MO_GP_SPRING_DIAGONAL(s)) * actuation);
         if (PERIODIC) {
           d_activation += later[i];
           if (!begins)
@@ -438,6 +441,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
               add_shared(own_gx + 12 * at + 4 * axis, sum[axis]);
           at = MO_GP_SPRING_OWN(next);
           here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
+          pull = constants_of(next).pull;
+          actuation = constants_of(next).actuation;
           sum[0] = sum[1] = sum[2] = 0;
         }
         if (c + i + 1 == n) {
@@ -504,9 +509,9 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
 #pragma unroll 1
     for (int m = lane_begin(); m < end(); m += 32) {
       back_mass &to = mass[first + m];
-      to.z_gx.y = lane_kick_back(&k.physics, to.z_gx.y);
-      to.gyz =
-          make_float2(lane_kick_back(&k.physics, to.gyz.x), lane_kick_back(&k.physics, to.gyz.y));
+      const lane_physics physics = physics_of(own_row(is_second(m)));
+      to.z_gx.y = lane_kick_back(&physics, to.z_gx.y);
+      to.gyz = make_float2(lane_kick_back(&physics, to.gyz.x), lane_kick_back(&physics, to.gyz.y));
     }
     __syncwarp();
   }
@@ -524,8 +529,9 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
         (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
     for (int axis = 0; axis < 3; axis++)
       d_place[axis] = fmaf(push, away[axis], d_place[axis]);
-    to.z_gx.y = lane_kick_back(&k.physics, z_gx.y);
-    to.gyz = make_float2(lane_kick_back(&k.physics, gyz.x), lane_kick_back(&k.physics, gyz.y));
+    const lane_physics physics = physics_of(own_row(second));
+    to.z_gx.y = lane_kick_back(&physics, z_gx.y);
+    to.gyz = make_float2(lane_kick_back(&physics, gyz.x), lane_kick_back(&physics, gyz.y));
   }
 };
 

@@ -30,13 +30,14 @@ struct strikes {
 
 template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, PERIODIC> {
   using own = walker<MT, SHARE, PERIODIC>;
-  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::end, own::end_step,
-      own::first, own::first_row, own::first_step, own::g, own::group_first, own::group_row,
-      own::half_begin, own::hidden_at, own::input_at, own::is_second, own::k, own::lane,
-      own::layer_bytes, own::list, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
-      own::normal_at, own::output_tile, own::own_begin, own::own_chunks, own::own_masses,
-      own::own_row, own::pair_row, own::pair_sync, own::part, own::pass_of, own::position_at,
-      own::rows, own::scale_at, own::tape, own::TAPE_ROWS, own::velocity_at, own::warp, own::width;
+  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::constants_of,
+      own::end, own::end_step, own::first, own::first_row, own::first_step, own::g,
+      own::group_first, own::group_row, own::half_begin, own::hidden_at, own::input_at,
+      own::is_second, own::k, own::lane, own::layer_bytes, own::list, own::n_chunks, own::n_masses,
+      own::n_outputs, own::n_own, own::normal_at, own::output_tile, own::own_begin, own::own_chunks,
+      own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::part, own::pass_of,
+      own::physics_of, own::position_at, own::rows, own::scale_at, own::tape, own::TAPE_ROWS,
+      own::velocity_at, own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -358,7 +359,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     uint32_t s = now[0], at = MO_GP_SPRING_OWN(s);
     spring p = spring_of(s);
     float4 here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
-    float sum[3] = {0, 0, 0};
+    float pull = constants_of(s).pull, actuation = constants_of(s).actuation, sum[3] = {0, 0, 0};
     for (int c = 0;; c += N) {
       if (c + N < n) {
 #pragma unroll
@@ -373,8 +374,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
           keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
         const struct lane_length length = lane_length_of(lane_squared(d));
-        const float f =
-            lane_spring(k.physics.pull, &length, wanted_length(k.physics, s, activation_of(p.a)));
+        const float f = lane_spring(pull, &length, wanted_length(actuation, s, activation_of(p.a)));
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(-f, d[axis], sum[axis]);
         if (s & MO_GP_SPRING_LAST) {
@@ -383,6 +383,8 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
               v[3 * (first + at) + axis] += sum[axis];
           at = MO_GP_SPRING_OWN(next);
           here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
+          pull = constants_of(next).pull;
+          actuation = constants_of(next).actuation;
           sum[0] = sum[1] = sum[2] = 0;
         }
         if (c + i + 1 == n) {
@@ -398,10 +400,11 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     }
   }
 
-  /* A velocity as the springs find it: −0 is what adds nothing to any number. */
-  __device__ __forceinline__ float unpushed(int axis, float u) const
+  /* The velocity of a mass as the springs find it: −0 is what adds nothing to any number. */
+  __device__ __forceinline__ float unpushed(int m, int axis, float u) const
   {
-    return lane_kick(&k.physics, axis, u, -0.0f);
+    const lane_physics of = physics_of(own_row(is_second(m)));
+    return lane_kick(&of, axis, u, -0.0f);
   }
 
   /* The state after the step. false: not a sane one. */
@@ -409,7 +412,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
   {
     x[first + m] = make_float4(p[0], p[1], p[2], 0);
     for (int axis = 0; axis < 3; axis++)
-      v[3 * (first + m) + axis] = unpushed(axis, u[axis]);
+      v[3 * (first + m) + axis] = unpushed(m, axis, u[axis]);
     return lane_is_sane(p, u);
   }
 
@@ -424,6 +427,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
       if (m < end()) {
         const bool second = is_second(m), ended = second ? dead[1] : dead[0];
         const mo_plan_scene &of = rows[own_row(second)];
+        const lane_physics physics = physics_of(own_row(second));
         const float *pv = v + 3 * (first + m);
         const float4 before = x[first + m];
         const float p[3] = {before.x, before.y, before.z};
@@ -433,7 +437,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
         keep[m] = u[0];
         keep[n_masses + m] = u[1];
         keep[2 * n_masses + m] = u[2];
-        struck = !ended && lane_strikes(&k.physics, of.heights, of.highest, p, u, next, &ground);
+        struck = !ended && lane_strikes(&physics, of.heights, of.highest, p, u, next, &ground);
         if (ended)
           leave(m, p, u);
         else if (!struck && !leave(m, next, u))
@@ -445,10 +449,11 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
           const int at = aside.mass[lane];
           const bool second = is_second(at);
           const mo_plan_scene &of = rows[own_row(second)];
+          const lane_physics physics = physics_of(own_row(second));
           const float *pv = v + 3 * (first + at);
           const float4 before = x[first + at];
           float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
-          lane_move(&k.physics, of.heights, of.highest, p, u);
+          lane_move(&physics, of.heights, of.highest, p, u);
           if (!leave(at, p, u))
             (second ? sane[1] : sane[0]) = false;
         }
@@ -503,7 +508,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     for (int m = begin() + lane; m < end(); m += 32)
       x[first + m] = make_float4(state_x[3 * m], state_x[3 * m + 1], state_x[3 * m + 2], 0);
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
-      own_v[i] = first_step > 0 ? state_v[i] : unpushed(i % 3, 0.0f);
+      own_v[i] = first_step > 0 ? state_v[i] : unpushed(i / 3, i % 3, 0.0f);
     }
     dead[0] = k.results[first_row + group_row(own_row(0))].diverged != 0;
     dead[1] = MT > 1 && k.results[first_row + group_row(own_row(MT - 1))].diverged != 0;

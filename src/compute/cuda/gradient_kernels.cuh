@@ -58,7 +58,8 @@ struct mo_gk {
   float *position, *velocity;   /* (n_masses, 3) between parts: the state, or ∂loss/∂state */
   struct mo_gk_result *results; /* (n_rows) */
   struct mo_gk_weights weights;
-  struct lane_physics physics;
+  float dt;
+  uint32_t bisections; /* 0: exact */
   enum mo_sensor sensor;
   double bound, restart_weight;
   bool restarts; /* MO_ADJOINT_RESTART */
@@ -238,10 +239,10 @@ static __device__ __forceinline__ float activation_of(int16_t kept)
   return (float)kept * (1.0f / 32767.0f);
 }
 
-static __device__ __forceinline__ float wanted_length(const lane_physics &k, uint32_t spring,
+static __device__ __forceinline__ float wanted_length(float actuation, uint32_t spring,
                                                       float activation)
 {
-  return lane_wanted(lane_rest(MO_GP_SPRING_DIAGONAL(spring)), k.actuation, activation);
+  return lane_wanted(lane_rest(MO_GP_SPRING_DIAGONAL(spring)), actuation, activation);
 }
 
 template <class T> static __device__ __forceinline__ T sum_lanes(T x)
@@ -406,6 +407,16 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
   __device__ __forceinline__ int lane_begin() const
   {
     return SHARE == 1 ? lane : begin() + ((lane - begin()) & 31);
+  }
+
+  __device__ __forceinline__ lane_physics physics_of(int row) const
+  {
+    return lane_physics_alike(k.dt, k.bisections, &rows[row].constants);
+  }
+  /* The constants of the row that one of the pair's springs belongs to. */
+  __device__ __forceinline__ const lane_constants &constants_of(uint32_t spring) const
+  {
+    return rows[pair_row(MO_GP_SPRING_ROW(spring))].constants;
   }
 
   __device__ __forceinline__ void pair_sync() const

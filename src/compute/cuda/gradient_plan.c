@@ -67,6 +67,9 @@ uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outpu
                 + 4 + 32);                       /* flags and counters */
   const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS,
                  back = n_masses * 36;
+  /* For the numbers of the tiles, and for the rows' constants, which are not counted above: more
+   * bytes per row would form other groups of large bodies, and gradients of other bits. */
+  _Static_assert(MO_GP_ROWS_MAX * sizeof(struct lane_constants) + 144 <= 1024, "they fit");
   return rows + (forward > back ? forward : back) + 1024;
 }
 
@@ -307,7 +310,7 @@ static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
   for (int axis = 0; axis < 2; axis++)
     row->light_m[axis] = light[axis] - MO_WORLD_CENTRE_M;
   row->goal = mo_goal_of(environment, start->com_start_m);
-  row->scene = mo_plan_scene_of(environment);
+  row->scene = mo_plan_scene_of(environment, s->physics);
   for (size_t i = 0; i < body->n_masses; i++) {
     s->plan->input[at + i] = (uint8_t)body->mass_lattice[i];
     for (size_t axis = 0; axis < 3; axis++)

@@ -453,7 +453,8 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     int r = mo_gradient_pass_next(&plan, shard, group, n_steps, control_steps, budget, &w.p);
     if (r < 0)
       return r;
-    w.k.physics = lane_physics_of(&call->physics);
+    w.k.dt = (float)call->physics.scheme.dt_s;
+    w.k.bisections = lane_bisections(&call->physics.scheme);
     w.k.sensor = call->controller->sensor;
     w.k.bound = call->options.adjoint_bound;
     w.k.restarts = call->options.adjoint_rule == MO_ADJOINT_RESTART;

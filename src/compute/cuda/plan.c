@@ -292,10 +292,11 @@ static size_t carve_plan(struct mo_plan *plan, struct distinct *bodies,
   return c.used;
 }
 
-int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n)
+int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n,
+                   const struct mo_physics *physics)
 {
   struct distinct bodies, environments;
-  *plan = (struct mo_plan){.robots = robots, .n = n};
+  *plan = (struct mo_plan){.robots = robots, .n = n, .physics = physics};
   plan->memory = malloc(carve_plan(plan, &bodies, &environments, NULL));
   if (plan->memory == NULL)
     return MO_ERR_NO_MEMORY;
@@ -416,7 +417,8 @@ int mo_plan_slots(uint16_t *slots)
 
 /* ---- filling ---- */
 
-struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment)
+struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
+                                      const struct mo_physics *physics)
 {
   struct mo_plan_scene scene;
   double light[3];
@@ -429,6 +431,7 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment)
     top = fmax(top, environment->terrain_heights_m[k]);
   }
   scene.highest = (float)(top + 1e-6 * (1 + fabs(top)));
+  scene.constants = lane_constants_of(&physics->scheme, &physics->constants);
   return scene;
 }
 
@@ -567,7 +570,7 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
   for (uint32_t e = share; e < plan->n_environments; e += n_shares) {
     memcpy(environments[e].heights_m, plan->environments[e]->terrain_heights_m,
            sizeof(environments[e].heights_m));
-    environments[e].scene = mo_plan_scene_of(plan->environments[e]);
+    environments[e].scene = mo_plan_scene_of(plan->environments[e], plan->physics);
   }
   struct mo_plan_group *groups = (struct mo_plan_group *)(void *)(base + block->groups);
   for (uint32_t g = share; g < plan->n_groups; g += n_shares) {

@@ -28,6 +28,7 @@ struct mo_plan {
   /* The plan's own memory, one allocation. */
   void *memory;
   const struct mo_robot *robots;
+  const struct mo_physics *physics;
   const struct mo_body **bodies;              /* (n_bodies), in the order of their rows */
   const struct mo_environment **environments; /* (n_environments) */
   struct mo_plan_body *headers;               /* (n_bodies) */
@@ -46,13 +47,14 @@ struct mo_plan {
   uint64_t *keys; /* (n_bodies): sort keys of bodies */
 };
 
-/* Call in this order: mo_plan_create, mo_plan_measure, mo_plan_cut, mo_plan_fill. `robots` and
- * everything they point to must stay valid until the plan is freed. It may also be freed after an
- * error. */
+/* Call in this order: mo_plan_create, mo_plan_measure, mo_plan_cut, mo_plan_fill. `robots`,
+ * everything they point to and `physics` must stay valid until the plan is freed. It may also be
+ * freed after an error. */
 
 /* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of a
  * workspace other than the default; MO_ERR_NO_MEMORY. */
-int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n);
+int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n,
+                   const struct mo_physics *physics);
 void mo_plan_free(struct mo_plan *plan);
 
 /* Measures the bodies, on up to n_threads threads. */
@@ -70,7 +72,8 @@ void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t n_threads);
  * lattice's floor first. */
 int mo_plan_input_mass(uint32_t input);
 
-struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment);
+struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
+                                      const struct mo_physics *physics);
 
 /* Writes the slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
 int mo_plan_slots(uint16_t *slots);

@@ -15,6 +15,8 @@
 
 #include <morpho/gradient.h>
 
+#include "compute/cuda/lane.cuh"
+
 #define MO_PLAN_COLUMN      8 /* rows of a column: the width of a matrix instruction */
 #define MO_PLAN_COLUMNS_MAX 10
 #define MO_PLAN_ROWS_MAX    (MO_PLAN_COLUMN * MO_PLAN_COLUMNS_MAX)
@@ -94,6 +96,7 @@ struct mo_plan_scene {
   float light[3];
   float highest; /* slightly above the terrain, so that rounding in its polynomials never matters */
   float heights[MO_TERRAIN_HEIGHTS];
+  struct lane_constants constants;
 };
 /* An environment with its heights in float64, for the start. */
 struct mo_plan_environment {

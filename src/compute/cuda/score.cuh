@@ -33,7 +33,8 @@ struct mo_cuda_score {
   uint32_t *next_group;      /* 0 before the launch */
   const volatile int *cancel;
   struct mo_weights_layout layout;
-  struct lane_physics physics;
+  float dt;
+  uint32_t bisections; /* 0: exact */
   double drop_height_m;
   uint32_t n_groups, n_steps, max_places;
   uint32_t control_steps; /* in a control period */

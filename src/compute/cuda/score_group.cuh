@@ -39,7 +39,8 @@ struct Shared {
   Part parts[kRows];
   Row rows[kRows];
   __align__(16) Home homes[kRows]; /* unused rows refer to the empty pairs after the last part */
-  const float *heights[kRows];
+  const mo_plan_scene *scenes[kRows];
+  __align__(8) float actuation[kRows];
   uint32_t chunks[kChunks]; /* part << 16 | number */
   int insane[kRows], diverged[kRows];
   uint32_t n_chunks, group;
@@ -168,6 +169,13 @@ __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
   return memory;
 }
 
+/* Returns the physics of a row. */
+__device__ __forceinline__ lane_physics physics_of(const mo_cuda_score &score,
+                                                   const mo_plan_scene &scene)
+{
+  return lane_physics_alike(score.dt, score.bisections, &scene.constants);
+}
+
 /* Sorts the chunks in descending order of their number of links, then arranges them in alternating
  * direction, so that the warps, which take them in turn, have about the same number of links. */
 __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
@@ -233,7 +241,8 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Me
           score.environments[score.rows[plan.first_row + thread].environment].scene;
       shared.light[thread] =
           make_float4(scene.light[0], scene.light[1], scene.light[2], scene.highest);
-      shared.heights[thread] = scene.heights;
+      shared.scenes[thread] = &scene;
+      shared.actuation[thread] = scene.constants.actuation;
     } else {
       shared.homes[thread] = Home{0, (uint16_t)plan.n_parts, 0};
     }

@@ -114,7 +114,6 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
 {
   const mo_cuda_score &score = shared.score;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, n = shared.n_chunks;
-  const lane_physics &k = score.physics;
   const Part *part, *next_part;
   Item item = item_at(shared, warp, lane, &part),
        next = item_at(shared, warp + MO_CUDA_WARPS, lane, &next_part);
@@ -149,6 +148,7 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
       pull_four(quad[i], reach, length, p, j);
     }
     if (item.used) {
+      const lane_physics k = physics_of(score, *shared.scenes[part->first_row + item.row]);
       v[0] = fmaf(j[0], k.pull, lane_coast(&k, 0, before.x));
       v[1] = fmaf(j[1], k.pull, lane_coast(&k, 1, before.y));
       v[2] = fmaf(j[2], k.pull, lane_coast(&k, 2, before.z));
@@ -182,7 +182,9 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       const uint32_t row = part->first_row + item.row;
       float *at = position + 3 * item.place;
       float p[3] = {at[0], at[1], at[2]};
-      if (lane_move(&score.physics, shared.heights[row], shared.light[row].w, p, v)) {
+      const mo_plan_scene &scene = *shared.scenes[row];
+      const lane_physics k = physics_of(score, scene);
+      if (lane_move(&k, scene.heights, shared.light[row].w, p, v)) {
         speed[0] = v[0];
         speed[1] = v[1];
         speed[2] = v[2];

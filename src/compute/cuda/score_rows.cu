@@ -38,7 +38,7 @@ uint32_t threads_for(const mo_plan &plan)
 /* Divides rows into groups. */
 int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options &options)
 {
-  const int status = mo_plan_create(plan, score->robots, score->n);
+  const int status = mo_plan_create(plan, score->robots, score->n, &score->physics);
   if (status != MO_OK)
     return status;
   mo_plan_measure(plan, threads_for(*plan));
@@ -93,7 +93,8 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.next_group = (uint32_t *)device->counter.memory;
   s.cancel = device->cancel_on_device;
   s.layout = mo_weights_layout();
-  s.physics = lane_physics_of(&score->physics);
+  s.dt = (float)score->physics.scheme.dt_s;
+  s.bisections = lane_bisections(&score->physics.scheme);
   s.drop_height_m = score->physics.drop_height_m;
   s.n_groups = plan.n_groups;
   s.n_steps = score->physics.scheme.n_steps;

@@ -134,7 +134,8 @@ __device__ __forceinline__ Layer layer_of(const mo_cuda_score &score, const Shar
 struct Output {
   const char *matrix;
   const float2 *bias;
-  float scale, actuation;
+  float scale;
+  const float *actuation; /* of each row */
   const Home *homes;
   const mo_plan_pairs *pairs;
   float *lengths;
@@ -178,21 +179,23 @@ __device__ __forceinline__ Output output_of(const mo_cuda_score &score, const Sh
   return Output{score.weights + score.layout.output,
                 reinterpret_cast<const float2 *>(score.weights + score.layout.output_bias),
                 shared.scalars.output,
-                score.physics.actuation,
+                shared.actuation,
                 shared.homes,
                 memory.pairs,
                 memory.lengths};
 }
 
-/* Converts a pair's sums in rows 2t and 2t + 1 of a column to lengths. */
-__device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t pair,
-                                         const float2 &bias, const float (&sum)[4])
+/* Converts a pair's sums in rows 2t and 2t + 1 of a column, the first of which is `row`, to
+ * lengths. */
+__device__ __forceinline__ void put_sums(const Output &output, const Home (&home)[2], uint32_t row,
+                                         uint32_t pair, const float2 &bias, const float (&sum)[4])
 {
   const float rest = lane_rest(2 * pair >= MO_PLAN_EDGES);
+  const float2 actuation = *reinterpret_cast<const float2 *>(output.actuation + row);
   float wanted[4];
 #pragma unroll
   for (int k = 0; k < 4; k++)
-    wanted[k] = lane_wanted(rest, output.actuation,
+    wanted[k] = lane_wanted(rest, k % 2 == 0 ? actuation.x : actuation.y,
                             mo_cuda_tanh(fmaf(sum[k], output.scale, k < 2 ? bias.x : bias.y)));
   put_lengths(output, home, pair, wanted);
 }

@@ -127,7 +127,7 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
       if (pair == MO_PLAN_NO_PAIR)
         continue;
       const float2 bias = __ldg(output.bias + pair);
-      put_sums(output, home, pair, bias, sum[m][c]);
+      put_sums(output, home, first + 2 * t, pair, bias, sum[m][c]);
     }
   }
 }

@@ -93,7 +93,7 @@ template <int COLUMNS> __device__ __forceinline__ void think_of()
         if ((tile.columns >> c & 1) != 0) {
           const Home *homes = output.homes + c * MO_PLAN_COLUMN + 2 * t;
           const Home home[2] = {homes[0], homes[1]};
-          put_sums(output, home, tile.pair, bias, sum[c]);
+          put_sums(output, home, c * MO_PLAN_COLUMN + 2 * t, tile.pair, bias, sum[c]);
         }
     }
     tile = next;

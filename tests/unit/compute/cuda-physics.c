@@ -29,6 +29,13 @@ static void random_heights(double highest, double heights[MO_TERRAIN_HEIGHTS],
     heights[k] = heights32[k] = (float)uniform(0, highest);
 }
 
+static struct lane_physics physics_of(const struct mo_physics *physics)
+{
+  const struct mo_scheme *scheme = &physics->scheme;
+  const struct lane_constants constants = lane_constants_of(scheme, &physics->constants);
+  return lane_physics_alike((float)scheme->dt_s, lane_bisections(scheme), &constants);
+}
+
 static void terrain(void)
 {
   double heights[MO_TERRAIN_HEIGHTS], worst = 0, steepest = 0;
@@ -66,7 +73,7 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
   static double moved[STRIKES], differ[STRIKES];
   struct mo_physics physics = mo_default_physics();
   physics.scheme.impact = impact;
-  const struct lane_physics lane = lane_physics_of(&physics);
+  const struct lane_physics lane = physics_of(&physics);
   int n = 0, crossing = 0;
   mo_random_init(&dice, 11, MO_PURPOSE_CHECK, 0, impact);
   while (n < STRIKES) {
@@ -130,7 +137,7 @@ static void contact(void)
 static void lying(void)
 {
   const struct mo_physics physics = mo_default_physics();
-  const struct lane_physics lane = lane_physics_of(&physics);
+  const struct lane_physics lane = physics_of(&physics);
   double heights[MO_TERRAIN_HEIGHTS];
   float heights32[MO_TERRAIN_HEIGHTS];
   int below = 0;
@@ -158,7 +165,7 @@ static void lying(void)
 static void insanity(void)
 {
   const struct mo_physics physics = mo_default_physics();
-  struct lane_physics lane = lane_physics_of(&physics);
+  struct lane_physics lane = physics_of(&physics);
   double heights[MO_TERRAIN_HEIGHTS];
   float heights32[MO_TERRAIN_HEIGHTS];
   const float odd[] = {NAN, INFINITY, -INFINITY, 1e30f, -1e30f, 0.0f};
@@ -198,7 +205,7 @@ static double loss64(const struct mo_physics *p, double wanted, const double *d,
 static void springs(void)
 {
   const struct mo_physics physics = mo_default_physics();
-  const struct lane_physics lane = lane_physics_of(&physics);
+  const struct lane_physics lane = physics_of(&physics);
   double worst = 0;
   mo_random_init(&dice, 13, MO_PURPOSE_CHECK, 0, 0);
   for (int n = 0; n < 3000; n++) {

@@ -7,6 +7,7 @@
 enum { BODIES = 60, PLACES = 7, N = BODIES * PLACES };
 
 static struct mo_lattice *lattice;
+static struct mo_physics physics;
 static struct mo_environment environments[PLACES];
 static struct mo_robot robots[N];
 
@@ -14,6 +15,7 @@ static struct mo_robot robots[N];
 static void setup(void)
 {
   struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 3);
+  physics = mo_default_physics();
   lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (uint32_t e = 0; e < PLACES; e++)
     mo_environment_training(4, 0, e, environments + e);
@@ -54,7 +56,7 @@ static const struct mo_plan_options options = {.rows = 40,
 static int cut(struct mo_plan *plan, const struct mo_robot *rows, uint32_t n, uint32_t n_threads,
                const struct mo_plan_options *wanted)
 {
-  const int status = mo_plan_create(plan, rows, n);
+  const int status = mo_plan_create(plan, rows, n, &physics);
   if (status != MO_OK)
     return status;
   mo_plan_measure(plan, n_threads);
@@ -140,6 +142,7 @@ static void rows_once(void)
           0);
     CHECK_NEAR(laid[e].scene.light[0] + MO_WORLD_CENTRE_M, environment->light_xy_m[0], 1e-6);
     CHECK_NEAR(laid[e].scene.heights[9], environment->terrain_heights_m[9], 1e-7);
+    CHECK(laid[e].scene.constants.pull == 60.0F && laid[e].scene.constants.friction == 0.9F);
     CHECK(laid[e].scene.highest > mo_terrain_highest(environment->terrain_heights_m));
   }
   release(&f);
