@@ -18,7 +18,7 @@ import own_daemon
 from own_daemon import Daemon, Deadline
 import records
 
-CENTRE_M = 2.5
+CENTER_M = 2.5
 BINS = ((1, 4), (5, 9), (10, 19), (20, 29), (30, 44), (45, 144))
 SIGMAS_M = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20)
 DISTANCES_M = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
@@ -42,7 +42,7 @@ What it is for, in one sentence.
 def environment(distance_m, angle, sigma_m, seed):
     return {
         "light_xy_m": [
-            CENTRE_M + distance_m * math.cos(angle), CENTRE_M + distance_m * math.sin(angle)
+            CENTER_M + distance_m * math.cos(angle), CENTER_M + distance_m * math.sin(angle)
         ], "terrain_sigma_m": sigma_m, "seed": seed
     }
 

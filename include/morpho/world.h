@@ -19,7 +19,7 @@ extern "C" {
 #define MO_TERRAIN_SIDE     8
 #define MO_TERRAIN_HEIGHTS  64
 #define MO_TERRAIN_SIZE_M   5.0
-#define MO_WORLD_CENTRE_M   2.5
+#define MO_WORLD_CENTER_M   2.5
 #define MO_TERRAIN_FLOOR_M  0.05 /* the lowest height of a random terrain */
 #define MO_PAPER_TEST_COUNT 10
 #define MO_PAPER_TEST_SEED  UINT64_C(20250711)

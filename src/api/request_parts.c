@@ -67,7 +67,7 @@ void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, v
 /* Losses are divided by the distance to the light at the start. */
 static void check_light(struct mo_json *json, unsigned depth, const double light_xy_m[2])
 {
-  if (hypot(light_xy_m[0] - MO_WORLD_CENTRE_M, light_xy_m[1] - MO_WORLD_CENTRE_M) < MO_VOXEL_M)
+  if (hypot(light_xy_m[0] - MO_WORLD_CENTER_M, light_xy_m[1] - MO_WORLD_CENTER_M) < MO_VOXEL_M)
     mo_json_fault_at(json, depth, "",
                      "the light is within a voxel of (2.5, 2.5), where robots start, so losses "
                      "would be divided by almost zero: it must be at least %g m away",

@@ -8,8 +8,8 @@
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m)
 {
-  const double left = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx;
-  const double front = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny;
+  const double left = MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.nx;
+  const double front = MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.ny;
   uint16_t lowest = UINT16_MAX;
   for (uint32_t i = 0; i < body->n_masses; i++)
     if (body->mass_xyz[3 * i + 2] < lowest)

@@ -101,7 +101,7 @@ static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, 
     double light_m[2] = {INFINITY, INFINITY};
     if (sqlite3_column_bytes(row, 0) == sizeof(light_m))
       memcpy(light_m, sqlite3_column_blob(row, 0), sizeof(light_m));
-    const double distance_m = hypot(light_m[0] - MO_WORLD_CENTRE_M, light_m[1] - MO_WORLD_CENTRE_M);
+    const double distance_m = hypot(light_m[0] - MO_WORLD_CENTER_M, light_m[1] - MO_WORLD_CENTER_M);
     n += distance_m < LIGHT_CLEAR_M;
     if (distance_m < nearest_m) {
       nearest_m = distance_m;

@@ -52,8 +52,8 @@ static double draw_light(struct mo_random *random, double light_xy_m[2])
     y = LIGHT_FAR_M * (2.0 * mo_random_uniform(random) - 1.0);
     square = x * x + y * y;
   } while (square < LIGHT_NEAR_M * LIGHT_NEAR_M || square > LIGHT_FAR_M * LIGHT_FAR_M);
-  light_xy_m[0] = MO_WORLD_CENTRE_M + x;
-  light_xy_m[1] = MO_WORLD_CENTRE_M + y;
+  light_xy_m[0] = MO_WORLD_CENTER_M + x;
+  light_xy_m[1] = MO_WORLD_CENTER_M + y;
   return sigma_m;
 }
 
@@ -119,8 +119,8 @@ void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_
       struct mo_environment *environment = &environments[place];
       int angle = 2 * i + ring; /* in units of 36° */
       *environment = mo_environment_defaults;
-      environment->light_xy_m[0] = MO_WORLD_CENTRE_M + radius_m[ring] * cosine[angle];
-      environment->light_xy_m[1] = MO_WORLD_CENTRE_M + radius_m[ring] * sine[angle];
+      environment->light_xy_m[0] = MO_WORLD_CENTER_M + radius_m[ring] * cosine[angle];
+      environment->light_xy_m[1] = MO_WORLD_CENTER_M + radius_m[ring] * sine[angle];
       struct mo_random random;
       mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0,
                      UINT64_C(1) + (uint64_t)place);

@@ -308,14 +308,14 @@ static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
   mo_scene_com(position_m, body->n_masses, start->com_start_m);
   mo_scene_light(environment, light);
   for (int axis = 0; axis < 2; axis++)
-    row->light_m[axis] = light[axis] - MO_WORLD_CENTRE_M;
+    row->light_m[axis] = light[axis] - MO_WORLD_CENTER_M;
   row->goal = mo_goal_of(environment, start->com_start_m);
   row->scene = mo_plan_scene_of(environment, s->physics);
   for (size_t i = 0; i < body->n_masses; i++) {
     s->plan->input[at + i] = (uint8_t)body->mass_lattice[i];
     for (size_t axis = 0; axis < 3; axis++)
       position[3 * i + axis] =
-          (float)(position_m[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
+          (float)(position_m[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTER_M : 0));
   }
   row->n_masses = body->n_masses;
 }

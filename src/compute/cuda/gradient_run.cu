@@ -312,7 +312,7 @@ void report(work &w)
       o = w.plan->starts[row.robot];
       o.diverged_step = result.diverged;
       for (int axis = 0; axis < 3; axis++)
-        o.com_end_m[axis] = result.com_end[axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0);
+        o.com_end_m[axis] = result.com_end[axis] + (axis < 2 ? MO_WORLD_CENTER_M : 0);
       mo_scene_finish(&o, w.call->robots[row.robot].environment);
       counts.robots++;
       counts.steps += result.steps;

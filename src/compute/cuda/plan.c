@@ -424,7 +424,7 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
   double light[3];
   mo_scene_light(environment, light);
   for (int axis = 0; axis < 3; axis++)
-    scene.light[axis] = (float)(light[axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
+    scene.light[axis] = (float)(light[axis] - (axis < 2 ? MO_WORLD_CENTER_M : 0));
   double top = -INFINITY;
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
     scene.heights[k] = (float)environment->terrain_heights_m[k];

@@ -87,7 +87,7 @@ __device__ double terrain_height(const double *heights, double x_m, double y_m)
 /* Returns where along an axis a mass starts. */
 __device__ double start_of(uint32_t cell, int side)
 {
-  return MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * side + MO_VOXEL_M * cell;
+  return MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * side + MO_VOXEL_M * cell;
 }
 
 /* Places one row, with one warp. */
@@ -116,8 +116,8 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   for (uint32_t m = lane; m < row.n_masses; m += 32) {
     const uint32_t mass = masses[m];
     float *p = position + 3 * (size_t)(row.first_place + m * row.stride);
-    p[0] = (float)(start_of(MO_PLAN_MASS_X(mass), 6) - MO_WORLD_CENTRE_M);
-    p[1] = (float)(start_of(MO_PLAN_MASS_Y(mass), 6) - MO_WORLD_CENTRE_M);
+    p[0] = (float)(start_of(MO_PLAN_MASS_X(mass), 6) - MO_WORLD_CENTER_M);
+    p[1] = (float)(start_of(MO_PLAN_MASS_Y(mass), 6) - MO_WORLD_CENTER_M);
     p[2] = (float)(MO_VOXEL_M * (MO_PLAN_MASS_Z(mass) - lowest) + lift);
   }
   if (lane < 3) {
@@ -294,7 +294,7 @@ __device__ void end_group(const mo_cuda_score &score, const Shared &shared, cons
     double sum = 0;
     for (uint32_t i = 0; i < row.n_masses; i++)
       sum += position[3 * (row.first_place + ranks[i] * row.stride) + axis];
-    outcome->com_end_m[axis] = sum / row.n_masses + (axis < 2 ? MO_WORLD_CENTRE_M : 0.0);
+    outcome->com_end_m[axis] = sum / row.n_masses + (axis < 2 ? MO_WORLD_CENTER_M : 0.0);
   }
 }
 

@@ -74,7 +74,7 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
         mo_cuda_outcome *outcome = score.outcomes + score.rows[shared.plan.first_row + thread].row;
         for (int axis = 0; axis < 3; axis++)
           outcome->com_end_m[axis] =
-              (double)shared.com[step & 1][thread][axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0.0);
+              (double)shared.com[step & 1][thread][axis] + (axis < 2 ? MO_WORLD_CENTER_M : 0.0);
       }
     }
     __syncthreads();

@@ -83,14 +83,14 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
     const double speed_m_per_s = n % 8 == 0 ? far * reach : reach;
     const float x = (float)uniform(-2.7, 2.7), y = (float)uniform(-2.7, 2.7);
     const float z =
-        (float)(mo_terrain_height(heights, x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M) +
+        (float)(mo_terrain_height(heights, x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M) +
                 uniform(1e-4, 0.004) * speed_m_per_s / 2);
     const float v[3] = {(float)uniform(-speed_m_per_s, speed_m_per_s),
                         (float)uniform(-speed_m_per_s, speed_m_per_s),
                         (float)uniform(-speed_m_per_s, 0)};
     const float start[3] = {x, y, z};
     float p[3] = {x, y, z}, w[3] = {v[0], v[1], v[2]}, dp[3], dv[3];
-    double position[3] = {x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M, z},
+    double position[3] = {x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M, z},
            speed[3] = {v[0], v[1], v[2]}, d_position[3], d_velocity[3];
     const double from[3] = {position[0], position[1], position[2]}, with[3] = {v[0], v[1], v[2]};
     if (!lane_move(&lane, heights32, 1e9f, p, w))
@@ -105,7 +105,7 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
                             d_position, d_velocity);
     double distance = 0, error = 0, size = 0;
     for (int k = 0; k < 3; k++) {
-      const double center = k < 2 ? MO_WORLD_CENTRE_M : 0;
+      const double center = k < 2 ? MO_WORLD_CENTER_M : 0;
       distance =
           fmax(distance, fmax(fabs(p[k] + center - position[k]), 0.004 * fabs(w[k] - speed[k])));
       error += pow(dp[k] - d_position[k], 2) + pow(15 * (dv[k] - d_velocity[k]), 2);

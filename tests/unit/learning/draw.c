@@ -121,8 +121,8 @@ static void held_out_environments(void)
   mo_held_out_environments(1, 64, held_out);
   int known = 0, odd = 0;
   for (uint32_t i = 0; i < 64; i++) {
-    const double x = held_out[i].light_xy_m[0] - MO_WORLD_CENTRE_M,
-                 y = held_out[i].light_xy_m[1] - MO_WORLD_CENTRE_M;
+    const double x = held_out[i].light_xy_m[0] - MO_WORLD_CENTER_M,
+                 y = held_out[i].light_xy_m[1] - MO_WORLD_CENTER_M;
     odd += !(hypot(x, y) >= 0.4 && hypot(x, y) <= 2.0) ||
            mo_environment_check(&held_out[i], NULL) != MO_OK;
     for (uint32_t k = 0; k < 64; k++) {

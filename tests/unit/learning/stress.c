@@ -176,9 +176,9 @@ static void move_house(const struct stress *s, const struct mo_robot *drawn, uin
         for (int axis = 0; axis < 2; axis++)
           com[axis] += MO_VOXEL_M * body->mass_xyz[3 * m + (uint32_t)axis] / body->n_masses;
       run->environments[i].light_xy_m[0] =
-          MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx + com[0];
+          MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.nx + com[0];
       run->environments[i].light_xy_m[1] =
-          MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny + com[1];
+          MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.ny + com[1];
     }
     run->robots[i] = (struct mo_robot){body, run->environments + i};
   }

@@ -39,7 +39,7 @@ static void setup(void)
   robots[1].body = make_body(lattice, bits);
   struct mo_environment *beside = make_zeros(1, sizeof(*beside));
   *beside = *robots[2].environment;
-  beside->light_xy_m[0] = beside->light_xy_m[1] = MO_WORLD_CENTRE_M;
+  beside->light_xy_m[0] = beside->light_xy_m[1] = MO_WORLD_CENTER_M;
   robots[2].environment = beside;
 }
 

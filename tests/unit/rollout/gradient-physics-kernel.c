@@ -84,7 +84,7 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   REAL *velocity = k.state + 3 * (size_t)r->n_sites;
   phys_start(r, k.state, &outcome);
   phys_fetch(r);
-  put(&k, s->position_m, MO_WORLD_CENTRE_M, k.state);
+  put(&k, s->position_m, MO_WORLD_CENTER_M, k.state);
   put(&k, s->velocity_m_per_s, 0, velocity);
   for (uint32_t i = 0; i < r->n_springs; i++)
     k.slots[i] = (REAL)s->activation[r->slot_spring[i]];
@@ -95,7 +95,7 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
     s->sensors[r->sensor_mass[i]] = k.sensors[i];
   for (uint32_t i = r->n_masses; i < r->n_sensor_reals; i++)
     s->sane &= k.sensors[i] == 0; /* as promised */
-  get(&k, k.state, MO_WORLD_CENTRE_M, s->next_m);
+  get(&k, k.state, MO_WORLD_CENTER_M, s->next_m);
   get(&k, velocity, 0, s->next_m_per_s);
   s->hits = 0;
   for (uint32_t v = 0; v < r->n_vectors; v++)
@@ -147,7 +147,7 @@ static bool start(const struct physics_scene *scene, struct mo_outcome *outcome,
   if (!create(&k, scene, 1))
     return false;
   phys_start(&k.robot, k.state, outcome);
-  get(&k, k.state, MO_WORLD_CENTRE_M, position_m);
+  get(&k, k.state, MO_WORLD_CENTER_M, position_m);
   phys_finish(&k.robot, k.state, outcome);
   phys_back_start(&k.robot, outcome->com_end_m, 1.0, k.adjoint);
   get(&k, k.adjoint, 0, d_position);

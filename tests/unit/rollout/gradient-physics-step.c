@@ -45,7 +45,7 @@ static void make_state(struct both *b, struct mo_random *random)
   for (uint32_t m = 0; m < n; m++)
     for (int axis = 0; axis < 3; axis++) {
       const uint32_t i = 3 * m + (uint32_t)axis;
-      const double center = axis < 2 ? MO_WORLD_CENTRE_M : 0;
+      const double center = axis < 2 ? MO_WORLD_CENTER_M : 0;
       b->position[i] = rounded(b->position[i] - (axis == 2 ? sink : center)) + center;
       b->velocity[i] = rounded(speed * mo_random_normal(random));
       b->d_position[i] = rounded(mo_random_normal(random));
@@ -84,7 +84,7 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
     const double edge = cell_m * round(p[axis] / cell_m),
                  beside = m % 4 == 3 ? 0.001 * mo_random_normal(random) : 0;
     if ((m % 4 == 0 || m % 4 == 3) && fabs(edge - p[axis]) < bear_m)
-      p[axis] = rounded(edge + beside - MO_WORLD_CENTRE_M) + MO_WORLD_CENTRE_M;
+      p[axis] = rounded(edge + beside - MO_WORLD_CENTER_M) + MO_WORLD_CENTER_M;
     const double ground = mo_terrain_height(heights_m, p[0], p[1]);
     if (m % 4 != 1 && fabs(ground - p[2]) < bear_m)
       p[2] = rounded(ground);

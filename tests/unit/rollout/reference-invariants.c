@@ -180,8 +180,8 @@ static bool start_by_feet(const struct mo_body *body, const struct mo_environmen
   for (uint32_t i = 0; i < body->n_masses; i++) {
     const uint16_t *cell = body->mass_xyz + 3 * i;
     double *p = position_m + 3 * i;
-    p[0] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx + MO_VOXEL_M * cell[0];
-    p[1] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny + MO_VOXEL_M * cell[1];
+    p[0] = MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.nx + MO_VOXEL_M * cell[0];
+    p[1] = MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.ny + MO_VOXEL_M * cell[1];
     p[2] = MO_VOXEL_M * (cell[2] - lowest);
     if (cell[2] == lowest)
       lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
@@ -375,7 +375,7 @@ static void extremes(void)
 {
   const struct mo_body *body = make_full_body(lattice);
   struct mo_environment environment = environment_of(81, 0);
-  environment.light_xy_m[0] = environment.light_xy_m[1] = MO_WORLD_CENTRE_M;
+  environment.light_xy_m[0] = environment.light_xy_m[1] = MO_WORLD_CENTER_M;
   struct mo_physics physics = mo_default_physics();
   struct mo_outcome outcome = outcome_of(body, bootstrap, &environment, &physics, NULL);
   CHECK_INT(outcome.diverged_step, 0);
