@@ -4,8 +4,8 @@
  *   static const struct check_case cases[] = {{"adds", adds}};
  *   CHECK_MAIN(cases)
  *
- * A failed check prints a diagnostic and goes on; a case with a failed check is "not ok". REQUIRE
- * leaves the case. {"adds 2", WITH(adds_number, 2)} calls `adds_number(2)`.
+ * After a failed check, which prints a diagnostic, the case continues; a case with a failed check
+ * is "not ok". REQUIRE leaves the case. {"adds 2", WITH(adds_number, 2)} calls `adds_number(2)`.
  * CHECK_MAIN_WITH(setup, cases) calls `setup` before the first case. */
 #ifndef MORPHO_TESTS_CHECK_H
 #define MORPHO_TESTS_CHECK_H
@@ -18,7 +18,7 @@
 struct check_case {
   const char *name;
   void (*run)(void);
-  void (*run_with)(int); /* in place of `run`: WITH */
+  void (*run_with)(int); /* instead of `run`; see WITH */
   int number;
 };
 #define WITH(function, number) NULL, function, number
@@ -31,7 +31,7 @@ static inline void check_run_with(void)
 }
 
 static int check_failures;
-/* Runs a case between what all cases of a program need before and after; NULL: nothing. */
+/* Runs a case with the setup and cleanup that all cases of a program need; NULL: none. */
 static void (*check_around)(void (*run)(void));
 
 #define CHECK(condition)                                                                           \
@@ -84,7 +84,7 @@ static void (*check_around)(void (*run)(void));
 #define CHECK_OK(status)   CHECK_INT(status, 0)
 #define REQUIRE_OK(status) REQUIRE((status) == 0)
 
-/* A text has these words in it. */
+/* Checks that a text contains these words. */
 #define CHECK_HAS(actual, words)                                                                   \
   do {                                                                                             \
     const char *check_a = (actual), *check_w = (words);                                            \
@@ -95,15 +95,16 @@ static void (*check_around)(void (*run)(void));
     }                                                                                              \
   } while (0)
 
-/* The same of a struct mo_message. */
+/* The same for a struct mo_message. */
 #define CHECK_SAYS(message, words) CHECK_HAS((message).text, words)
 
-/* The first n elements of two arrays are the same bytes. */
+/* Checks that the first n elements of two arrays have the same bytes. */
 #define SAME(a, b, n) (memcmp((a), (b), (size_t)(n) * sizeof(*(a))) == 0)
 
 #define COUNT(array) (sizeof(array) / sizeof((array)[0]))
 
-/* ---- what goes by itself: at the end of the case, or, made by `setup`, of the program ---- */
+/* ---- automatic cleanup: at the end of the case or, for things that `setup` made, of the program
+ * ---- */
 
 static struct check_kept {
   void (*drop)(void *thing);
@@ -121,7 +122,7 @@ static inline void *check_keep(void *thing, void (*drop)(void *thing))
   return thing;
 }
 
-/* Drops all but the oldest n, the newest first. */
+/* Frees all but the oldest n things, the newest first. */
 static inline void check_drop_to(size_t n)
 {
   while (check_n_kept > n) {
@@ -138,13 +139,13 @@ static inline size_t check_place_of(const void *thing)
   return place;
 }
 
-/* Drops `thing` and all that was kept after it. */
+/* Frees `thing` and everything that was kept after it. */
 static inline void check_drop_from(const void *thing)
 {
   check_drop_to(check_place_of(thing));
 }
 
-/* Hands a kept thing back to the caller. */
+/* Returns a kept thing to the caller, who then owns it. */
 static inline void *check_take(void *thing)
 {
   const size_t place = check_place_of(thing);

@@ -21,8 +21,8 @@ void *__wrap_realloc(void *old, size_t size);
 void *__wrap_aligned_alloc(size_t alignment, size_t size);
 char *__wrap_strdup(const char *text);
 
-static atomic_long left = -1; /* allocations until one fails; negative: never */
-static bool fails_for_good;   /* all fail from there on, and `left` stays 0 */
+static atomic_long left = -1; /* allocations until one fails; negative = never */
+static bool fails_for_good;   /* all allocations from there on fail, and `left` stays 0 */
 
 static int fails(void)
 {
@@ -58,8 +58,8 @@ char *__wrap_strdup(const char *text)
   return fails() ? NULL : __real_strdup(text);
 }
 
-/* Runs `work` with the first, the second, … allocation failing, until none is left to fail; at
- * least so many must have been there. */
+/* Runs `work` with the first, the second, … allocation failing, until no allocation is left to
+ * fail. At least `least` allocations must occur. */
 static inline void each_fails(int (*work)(void), int least)
 {
   for (int failed = 0; failed < 10000; failed++) {
@@ -74,7 +74,7 @@ static inline void each_fails(int (*work)(void), int least)
       return;
     }
   }
-  CHECK(0); /* it never ends */
+  CHECK(0); /* it does not end */
 }
 
 #endif

@@ -1,5 +1,6 @@
-/* make.h: what tests are made of, each in one call: it is there, or the program ends, and it is
- * freed at the end of the case (check.h). Also what several rooms compute alike. */
+/* make.h: things that tests need, each made in one call. If that fails, the program ends; otherwise
+ * the thing is freed at the end of the case (check.h). Also computations that several rooms' tests
+ * share. */
 #ifndef MORPHO_TESTS_MAKE_H
 #define MORPHO_TESTS_MAKE_H
 
@@ -19,7 +20,8 @@ static inline void make_check(int status, const char *what)
   exit(1);
 }
 
-/* make_NAME: by mo_NAME_create, whose last argument but for a message is &made. */
+/* make_NAME calls mo_NAME_create, whose last argument (before a message, if there is one) is
+ * &made. */
 #define MAKE(name, parameters, ...)                                                                \
   static inline void drop_##name(void *thing)                                                      \
   {                                                                                                \
@@ -72,7 +74,7 @@ static inline struct mo_compute *make_compute(uint32_t n_workers)
   return check_keep(made, drop_compute);
 }
 
-/* n elements, all zeros. */
+/* Returns n elements, all zero. */
 static inline void *make_zeros(size_t n, size_t size)
 {
   void *made = calloc(n > 0 ? n : 1, size);
@@ -89,7 +91,7 @@ static inline struct mo_controller *make_random_controller(enum mo_sensor sensor
   return made;
 }
 
-/* A file of the source tree. */
+/* Reads a file of the source tree. */
 static inline char *make_source_path(const char *relative)
 {
   const char *root = getenv("MORPHO_SOURCE_DIR");
@@ -110,7 +112,7 @@ static inline struct mo_controller *make_shipped_controller(const char *name)
   return check_keep(made, drop_controller);
 }
 
-/* All voxels of the lattice's workspace. */
+/* Sets all voxels of the lattice's workspace. */
 static inline struct mo_body *make_full_body(const struct mo_lattice *lattice)
 {
   uint64_t *bits = make_zeros((lattice->n_voxels + 63) / 64, sizeof(uint64_t));
@@ -119,8 +121,8 @@ static inline struct mo_body *make_full_body(const struct mo_lattice *lattice)
   return make_body(lattice, bits);
 }
 
-/* n robots: the first bodies of a stream, each in the environment of its number of a step of
- * learning; both may be replaced. */
+/* Returns n robots: the first bodies of a stream, each in the training environment with its number;
+ * the caller may replace both. */
 static inline struct mo_robot *make_robots(const struct mo_lattice *lattice, uint64_t body_seed,
                                            uint64_t environment_seed, uint32_t n)
 {
@@ -143,7 +145,7 @@ static inline struct mo_physics physics_of(uint32_t n_steps)
   return physics;
 }
 
-/* The stream of a test. */
+/* The random stream of a test. */
 static inline struct mo_random dice(uint64_t seed, uint32_t step, uint64_t index)
 {
   struct mo_random random;
@@ -153,7 +155,7 @@ static inline struct mo_random dice(uint64_t seed, uint32_t step, uint64_t index
 
 /* ---- settings ---- */
 
-/* One field of settings, a value for it, and what a check must say of that. */
+/* A field of settings, a value for it, and the expected message of the check. */
 struct field_case {
   void *field;
   size_t size; /* 2: uint16_t; 4: uint32_t or an enumeration; 8: double */
@@ -192,7 +194,7 @@ static inline int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Of sorted values. */
+/* The input must be sorted. */
 static inline double median_of(const double *sorted, size_t n)
 {
   return 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]);

@@ -1,5 +1,5 @@
-/* The contract says what the tables say: names, types, bounds, words and units of every setting,
- * and the columns of every row of numbers. */
+/* The contract agrees with the tables: names, types, bounds, words and units of every setting, and
+ * the columns of every numeric row. */
 #include "unit/check.h"
 
 #include <jansson.h>
@@ -18,7 +18,7 @@ static const json_t *schema(const char *name)
   return json_object_get(json_object_get(json_object_get(contract, "components"), "schemas"), name);
 }
 
-/* Follows a reference; of "this or null" takes this. */
+/* Follows a reference; if the schema is "this or null", returns this. */
 static const json_t *resolve(const json_t *node)
 {
   const char *reference;
@@ -40,7 +40,7 @@ static const json_t *property(const json_t *object, const char *name)
   return resolve(json_object_get(json_object_get(object, "properties"), name));
 }
 
-/* Says whether the type of a schema is, or may be, this one. */
+/* Returns whether the type of a schema is, or may be, this one. */
 static bool has_type(const json_t *node, const char *wanted)
 {
   const json_t *type = json_object_get(node, "type"), *one;
@@ -61,7 +61,7 @@ static bool has_number(const json_t *node, const char *key, double value)
   return json_is_number(number) && json_number_value(number) == value;
 }
 
-/* Says whether the name ends with its unit where it has one of these. */
+/* Returns whether the name ends with its unit, if it has one of these. */
 static bool tells_unit(const struct mo_field *field)
 {
   static const char *const units[][2] = {{"_n_per_m", "N/m"}, {"_m_per_s2", "m/s^2"},
@@ -112,11 +112,11 @@ static bool agrees(const json_t *node, const struct mo_field *field, bool bounds
   case MO_FIELD_GROUP:
     return check_members(node, field->group, bounds) ==
            json_object_size(json_object_get(node, "properties"));
-  default: return node != NULL; /* types of their own are told in words */
+  default: return node != NULL; /* special types are described in words */
   }
 }
 
-/* Checks that each row is a property and agrees with it. Returns the number of rows. */
+/* Checks that each row of a table is a property and agrees with it. Returns the number of rows. */
 static size_t check_members(const json_t *object, const struct mo_fields *fields, bool bounds)
 {
   size_t n = 0;
@@ -127,7 +127,8 @@ static size_t check_members(const json_t *object, const struct mo_fields *fields
       continue;
     }
     if (!agrees(property(object, field->name), field, bounds) || !tells_unit(field))
-      printf("# %s does not agree\n", field->name);
+      printf("# %s disagrees
+", field->name);
     CHECK(agrees(property(object, field->name), field, bounds));
     CHECK(tells_unit(field));
     n++;
@@ -135,7 +136,7 @@ static size_t check_members(const json_t *object, const struct mo_fields *fields
   return n;
 }
 
-/* others: members that the table has not. */
+/* others: members that are not in the table. */
 static void check_object(const char *name, const struct mo_fields *fields, size_t others,
                          bool bounds)
 {
@@ -170,7 +171,7 @@ static void requests(void)
   check_object("CanonicalBodiesRequest", &mo_canonical_request_fields, 0, true);
 }
 
-/* What replies say of settings has the same names; what requests may leave out is filled in. */
+/* Settings have the same names in replies as in requests; optional ones are filled in. */
 static void replies(void)
 {
   check_object("Physics", &mo_physics_fields, 0, false);
@@ -179,7 +180,7 @@ static void replies(void)
   check_object("CampaignLearning", &mo_campaign_record_learning_fields, 0, false);
 }
 
-/* Counts the properties of an object that are no objects, and those below them. */
+/* Counts the properties of an object that are not objects themselves, including nested ones. */
 static size_t count_leaves(const json_t *object)
 {
   const json_t *properties = json_object_get(object, "properties");
@@ -209,7 +210,8 @@ static void check_columns(const char *name, const struct mo_columns *columns)
                        : column->type == MO_COLUMN_NUMBER ? "number"
                                                           : "integer";
     if (!has_type(node, type))
-      printf("# %s %s does not agree\n", name, column->path);
+      printf("# %s %s disagrees
+", name, column->path);
     CHECK(has_type(node, type));
   }
   CHECK_INT(count_leaves(schema(name)), columns->n);

@@ -1,5 +1,6 @@
-/* Trainings and campaigns as JSON and CSV: what is not finite, one that waits for room, one that
- * went on from a checkpoint, one that is exhausted, replicates; Newick piece by piece. */
+/* Trainings and campaigns as JSON and CSV: non-finite numbers, a job that waits for room, a job
+ * that continued from a checkpoint, an exhausted campaign, replicates; and Newick text in
+ * pieces. */
 #include "unit/check.h"
 
 #include <jansson.h>
@@ -67,7 +68,7 @@ static void write_campaign(bool as_job)
   parse(&text);
 }
 
-/* The member at a path such as "settings.learning.sensor". */
+/* Returns the member at a path such as "settings.learning.sensor". */
 static const json_t *at(const char *path)
 {
   const json_t *node = json;
@@ -92,7 +93,7 @@ static bool has_number(const char *path, double value)
   return json_is_number(at(path)) && json_number_value(at(path)) == value;
 }
 
-/* Checks that the members at these paths, with blanks between them, are null. */
+/* Checks that the members at these blank-separated paths are null. */
 static void check_null(const char *paths)
 {
   char path[64];
@@ -112,7 +113,7 @@ static void check_rule(const char *settings, const char *rule, double weight)
   CHECK(has_number(path, weight));
 }
 
-/* A rate of mutation that is not given is one flip in a body of the workspace. */
+/* If no mutation rate is given, it is one flip per body of the workspace. */
 static void mutation_rate(void)
 {
   begin_campaign(MO_ZERO_SHOT, MO_JOB_QUEUED);
@@ -136,7 +137,7 @@ static void training_runs(void)
   live = (struct mo_live){.phase = MO_PHASE_LEARN, .rate = 64, .seconds_left = 30};
   write_training(false); /* being prepared: the step is not known yet */
   CHECK(has_number("progress.step", 80));
-  live.position = 85; /* after a crash, behind the curve */
+  live.position = 85; /* after a crash: past the end of the curve */
   write_training(false);
   CHECK(has_number("progress.step", 85));
   CHECK_TEXT(text_at("state"), "running");
@@ -150,7 +151,7 @@ static void training_runs(void)
   CHECK(has_number("progress.replayed", 5) && has_number("progress.replay_total", 20));
 }
 
-/* Checks the state and the reason of a kind, in full and as a job. */
+/* Checks the state and the reason, both in the full object and in the list of jobs. */
 static void check_reason(void (*write)(bool), const char *state, const char *reason)
 {
   for (int as_job = 0; as_job < 2; as_job++) {
@@ -160,7 +161,7 @@ static void check_reason(void (*write)(bool), const char *state, const char *rea
   }
 }
 
-/* One that waits for room is paused, until somebody cancels it. */
+/* A job that waits for room is paused until a client cancels it. */
 static void waits_for_room(void)
 {
   const struct mo_live waits = {.phase = MO_PHASE_WAIT,
@@ -186,7 +187,7 @@ static void waits_for_room(void)
   CHECK_TEXT(text_at("name"), "campaign-12");
 }
 
-/* A campaign that runs says whose drawing it waits for. */
+/* A running campaign reports which campaign's drawing it waits for. */
 static void waits_for_another(void)
 {
   begin_campaign(MO_FEW_SHOT, MO_JOB_RUNNING);
@@ -235,7 +236,7 @@ static void training_failed(void)
   CHECK_TEXT(text_at("links.held_out"), "/v1/trainings/12/held-out");
 }
 
-/* Checks the first values of a row, in the order of its columns: null is empty, a flag a digit. */
+/* Checks the first values of a row in column order: null is empty, a flag is a digit. */
 static void check_row(const struct mo_columns *columns, const void *row, const char *begins)
 {
   struct mo_text text = {0}, values = {0};
@@ -257,7 +258,7 @@ static void check_row(const struct mo_columns *columns, const void *row, const c
   mo_text_free(&values);
 }
 
-/* A population of which nothing stayed sane. */
+/* A population in which every member diverged. */
 static void campaign_exhausted(void)
 {
   begin_campaign(MO_SIMULTANEOUS, MO_JOB_SUCCEEDED);
@@ -338,7 +339,7 @@ static void designs(void)
   CHECK_INT(json_array_size(at("parents")), 1);
   CHECK(json_real_value(at("measures.reach")) == 0.1 && json_is_null(at("measures.height")));
   check_design(&row, 4, "5,\"[3]\",2,4,mutation,,d80000");
-  check_design(&row, 3, "5,\"[3]\",2,inf,mutation,,"); /* at the end of generation 3 it lived */
+  check_design(&row, 3, "5,\"[3]\",2,inf,mutation,,"); /* alive at the end of generation 3 */
   row.descent = (struct mo_descent){.parents = {MO_NO_PARENT, MO_NO_PARENT}, .op = MO_BORN_RANDOM};
   row.died = -1;
   row.score = 0.5;
@@ -377,9 +378,9 @@ static const struct check_case cases[] = {
     {"waiting for room", waits_for_room},
     {"a campaign that waits for another", waits_for_another},
     {"a training that has failed", training_failed},
-    {"a campaign with nothing sane", campaign_exhausted},
+    {"a campaign in which all diverged", campaign_exhausted},
     {"rows of trainings", training_rows},
-    {"designs and their lives", designs},
+    {"designs with births and deaths", designs},
     {"replicates", replicates},
 };
 CHECK_MAIN(cases)

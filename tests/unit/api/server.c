@@ -1,5 +1,5 @@
-/* server.c: the server from inside: limits, heartbeats, logs, and that it ends in order whatever
- * its clients do. */
+/* server.c: the server from inside: limits, heartbeats, logs, and an orderly shutdown no matter
+ * what its clients do. */
 #include "unit/check.h"
 
 #include <arpa/inet.h>
@@ -35,7 +35,7 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
 
 static struct mo_api *api; /* of the case that runs */
 
-/* Sets what a case leaves out, as the daemon's settings have it. */
+/* Fills in what a case leaves out, with the daemon's defaults. */
 static void fill(struct mo_http_config *config)
 {
   uint32_t *const counts[] = {&config->max_connections, &config->max_streams,
@@ -89,7 +89,7 @@ static int dial(void)
   return fd;
 }
 
-/* Sends a request; the socket, or −1. */
+/* Sends a request; returns the socket, or −1. */
 static int say(const char *method, const char *path, const char *headers, const char *body)
 {
   char request[2048];
@@ -105,7 +105,7 @@ static int say(const char *method, const char *path, const char *headers, const 
   return fd;
 }
 
-/* Reads to the end; the status, 0 if there was none. */
+/* Reads to the end; returns the status, or 0 without a reply. */
 static int receive(int fd, char *text, size_t size)
 {
   size_t n = 0;
@@ -118,7 +118,7 @@ static int receive(int fd, char *text, size_t size)
   return n > 12 ? (int)strtol(text + 9, NULL, 10) : 0;
 }
 
-static char text[4 << 20]; /* the last reply that was read to its end */
+static char text[4 << 20]; /* the last complete reply */
 
 static int finish(int fd)
 {
@@ -211,23 +211,23 @@ static void addresses(void)
   snprintf(where, sizeof(where), "unix:%s", path);
   REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK);
   CHECK_TEXT(address, where);
-  /* Somebody listens. */
+  /* A server is listening. */
   CHECK_INT(mo_http_listen(where, &other, unused, &message), MO_ERR_CONFLICT);
   close(fd);
-  REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK); /* nobody does any more */
+  REQUIRE(mo_http_listen(where, &fd, address, &message) == MO_OK); /* nothing listens */
   close(fd);
   unlink(path);
   FILE *file = fopen(path, "w");
   REQUIRE(file != NULL);
   fclose(file);
   CHECK_INT(mo_http_listen(where, &fd, NULL, &message),
-            MO_ERR_CONFLICT); /* not a socket: not touched */
+            MO_ERR_CONFLICT); /* not a socket: left untouched */
   CHECK(access(path, F_OK) == 0);
   unlink(path);
 }
 
-/* Where a recording of many megabytes is: a client that does not read it has a request in flight.
- */
+/* Path of a recording of many megabytes: if a client does not read it, its request stays in
+ * flight. */
 static bool record(char path[64])
 {
   int status = ask("POST", "/v1/evaluations", "Prefer: wait=20\r\n",
@@ -240,7 +240,7 @@ static bool record(char path[64])
   return status == 200 && id != NULL;
 }
 
-/* The beginning of a reply has come; the rest is not read. */
+/* The start of a reply has arrived; the rest is not read. */
 static bool begins(int fd)
 {
   return fd >= 0 && recv(fd, text, sizeof(text), MSG_WAITALL) == sizeof(text) &&
@@ -262,7 +262,7 @@ static void limits(void)
   int status = 429;
   for (int i = 0; i < 100 && status == 429; i++, pause_ms(5))
     status = ask("GET", "/v1/jobs", "", "");
-  CHECK_INT(status, 200); /* these wait, which takes no place */
+  CHECK_INT(status, 200); /* these wait, but occupy no thread */
   mo_http_get_stats(mo_api_http(api), &stats);
   CHECK(stats.in_flight >= 2 && stats.requests >= 1 && stats.heartbeat_us > 0);
   atomic_store(&fake_plan.delay_us, 0);
@@ -282,7 +282,7 @@ static void limits(void)
   mo_api_stop(api, 1000);
 }
 
-/* Lists that all wait for the store leave threads to what needs none of it. */
+/* Lists that all wait for the store leave threads to requests that do not need it. */
 static void lists_leave_threads(void)
 {
   enum { LISTS = 12 };
@@ -313,13 +313,13 @@ static void streams_take_no_place(void)
           memcmp(text + 9, "200", 3) == 0);
   }
   CHECK_INT(ask("GET", "/v1/jobs", "", ""), 200);
-  CHECK_INT(ask("GET", "/v1/events", "", ""), 503); /* their own limit */
+  CHECK_INT(ask("GET", "/v1/events", "", ""), 503); /* streams have their own limit */
   for (int i = 0; i < 3; i++)
     close(streams[i]);
   mo_api_stop(api, 1000);
 }
 
-/* ---- replies of several pieces: the phylogeny of a campaign ---- */
+/* ---- replies in several pieces: the phylogeny of a campaign ---- */
 
 #define PHYLOGENY "/v1/campaigns/%lld/phylogeny?format=%s"
 static long long campaign;
@@ -338,7 +338,7 @@ static void evolve(void)
     ask("GET", path, "Prefer: wait=5\r\n", "");
 }
 
-/* Each reply that is being sent counts in the memory of replies, whatever its client does. */
+/* Each reply in flight counts toward the memory of replies, no matter what its client does. */
 static void long_replies(void)
 {
   char path[96];
@@ -360,11 +360,11 @@ static void long_replies(void)
     close(fds[i]);
   for (int i = 1; i < 12; i += 2)
     CHECK(finish(fds[i]) >= 0);
-  CHECK_INT(ask("GET", path, "", ""), 200); /* their memory is back */
+  CHECK_INT(ask("GET", path, "", ""), 200); /* their memory has been released */
   mo_api_stop(api, 50);
 }
 
-/* Readers that do not read hold their replies in memory, up to the limit. */
+/* Clients that do not read keep their replies in memory, up to the limit. */
 static void memory(void)
 {
   char path[64];
@@ -372,14 +372,14 @@ static void memory(void)
   REQUIRE(record(path));
   int slow = say("GET", path, "", "");
   CHECK(begins(slow));
-  CHECK_INT(ask("GET", path, "", ""), 429); /* the half of one client */
+  CHECK_INT(ask("GET", path, "", ""), 429); /* half of the memory is one client's limit */
   CHECK(strstr(text, "Retry-After") != NULL);
   CHECK_INT(ask("GET", "/v1/jobs", "", ""), 200);
   close(slow);
   pause_ms(200);
   CHECK_INT(ask("GET", path, "", ""), 200);
   mo_api_stop(api, 1000);
-  /* A request that waits for its result needs its body no more. */
+  /* A request that waits for its result no longer needs its body. */
   REQUIRE(start((struct mo_http_config){.max_body_memory = 20000}));
   atomic_store(&fake_plan.delay_us, 2000000);
   int waiting = submit(13, "Prefer: wait=20\r\n"), status;
@@ -393,7 +393,7 @@ static void memory(void)
   mo_api_stop(api, 1000);
 }
 
-/* Whether there come to be so many requests in flight, and so many jobs that are not over. */
+/* Waits until there are this many requests in flight and this many open jobs. */
 static bool await_waiting(uint32_t requests, uint64_t jobs)
 {
   struct mo_http_stats stats;
@@ -401,8 +401,8 @@ static bool await_waiting(uint32_t requests, uint64_t jobs)
                 stats.in_flight == requests && stats_of().open_jobs == jobs));
 }
 
-/* Cancels the evaluation that the last reply was about, and the next ones, n in all: their blocks
- * are long. */
+/* Cancels the evaluation of the last reply and the following ones, n in total: their blocks are
+ * long. */
 static void cancel(int n)
 {
   const char *id = strstr(text, "/v1/evaluations/");
@@ -444,7 +444,7 @@ static void waiting_ends_with_the_server(void)
   const double begun = now_s();
   mo_api_stop(api, STOP_MS);
   CHECK(is_soon_after(begun));
-  CHECK_INT(finish(waiting), 202); /* accepted, as it stands */
+  CHECK_INT(finish(waiting), 202); /* accepted unchanged */
   cancel(1);
 }
 
@@ -470,9 +470,9 @@ static void logs(void)
 {
   REQUIRE(start((struct mo_http_config){0}));
   const unsigned before = atomic_load(&logged[404]), first = atomic_load(&logged[400]);
-  CHECK_INT(ask("GET", "/no%20where/\x7f\"?secret=1", "", ""), 400); /* a control byte */
+  CHECK_INT(ask("GET", "/no%20where/\x7f\"?secret=1", "", ""), 400); /* a control character */
   for (int i = 0; i < 5000 && atomic_load(&logged[400]) == first; i++)
-    pause_ms(1); /* the reply closes the connection, and is logged when that is closed */
+    pause_ms(1); /* the reply closes the connection, and is logged when the connection closes */
   CHECK_INT(ask("DELETE", "/no%20where?secret=1", "", ""), 404);
   mo_api_stop(api, 1000);
   CHECK_INT(atomic_load(&logged[404]) - before, 1);
@@ -482,7 +482,7 @@ static void logs(void)
 
 static atomic_bool churning;
 
-/* One of several sorts of clients, some of them rude, until the end. */
+/* A client of one of several kinds, some of them rude, until the end. */
 static void *client(void *context)
 {
   unsigned sort = *(const unsigned *)context, seed = sort * 7919 + 1;
@@ -501,7 +501,7 @@ static void *client(void *context)
     }
     if (fd < 0)
       continue;
-    if (sort % 6 == 2 || seed >> 16 & 1) { /* leaves before the end */
+    if (sort % 6 == 2 || seed >> 16 & 1) { /* disconnects before the end */
       struct pollfd polled = {fd, POLLIN, 0};
       poll(&polled, 1, (int)(seed >> 20 & 15));
       if (seed >> 17 & 1) {
@@ -551,7 +551,7 @@ static const struct check_case cases[] = {
     {"addresses", addresses},
     {"limits of one client", limits},
     {"lists leave threads to other requests", lists_leave_threads},
-    {"streams take no place of requests", streams_take_no_place},
+    {"streams do not occupy request threads", streams_take_no_place},
     {"long replies", long_replies},
     {"memory of replies", memory},
     {"waiting ends with its client", waiting_ends_with_its_client},

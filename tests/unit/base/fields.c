@@ -1,5 +1,5 @@
-/* Settings as tables: reading with faults, writing, parsing back bit for bit, bounds, paths, the
- * packed form. */
+/* Settings as tables: reading with faults, writing, parsing back bit for bit, bounds, paths, and
+ * the packed form. */
 #include "base/fields.h"
 
 #include "../check.h"
@@ -84,7 +84,7 @@ static void reads_what_is_given(void)
             MO_OK);
   CHECK_INT(outer.count, 7);
   CHECK_INT(outer.inner.steps, 3);
-  CHECK(outer.inner.share == 0.25); /* as it was */
+  CHECK(outer.inner.share == 0.25); /* unchanged */
   CHECK_INT(outer.color, GREEN);
   CHECK_INT(outer.side[1], 3);
   outer.batch = 5;
@@ -122,7 +122,7 @@ static void refuses(const char *text, const char *expected)
   CHECK_INT(parse(text, &outer, &message), MO_ERR_FORMAT);
   CHECK_TEXT(message.text, expected);
   CHECK(outer.rate == 0.5 && outer.color == RED && outer.inner.share == 0.25 &&
-        outer.count == 1); /* as they were */
+        outer.count == 1); /* unchanged */
 }
 
 static void says_what_is_wrong(void)
@@ -154,7 +154,7 @@ static void checks_bounds(void)
   CHECK_TEXT(message.text, "color must be \"red\" or \"green\", got number 2");
 }
 
-/* Texts, and a group that may be absent. */
+/* Texts, and an optional group. */
 struct named {
   char name[5], words[4 * 3 + 1];
   struct {
@@ -236,7 +236,7 @@ static void add_difference(void *context, const char *pointer, const char *first
   mo_text_format(context, "%s: %s, %s; ", pointer, first, second);
 }
 
-/* Each row that differs, by its pointer, with both values. */
+/* Lists each row that differs, by its pointer, with both values. */
 static void compares(void)
 {
   struct mo_text text = {0};
@@ -272,7 +272,7 @@ struct packed {
   double rate, table[4];
   struct part part;
   double added;   /* in version 2 */
-  uint32_t steps; /* in version 3, in a part of its own */
+  uint32_t steps; /* in version 3, in a separate part */
 };
 
 static const struct mo_field part_rows[] = {
@@ -299,7 +299,7 @@ static const struct mo_field packed_rows[] = {
 static const struct mo_fields packed_fields = MO_FIELDS(packed_rows);
 static const struct packed plain = {true, 2, GREEN, 5, 0.5, {1, 2, 3, 4}, {1.5, 3}, 7, 9};
 
-/* Numbers in rows may be given in rows. */
+/* Numbers in rows can also be written as rows. */
 static void reads_numbers(void)
 {
   static const struct {
@@ -406,11 +406,11 @@ static void equals(void)
 
 static const struct check_case cases[] = {
     {"compares", compares},
-    {"reads what is given", reads_what_is_given},
-    {"returns every bit", returns_every_bit},
+    {"reads the given values", reads_what_is_given},
+    {"round-trips every bit", returns_every_bit},
     {"says what is wrong", says_what_is_wrong},
     {"checks bounds", checks_bounds},
-    {"texts, and groups that are absent", texts_and_absent_groups},
+    {"texts and optional groups", texts_and_absent_groups},
     {"arrays of counts", counts},
     {"several numbers", reads_numbers},
     {"packs in a fixed order", packs},

@@ -22,7 +22,8 @@ static void allocation(void)
     CHECK_INT(sum, 0);
     free(memory);
   }
-  volatile size_t huge = SIZE_MAX; /* volatile: the compiler would warn of what is tested here */
+  volatile size_t huge =
+      SIZE_MAX; /* volatile, because otherwise the compiler would warn about what is tested here */
   CHECK(mo_alloc_aligned(huge / 2, 3) == NULL);
   CHECK(mo_alloc_aligned(huge, 1) == NULL);
   CHECK(mo_alloc_aligned(huge - 10, 1) == NULL);
@@ -46,7 +47,7 @@ static void parallel_loops(void)
       0, 1, 2, 3, 7, MO_PARALLEL_THREADS_MAX, MO_PARALLEL_THREADS_MAX + 9, UINT32_MAX};
   int wrong = 0;
   CHECK_INT(mo_thread_tag, -1);
-  mo_thread_tag = 77; /* whose work it is, all threads are told */
+  mo_thread_tag = 77; /* all threads inherit the tag */
   for (size_t s = 0; s < sizeof(sizes) / sizeof(sizes[0]); s++)
     for (size_t t = 0; t < sizeof(threads) / sizeof(threads[0]); t++) {
       struct tally tally = {{0}};
@@ -90,8 +91,8 @@ static void texts(void)
 
 static const struct check_case cases[] = {
     {"memory is aligned, zeroed, and checked against overflow", allocation},
-    {"the clock goes on", clock_goes_on},
+    {"the clock advances", clock_goes_on},
     {"a loop on several threads", parallel_loops},
-    {"codes have words of their own", texts},
+    {"each code has its own words", texts},
 };
 CHECK_MAIN(cases)

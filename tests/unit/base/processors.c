@@ -1,4 +1,4 @@
-/* processors.c: CPU quotas of cgroups, in trees of files like those of the kernel. */
+/* processors.c: CPU quotas of cgroups, read from trees of files like the kernel's. */
 #include "../check.h"
 
 #include "base/processors.h"
@@ -9,7 +9,7 @@
 
 static char root[] = "/tmp/morpho-processors-XXXXXX";
 
-/* Writes a file below the root, with the folders on its way. */
+/* Writes a file below the root, and creates its folders. */
 static void put(const char *name, const char *text)
 {
   char path[256];
@@ -35,7 +35,7 @@ static void end(void)
     check_failures++;
 }
 
-/* Each case begins with an empty tree. */
+/* Each case starts with an empty tree. */
 static void begin(void)
 {
   if (access(root, F_OK) == 0)
@@ -55,7 +55,7 @@ static void none(void)
   put("sys/fs/cgroup/a/cpu.max", "max 100000\n");
   CHECK_INT(mo_quota_processors(root), UINT32_MAX);
   put("sys/fs/cgroup/a/b/cpu.max", "");
-  put("sys/fs/cgroup/a/cpu.max", "150000\n"); /* no period */
+  put("sys/fs/cgroup/a/cpu.max", "150000\n"); /* no period given */
   CHECK_INT(mo_quota_processors(root), UINT32_MAX);
   put("proc/self/cgroup", "nonsense\n0:\n0::\n0::a\n");
   put("sys/fs/cgroup/cpu.max", "100000 100000\n");
@@ -89,17 +89,18 @@ static void ancestors(void)
   put("sys/fs/cgroup/slice/user/job.scope/cpu.max", "700000 100000\n");
   put("sys/fs/cgroup/slice/user/cpu.max", "max 100000\n");
   put("sys/fs/cgroup/slice/cpu.max", "800000 100000\n");
-  put("sys/fs/cgroup/slice/neighbor/cpu.max", "100000 100000\n"); /* not on the way up */
+  put("sys/fs/cgroup/slice/neighbor/cpu.max", "100000 100000\n"); /* not an ancestor */
   CHECK_INT(mo_quota_processors(root), 7);
   put("sys/fs/cgroup/slice/user/cpu.max", "600000 100000\n");
   CHECK_INT(mo_quota_processors(root), 6);
   put("sys/fs/cgroup/slice/cpu.max", "500000 100000\n");
   CHECK_INT(mo_quota_processors(root), 5);
-  put("sys/fs/cgroup/cpu.max", "350000 100000\n"); /* a container's own, at the top of its mount */
+  put("sys/fs/cgroup/cpu.max",
+      "350000 100000\n"); /* a container's own cgroup, at the top of its mount */
   CHECK_INT(mo_quota_processors(root), 4);
   put("proc/self/cgroup", "0::/\n");
   CHECK_INT(mo_quota_processors(root), 4);
-  put("proc/self/cgroup", "0::/../beside\n"); /* outside the namespace of cgroups */
+  put("proc/self/cgroup", "0::/../beside\n"); /* outside the cgroup namespace */
   CHECK_INT(mo_quota_processors(root), 4);
 }
 
@@ -130,7 +131,7 @@ static void this_process(void)
 static const struct check_case cases[] = {
     {"no quota", none},
     {"a quota is rounded up", rounded_up},
-    {"the least on the way up counts", ancestors},
+    {"the smallest quota of all ancestors counts", ancestors},
     {"cgroup version 1", version_1},
     {"this process", this_process},
 };

@@ -1,6 +1,6 @@
 /* random.c: the generator against its published vectors, its streams against each other, its
- * distributions against theory. The samples are fixed by their seeds: a bound that holds once holds
- * always. */
+ * distributions against theory. The samples are fixed by their seeds, so a bound that holds once
+ * always holds. */
 #include "../check.h"
 
 #include "base/normal.h"
@@ -134,8 +134,8 @@ static void below(void)
     }
     CHECK_NEAR(chi, bounds[b] - 1, 4.0 * sqrt(2.0 * (bounds[b] - 1)));
   }
-  /* A bound of 3 · 2³⁰ shows bias at once: without rejection every third number would come twice as
-   * often. */
+  /* A bound of 3 · 2³⁰ reveals bias at once: without rejection, every third number would occur
+   * twice as often. */
   int low = 0;
   const int n = 100000;
   for (int i = 0; i < n; i++)
@@ -154,7 +154,7 @@ static void logarithm(void)
   CHECK(mo_natural_log(1.0) == 0.0);
 }
 
-/* z(p) against tabulated quantiles, and back through the complementary error function. */
+/* z(p) against tabulated quantiles, and converted back with the complementary error function. */
 static void quantiles(void)
 {
   CHECK(mo_normal_quantile(0.5) == 0.0);
@@ -227,7 +227,7 @@ static void neighbors(void)
 }
 
 static const struct check_case cases[] = {
-    {"Philox gives the published numbers", known_answers},
+    {"Philox returns the published numbers", known_answers},
     {"streams are laid out as documented", stream_layout},
     {"filling equals single numbers", fill_equals_single_numbers},
     {"every part of a stream's name counts", streams_differ},

@@ -1,4 +1,4 @@
-/* The CPU back end: the same bits for any number of workers and any order, urgent blocks overtake,
+/* The CPU back end: the same bits for any number of workers and any order; urgent blocks overtake;
  * everything is handed back. */
 #include "fixture.h"
 
@@ -12,7 +12,7 @@ static void setup(void)
   mo_environment_paper_test(environments);
 }
 
-/* Design `number`: a pillar, a plank, or something between. */
+/* Returns the body of design `number`: a pillar, a plank, or something in between. */
 static void genotype_number(uint32_t number, uint64_t bits[MO_DEFAULT_WORDS])
 {
   struct mo_random random = dice(2, 0, number);
@@ -26,8 +26,8 @@ static void genotype_number(uint32_t number, uint64_t bits[MO_DEFAULT_WORDS])
   mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
 }
 
-/* Steps of a life that others overtake, and of one that nobody does. A sanitizer takes eight times
- * as long for each. */
+/* Rollout steps of a block that others overtake, and of one that stays alone. A sanitizer needs
+ * eight times as long for each. */
 #ifdef __SANITIZE_ADDRESS__
 enum { LONG = 1500, SHORT = 40 };
 #else
@@ -81,8 +81,8 @@ static void same_bits_for_any_workers_and_order(void)
   }
 }
 
-/* More workers than processors: what the share is charged is processor time, not the time in which
- * its threads waited for a processor. */
+/* More workers than processors: the share is charged processor time, without the time in which its
+ * threads waited for a processor. */
 static void charges_processor_time(void)
 {
   enum { N = 64 };
@@ -106,8 +106,8 @@ static void charges_processor_time(void)
   check_drop_from(compute);
 }
 
-/* One worker, inside a long batch block: an interactive block is done long before it, and the batch
- * block's bits do not change. */
+/* One worker, inside a long batch block: an interactive block finishes long before it, and the
+ * batch block's bits do not change. */
 static void urgent_blocks_overtake(void)
 {
   uint64_t genotype[MO_DEFAULT_WORDS];
@@ -135,8 +135,8 @@ static void urgent_blocks_overtake(void)
   CHECK_INT(stats.blocks_preempted, 3);
 }
 
-/* One worker, inside a long interactive block inside a long batch block: an immediate block is done
- * before both, another interactive one is not, and no bits change. */
+/* One worker, inside a long interactive block that interrupted a long batch block: an immediate
+ * block finishes before both, another interactive one does not, and no bits change. */
 static void immediate_blocks_overtake_interactive_ones(void)
 {
   uint64_t genotype[MO_DEFAULT_WORDS];
@@ -165,7 +165,7 @@ static void immediate_blocks_overtake_interactive_ones(void)
   CHECK_INT(stats_of(compute).blocks_preempted, 3);
 }
 
-/* Cancelling by flag, and by freeing the back end while blocks run and wait. */
+/* Cancellation by flag, and by freeing the back end while blocks run and wait. */
 static void cancelled_blocks_come_back(void)
 {
   uint64_t genotype[MO_DEFAULT_WORDS];
@@ -192,7 +192,7 @@ static void cancelled_blocks_come_back(void)
   }
 }
 
-/* Many threads submit, cancel and look at the counters while urgent blocks overtake. Meant for the
+/* Many threads submit, cancel and read the counters while urgent blocks overtake. Meant for the
  * thread sanitizer. */
 struct crowd {
   struct mo_compute *compute;
@@ -213,7 +213,7 @@ static void *submit_many(void *argument)
     uint64_t genotype[MO_DEFAULT_WORDS];
     genotype_number(crowd->number + round, genotype);
     struct mo_block block;
-    atomic_int ended = 0; /* 2: with the wrong tag */
+    atomic_int ended = 0; /* 2 = with the wrong tag */
     int cancel = 0;
     fill_block(&block, genotype, crowd->brain, round % 4 == 3 ? 20000 : 40);
     block.tag = crowd->number * 100 + round;
@@ -253,8 +253,7 @@ static void a_crowd_of_submitters(void)
   CHECK_INT(stats.blocks_done, THREADS * 12);
 }
 
-/* A block's results are those of its own precision and its own physics, and divergences are
- * counted. */
+/* Each block is computed in its own precision with its own physics, and divergences are counted. */
 static void blocks_are_what_was_asked_for(void)
 {
   uint64_t genotype[MO_DEFAULT_WORDS];
@@ -268,7 +267,7 @@ static void blocks_are_what_was_asked_for(void)
     fill_block(blocks + i, genotype, brain, 100);
     blocks[i].precision = i & 1 ? MO_FLOAT64 : MO_FLOAT32;
     blocks[i].physics.constants.stiffness_n_per_m =
-        i & 2 ? 1e6 : 15000; /* the stiff ones diverge */
+        i & 2 ? 1e6 : 15000; /* the stiff bodies diverge */
   }
   CHECK_INT(mo_compute_run(compute, blocks, 4), MO_OK);
   uint64_t diverged = 0;
@@ -288,8 +287,8 @@ static void blocks_are_what_was_asked_for(void)
   CHECK_INT(stats.rollouts_diverged, diverged);
 }
 
-/* A submitter that answers a cancelled block with the next one is turned away once the back end is
- * being freed: it would have no end otherwise. */
+/* A submitter that reacts to a cancelled block by submitting the next one is refused once the back
+ * end is being freed; otherwise this would never end. */
 struct stubborn {
   struct mo_compute *compute;
   atomic_int accepted, refused;
@@ -354,9 +353,9 @@ static const struct check_case cases[] = {
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"immediate blocks overtake interactive ones", immediate_blocks_overtake_interactive_ones},
     {"cancelled blocks come back", cancelled_blocks_come_back},
-    {"a crowd of submitters", a_crowd_of_submitters},
-    {"blocks are what was asked for", blocks_are_what_was_asked_for},
-    {"no block is taken after the end", no_block_is_taken_after_the_end},
+    {"many submitters at once", a_crowd_of_submitters},
+    {"precision and physics of each block", blocks_are_what_was_asked_for},
+    {"no block is accepted after the end", no_block_is_taken_after_the_end},
     {"passive bodies and faults", passive_and_faults},
 };
 CHECK_MAIN_WITH(setup, cases)

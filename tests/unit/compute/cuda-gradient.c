@@ -1,4 +1,4 @@
-/* cuda-gradient.c: how batches are laid out for the device that differentiates them. */
+/* cuda-gradient.c: how gradient batches are laid out for the device. */
 #include "../make.h"
 
 #include "compute/cuda/gradient_pass.h"
@@ -9,7 +9,7 @@
 
 enum { ROBOTS = 150, SHARD = 64 };
 
-/* Robots one of which has all voxels. */
+/* Makes robots; one of them has all voxels. */
 static struct mo_robot *make_batch(void)
 {
   struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
@@ -21,7 +21,7 @@ static struct mo_robot *make_batch(void)
 static const struct mo_gp_options options = {
     .shard = SHARD, .shared_bytes = 227 << 10, .workers = 1};
 
-/* Which of the body's springs has these two masses. */
+/* Returns which of the body's springs connects these two masses. */
 static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t b)
 {
   for (uint32_t i = 0; i < body->n_springs; i++)
@@ -30,7 +30,7 @@ static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t 
   return UINT32_MAX;
 }
 
-/* A spring of mass `own` in its chunk: counted, by mass and by row. */
+/* Checks a spring of mass `own` in its chunk: counted by mass and by row. */
 static void check_spring(const struct mo_robot *robots, const struct mo_gp_group *g,
                          const struct mo_gp_pair *pair, const struct mo_gp_row *rows, uint32_t s,
                          uint32_t *ends, uint32_t found[2])
@@ -53,8 +53,8 @@ static void check_spring(const struct mo_robot *robots, const struct mo_gp_group
   found[row]++;
 }
 
-/* What two warps would have of the pair's chunks: whole sets of masses, and no other place to part
- * them is more even. */
+/* Checks how two warps divide the pair's chunks: whole sets of masses, and no other split is more
+ * even. */
 static void check_split(const struct mo_gp_pair *pair, const uint32_t *springs)
 {
   const uint32_t n = pair->n_chunks,
@@ -118,7 +118,7 @@ static void check_pair(const struct mo_robot *robots, const struct mo_gradient_p
     CHECK(ends[m] == 0);
 }
 
-/* wide: groups of 32 rows; short_ones: those with empty rows that are not their shard's last. */
+/* wide: groups of 32 rows; short_ones: groups with empty rows, except the last of each shard. */
 static void check_all(const struct mo_robot *robots, uint32_t shared_bytes, uint32_t *wide,
                       uint32_t *short_ones)
 {
@@ -152,8 +152,8 @@ static void everything_is_there_once(void)
   CHECK(wide > 0 && short_ones == 0);
 }
 
-/* Where 32 of the largest bodies are too large together, the smallest join some of them; a warp's
- * two bodies are one of the larger and one of the smaller half. */
+/* If 32 of the largest bodies do not fit together, the smallest bodies join some of them. A warp's
+ * two bodies are one from the larger half and one from the smaller half. */
 static void large_with_small(void)
 {
   struct mo_robot *robots = make_batch();
@@ -177,15 +177,15 @@ static void large_with_small(void)
   }
   CHECK(most == MO_DEFAULT_MASSES && first_least == least);
   for (uint32_t i = MO_GP_ROWS_MAX / 2; i < MO_GP_ROWS_MAX;
-       i++) /* at least sixteen small ones: no pair has two large ones */
+       i++) /* at least sixteen small bodies: no pair consists of two large ones */
     for (uint32_t j = MO_GP_ROWS_MAX; j < SHARD; j++)
       CHECK(robots[SHARD + plan.rows[i].robot].body->n_springs <=
             robots[SHARD + plan.rows[j].robot].body->n_springs);
   mo_gradient_plan_free(&plan);
 }
 
-/* Where the shared memory is too small for sixteen of the largest bodies, a group has fewer; with
- * next to none there is no layout. */
+/* If shared memory is too small for sixteen of the largest bodies, a group has fewer; with almost
+ * no shared memory there is no layout. */
 static void small_shared_memory(void)
 {
   struct mo_robot *robots = make_batch();
@@ -205,7 +205,7 @@ static void small_shared_memory(void)
   mo_gradient_plan_free(&plan);
 }
 
-/* A shard's tables do not depend on the other shards, nor any on the number of threads. */
+/* A shard's tables do not depend on other shards, and no table depends on the number of threads. */
 static void a_shard_is_its_own(void)
 {
   struct mo_robot *robots = make_batch();
@@ -240,7 +240,7 @@ static void a_shard_is_its_own(void)
   mo_gradient_plan_free(&second);
 }
 
-/* As many whole shards at a time as fit; memory that is there already serves a smaller batch. */
+/* A pass has as many whole shards as fit. Existing memory is reused for a smaller batch. */
 static void passes(void)
 {
   struct mo_robot *robots = make_batch();
@@ -332,8 +332,8 @@ static void same_cost(struct mo_gradient_load loads[LOADS], uint64_t cost, bool 
     loads[i] = (struct mo_gradient_load){cost, i, wide};
 }
 
-/* All groups in halves where there are multiprocessors for them, none where there are too few, and
- * otherwise those that all would wait for. */
+/* All groups are split if there are enough multiprocessors, none if there are too few, and
+ * otherwise those that everything would wait for. */
 static void halves(void)
 {
   struct mo_gradient_load loads[LOADS];
@@ -350,14 +350,14 @@ static void halves(void)
     loads[i].cost = 130000;
   CHECK(mo_gradient_halved(loads, 128, MULTIPROCESSORS) == 8);
   CHECK(mo_gradient_halved(loads, 256, MULTIPROCESSORS) == 0);
-  /* In halves the sixteen take 0.98, beside the others' 1; were all in halves, the multiprocessors
+  /* Split, the sixteen take 0.98 next to the others' 1; if all were split, the multiprocessors
    * would need 1.01. */
   for (uint32_t i = 0; i < 16; i++)
     loads[i].cost = 140000;
   CHECK(mo_gradient_halved(loads, 96, MULTIPROCESSORS) == 16);
 }
 
-/* Groups of 16 rows are not walked in halves, whatever they cost. */
+/* Groups of 16 rows are not split, whatever they cost. */
 static void no_halves_of_small_groups(void)
 {
   struct mo_gradient_load loads[LOADS];
@@ -368,8 +368,7 @@ static void no_halves_of_small_groups(void)
   CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) == 0);
   for (uint32_t i = 0; i < 100; i++)
     loads[i].wide = i >= 2 && i < 10;
-  CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) ==
-        0); /* the first two are waited for all the same */
+  CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) == 0); /* the first two decide */
   loads[0].cost = loads[1].cost = 100000;
   struct mo_gradient_load sorted[LOADS];
   memcpy(sorted, loads + 2, 98 * sizeof(*sorted));
@@ -390,10 +389,10 @@ static void another_workspace(void)
 }
 
 static const struct check_case cases[] = {
-    {"every robot, mass and spring is there once", everything_is_there_once},
+    {"every robot, mass and spring occurs once", everything_is_there_once},
     {"large bodies share groups with small ones", large_with_small},
     {"little shared memory: fewer robots in a group", small_shared_memory},
-    {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
+    {"a shard's layout does not depend on other shards or threads", a_shard_is_its_own},
     {"passes of whole shards", passes},
     {"the tape of control periods", passes_of_periods},
     {"what a group costs", cost_of_a_group},

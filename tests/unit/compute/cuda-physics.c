@@ -21,7 +21,7 @@ static int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Rounded to float32, so that both sides have the same ground. */
+/* Rounded to float32, so that both sides have the same terrain. */
 static void random_heights(double highest, double heights[MO_TERRAIN_HEIGHTS],
                            float heights32[MO_TERRAIN_HEIGHTS])
 {
@@ -42,7 +42,7 @@ static void terrain(void)
   float heights32[MO_TERRAIN_HEIGHTS];
   mo_random_init(&dice, 1, MO_PURPOSE_CHECK, 0, 0);
   random_heights(0.1, heights, heights32);
-  for (int i = 0; i < 20000; i++) { /* beyond all edges, too */
+  for (int i = 0; i < 20000; i++) { /* also beyond all edges */
     const float p[2] = {(float)uniform(-4, 4), (float)uniform(-4, 4)};
     const float x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
     struct lane_cell g;
@@ -64,9 +64,9 @@ static void terrain(void)
 
 enum { STRIKES = 20000 };
 
-/* Masses that meet the ground, forward and back: near it and above it, some below it, some across
- * borders of cells and beyond the map, at up to `reach` m/s in each direction, every eighth `far`
- * times as fast. */
+/* Masses that hit the ground, forward and backward: near the ground and above it, some below it,
+ * some across cell borders and beyond the map, at up to `reach` m/s in each direction, every eighth
+ * one `far` times as fast. */
 static void check_contact(enum mo_impact impact, double reach, double far, double median_m,
                           double most_m, double most_apart)
 {
@@ -132,8 +132,8 @@ static void contact(void)
   check_contact(MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
 }
 
-/* A mass in the air only flies; what strikes at the next step lies on the ground, for float32 as
- * for float64. */
+/* A mass in the air only flies; one that hits the ground in the next step lies on it, in float32 as
+ * in float64. */
 static void lying(void)
 {
   const struct mo_physics physics = mo_default_physics();
@@ -161,7 +161,8 @@ static void lying(void)
   CHECK(dp[0] == 1 && dp[1] == 2 && dp[2] == 3);
 }
 
-/* Whatever a diverging life hands over, the routines end, and leave what is found to be insane. */
+/* Whatever values a diverging rollout contains, the routines return, and the result is recognized
+ * as not finite. */
 static void insanity(void)
 {
   const struct mo_physics physics = mo_default_physics();
@@ -192,7 +193,7 @@ static void insanity(void)
 
 /* ---- springs and sensors, against differences in float64 ---- */
 
-/* What a spring of length |d| gives a velocity per meter, in effect times `across` · d. */
+/* The effect of a spring of length |d| on a velocity, per meter, times `across` · d. */
 static double loss64(const struct mo_physics *p, double wanted, const double *d,
                      const double *across)
 {
@@ -267,9 +268,9 @@ static void lights(void)
 }
 
 static const struct check_case cases[] = {{"terrain", terrain},
-                                          {"contact, forward and back", contact},
-                                          {"masses that lie on the ground", lying},
-                                          {"what is not finite", insanity},
+                                          {"contact, forward and backward", contact},
+                                          {"masses on the ground", lying},
+                                          {"values that are not finite", insanity},
                                           {"springs", springs},
                                           {"light", lights}};
 CHECK_MAIN(cases)

@@ -1,5 +1,4 @@
-/* Rows laid out for a device: everything that the rows have is there once, where the device looks
- * for it. */
+/* Rows laid out for a device: everything in the rows occurs once, where the device looks for it. */
 #include "../make.h"
 
 #include "compute/cuda/plan.h"
@@ -11,7 +10,7 @@ static struct mo_physics physics;
 static struct mo_environment environments[PLACES];
 static struct mo_robot robots[N];
 
-/* Random bodies, from 1 voxel to 144; rows of a body stand together but for some. */
+/* Random bodies of 1 to 144 voxels; the rows of a body are adjacent, with a few exceptions. */
 static void setup(void)
 {
   struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 3);
@@ -148,7 +147,7 @@ static void rows_once(void)
   release(&f);
 }
 
-/* A body's own slots: those of its pairs, by the lattice's slots. */
+/* Returns a body's own slots: those of its pairs, from the lattice's slots. */
 static void own_slots(const struct filled *f, uint32_t b, uint32_t *own)
 {
   const struct mo_body *body = f->plan.bodies[b];
@@ -169,8 +168,8 @@ static void own_slots(const struct filled *f, uint32_t b, uint32_t *own)
   CHECK_INT(f->bodies[b].n_edges, 2 * n_edges);
 }
 
-/* Every spring is a link of both of its ends, in the order of the body's springs; what fills the
- * last quad has no length. */
+/* Every spring is a link at both of its ends, in the order of the body's springs; the links that
+ * pad the last quad have no length. */
 static void links(void)
 {
   struct filled f;
@@ -214,7 +213,8 @@ static void links(void)
   release(&f);
 }
 
-/* Every spring has a slot of its own: edges first, and the two diagonals of a face side by side. */
+/* Every spring has its own slot: edges first, and the two diagonals of a face next to each
+ * other. */
 static void slots(void)
 {
   static uint16_t slots[MO_DEFAULT_SPRINGS];
@@ -240,8 +240,8 @@ static void slots(void)
   }
 }
 
-/* The pair of a spring that a column's bodies have is in one tile, whose bit for that column is
- * set. */
+/* The pair of a spring in the bodies of a column is in one tile, and the tile's bit for that column
+ * is set. */
 static void tiles(void)
 {
   struct filled f;
@@ -302,8 +302,9 @@ static void refusals(void)
 {
   struct mo_plan plan;
   struct mo_plan_options bad = options;
-  bad.group_bytes = options.column_bytes + options.part_bytes + 244 * options.place_bytes +
-                    MO_DEFAULT_SPRINGS * options.length_bytes; /* 245 masses in one row need more */
+  bad.group_bytes =
+      options.column_bytes + options.part_bytes + 244 * options.place_bytes +
+      MO_DEFAULT_SPRINGS * options.length_bytes; /* 245 masses in one row need more memory */
   CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_ERR_UNSUPPORTED);
   mo_plan_free(&plan);
   bad.group_bytes += options.place_bytes;

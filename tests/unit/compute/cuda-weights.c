@@ -1,5 +1,5 @@
-/* A controller laid out for matrix instructions: decoded as the instructions read it, it is the
- * controller again. */
+/* A controller laid out for matrix instructions: decoded as the instructions read it, it equals the
+ * original controller. */
 #include "../make.h"
 
 #include "compute/cuda/plan.h"
@@ -21,7 +21,7 @@ static void setup(void)
 
 static void halves(void)
 {
-  /* All of them there and back. */
+  /* All values converted and converted back. */
   for (uint32_t h = 0; h < 0x10000; h++) {
     const float value = mo_weights_from_half((uint16_t)h);
     const uint16_t back = mo_weights_half(value);
@@ -32,7 +32,7 @@ static void halves(void)
   }
   CHECK_NEAR(mo_weights_from_half(0x3c01), 1.0 + 0x1p-10, 0);
   CHECK_NEAR(mo_weights_from_half(0x8001), -0x1p-24, 0);
-  /* Ties to even, and what lies just beside them. */
+  /* Ties round to even; values just next to ties. */
   CHECK_INT(mo_weights_half(1.0f + 0x1p-11f), 0x3c00);
   CHECK_INT(mo_weights_half(1.0f + 0x1.8p-10f), 0x3c02);
   CHECK_INT(mo_weights_half(1.0f + 0x1.002p-11f), 0x3c01);
@@ -44,8 +44,8 @@ static void halves(void)
   CHECK_INT(mo_weights_half(-INFINITY), 0xfc00);
 }
 
-/* Value `input` of the left operand's row g (h = 0) or g + 8 (h = 1), read as lane (g, t) reads it.
- */
+/* Returns value `input` of the left operand's row g (h = 0) or g + 8 (h = 1), as lane (g, t) reads
+ * it. */
 static double decode(const uint16_t *first_unit, size_t unit_halves, size_t half_halves, uint32_t h,
                      uint32_t input)
 {
@@ -64,7 +64,7 @@ static void values(void)
   REQUIRE(mo_plan_slots(slots) == MO_OK);
   const struct mo_weights_scalars *scalars = (const void *)(packed + layout.scalars);
   CHECK_INT(scalars->sensor, MO_SENSOR_INVERSE_SQUARE);
-  const double bound = 0x1p-22; /* of rounding what a float16 leaves to another */
+  const double bound = 0x1p-22; /* from rounding the remainder of one float16 to another */
   double worst = 0;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     const uint16_t *matrix = (const void *)(packed + layout.hidden[l]);
@@ -122,12 +122,12 @@ static void refusals(void)
       make_controller((struct mo_workspace){3, 3, 3}, MO_SENSOR_INVERSE_SQRT);
   CHECK_INT(mo_weights_pack(other, packed), MO_ERR_UNSUPPORTED);
   const float gain = controller->norm_gain[1][7];
-  controller->norm_gain[1][7] = 4000.0f; /* √256 times that is beyond float16 */
+  controller->norm_gain[1][7] = 4000.0f; /* √256 times this exceeds float16 */
   CHECK_INT(mo_weights_pack(controller, packed), MO_ERR_UNSUPPORTED);
   controller->norm_gain[1][7] = -3000.0f;
   CHECK_INT(mo_weights_pack(controller, packed), MO_OK);
   controller->norm_gain[1][7] = gain;
-  /* What LayerNorm squares, and its epsilon beside that, must be float32 numbers. */
+  /* The squares in LayerNorm, and its epsilon next to them, must be float32 numbers. */
   const float bias = controller->bias[1][7], weight = controller->weight[2][9];
   controller->bias[1][7] = 1e20f;
   CHECK_INT(mo_weights_pack(controller, packed), MO_ERR_UNSUPPORTED);

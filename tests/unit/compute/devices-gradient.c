@@ -1,10 +1,10 @@
-/* Gradients on devices: the same bits for any number of them, laid out ahead or not, however often
- * memory is short or one is lost. */
+/* Gradients on devices: the same bits for any number of devices, laid out ahead or not, no matter
+ * how often memory is short or a device is lost. */
 #include "devices_fixture.h"
 
 #include <unistd.h>
 
-/* Sanitizers see the same in fewer runs. */
+/* Sanitizers see the same code in fewer runs. */
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define LESS true
 #else
@@ -44,7 +44,7 @@ static struct gradient differentiate_with(struct mo_gradient_state *state,
   return gradient;
 }
 
-/* On a back end of its own. */
+/* Computes on a separate back end. */
 static struct gradient differentiate(const char *devices, enum mo_back_end back_end,
                                      const volatile int *cancel)
 {
@@ -79,7 +79,7 @@ static void gradients_do_not_depend_on_devices(void)
   struct gradient on_workers = differentiate("1", MO_ON_CPU, NULL);
   CHECK_INT(first.computed_on, MO_ON_DEVICE);
   CHECK_INT(on_workers.computed_on, MO_ON_CPU);
-  double ratio; /* other sums of the same */
+  double ratio; /* the same robots in another order of sums */
   CHECK(cosine_of(first.d_parameters, on_workers.d_parameters, controller->n_parameters, &ratio) >
             0.9999 &&
         fabs(ratio - 1) < 1e-4);
@@ -94,13 +94,13 @@ static void gradients_do_not_depend_on_devices(void)
     CHECK_INT(atomic_load(&n_lost), cases[i].lose != NULL);
   }
   reset();
-  set("MORPHO_FAKE_SPRINGS", "20"); /* some are larger: then the workers do all of it */
+  set("MORPHO_FAKE_SPRINGS", "20"); /* some bodies are larger: then the workers compute all of it */
   struct gradient other = differentiate("2", MO_ON_DEVICE, NULL);
   expect_same(&on_workers, &other);
 }
 
-/* A batch that was laid out ahead, on so many devices, is computed from that, and gives the same;
- * what is forgotten or of other robots is not. */
+/* A batch that was laid out ahead, on n devices, is computed from that layout with the same result;
+ * a layout that was forgotten or belongs to other robots is not used. */
 static void gradients_are_laid_out_ahead(void)
 {
   static struct mo_robot others[ROBOTS];
@@ -117,7 +117,7 @@ static void gradients_are_laid_out_ahead(void)
     struct mo_compute *compute = open_devices(number);
     struct mo_gradient_state *state = make_gradient_state(compute);
     for (int i = 0; i < (LESS ? 2 : 3); i++) {
-      /* The newest counts. */
+      /* Only the newest layout counts. */
       CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics), MO_OK);
       CHECK_INT(mo_compute_gradient_lay_out(state, robots, ROBOTS, &physics), MO_OK);
       struct gradient ahead = differentiate_with(state, MO_ON_DEVICE, NULL);
@@ -127,7 +127,7 @@ static void gradients_are_laid_out_ahead(void)
     CHECK_INT(mo_compute_gradient_lay_out(state, robots, ROBOTS, &physics), MO_OK);
     mo_compute_gradient_forget(state);
     struct gradient forgotten = differentiate_with(state, MO_ON_DEVICE, NULL);
-    /* In haste the module takes nothing that is not laid out. */
+    /* The module now refuses whatever is not laid out. */
     CHECK_INT(forgotten.status, MO_ERR_INVALID);
     CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics), MO_OK);
     struct gradient other = differentiate_with(state, MO_ON_DEVICE, NULL);
@@ -155,9 +155,9 @@ static void gradients_say_what_failed(void)
   CHECK_INT(differentiate(NULL, MO_ON_DEVICE, NULL).status, MO_ERR_DEVICE);
 }
 
-/* ---- devices of takers ---- */
+/* ---- devices of remote takers ---- */
 
-/* What a taker does with a shard for devices that only takers have. */
+/* Computes a shard like a taker, for devices that only takers have. */
 enum answer { COMPUTE, RETURN, CANNOT, HOLD };
 
 struct taker {
@@ -222,7 +222,7 @@ static void no_call(void *context)
   (void)context;
 }
 
-/* Differentiates all robots on devices that only this taker has. */
+/* Computes the gradient of all robots on devices that only this taker has. */
 static struct gradient differentiate_by(struct taker *taker, bool is_strict,
                                         const volatile int *cancel)
 {
@@ -267,8 +267,8 @@ static void *set_soon(void *flag)
   return NULL;
 }
 
-/* Takers give the bits of devices. What they cannot compute goes to the workers, unless that is an
- * error; what they return again and again is one. */
+/* Takers compute the bits of devices. Work that they cannot compute goes to the workers, unless
+ * that is an error; a shard that they keep returning is an error. */
 static void gradients_on_devices_of_takers(void)
 {
   static const uint64_t genotype;
@@ -300,7 +300,7 @@ static void gradients_on_devices_of_takers(void)
 static const struct check_case cases[] = {
     {"gradients do not depend on devices", gradients_do_not_depend_on_devices},
     {"gradients are laid out ahead", gradients_are_laid_out_ahead},
-    {"gradients say what failed", gradients_say_what_failed},
+    {"gradients report what failed", gradients_say_what_failed},
     {"gradients on devices of takers", gradients_on_devices_of_takers},
 };
 CHECK_MAIN_WITH(make_robots_of_designs, cases)

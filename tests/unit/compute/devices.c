@@ -1,8 +1,8 @@
-/* Scores on devices: the same bits for any number of them, however often memory is short or one is
- * lost; and nothing is forgotten. */
+/* Scores on devices: the same bits for any number of devices, no matter how often memory is short
+ * or a device is lost; and no block is forgotten. */
 #include "devices_fixture.h"
 
-static struct mo_outcome expected[DESIGNS][ENVIRONMENTS]; /* of the workers */
+static struct mo_outcome expected[DESIGNS][ENVIRONMENTS]; /* computed by the workers */
 static struct mo_block blocks[DESIGNS];
 
 static struct mo_block design_block(uint32_t design, struct mo_compute_controller *brain,
@@ -14,7 +14,7 @@ static struct mo_block design_block(uint32_t design, struct mo_compute_controlle
   return block;
 }
 
-/* Scores all designs; the status of the run. */
+/* Scores all designs; returns the error of the run. */
 static int score_on(struct mo_compute *compute, enum mo_back_end back_end)
 {
   struct mo_compute_controller *brain = make_compute_controller(compute, controller);
@@ -32,7 +32,7 @@ static int score(struct mo_compute *compute)
   return score_on(compute, MO_ON_DEVICE);
 }
 
-/* Scores one design on the workers; NULL for a passive one. */
+/* Scores one design on the workers; a NULL controller means passive. */
 static void score_one(struct mo_compute *compute, const struct mo_controller *c,
                       enum mo_back_end back_end, enum mo_precision precision, int status)
 {
@@ -128,8 +128,8 @@ static void passes_over_what_cannot_be_opened(void)
   CHECK_INT(mo_compute_add_devices(compute, &devices, NULL), MO_ERR_CONFLICT);
 }
 
-/* Bits of different capabilities never get one fingerprint: the first device's capability counts,
- * others are left out. */
+/* Bits of different capabilities never get the same fingerprint: the first device's capability
+ * counts, and devices with another one are left out. */
 static void uses_one_capability(void)
 {
   static const struct {
@@ -177,7 +177,7 @@ static void scores_do_not_depend_on_the_number(void)
     CHECK_TEXT(mo_compute_device_gradient_fingerprint(compute), "fake float32 gradient-1 sm90");
     CHECK_INT(score(compute), MO_OK);
     expect_scores(MO_ON_DEVICE);
-    CHECK_INT(score(compute), MO_OK); /* another controller at the same place */
+    CHECK_INT(score(compute), MO_OK); /* another controller at the same address */
     expect_scores(MO_ON_DEVICE);
     for (uint32_t d = 0; d < mo_compute_devices(compute); d++) {
       struct mo_device_status status;
@@ -202,7 +202,7 @@ static void scores_do_not_depend_on_memory(void)
   for (size_t i = 0; i < 2; i++) {
     struct mo_compute *compute = open_devices(numbers[i]);
     struct mo_device_status status;
-    for (int k = 0; k < 12; k++) { /* it tries larger calls again, and falls back */
+    for (int k = 0; k < 12; k++) { /* it tries larger calls again, and fails again */
       CHECK_INT(score(compute), MO_OK);
       expect_scores(MO_ON_DEVICE);
     }
@@ -210,7 +210,7 @@ static void scores_do_not_depend_on_memory(void)
     CHECK(status.rows_at_once < 300);
     check_drop_from(compute);
   }
-  set("MORPHO_FAKE_ROWS", "9"); /* not even one block */
+  set("MORPHO_FAKE_ROWS", "9"); /* not even one block fits */
   struct mo_compute *compute = open_devices("1");
   CHECK_INT(score(compute), MO_ERR_NO_MEMORY);
   for (uint32_t d = 0; d < DESIGNS; d++)
@@ -282,13 +282,13 @@ static void ends_without_any_device(void)
   CHECK(n_done > 0 && n_failed > 0);
   CHECK_INT(mo_compute_devices_working(compute), 0);
   CHECK_INT(score(compute), MO_ERR_DEVICE);
-  /* The workers are as they were. */
+  /* The workers are not affected. */
   score_one(compute, controller, MO_ON_CPU, MO_FLOAT32, MO_OK);
   CHECK(as_expected(0));
 }
 
-/* Blocks that a remote taker has when the last device is lost end when it puts them back: nobody
- * looks at the queue any more. */
+/* Blocks that a remote taker holds when the last device is lost end when the taker puts them back:
+ * the queue is no longer read. */
 static void ends_what_takers_put_back(void)
 {
   atomic_int done = 0;
@@ -312,8 +312,8 @@ static void ends_what_takers_put_back(void)
   CHECK_INT(block->status, MO_ERR_DEVICE);
 }
 
-/* Half of the blocks are cancelled, then all: those that run end soon, the others have the same
- * bits. */
+/* Half of the blocks are cancelled, then all: the running ones end soon, and the others keep the
+ * same bits. */
 static void cancels(void)
 {
   volatile int flags[2] = {0, 0};
@@ -342,7 +342,7 @@ static void cancels(void)
   }
 }
 
-/* ---- the end ---- */
+/* ---- shutdown ---- */
 
 static void hands_everything_back_at_the_end(void)
 {
@@ -360,8 +360,8 @@ static void hands_everything_back_at_the_end(void)
       submit_counted(compute, &blocks[d], &done);
     }
     usleep(4000 * k);
-    /* Weights may be freed only when nothing uses them: so the back end first, which this one time
-     * outlives what it made of them. */
+    /* Weights may be freed only when they are no longer used. So the back end is freed first here,
+     * and its packed weights outlive it this one time. */
     check_drop_from(compute);
     CHECK_INT(atomic_load(&done), DESIGNS);
     for (uint32_t d = 0; d < DESIGNS; d++)
@@ -386,9 +386,9 @@ static void again(struct mo_block *block, void *context)
     atomic_fetch_sub(&stream->left, 1);
 }
 
-/* Two jobs on one device: seconds in proportion to weights, though one has twice as many blocks
- * waiting. A block that lost its processor for long is a debt that is paid later: so much longer is
- * waited for that. */
+/* Two jobs on one device get seconds in proportion to their weights, although one has twice as many
+ * blocks waiting. A block that lost its processor for a long time leaves a debt that is paid later,
+ * so the test waits that much longer. */
 static void devices_are_shared_by_weight(void)
 {
   static struct stream streams[2];
@@ -441,7 +441,7 @@ static void note_order(struct mo_block *block, void *context)
   atomic_store(&order->place[block - blocks], 1 + atomic_fetch_add(&order->next, 1));
 }
 
-/* Before all that waits, also before a share that has rested and is behind. */
+/* Ahead of everything that waits, including a share that has rested and is behind. */
 static void urgent_blocks_go_first(void)
 {
   static struct order order;
@@ -470,7 +470,7 @@ static void urgent_blocks_go_first(void)
     usleep(1000);
     CHECK_INT(mo_compute_device(compute, 0, &status), MO_OK);
   }
-  mo_compute_begin_blocks(compute); /* else its second call begins with the first one */
+  mo_compute_begin_blocks(compute); /* else both calls start together */
   for (uint32_t d = 1; d < 4; d++)
     CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
   mo_compute_end_blocks(compute);
@@ -480,17 +480,17 @@ static void urgent_blocks_go_first(void)
 }
 
 static const struct check_case cases[] = {
-    {"a module that cannot be used is refused in words", says_what_cannot_be_loaded},
-    {"a device that cannot be opened is passed over", passes_over_what_cannot_be_opened},
+    {"an unusable module is refused with a message", says_what_cannot_be_loaded},
+    {"a device that cannot be opened is skipped", passes_over_what_cannot_be_opened},
     {"devices of one capability are used", uses_one_capability},
     {"scores do not depend on the number of devices", scores_do_not_depend_on_the_number},
-    {"scores do not depend on want of memory", scores_do_not_depend_on_memory},
+    {"scores do not depend on available memory", scores_do_not_depend_on_memory},
     {"workers compute what devices do not support", workers_do_the_rest},
-    {"the others go on when one device is lost", goes_on_without_a_device},
-    {"the last device's loss ends its work, and that alone", ends_without_any_device},
-    {"ends what takers put back", ends_what_takers_put_back},
-    {"what is cancelled ends soon", cancels},
-    {"the end hands everything back", hands_everything_back_at_the_end},
+    {"the others continue when one device is lost", goes_on_without_a_device},
+    {"the loss of the last device ends only its work", ends_without_any_device},
+    {"ends blocks that takers put back", ends_what_takers_put_back},
+    {"cancelled blocks end soon", cancels},
+    {"shutdown hands everything back", hands_everything_back_at_the_end},
     {"devices are shared by weight", devices_are_shared_by_weight},
     {"urgent blocks go first", urgent_blocks_go_first},
 };

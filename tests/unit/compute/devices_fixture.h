@@ -1,5 +1,5 @@
-/* Back ends with any number of devices, of a module that computes on the processor
- * (tests/device/fake.c), and what they compute. */
+/* Back ends with any number of devices, from a module that computes on the processor
+ * (tests/device/fake.c), and functions that compute with them. */
 #ifndef MORPHO_TEST_DEVICES_FIXTURE_H
 #define MORPHO_TEST_DEVICES_FIXTURE_H
 
@@ -31,7 +31,7 @@ static void make_robots_of_designs(void)
     robots[i] = (struct mo_robot){bodies[i % DESIGNS], environments + i % ENVIRONMENTS};
 }
 
-/* Devices without a fault: nothing is set. */
+/* Resets the devices: no faults. */
 static void reset(void)
 {
   static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS", "LOSE",
@@ -48,7 +48,7 @@ static void set(const char *name, const char *value)
   setenv(name, value, 1);
 }
 
-/* ---- one back end, with so many devices ---- */
+/* ---- one back end with several devices ---- */
 
 static atomic_int n_lost;
 

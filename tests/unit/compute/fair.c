@@ -1,5 +1,5 @@
-/* Whose turn it is, with blocks that have only a cost, and workers that only wait: shares by
- * weight, for any mix of costs, any number of workers, and whatever comes and goes. */
+/* Which share is served next, with blocks that only have a cost and workers that only wait: time by
+ * weight, for any mix of costs, any number of workers, and shares that come and go. */
 #include "compute/fair.h"
 
 #include <morpho/random.h>
@@ -10,7 +10,7 @@
 
 enum { SHARES_MAX = 8, WORKERS_MAX = 64, BLOCKS = 512 };
 
-/* One submitter: keeps `depth` blocks waiting while it is on. */
+/* One submitter: keeps `depth` blocks waiting while it is active. */
 struct submitter {
   struct mo_compute_share share;
   double least_s, most_s; /* costs of its blocks */
@@ -67,7 +67,7 @@ static void submit(struct submitter *submitter)
   mo_fair_push(&world.fair, &submitter->share, &world.blocks[i]);
 }
 
-/* Lets the workers work until `end_s`. */
+/* Lets the workers run until `end_s`. */
 static void run_until(double end_s)
 {
   for (;;) {
@@ -122,7 +122,7 @@ static void by_weight_whatever_blocks_cost(void)
   const uint32_t workers[] = {1, 2, 3, 16, 64};
   for (int i = 0; i < 5; i++) {
     begin(workers[i]);
-    struct submitter *slow = add(1, 0.5, 1.5, 2 * workers[i]); /* as blocks of gradients */
+    struct submitter *slow = add(1, 0.5, 1.5, 2 * workers[i]); /* as with blocks of gradients */
     struct submitter *quick = add(2, 0.005, 0.02, 2 * workers[i]);
     struct submitter *mixed = add(4, 0.001, 0.4, 2 * workers[i]);
     run_until(20);
@@ -156,7 +156,7 @@ static void a_rest_earns_nothing_and_costs_nothing(void)
   run_until(110);
   rests->off = false;
   forget();
-  run_until(110.5); /* two worker seconds: at most the credit ahead of half of them */
+  run_until(110.5); /* two worker seconds: at most the credit, in advance of half of them */
   CHECK(steady->got_s > (2 - 4 * MO_FAIR_CREDIT_S) / 2 - 0.2);
   CHECK(rests->got_s > 0.8);
   forget();
@@ -180,8 +180,8 @@ static void short_gaps_cost_nothing(void)
   CHECK_NEAR(part_of(steady), 0.5, 0.02);
 }
 
-/* A share with nearly all the weight that has one block at a time, for a long time, then another
- * comes: nobody waits for the sum of what was not used. */
+/* A share with almost all of the weight submits one block at a time for a long while, then another
+ * share joins: the unused time has not accumulated. */
 static void what_cannot_be_used_is_not_saved_up(void)
 {
   begin(4);
@@ -212,7 +212,7 @@ static void a_new_weight_counts_from_now_on(void)
   CHECK(a->got_s > 0.04 && a->got_s < 1);
   mo_fair_set_weight(&world.fair, &a->share, 3);
   forget();
-  run_until(70); /* a's debt of the past is a block at most */
+  run_until(70); /* a's old debt is at most one block */
   CHECK_NEAR(part_of(a), 0.75, 0.03);
   mo_fair_set_weight(&world.fair, &b->share, 3e9);
   mo_fair_set_weight(&world.fair, &a->share, NAN);
@@ -224,8 +224,8 @@ static void a_new_weight_counts_from_now_on(void)
   CHECK_NEAR(part_of(a), 0.5, 0.03);
 }
 
-/* While nothing is known of the cost, workers that are free at once take different shares; equals
- * go in order of creation. */
+/* While costs are unknown, workers that become free at the same time take different shares; ties go
+ * in order of creation. */
 static void estimates_spread_the_workers(void)
 {
   begin(3);
@@ -271,7 +271,7 @@ static const struct check_case cases[] = {
     {"a rest earns nothing and costs nothing", a_rest_earns_nothing_and_costs_nothing},
     {"short gaps cost nothing", short_gaps_cost_nothing},
     {"what cannot be used is not saved up", what_cannot_be_used_is_not_saved_up},
-    {"a new weight counts from now on", a_new_weight_counts_from_now_on},
+    {"a new weight counts at once", a_new_weight_counts_from_now_on},
     {"estimates spread the workers", estimates_spread_the_workers},
     {"first in, first out, and removal", first_in_first_out_and_removal},
 };

@@ -36,7 +36,7 @@ static inline struct mo_block block_of(const uint64_t *genotype, const struct mo
   return block;
 }
 
-/* Whether a number has come to n within a minute or two. */
+/* Returns whether a counter reaches n within a minute or two. */
 static inline bool await(atomic_int *number, int n)
 {
   const double late_s = now_s() + 600;
@@ -45,7 +45,7 @@ static inline bool await(atomic_int *number, int n)
   return atomic_load(number) == n;
 }
 
-/* Reads the processor time of all threads of this process. */
+/* Returns the processor time of all threads of this process. */
 static inline double processor_s(void)
 {
   struct timespec used;
@@ -53,14 +53,14 @@ static inline double processor_s(void)
   return (double)used.tv_sec + 1e-9 * (double)used.tv_nsec;
 }
 
-/* A `done` that counts up. */
+/* A `done` callback that counts. */
 static inline void count_one(struct mo_block *block, void *number)
 {
   (void)block;
   atomic_fetch_add((atomic_int *)number, 1);
 }
 
-/* Submits a block whose end is counted. */
+/* Submits a block with a `done` that counts. */
 static inline void submit_counted(struct mo_compute *compute, struct mo_block *block,
                                   atomic_int *ended)
 {

@@ -1,8 +1,8 @@
-/* The gatherer of a device: how long it waits for more blocks, and what it makes of those that it
- * has. */
+/* The gatherer of a device: how long it waits for more blocks, and how it combines the blocks that
+ * it has. */
 #include "fixture.h"
 
-enum { MOST = 3000, STEPS = 2 }; /* fewer blocks than make a chunk by their number */
+enum { MOST = 3000, STEPS = 2 }; /* fewer blocks than needed to fill a chunk */
 
 static struct mo_block blocks[MOST];
 static struct mo_compute *compute;
@@ -35,8 +35,8 @@ static struct mo_block device_block(const uint64_t *genotype,
   return block;
 }
 
-/* One block every half millisecond, so that the device always waits for less time than it would
- * take no more to come: the first has an outcome while they still come. */
+/* One block every half millisecond, so that each wait is shorter than the time after which the
+ * device stops waiting: the first block must finish while others still arrive. */
 static void does_not_wait_for_ever(void)
 {
   uint64_t genotype[MO_DEFAULT_WORDS];
@@ -55,8 +55,9 @@ static void does_not_wait_for_ever(void)
     CHECK_INT(blocks[i].status, MO_OK);
 }
 
-/* Three blocks in turn have one genotype, in two environments; some are cancelled, some cannot be
- * built. The others have the outcomes that the workers find. */
+/* Each group of three blocks shares a genotype and uses two environments. Some blocks are
+ * cancelled, and some bodies cannot be built. The others have the outcomes that the workers
+ * compute. */
 static void builds_what_is_wanted(void)
 {
   enum { BODIES = 400, N = 3 * BODIES };
@@ -64,7 +65,7 @@ static void builds_what_is_wanted(void)
   static struct mo_block expected[N];
   static volatile int cancelled = 1;
   for (uint32_t i = 0; i < BODIES; i++)
-    if (i % 50 != 7) /* else without a voxel */
+    if (i % 50 != 7) /* otherwise without a voxel */
       draw(i, genotypes[i]);
   for (uint32_t i = 0; i < N; i++) {
     blocks[i] = expected[i] = device_block(genotypes[i / 3], &environments[i % 2]);
@@ -81,8 +82,8 @@ static void builds_what_is_wanted(void)
   CHECK(expected[3 * 7].status != MO_OK);
 }
 
-/* Blocks that come while a call runs are in another one beside it: a call that waits in vain for
- * another fails. */
+/* Blocks that arrive during a call go into a second, parallel call: a call that waits in vain for
+ * another one fails. */
 static void calls_run_side_by_side(void)
 {
   enum { N = 200 };
@@ -102,7 +103,7 @@ static void calls_run_side_by_side(void)
 
 static const struct check_case cases[] = {
     {"a trickle of blocks does not keep a device waiting", does_not_wait_for_ever},
-    {"bodies are shared by neighbors, and built for those that are wanted", builds_what_is_wanted},
-    {"calls run side by side", calls_run_side_by_side},
+    {"neighbors share bodies, and only needed bodies are built", builds_what_is_wanted},
+    {"calls run in parallel", calls_run_side_by_side},
 };
 CHECK_MAIN_WITH(setup, cases)

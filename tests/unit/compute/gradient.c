@@ -1,14 +1,14 @@
-/* The gradient of a batch: the same bits for any number of workers and whether or not urgent blocks
- * overtake; cancelled, wrong and out of memory it says so. */
+/* The gradient of a batch: the same bits for any number of workers, whether or not urgent blocks
+ * overtake; correct errors when it is cancelled, invalid or out of memory. */
 #include "fixture.h"
 
 #include "base/thread.h"
 
 enum { ROBOTS = 150 };
 
-/* The thread sanitizer makes a step thirty times as long, the other one eight times. What threads
- * share is touched once per block, or every few steps: lives of a fifth, in as many blocks for as
- * many workers, show it all. */
+/* The thread sanitizer makes a step thirty times slower, the other one eight times. Data that
+ * threads share is touched once per block, or every few steps: rollouts a fifth as long, in the
+ * same number of blocks for the same number of workers, cover everything. */
 #if defined(__SANITIZE_THREAD__) || defined(__SANITIZE_ADDRESS__)
 #define LIVES(steps) ((steps) / 5)
 #else
@@ -27,24 +27,25 @@ static void setup(void)
     d_parameters[k] = make_zeros(controller->n_parameters, sizeof(double));
 }
 
-/* Stands in front of the real one: fails the block that begins with a certain robot, counts those
- * that are inside, or makes gradients up. */
+/* Wraps the real function: fails the block that starts with a certain robot, counts threads inside,
+ * or makes up gradients. */
 static struct {
   const struct mo_environment
-      *made_up;                  /* of the robots with made-up gradients; NULL: there are none */
-  const struct mo_body *fail_at; /* NULL: none fails */
+      *made_up;                  /* of the robots with made-up gradients; NULL = real gradients */
+  const struct mo_body *fail_at; /* NULL = no failure */
   int status;
   atomic_int begun, inside, most_inside;
   atomic_int wrong_tags;
-  bool workers_hang; /* blocks with tag 7 end only when they are told to stop */
+  bool workers_hang; /* blocks with tag 7 end only when they are cancelled */
 } plan;
 
 typeof(mo_gradient_block) __real_mo_gradient_block, __wrap_mo_gradient_block;
 
-/* Numbers that a test makes up by itself need no look for races at each of them. */
+/* Made-up numbers need not be checked for races one by one. */
 #define ALONE __attribute__((no_sanitize("thread")))
 
-/* Numbers of very different sizes, so that nearly every order of additions has its own bits. */
+/* Numbers of very different magnitudes, so that almost every order of additions has different
+ * bits. */
 ALONE static void make_up(uint64_t robot, float *gradient)
 {
   uint64_t state = robot;
@@ -70,7 +71,8 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
       usleep(1000);
     }
     memset(results, 0, n * sizeof(*results));
-    memset(gradient, 0, controller->n_parameters * sizeof(float)); /* a write that is looked at */
+    memset(gradient, 0,
+           controller->n_parameters * sizeof(float)); /* a write that the sanitizer checks */
     make_up((uint64_t)(list[0].environment - plan.made_up), gradient);
     return MO_OK;
   }
@@ -126,7 +128,7 @@ static void same_bits_for_any_workers(void)
   for (int run = 0; run < 3; run++) {
     struct mo_compute *compute = make_compute(workers[run]);
     struct mo_gradient_state *state = make_gradient_state(compute);
-    for (int again = 0; again < 2; again++) { /* the second call finds everything made */
+    for (int again = 0; again < 2; again++) { /* at the second call everything exists */
       struct mo_gradient_batch batch =
           make_batch(ROBOTS, LIVES(40), run == 0 && again == 0 ? 0 : 1);
       CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
@@ -150,10 +152,13 @@ static void same_bits_for_any_workers(void)
   CHECK(largest > 0);
 }
 
-enum { SHARD = 1024, MANY = 2 * SHARD + 100 }; /* a last shard, and in it a last block, of fewer */
+enum {
+  SHARD = 1024,
+  MANY = 2 * SHARD + 100
+}; /* the last shard is smaller, and so is the last block in it */
 
-/* Adds made-up blocks in order within shards, and the shards in order; and all blocks in one row.
- */
+/* Adds made-up blocks in order within shards, and then the shards in order; and also all blocks in
+ * one sequence. */
 ALONE static void add_plainly(const struct mo_robot *list, uint32_t n_robots, double *by_shards,
                               double *in_one_row)
 {
@@ -179,7 +184,7 @@ ALONE static void add_plainly(const struct mo_robot *list, uint32_t n_robots, do
   check_drop_from(block);
 }
 
-/* Blocks of 32 robots are added in order within shards of 1024, and these in order. */
+/* Blocks of 32 robots are added in order within shards of 1024, and the shards in order. */
 static void shards_are_added_in_order(void)
 {
   static const uint32_t sizes[] = {MANY, SHARD + 1, SHARD}, workers[] = {1, 3};
@@ -203,7 +208,7 @@ static void shards_are_added_in_order(void)
       CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
       add_plainly(many, sizes[size], d_parameters[1], in_one_row);
       CHECK(SAME(batch.d_parameters, d_parameters[1], n));
-      /* With one shard, and one block more, there is but one order. */
+      /* With one shard, or with one block more, there is only one order. */
       CHECK(SAME(in_one_row, d_parameters[1], n) == (sizes[size] < MANY));
     }
     check_drop_from(compute);
@@ -211,7 +216,7 @@ static void shards_are_added_in_order(void)
   plan.made_up = NULL;
 }
 
-/* The batch's gradient is the mean of its robots' gradients, each robot's outcome is its own. */
+/* The batch's gradient is the mean of its robots' gradients, and each robot has its own outcome. */
 __attribute__((unused)) static void it_is_the_mean(void)
 {
   enum { N = 40, STEPS = 60 };
@@ -241,11 +246,11 @@ __attribute__((unused)) static void it_is_the_mean(void)
   const double cosine = cosine_of(d_parameters[0], d_parameters[1], n, &ratio);
   printf("# %d robots, %d steps: 1 - cosine %.2g, norms' ratio %.9g\n", N, STEPS, 1 - cosine,
          ratio);
-  CHECK(cosine > 0.999); /* float32: a mass touches a step earlier or later */
+  CHECK(cosine > 0.999); /* float32: a mass may touch the ground a step earlier or later */
   CHECK_NEAR(ratio, 1.0, 1e-3);
 }
 
-/* A call in a thread of its own. */
+/* A call in a separate thread. */
 struct call {
   struct mo_gradient_state *state;
   struct mo_gradient_batch batch;
@@ -271,13 +276,13 @@ static void hear_nothing(void *context)
   (void)context;
 }
 
-/* A remote taker: a thread with a back end of its own. */
+/* A remote taker: a thread with its own back end. */
 struct taker {
   struct mo_compute *from, *own;
   struct mo_gradient_state *state;
-  bool refuses;          /* returns the first shard, again and again, and fails with the second */
-  bool holds;            /* returns a shard when it is cancelled */
-  struct mo_taken *late; /* the first shard, kept until the others are done; NULL: there is none */
+  bool refuses;          /* keeps putting back the first shard, and fails the second */
+  bool holds;            /* puts back a shard when it is cancelled */
+  struct mo_taken *late; /* the first shard, held until the others are done; NULL if none */
   bool is_late;
   atomic_int end, taken;
   pthread_t thread;
@@ -336,9 +341,9 @@ static void *take_shards(void *argument)
   return NULL;
 }
 
-/* Takers compute all shards, the first one last, some, or those that the workers have begun: the
- * bits are the same. A call that waits for a shard rests. A cancelled one waits until they have
- * returned what they took. */
+/* Takers compute all shards, the first one last, only some, or those that the workers have begun:
+ * the bits are the same. A call that waits for a shard sleeps. A cancelled call waits until the
+ * takers have returned their shards. */
 static void takers_compute_shards(void)
 {
   enum { ALL, LATE, SOME, BEGUN, CANCELLED, MODES };
@@ -382,7 +387,7 @@ static void takers_compute_shards(void)
     pthread_join(call.thread, NULL);
     atomic_store(&taker.end, 1);
     pthread_join(taker.thread, NULL);
-    CHECK(mode != LATE || call.processor_s < 0.4); /* the shard is a second late */
+    CHECK(mode != LATE || call.processor_s < 0.4); /* the shard arrives a second late */
     CHECK_INT(call.status, mode == CANCELLED ? MO_ERR_CANCELLED : MO_OK);
     CHECK(mode == CANCELLED || SAME(batch.d_parameters, d_parameters[1], controller->n_parameters));
     CHECK_INT(atomic_load(&taker.taken), mode == CANCELLED ? 1 : mode == SOME ? 5 : 3);
@@ -404,7 +409,7 @@ static struct mo_block urgent_block(struct mo_compute_controller *brain, uint32_
   return block;
 }
 
-/* Lets a call begin, with so many blocks inside. */
+/* Waits until a call has this many blocks inside. */
 static void begin_call(struct call *call, int blocks)
 {
   atomic_store(&plan.begun, 0);
@@ -413,9 +418,9 @@ static void begin_call(struct call *call, int blocks)
     usleep(100);
 }
 
-/* One worker: interactive scoring blocks come while it is inside a gradient, and neither notices
- * the other. Most of them come after less work than a gradient block is: that is counted in
- * processor time, which goes on neither while this thread sleeps nor while the machine does
+/* One worker: interactive scoring blocks arrive while it is inside a gradient, and neither changes
+ * the other's result. Most of them finish with less work than a gradient block needs. This is
+ * measured in processor time, which does not advance while this thread sleeps or the computer does
  * something else. */
 static void urgent_blocks_overtake(void)
 {
@@ -450,20 +455,20 @@ static void urgent_blocks_overtake(void)
   CHECK(same_results(ROBOTS) && same_counts(&batch.counts, &call.batch.counts));
   CHECK_INT(atomic_load(&plan.wrong_tags), 0);
   const struct mo_compute_stats stats = stats_of(compute);
-  CHECK(stats.blocks_preempted >= URGENT / 2); /* a few may fall between two gradient blocks */
+  CHECK(stats.blocks_preempted >= URGENT / 2); /* a few may arrive between two gradient blocks */
   printf("# %d of %d urgent blocks took less than a gradient block, %.0f ms\n", overtook, URGENT,
          1e3 * block_s);
   CHECK(overtook > URGENT / 2);
 }
 
-/* An urgent gradient waits for the block that runs and for none that waits. */
+/* An urgent gradient waits for the running block but not for waiting ones. */
 static void urgent_gradients_go_first(void)
 {
   struct mo_compute *compute = make_compute(1);
   struct call calls[2] = {{0}, {0}};
   for (int i = 0; i < 2; i++) {
     calls[i].state = make_gradient_state(compute);
-    /* Long enough that the first is not done before the second begins. */
+    /* Long enough that the first call is still running when the second one starts. */
     calls[i].batch = make_batch(i == 0 ? ROBOTS : 3, 100, i);
     calls[i].batch.urgency = i == 0 ? MO_BATCH : MO_INTERACTIVE;
   }
@@ -502,8 +507,7 @@ static void cancelled_calls_come_back(void)
   CHECK(same_results(ROBOTS) && same_counts(&batch.counts, &call.batch.counts));
 }
 
-/* A block that fails ends the call with its error, whichever block it is; the other blocks in work
- * are waited for. */
+/* If any block fails, the call ends with its error, after waiting for the other running blocks. */
 static void failed_blocks_end_the_call(void)
 {
   struct mo_compute *compute = make_compute(2);
@@ -598,10 +602,10 @@ static const struct check_case cases[] = {
     {"urgent gradients go first", urgent_gradients_go_first},
     {"cancelled calls come back", cancelled_calls_come_back},
     {"failed blocks end the call", failed_blocks_end_the_call},
-    {"bodies of another workspace", bodies_of_another_workspace},
-    {"one state takes any controller", one_state_takes_any_controller},
+    {"bodies in another workspace", bodies_of_another_workspace},
+    {"one state serves any controller", one_state_takes_any_controller},
 #if !defined(__SANITIZE_THREAD__) &&                                                               \
-    !defined(__SANITIZE_ADDRESS__) /* slow there, and by code that the others run, too */
+    !defined(__SANITIZE_ADDRESS__) /* slow there, and the other cases run the same code */
     {"it is the mean", it_is_the_mean},
 #endif
 };

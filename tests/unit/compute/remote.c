@@ -1,4 +1,4 @@
-/* Remote takers: what they take, in which order it comes back, and that results reach the blocks as
+/* Remote takers: what they take, in which order it comes back, and that blocks get the results as
  * if workers had computed them. */
 #include "fixture.h"
 
@@ -16,7 +16,8 @@ static void arrived(void *context)
   atomic_fetch_add(&arrivals, 1);
 }
 
-/* A compute whose workers leave everything to takers, with a controller and blocks to submit. */
+/* Makes a compute with workers that leave everything to takers, with a controller and blocks to
+ * submit. */
 struct world {
   struct mo_compute *compute;
   struct mo_compute_controller *brain;
@@ -81,7 +82,7 @@ static void setup(void)
   mo_compute_free(check_take(compute));
 }
 
-/* Delivers what workers of one machine computed before. */
+/* Delivers results that workers of one machine computed before. */
 static void deliver(const struct world *world, struct mo_taken *taken, int64_t origin)
 {
   double losses[BODIES * MO_PAPER_TEST_COUNT];
@@ -140,7 +141,7 @@ static void takes_in_order(void)
   close_world(&world);
 }
 
-/* Blocks that do not suit are computed here, and do not stand in the way of others. */
+/* Unsuitable blocks are computed by the workers, and do not delay others. */
 static void workers_keep_the_rest(void)
 {
   struct world world = open_world();
@@ -203,14 +204,14 @@ static void cancelled_blocks(void)
   taken = mo_compute_take(world.compute, MO_ON_CPU, steps_of(2));
   REQUIRE(taken != NULL && taken->n_blocks == 1);
   mo_compute_share_get_stats(share, &stats);
-  CHECK(stats.busy_s == 0.25); /* what was computed in vain counts */
+  CHECK(stats.busy_s == 0.25); /* wasted work is charged, too */
   mo_compute_deliver(world.compute, taken, &(struct mo_remote_result){.status = MO_ERR_EXHAUSTED});
   CHECK_INT(blocks[2].status, MO_ERR_EXHAUSTED);
   mo_compute_share_free(share);
   close_world(&world);
 }
 
-/* Blocks that no taker has come for end soon after they are cancelled. */
+/* Blocks that no taker has taken end soon after they are cancelled. */
 static void cancelled_without_a_taker(void)
 {
   struct world world = open_world();
@@ -226,7 +227,7 @@ static void cancelled_without_a_taker(void)
   close_world(&world);
 }
 
-/* What takers put back is cancelled when the back end ends. */
+/* Blocks that takers put back are cancelled when the back end is freed. */
 static void the_end_with_blocks_waiting(void)
 {
   struct world world = open_world();
@@ -238,8 +239,8 @@ static void the_end_with_blocks_waiting(void)
   CHECK_INT(blocks[0].status, MO_ERR_CANCELLED);
 }
 
-/* Devices that only takers have: nothing is accepted before their class is known. Takers get the
- * blocks; the others end as cancelled, or are left to the workers. */
+/* Devices that only takers have: no block is accepted before their class is known. Takers get the
+ * blocks; others end as cancelled, or are left to the workers. */
 static void devices_of_takers(void)
 {
   struct world world = {.compute = make_compute(2)};
@@ -278,7 +279,7 @@ static void devices_of_takers(void)
   deliver(&world, one, 4);
   check_block(0, 4);
   CHECK_INT(blocks[0].computed_on, MO_ON_DEVICE);
-  mo_compute_keep(world.compute, two); /* takers cannot */
+  mo_compute_keep(world.compute, two); /* takers cannot compute it */
   CHECK(await(&ended, 2));
   check_block(1, 0);
   CHECK_INT(blocks[1].computed_on, MO_ON_CPU);

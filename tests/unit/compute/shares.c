@@ -1,12 +1,12 @@
-/* Shares on running workers: time by weight between submitters of short and long blocks and of
+/* Shares on running workers: time by weight among submitters of short and long blocks and of
  * gradients, urgent blocks charged to no share, the same bits in any order, and shares that come
- * and go. fair.c has the arithmetic. */
+ * and go. fair.c tests the arithmetic. */
 #include "fixture.h"
 
 enum { BODIES = 64, ROBOTS = 320, INSIDE = 6, LENGTHS = 3 };
 
-/* Of a gradient's lives. The sanitizers slow what comes between two batches more than the kernels:
- * longer lives make up for that. */
+/* Rollout steps of a gradient. Sanitizers slow down the work between two batches more than the
+ * kernels; longer rollouts compensate for that. */
 #ifdef __SANITIZE_THREAD__
 #define GRADIENT_STEPS 200
 #elif defined(__SANITIZE_ADDRESS__)
@@ -43,14 +43,14 @@ static void fill_block(struct mo_block *block, struct mo_compute_controller *bra
   block->share = share;
 }
 
-/* ---- submitters that keep INSIDE blocks queued or running until they are told to stop ---- */
+/* ---- submitters that keep INSIDE blocks queued or running until they are stopped ---- */
 
 struct submitter {
   struct mo_compute *compute;
   struct mo_compute_controller *brain;
   struct mo_compute_share *share;
   struct mo_block blocks[INSIDE];
-  int shortest, n_lengths; /* which lengths its blocks take in turn */
+  int shortest, n_lengths; /* the lengths that its blocks cycle through */
   atomic_uint turn;
   atomic_bool stop;
   atomic_int inside, wrong;
@@ -109,9 +109,9 @@ static double busy_s(const struct mo_compute_share *share)
   return stats.busy_s;
 }
 
-/* The part of each of n shares in the worker seconds that they get from now on: once they have had
- * `seconds`, as near as `tolerance` to what is wanted. A block that lost its processor for long is
- * a debt that is paid later: twelve times as long is waited for that. */
+/* Checks the fraction of worker seconds that each of n shares gets from now on. Once they have had
+ * `seconds`, it must be within `tolerance` of the expected one. A block that lost its processor for
+ * a long time leaves a debt that is paid later, so the test waits up to twelve times as long. */
 static bool gets(struct mo_compute_share *const *shares, int n, double seconds,
                  const double *wanted)
 {
@@ -157,8 +157,8 @@ static void time_by_weight(void)
   REQUIRE(expect(compute, brain) == MO_OK);
   for (int i = 0; i < 3; i++)
     shares[i] = make_compute_share(compute, 1 << i);
-  begin(&submitters[0], compute, brain, shares[0], 2, 1); /* long ones alone */
-  begin(&submitters[1], compute, brain, shares[1], 0, 1); /* short ones alone */
+  begin(&submitters[0], compute, brain, shares[0], 2, 1); /* only long blocks */
+  begin(&submitters[1], compute, brain, shares[1], 0, 1); /* only short blocks */
   begin(&submitters[2], compute, brain, shares[2], 0, 3);
   CHECK(gets(shares, 3, 2, (const double[]){1.0 / 7, 2.0 / 7, 4.0 / 7}));
   mo_compute_share_set_weight(shares[0], 14);
@@ -204,8 +204,7 @@ static void *learn(void *argument)
   return NULL;
 }
 
-/* Its blocks are long, and between two batches it has none: it gets half of the time all the same.
- */
+/* Its blocks are long, and it has none between two batches; it gets half of the time anyway. */
 static void gradients_beside_scores(void)
 {
   struct mo_compute *compute = make_compute(2);
@@ -268,8 +267,8 @@ static void urgent_blocks_are_charged_to_nobody(void)
   CHECK(of_calm.urgent_s == 0 && of_calm.busy_s > 0);
   CHECK_INT(of_hasty.blocks_done, 4);
   CHECK_INT(of_calm.blocks_done, 1);
-  /* No time is counted twice (the worker's holds that of its blocks), and little is lost, however
-   * loaded the machine is. */
+  /* No time is counted twice (a worker's time includes that of its blocks), and little is lost, no
+   * matter how loaded the machine is. */
   CHECK(of_calm.busy_s + of_hasty.busy_s <= (1 + 1e-9) * stats.busy_s);
   CHECK(of_calm.busy_s + of_hasty.busy_s > (processor_s() - before_s) / 2);
 }
@@ -336,8 +335,8 @@ static void shares_come_and_go(void)
   CHECK_INT(stats.queued_batch + stats.queued_interactive, 0);
 }
 
-/* The back end ends while blocks of shares wait: all come back, and the shares may be freed after
- * it. */
+/* The back end is freed while blocks of shares are waiting: all are handed back, and the shares may
+ * be freed afterward. */
 static void the_end_with_blocks_waiting(void)
 {
   enum { N = 8 };
@@ -361,8 +360,8 @@ static void the_end_with_blocks_waiting(void)
 
 static const struct check_case cases[] = {
     {"time by weight", time_by_weight},
-    {"gradients beside scores", gradients_beside_scores},
-    {"urgent blocks are charged to nobody", urgent_blocks_are_charged_to_nobody},
+    {"gradients along with scores", gradients_beside_scores},
+    {"urgent blocks are charged to no share", urgent_blocks_are_charged_to_nobody},
     {"shares come and go", shares_come_and_go},
     {"the end with blocks waiting", the_end_with_blocks_waiting},
 };

@@ -4,7 +4,7 @@
 #include "controller/tape.h"
 #include <morpho/random.h>
 
-/* Long double, in the textbook's order: another road to the same numbers. */
+/* Long double, in textbook order: an independent computation of the same numbers. */
 static void textbook(const struct mo_controller *c, const double *inputs, double *outputs)
 {
   long double x[1024], y[1024];

@@ -4,10 +4,10 @@ directions.
 
     interop.py PROGRAM        PROGRAM reads its first argument as a controller and writes it to its
     second (round-trip.c).
-    interop.py --header FILE  writes the header that the package gives a 1x1x1 controller: the
+    interop.py --header FILE  writes the header that the package writes for a 1x1x1 controller: the
     fixture of safetensors.c.
 
-Skipped (status 77) where the package is not installed; the fixture covers reading its files there.
+Skipped (status 77) if the package is not installed; the fixture then covers reading its files.
 """
 import os
 import struct
@@ -70,7 +70,7 @@ def check(program, size):
         again = os.path.join(folder, "again.safetensors")
         subprocess.run([program, ours, again], check=True)
         with open(ours, "rb") as a, open(again, "rb") as b:
-            assert a.read() == b.read(), "the same controller gave other bytes"
+            assert a.read() == b.read(), "the same controller was written as different bytes"
     assert back.keys() == tensors.keys(), sorted(back)
     for name, value in tensors.items():
         assert back[name].dtype == np.float32 and np.array_equal(back[name], value), name

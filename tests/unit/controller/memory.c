@@ -1,5 +1,6 @@
-/* memory.c: every allocation of this room and of the reference rollout fails once; each time the
- * function says so, leaves its outputs alone and leaks nothing (the address sanitizer looks). */
+/* memory.c: every allocation of this room and of the reference rollout fails once. Each time the
+ * function must report the error, leave its outputs unchanged, and leak nothing (checked by the
+ * address sanitizer). */
 #include "../failing.h"
 #include "../make.h"
 
@@ -34,7 +35,8 @@ static int decode(void)
       CHECK(strcmp(c->metadata[i].value, shared->metadata[i].value) == 0);
   }
   mo_controller_free(c);
-  return r == MO_ERR_FORMAT ? MO_ERR_NO_MEMORY : r; /* the JSON parser cannot tell */
+  return r == MO_ERR_FORMAT ? MO_ERR_NO_MEMORY
+                            : r; /* the JSON parser cannot report why it failed */
 }
 
 static int encode(void)

@@ -1,4 +1,4 @@
-/* round-trip.c: reads a controller and writes it again: for interop.py. */
+/* round-trip.c: reads a controller and writes it back, for interop.py. */
 #include <stdio.h>
 #include <stdlib.h>
 

@@ -1,6 +1,6 @@
-/* safetensors.c: files of controllers, kind and hostile. The hostile ones start from a good 1x1x1
- * file; a text of its header is replaced, and the message must name the fault. Random damage is
- * tests/fuzz/controller.c. */
+/* safetensors.c: controller files, valid and hostile. The hostile ones are a valid 1x1x1 file with
+ * some text of its header replaced, and the message must describe the fault.
+ * tests/fuzz/controller.c tests random damage. */
 #include "../make.h"
 
 #include <fcntl.h>
@@ -22,7 +22,7 @@ static struct blob make_file(const struct mo_controller *c)
   return blob;
 }
 
-static struct blob good; /* a new one for each case */
+static struct blob good; /* re-created for each case */
 
 static void make_good(void)
 {
@@ -44,8 +44,8 @@ static char *make_header_text(void)
   return memcpy(text, good.bytes + 8, header_length());
 }
 
-/* A file of this header (its length is written, no padding) and the data of `good`, with `extra`
- * more bytes of data. */
+/* Makes a file with this header (its length is written, without padding) and the data of `good`,
+ * plus `extra` bytes of data. */
 static struct blob make_with_header(const char *header, uint64_t length, ptrdiff_t extra)
 {
   const size_t from = 8 + header_length(), data = good.size - from;
@@ -57,7 +57,7 @@ static struct blob make_with_header(const char *header, uint64_t length, ptrdiff
   return blob;
 }
 
-/* Decodes; reports the code and what the message lacks. */
+/* Decodes; reports a wrong code or message. */
 static void expect(const char *name, const struct blob *blob, int code, const char *says)
 {
   struct mo_controller *c = NULL;
@@ -166,7 +166,7 @@ static void expect_header(const char *name, const char *header, size_t n, int co
   check_drop_from(bad.bytes);
 }
 
-/* The good header with one place changed. */
+/* The good header with one replacement. */
 static void expect_edit(const struct edit *e, int code)
 {
   const char *header = make_header_text(), *at = strstr(header, e->find);
@@ -217,7 +217,7 @@ static void depth_bombs(void)
   for (size_t i = 5; i + 5 <= n; i += 5)
     memcpy(text + i, "{\"a\":", 5);
   expect_header("objects in objects", text, n - n % 5, MO_ERR_FORMAT, "maximum parsing depth");
-  /* Brackets in texts are only text, also behind escaped quotes. */
+  /* Brackets in strings are only text, even after escaped quotes. */
   const int used = snprintf(text, n, "{\"\\\"");
   memset(text + used, '[', 500);
   memcpy(text + used + 500, "\":1}", 5);
@@ -234,7 +234,7 @@ static void truncations(void)
   for (size_t n = 0; n < good.size; n += n < 8 + header + 64 ? 1 : 4099) {
     struct mo_controller *c = NULL;
     struct mo_message message = {""};
-    uint8_t *part = malloc(n > 0 ? n : 1); /* so long that ASan sees a step beyond its end */
+    uint8_t *part = malloc(n > 0 ? n : 1); /* long enough that ASan notices a read beyond its end */
     REQUIRE(part != NULL);
     memcpy(part, good.bytes, n);
     CHECK_INT(mo_controller_decode(part, n, &c, &message), MO_ERR_FORMAT);
@@ -263,7 +263,7 @@ static void gaps(void)
                     shorter = make_with_header(text, strlen(text), -1);
   expect("more data", &longer, MO_ERR_FORMAT, "the tensors end at byte");
   expect("less data", &shorter, MO_ERR_FORMAT, "tensor net.9.bias ends at byte");
-  /* The last tensor 4 bytes later. */
+  /* The last tensor is 4 bytes later. */
   REQUIRE(at != NULL);
   unsigned long begin = 0, end = 0;
   REQUIRE(sscanf(strstr(at, "data_offsets"), "data_offsets\":[%lu,%lu]", &begin, &end) == 2);
@@ -279,7 +279,8 @@ static void gaps(void)
   expect_header("missing", text, strlen(text), MO_ERR_FORMAT, "tensor net.9.bias is missing");
 }
 
-/* `entries` empty entries and one of `long_bytes` bytes beside the workspace. */
+/* Makes metadata of `entries` empty entries and one with `long_bytes` bytes, along with the
+ * workspace. */
 static void expect_metadata(const char *rest, int entries, int long_bytes, int code,
                             const char *says)
 {
@@ -365,7 +366,8 @@ static struct blob make_read(const char *relative)
   return blob;
 }
 
-/* The header was written by the safetensors package: other order of tensors in header and data. */
+/* The header was written by the safetensors package, with other orders of tensors in header and
+ * data. */
 static void from_package(void)
 {
   const struct blob header = make_read("tests/golden/safetensors-package-1x1x1.header");
@@ -397,7 +399,7 @@ static void bootstrap(void)
   const struct mo_controller *c = make_shipped_controller("bootstrap");
   CHECK_INT(c->n_parameters, 620912);
   CHECK_TEXT(mo_controller_get_metadata(c, "sensor"), "inverse_sqrt");
-  /* Our writer gives the same bytes as the program that trained it. */
+  /* Our writer produces the same bytes as the program that trained it. */
   const struct blob ours = make_file(c),
                     theirs = make_read("data/controllers/bootstrap.safetensors");
   CHECK(ours.size == theirs.size && SAME(ours.bytes, theirs.bytes, ours.size));
@@ -417,7 +419,7 @@ static void read_faults(void)
   CHECK_TEXT(message.text, "not a regular file");
   snprintf(path, sizeof(path), "%s/pipe", folder);
   REQUIRE(mkfifo(path, 0600) == 0);
-  /* At once, although nobody writes. */
+  /* Fails at once, although the pipe has no writer. */
   CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_IO);
   unlink(path);
   snprintf(path, sizeof(path), "%s/short", folder);
@@ -455,7 +457,7 @@ static const struct check_case cases[] = {
     {"the bootstrap controller", bootstrap},
     {"a header of the safetensors package", from_package},
     {"hostile headers", hostile_headers},
-    {"headers that are no object", not_an_object},
+    {"headers that are not objects", not_an_object},
     {"depth bombs", depth_bombs},
     {"truncations and lengths", truncations},
     {"gaps", gaps},

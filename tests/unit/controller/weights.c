@@ -14,7 +14,7 @@ static void sizes(void)
   CHECK_INT(c->n_inputs, 250);
   CHECK_INT(c->n_springs, 1648);
   CHECK_INT((uintptr_t)c->parameters % 64, 0);
-  /* The views lie in file order and end where the buffer ends. */
+  /* The views are in file order and end where the buffer ends. */
   CHECK(c->weight[0] == c->parameters);
   CHECK(c->bias[0] == c->weight[0] + 256 * 250);
   CHECK(c->norm_gain[0] == c->bias[0] + 256);
@@ -39,7 +39,7 @@ static void refuses_sizes(void)
             MO_ERR_RANGE);
   CHECK_INT(mo_controller_create((struct mo_workspace){1024, 1024, 2}, MO_SENSOR_INVERSE_SQRT, &c),
             MO_ERR_LIMIT);
-  /* Allowed as a body, but its controller exceeds the largest file. */
+  /* Allowed as a body, but its controller would exceed the largest file. */
   CHECK_INT(mo_controller_create((struct mo_workspace){101, 101, 101}, MO_SENSOR_INVERSE_SQRT, &c),
             MO_ERR_LIMIT);
   CHECK_INT(mo_controller_create(tiny, (enum mo_sensor)7, &c), MO_ERR_INVALID);
@@ -88,7 +88,7 @@ static void metadata(void)
   CHECK_INT(mo_controller_set_metadata(c, "note", "two"), MO_OK);
   CHECK_TEXT(mo_controller_get_metadata(c, "note"), "two");
   CHECK_INT(c->n_metadata, 5);
-  /* What describes the weights cannot be made to lie. */
+  /* Metadata that describes the weights cannot be falsified. */
   CHECK_INT(mo_controller_set_metadata(c, "sensor", "inverse_sqrt"), MO_ERR_CONFLICT);
   CHECK_INT(mo_controller_set_metadata(c, "sensor", "inverse_square"), MO_OK);
   CHECK_INT(mo_controller_set_metadata(c, "workspace", "2x1x1"), MO_ERR_CONFLICT);

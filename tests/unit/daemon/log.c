@@ -1,4 +1,4 @@
-/* Log lines: one line each, in three formats, whatever the values hold. */
+/* Log lines: one line per entry, in three formats, whatever the values contain. */
 #include "../check.h"
 
 #include <jansson.h>
@@ -47,7 +47,8 @@ static void json_is_json(void)
   json_decref(object);
 }
 
-/* Texts of others, as a hostile daemon's, cannot control the terminal that shows the log. */
+/* Text from elsewhere, such as from a hostile daemon, cannot control the terminal that shows the
+ * log. */
 static void terminals_are_safe(void)
 {
   static const char *const shown[][2] = {
@@ -88,7 +89,7 @@ static void a_line_stays_one_line(void)
   const struct log_field two[] = {LOG_TEXT("a", large), LOG_TEXT("b", large), LOG_INT("c", 1)};
   format(LOG_FORMAT_JSON, false, 1, "m", two, 3);
   json_t *object = json_loads(line, 0, NULL);
-  CHECK(object != NULL); /* cut, and still JSON */
+  CHECK(object != NULL); /* truncated, and still JSON */
   json_decref(object);
   free(large);
 }
@@ -107,7 +108,7 @@ static const struct check_case cases[] = {
     {"logfmt and priority", logfmt_and_priority},
     {"JSON is JSON", json_is_json},
     {"texts cannot control a terminal", terminals_are_safe},
-    {"a line stays one line", a_line_stays_one_line},
+    {"an entry stays on one line", a_line_stays_one_line},
     {"levels", levels},
 };
 CHECK_MAIN(cases)

@@ -1,4 +1,4 @@
-/* The settings table: every way to set a value, precedence, and what is said about mistakes. */
+/* The settings table: every way to set a value, precedence, and messages about mistakes. */
 #include "../check.h"
 
 #include <unistd.h>
@@ -56,7 +56,7 @@ static void table_is_sound(void)
       CHECK(strcmp(setting->name, settings_table[j].name) != 0);
       CHECK(setting->offset != settings_table[j].offset);
     }
-    /* The default reads back as itself. */
+    /* The default is read back unchanged. */
     char *text = settings_value_text(&settings, setting);
     REQUIRE(text != NULL);
     struct mo_message message = {{0}};
@@ -94,7 +94,7 @@ static void file_values(void)
 static void file_mistakes(void)
 {
   static const struct {
-    const char *line, *fault; /* NULL: none */
+    const char *line, *fault; /* NULL if it must be accepted */
   } lines[] = {{"worker = 3", "unknown setting \"worker\"; did you mean \"workers\"?"},
                {"zebra = 1", "unknown setting \"zebra\""},
                {"workers 3", "no \"=\""},
@@ -120,7 +120,7 @@ static void file_mistakes(void)
   }
   CHECK_INT(faults.n, N_LINES - 1);
   CHECK_INT(faults.n_fatal, N_LINES - 1);
-  CHECK_INT(settings.workers, 0); /* faulty lines leave the default */
+  CHECK_INT(settings.workers, 0); /* faulty lines keep the default */
   settings_faults_free(&faults);
   settings_read_text(&settings, "t.conf", "workers = 1\0", 12, &faults);
   CHECK(has_fault("t.conf:1: NUL byte"));
@@ -207,11 +207,11 @@ static void surroundings(void)
 }
 
 static const struct check_case cases[] = {
-    {"the table is sound", table_is_sound},
+    {"the table is consistent", table_is_sound},
     {"a file's values", file_values},
     {"a file's mistakes", file_mistakes},
     {"precedence", precedence},
     {"mistakes on the command line", flag_mistakes},
-    {"what follows from the surroundings", surroundings},
+    {"values that depend on the environment", surroundings},
 };
 CHECK_MAIN(cases)

@@ -6,7 +6,7 @@
 #include <pthread.h>
 #include <sched.h>
 
-/* Every child with its birth, and every population, of `generations`. */
+/* All births and populations of `generations` generations. */
 static uint64_t hash_of(const struct mo_campaign_settings *settings, int generations)
 {
   struct made_up_campaign *campaign = make_campaign(settings, NULL);
@@ -28,7 +28,7 @@ static uint64_t hash_of(const struct mo_campaign_settings *settings, int generat
   return h;
 }
 
-/* A seed always means the same campaign: a change of these numbers breaks the promise of every
+/* A seed always means the same campaign: changing these numbers would break the promise of every
  * stored one. */
 static void frozen(void)
 {
@@ -56,8 +56,8 @@ static void frozen_seeds(void)
   CHECK_INT(mo_campaign_training(&settings, 2).seed, 8483268893388179);
 }
 
-/* A generation is made again from the population and what was seen before it, and comes out the
- * same. */
+/* A generation is recomputed from the population and the designs seen before it, with the same
+ * result. */
 static void made_again(void)
 {
   for (int kind = 0; kind < 4; kind++) {
@@ -72,7 +72,7 @@ static void made_again(void)
     for (uint32_t g = 1; g < 20; g++) {
       struct mo_variation_counts counts;
       uint32_t n = 0;
-      /* First with a set of its own, made of all designs so far, in another order. */
+      /* First with a separate set of all designs so far, added in another order. */
       struct mo_seen *seen = make_seen(settings.workspace, NULL);
       for (size_t i = n_born; i-- > 0;)
         REQUIRE(mo_seen_add(seen, born + W * i) == 1);
@@ -94,9 +94,9 @@ static void made_again(void)
   }
 }
 
-/* ---- the beginning ---- */
+/* ---- the initial population ---- */
 
-/* The initial population of a campaign after the first `n_given`, which are there. */
+/* Returns the initial population of a campaign, whose first `n_given` members are given. */
 static uint32_t populate(const struct mo_campaign_settings *settings, struct mo_seen *seen,
                          uint64_t *genotypes, uint32_t n_given, uint32_t *fault)
 {
@@ -114,7 +114,7 @@ static void given(void)
   CHECK_INT(populate(&settings, seen, alone, 0, NULL), 20);
   CHECK_INT(mo_seen_count(seen), 20);
 
-  /* Two are given, one of which the stream would have drawn third: it is left out there. */
+  /* Two designs are given. The stream would have drawn one of them third: it is skipped there. */
   mo_genotype_place(settings.workspace, genotypes);
   memcpy(genotypes + W, alone + 2 * W, W * sizeof(uint64_t));
   seen = make_seen(settings.workspace, NULL);
@@ -124,7 +124,7 @@ static void given(void)
   CHECK(SAME(genotypes + 4 * W, alone + 3 * W, W));
   CHECK(mo_seen_count(seen) == 20 && mo_seen_add(seen, genotypes) == 0 && fault == 99);
 
-  /* Twice one form, though mirrored. */
+  /* The same form twice, although mirrored. */
   for (unsigned k = 1; k < 8; k++)
     if (make_image(settings.workspace, alone + 2 * W, k, mirrored) == MO_OK) {
       mo_genotype_place(settings.workspace, mirrored);
@@ -137,7 +137,7 @@ static void given(void)
   CHECK_INT(mo_population_initial(&settings, seen, genotypes, 21, &n, &fault, NULL), MO_ERR_RANGE);
 }
 
-/* A given design may be one of those that are excluded; a random one may not. */
+/* A given design may be one of the excluded ones; a random one may not. */
 static void given_and_excluded(void)
 {
   const struct mo_campaign_settings settings = small_campaign(3, 10);
@@ -168,7 +168,7 @@ static void given_and_excluded(void)
 #define BATCH 300
 #define STEPS 4
 
-/* The next body of a stream that is not held out, and its form. */
+/* Draws the next body of a stream that is not held out, and its form. */
 static int next_body(struct mo_body_stream *stream, uint64_t body[W], uint64_t form[W])
 {
   int r;
@@ -179,7 +179,7 @@ static int next_body(struct mo_body_stream *stream, uint64_t body[W], uint64_t f
   return r;
 }
 
-/* What a real pretraining learns from in its first steps, and nothing else. */
+/* Exactly the bodies that a real pretraining learns from in its first steps. */
 static void pretraining(void)
 {
   struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_PRETRAIN);
@@ -214,8 +214,8 @@ static void pretraining(void)
   }
 }
 
-/* In a smaller workspace: those that fit it, as they are there. A set that holds something gets the
- * same forms. */
+/* In a smaller workspace: the bodies that fit, without moving them. A set that is not empty gets
+ * the same forms. */
 static void pretraining_elsewhere(void)
 {
   const struct mo_workspace small = {5, 4, 2};
@@ -244,8 +244,8 @@ static void pretraining_elsewhere(void)
   CHECK_INT(mo_form_set_count(again), 1200);
 }
 
-/* Counts the forms of a pretraining's first n bodies, of those that fit the workspace, that the set
- * has not; `add`: adds them. */
+/* Counts the forms of a pretraining's first n bodies that fit the workspace and are not in the set;
+ * `add`: adds them. */
 static int missing_forms(uint64_t seed, int n, struct mo_workspace workspace,
                          struct mo_form_set *set, bool add)
 {
@@ -316,12 +316,12 @@ static void pretraining_interrupted(void)
 
 static const struct check_case cases[] = {
     {"a seed always means the same", frozen},
-    {"the seeds of few-shot generations, too", frozen_seeds},
-    {"a generation made again from the population and what was seen", made_again},
+    {"the seeds of few-shot generations", frozen_seeds},
+    {"a recomputed generation", made_again},
     {"given designs, then random ones", given},
     {"given designs that are excluded", given_and_excluded},
     {"the bodies of a pretraining", pretraining},
-    {"the bodies of a pretraining, elsewhere", pretraining_elsewhere},
+    {"the bodies of a pretraining, in another workspace", pretraining_elsewhere},
     {"the bodies of a pretraining, on any number of threads", pretraining_on_threads},
     {"the bodies of a pretraining, interrupted", pretraining_interrupted},
 };

@@ -1,4 +1,4 @@
-/* fixture.h: small campaigns, and plain implementations of what the room does fast. */
+/* fixture.h: small campaigns, and plain implementations of what the room computes fast. */
 #ifndef MORPHO_TESTS_EVOLUTION_FIXTURE_H
 #define MORPHO_TESTS_EVOLUTION_FIXTURE_H
 
@@ -24,7 +24,7 @@ static inline uint32_t hamming(const uint64_t *a, const uint64_t *b)
   return n;
 }
 
-/* ---- designs, told apart by their ids ---- */
+/* ---- designs, distinguished by their ids ---- */
 
 enum { ID_BYTES = 720 / 4 + 1 };
 
@@ -48,7 +48,7 @@ static inline int id_order(const void *a, const void *b)
   return strcmp(a, b);
 }
 
-/* How many different ones there are; frees the ids. */
+/* Returns the number of different ids, and frees them. */
 static inline size_t id_distinct(struct id_list *list)
 {
   size_t distinct = 0;
@@ -60,7 +60,7 @@ static inline size_t id_distinct(struct id_list *list)
   return distinct;
 }
 
-/* ---- a campaign without a world: a design's score is a hash of it ---- */
+/* ---- a campaign without a simulation: a design's score is a hash of it ---- */
 
 struct made_up_campaign {
   struct mo_campaign_settings settings;
@@ -119,7 +119,7 @@ static inline uint64_t *genotype_of(const struct made_up_campaign *campaign, uin
   return campaign->genotypes + (size_t)campaign->words * i;
 }
 
-/* Children of the next generation, behind the population. */
+/* Makes the children of the next generation, after the population. */
 static inline void campaign_vary(struct made_up_campaign *campaign)
 {
   campaign->generation++;
@@ -129,7 +129,7 @@ static inline void campaign_vary(struct made_up_campaign *campaign)
              "variation");
 }
 
-/* The next population, in place. */
+/* Selects the next population, in place. */
 static inline void campaign_select(struct made_up_campaign *campaign)
 {
   const uint32_t n = campaign->n + campaign->n_children;

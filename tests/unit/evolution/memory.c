@@ -1,5 +1,5 @@
-/* memory.c: every allocation of this room fails once; each time the function says so, leaves its
- * outputs alone and leaks nothing (the address sanitizer looks). */
+/* memory.c: every allocation of this room fails once. Each time the function must report the error,
+ * leave its outputs unchanged, and leak nothing (checked by the address sanitizer). */
 #include "fixture.h"
 
 #include "../failing.h"
@@ -14,7 +14,7 @@ static struct mo_design_size sizes[2 * N];
 static struct mo_descent descents[N];
 static uint32_t born[N];
 
-/* Also what a set needs as it grows. */
+/* Also the allocations of a growing set. */
 static int initial(void)
 {
   struct mo_seen *seen = NULL;
@@ -117,7 +117,7 @@ static int forms_elsewhere(void)
   return forms_of((struct mo_workspace){5, 5, 3});
 }
 
-/* Workspaces beyond what fits the stack. */
+/* Workspaces that do not fit on the stack. */
 static const struct mo_workspace large = {20, 20, 20};
 static struct mo_lattice *lattice;
 static uint64_t large_body[125];
@@ -181,6 +181,6 @@ static void large_workspaces(void)
 
 static const struct check_case cases[] = {
     {"functions without memory", functions},
-    {"in workspaces that do not fit the stack", large_workspaces},
+    {"in workspaces that do not fit on the stack", large_workspaces},
 };
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* phylogeny.c: ancestors, descendants and Newick text against what recursion says, and a tree too
- * deep for recursion. */
+/* phylogeny.c: ancestors, descendants and Newick text compared with recursive versions, and a tree
+ * that is too deep for recursion. */
 #include "fixture.h"
 
 #define N 300
@@ -7,7 +7,7 @@
 static struct mo_descent descents[N];
 static uint32_t born[N];
 
-/* Births in order; parents anywhere before, some without. */
+/* Draws births in order; each parent is any earlier design, and some designs have no parents. */
 static void make_up(uint32_t step)
 {
   struct mo_random random = dice(77, step, 0);
@@ -49,7 +49,7 @@ static void ancestors_and_descendants(void)
       climb(number, expected);
       CHECK(SAME(above, expected, N));
       CHECK(!above[number]);
-      for (uint32_t i = 0; i < N; i++) { /* those whose ancestor it is */
+      for (uint32_t i = 0; i < N; i++) { /* the designs that have this ancestor */
         uint8_t marks[N] = {0};
         climb(i, marks);
         CHECK(below[i] == marks[number]);
@@ -64,7 +64,7 @@ static void numbers_outside(void)
   make_up(1);
   mo_ancestors(descents, N, N, marks);
   mo_descendants(descents, N, N, marks);
-  descents[0].parents[0] = 0; /* damaged data: its own parent, and one that is younger */
+  descents[0].parents[0] = 0; /* damaged data: itself, and a younger parent */
   descents[1].parents[0] = N + 1;
   descents[2].parents[0] = 250;
   for (uint32_t i = 0; i < 3; i++)
@@ -97,7 +97,7 @@ static void append_text(struct text *text, const char *bytes)
   append(text, bytes, strlen(bytes));
 }
 
-/* Makes the Newick text in parts of at most `size` bytes. */
+/* Writes the Newick text in pieces of at most `size` bytes. */
 static struct text make_newick(const struct mo_descent *of, const uint32_t *when, uint32_t n,
                                size_t size)
 {
@@ -169,7 +169,7 @@ static void newick_by_hand(void)
   free(none.bytes);
 }
 
-/* One line of 200,000 generations, and another of 200,000 children. */
+/* One line of 200,000 generations, and one design with 200,000 children. */
 static void depth(void)
 {
   const uint32_t n = 200000;
@@ -211,9 +211,9 @@ static void depth(void)
 }
 
 static const struct check_case cases[] = {
-    {"ancestors and descendants as recursion finds them", ancestors_and_descendants},
-    {"numbers outside and parents that are none", numbers_outside},
-    {"newick as recursion writes it", newick},
+    {"ancestors and descendants, compared with recursion", ancestors_and_descendants},
+    {"out-of-range numbers and invalid parents", numbers_outside},
+    {"newick, compared with recursion", newick},
     {"newick by hand", newick_by_hand},
     {"a line of 200,000 generations and a family of 200,000", depth},
 };

@@ -1,4 +1,4 @@
-/* Racing: plans are sound, and a child that is cut short would not have survived. */
+/* racing.c: plans are sound, and a child that is cut short would not have survived. */
 #include "../make.h"
 
 #include <morpho/evolution.h>
@@ -14,8 +14,8 @@ static struct mo_campaign_settings settings_of(uint32_t n)
   return settings;
 }
 
-/* Losses of one sort: spread over many sizes, with few values so that scores tie, or diverged here
- * and there. */
+/* Draws losses of one kind: of many magnitudes, with few distinct values so that scores tie, or
+ * with a few divergences. */
 static double draw(struct mo_random *random, uint32_t sort)
 {
   const double u = mo_random_uniform(random);
@@ -26,8 +26,8 @@ static double draw(struct mo_random *random, uint32_t sort)
   return exp(8 * u - 6);
 }
 
-/* Returns the score of a child up to where it is cut, and the losses that it needed. What a race
- * saves is known from these as from all losses. */
+/* Returns the score of a child up to the point where it is cut short, and the number of losses that
+ * this took. The time that a race saves can be computed from these as well as from all losses. */
 static double race_child(const struct mo_race *race, const double *all, uint32_t *needed)
 {
   double known[MO_RACE_ENVIRONMENTS_MAX];
@@ -100,7 +100,7 @@ static void plans(void)
     bool seen[MO_RACE_ENVIRONMENTS_MAX] = {false};
     double two[2 * MO_RACE_ENVIRONMENTS_MAX];
     struct mo_race race;
-    for (uint32_t k = 0; k < e; k++) { /* the spread rises with k */
+    for (uint32_t k = 0; k < e; k++) { /* the spread grows with k */
       two[k] = 1;
       two[e + k] = 1 + k;
     }
@@ -118,7 +118,7 @@ static void plans(void)
   }
 }
 
-/* Where nothing can be proved, every child is scored in one wave. */
+/* If nothing can be proved, every child is scored in one wave. */
 static void without_a_bound(void)
 {
   struct mo_campaign_settings settings = settings_of(3);
@@ -141,8 +141,8 @@ static void without_a_bound(void)
   CHECK(!mo_race_is_possible(&settings));
 }
 
-/* Each wave after the first waits for the one before it, and costs a device as long as 2000
- * rollouts; so does the first where it waits for parents. */
+/* Each wave after the first waits for the previous one, and costs a device as much time as 2000
+ * rollouts; so does the first wave if it waits for parents. */
 static void waits(void)
 {
   const struct mo_campaign_settings settings = settings_of(2);
@@ -155,7 +155,7 @@ static void waits(void)
   CHECK_INT(mo_race_lost(&race, false, true), 0);
 }
 
-/* A child that stored losses cut before a wave needs nothing of that wave. */
+/* A child that stored losses cut before a wave needs no rollouts of that wave. */
 static void stored_losses(void)
 {
   const struct mo_campaign_settings settings = settings_of(2);
@@ -171,7 +171,7 @@ static void stored_losses(void)
   CHECK_INT(mo_race_saved(&race, losses_of, true), 8);
 }
 
-/* Losses that are not known neither lead the order nor poison it. */
+/* Unknown losses (NaN) neither sort first nor spoil the order. */
 static void unknown_losses(void)
 {
   const struct mo_campaign_settings settings = settings_of(2);
@@ -182,13 +182,13 @@ static void unknown_losses(void)
   CHECK_INT(race.n_waves, 2);
 }
 
-/* ---- the k best ---- */
+/* ---- the best k designs ---- */
 
 enum { DESIGNS = 3 * N };
 
-/* The plain reference: all losses, all sorted. Designs with a score up to the k-th best have it to
- * the last bit; the others have lower bounds above it. Returns the losses that the race asked for.
- */
+/* The plain reference computes and sorts all losses. Designs with a score up to the k-th best have
+ * exactly that score, to the last bit; the others have lower bounds above it. Returns the number of
+ * losses that the race computed. */
 static uint64_t race_best(const double (*all)[MO_RACE_ENVIRONMENTS_MAX], uint32_t n, uint32_t e,
                           uint32_t k)
 {
@@ -249,17 +249,18 @@ static void the_best(void)
   }
   printf("# %.3f of the rollouts\n", (double)computed / (double)whole);
   CHECK(computed < whole);
-  for (uint32_t i = 0; i < DESIGNS; i++) /* all the same: nothing can be cut */
+  for (uint32_t i = 0; i < DESIGNS; i++) /* all the same: no design can be cut short */
     for (uint32_t j = 0; j < 10; j++)
       all[i][j] = 0.1 * j;
   CHECK(race_best(all, DESIGNS, 10, 1) == 10 * DESIGNS);
-  for (uint32_t i = 0; i < DESIGNS; i++) /* all diverge somewhere, and none of them is best */
+  for (uint32_t i = 0; i < DESIGNS;
+       i++) /* all diverge in some environment, and none of them is among the best */
     all[i][i % 10] = INFINITY;
   CHECK(race_best(all, DESIGNS, 10, 1) == 10 * DESIGNS);
 }
 
-/* How many losses a race needs is unknown at first, and after a tenth of them known within 30 %,
- * except for the very best one: it is far out, beyond the 64 designs that come first. */
+/* The number of losses that a race needs is unknown at first. After a tenth of them it is known
+ * within 30 %, except for the very best design: it is an outlier, beyond the first 64 designs. */
 static void estimates(void)
 {
   enum { MANY = 5000, ENVIRONMENTS = 10 };
@@ -280,7 +281,7 @@ static void estimates(void)
     CHECK(best->share == 0);
     while ((n_asked = mo_best_ask(best)) > 0) {
       CHECK((best->share == 0) == (computed == 0));
-      /* What the job shows while it computes these: mo_active_left. */
+      /* The estimate that the job shows while it computes these: mo_active_left. */
       if (early == 0 && 10 * (computed + n_asked) > MANY)
         early = best->share * MANY * ENVIRONMENTS;
       computed += n_asked;
@@ -298,7 +299,7 @@ static const struct check_case cases[] = {
     {"the same survivors", same_survivors},
     {"plans", plans},
     {"without a bound", without_a_bound},
-    {"waits of a device", waits},
+    {"waiting times of a device", waits},
     {"stored losses", stored_losses},
     {"unknown losses", unknown_losses},
     {"the best", the_best},

@@ -1,4 +1,5 @@
-/* selection.c: who lives, under each scheme, against its plain description. */
+/* selection.c: which designs survive under each scheme, compared with a plain description of the
+ * scheme. */
 #include "fixture.h"
 
 #define N 96
@@ -10,8 +11,8 @@ struct scene {
   uint32_t survivors[N], n;
 };
 
-/* N candidates of generations 0 … 20 (the current one) with a few equal scores, `diverged` of 96
- * without one. */
+/* Makes N candidates of generations 0 … 20 (the current one), a few with equal scores; `diverged`
+ * of 96 have no score. */
 static void make_up(struct scene *scene, uint32_t step, uint32_t diverged,
                     enum mo_selection_kind kind)
 {
@@ -40,7 +41,7 @@ static bool is_better(const struct mo_candidate *a, const struct mo_candidate *b
   return a->score < b->score || (a->score == b->score && a->number < b->number);
 }
 
-/* How many candidates are better than i. */
+/* Returns how many candidates are better than i. */
 static uint32_t rank_of(const struct scene *scene, uint32_t i)
 {
   uint32_t rank = 0;
@@ -56,7 +57,7 @@ static void alive(const struct scene *scene, uint8_t lives[N])
     lives[scene->survivors[i]] = 1;
 }
 
-/* What holds whatever the scheme. */
+/* Checks what holds for every scheme. */
 static void every_scheme(void)
 {
   for (int kind = 0; mo_selection_words[kind] != NULL; kind++)
@@ -75,15 +76,15 @@ static void every_scheme(void)
         living += lives[i];
         sound += isfinite(scene.candidates[i].score);
         sound_living += lives[i] && isfinite(scene.candidates[i].score);
-        CHECK(rank_of(&scene, i) > 0 || lives[i]); /* the best */
+        CHECK(rank_of(&scene, i) > 0 || lives[i]); /* the best one */
       }
-      CHECK_INT(living, scene.n); /* no place twice */
+      CHECK_INT(living, scene.n); /* no candidate twice */
       CHECK_INT(sound_living,
-                sound < scene.n ? sound : scene.n); /* the diverged when there is nothing better */
+                sound < scene.n ? sound : scene.n); /* diverged ones, if there is nothing better */
       for (uint32_t i = 1; i < scene.n; i++)
         CHECK(is_better(&scene.candidates[scene.survivors[i - 1]],
                         &scene.candidates[scene.survivors[i]]));
-      /* The older of the diverged live. */
+      /* The older of the diverged candidates survive. */
       for (uint32_t i = 0; i < N; i++)
         for (uint32_t j = 0; j < N; j++)
           if (!isfinite(scene.candidates[i].score) && !isfinite(scene.candidates[j].score) &&
@@ -110,7 +111,7 @@ static void ties_and_nonsense(void)
   static struct scene scene;
   make_up(&scene, 1, 0, MO_SELECT_TRUNCATION);
   for (uint32_t i = 0; i < N; i++)
-    scene.candidates[i].score = i % 2 ? 0.0 : -0.0; /* all equal: by number */
+    scene.candidates[i].score = i % 2 ? 0.0 : -0.0; /* all equal: in order of number */
   CHECK_INT(run(&scene), MO_OK);
   for (uint32_t i = 0; i < scene.n; i++)
     CHECK_INT(scene.candidates[scene.survivors[i]].number, 1000 + i);
@@ -122,7 +123,7 @@ static void ties_and_nonsense(void)
                       &scene.n),
             MO_OK);
   CHECK_INT(scene.n, 0);
-  scene.settings.population = 200; /* more places than candidates: all live */
+  scene.settings.population = 200; /* more places than candidates: all survive */
   scene.candidates[17].score = INFINITY;
   for (int kind = 0; mo_selection_words[kind] != NULL; kind++) {
     scene.settings.selection.kind = (enum mo_selection_kind)kind;
@@ -131,7 +132,7 @@ static void ties_and_nonsense(void)
   }
 }
 
-/* The order in which candidates come does not matter: the same numbers live. */
+/* The order of the candidates does not matter: the same numbers survive. */
 static void any_order(void)
 {
   for (int kind = 0; mo_selection_words[kind] != NULL; kind++)
@@ -151,7 +152,8 @@ static void any_order(void)
     }
 }
 
-/* Larger tournaments leave less to chance. The mean rank of those that live, over 200 draws. */
+/* Larger tournaments leave less to chance. Returns the mean rank of the survivors over 200
+ * draws. */
 static void tournament(void)
 {
   static const uint32_t sizes[] = {2, 4, 16, 64};
@@ -181,9 +183,8 @@ static void tournament(void)
   CHECK(before < 14);
 }
 
-/* One place beside the best's: of the 95 others, rank r (from 0) wins a tournament of k with
- * probability
- * ((95 − r)/95)^k − ((94 − r)/95)^k. */
+/* One place after the best candidate's: of the 95 others, rank r (from 0) wins a tournament of k
+ * with probability ((95 − r)/95)^k − ((94 − r)/95)^k. */
 static void tournament_odds(void)
 {
   static struct scene scene;
@@ -235,7 +236,7 @@ static void novelty(void)
       value[i] = (1 - weight) * rank[i] + weight * newer;
     }
     for (uint32_t i = 0; i < N; i++) {
-      uint32_t before = 0; /* who comes before it */
+      uint32_t before = 0; /* candidates that are better */
       for (uint32_t j = 0; j < N; j++)
         before +=
             rank[j] == 0 || value[j] < value[i] || (value[j] == value[i] && rank[j] < rank[i]);
@@ -262,14 +263,15 @@ static void age_layers(void)
     const uint32_t layers = 2 + step % 5, gap = 1 + step % 3;
     scene.settings.selection.n_layers = layers;
     scene.settings.selection.age_gap = gap;
-    for (uint32_t i = 0; i < N; i++) /* the young are poor */
+    for (uint32_t i = 0; i < N; i++) /* young candidates have bad scores */
       scene.candidates[i].score += scene.candidates[i].born >= 19 ? 1.0 : 0.0;
     CHECK_INT(run(&scene), MO_OK);
     alive(&scene, lives);
     uint32_t filled = 0;
     for (uint32_t layer = 0; layer < layers; layer++)
       while (filled <
-             N / 2 * (layer + 1) / layers) { /* the best of its age that does not live yet */
+             N / 2 * (layer + 1) /
+                 layers) { /* the best of its age among those that have not been selected yet */
         uint32_t best = N;
         for (uint32_t i = 0; i < N; i++)
           if (!expected[i] &&
@@ -287,11 +289,13 @@ static void age_layers(void)
       kept_by_truncation += rank_of(&scene, i) < N / 2 && scene.candidates[i].born >= 19;
     }
   }
-  printf("# young ones that live: %u, by truncation %u\n", kept, kept_by_truncation);
+  printf("# young survivors: %u, by truncation %u
+", kept, kept_by_truncation);
   CHECK(kept > 60 * 5 && kept_by_truncation == 0);
 }
 
-/* All of one age: layers change nothing. Born later than now (of damaged data): as if born now. */
+/* If all have the same age, layers change nothing. A birth later than now (damaged data) counts as
+ * now. */
 static void one_age(void)
 {
   static struct scene scene;
@@ -306,7 +310,7 @@ static void one_age(void)
 }
 
 static const struct check_case cases[] = {
-    {"in every scheme the best lives and the diverged last", every_scheme},
+    {"in every scheme, the best survives and diverged designs come last", every_scheme},
     {"truncation: the better half", truncation},
     {"ties go by number; no score is refused", ties_and_nonsense},
     {"the order of candidates does not matter", any_order},

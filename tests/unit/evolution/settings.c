@@ -78,7 +78,7 @@ static void refused(void)
       {FEW, FIELD(s.parent_steps), 10000, MO_OK, ""},
       {BOTH, FIELD(s.parent_steps), 9999, MO_ERR_RANGE,
        "(parent_steps + child_steps) × generations is 1800001; it must be"},
-      {ZERO, FIELD(s.parent_steps), 1e6, MO_OK, ""}, /* learning is not looked at */
+      {ZERO, FIELD(s.parent_steps), 1e6, MO_OK, ""}, /* learning settings are not checked */
       {ZERO, FIELD(s.learning.beta1), 2, MO_OK, ""},
       {ZERO, FIELD(s.learning.schedule.peak), -1, MO_OK, ""},
       {FEW, FIELD(s.batch), 65537, MO_ERR_RANGE,
@@ -110,8 +110,8 @@ static double rate(const struct mo_training_settings *training, uint32_t step)
   return mo_schedule_rate(&training->learning.schedule, step, training->n_steps);
 }
 
-/* The paper: 60 steps of a cycle of 100 from 3.5e-4, which ends at about 1.5e-4; a fresh start,
- * with robots of its own, each generation. */
+/* The paper: 60 steps of a cycle of 100 from 3.5e-4, which ends at about 1.5e-4. Each generation
+ * starts afresh, with its own robots. */
 static void few_shot(void)
 {
   struct mo_campaign_settings s = mo_campaign_preset(MO_FEW_SHOT, MO_PRESET_PAPER);
@@ -145,7 +145,8 @@ static void few_shot(void)
   CHECK(mo_campaign_training(&s, 1).batch == 100 && mo_campaign_training(&s, 1).n_steps == 35);
 }
 
-/* Cycles of 10, 20, 40, … steps over the whole campaign; each begins at 0.65 of the one before. */
+/* Cycles of 10, 20, 40, … steps over the whole campaign; each starts at 0.65 times the previous
+ * peak. */
 static void simultaneous(void)
 {
   struct mo_campaign_settings s = mo_campaign_preset(MO_SIMULTANEOUS, MO_PRESET_WORKSTATION);
@@ -160,7 +161,7 @@ static void simultaneous(void)
       CHECK(rate(&training, start + length - 1) < 0.1 * peak + 1e-5);
   }
   CHECK(mo_campaign_training(&s, 1).seed == training.seed);
-  s.generations = 0; /* nothing is learned, but the training can be made */
+  s.generations = 0; /* nothing is learned, but the training can be created */
   CHECK_INT(mo_campaign_training(&s, 0).n_steps, 1);
 }
 

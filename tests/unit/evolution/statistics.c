@@ -1,7 +1,7 @@
-/* statistics.c: diversity, distinctiveness, sizes and champions against their definitions. */
+/* statistics.c: diversity, distinctiveness, sizes and champions compared with their definitions. */
 #include "fixture.h"
 
-/* n random bodies of a workspace, some of them twice. */
+/* Draws n random bodies of a workspace, some of them twice. */
 static uint64_t *bodies_of(struct mo_workspace workspace, uint32_t n, uint32_t step)
 {
   const uint32_t words = mo_workspace_words(workspace);
@@ -128,7 +128,7 @@ static void populations(void)
 
 /* ---- champions ---- */
 
-/* The places by score, the diverged behind, by plain insertion. */
+/* Returns the positions in order of score, diverged designs last, by plain insertion. */
 static void rank(const double *scores, uint32_t n, uint32_t *order)
 {
   for (uint32_t i = 0; i < n; i++) {
@@ -201,7 +201,7 @@ static void champions(void)
   }
 }
 
-/* Steps are rounded to the nearest place, upwards in the middle: of four designs the first, the
+/* Positions are rounded to the nearest one, upward in the middle: of four designs the first, the
  * third and the last. */
 static void champions_by_hand(void)
 {
@@ -214,7 +214,7 @@ static void champions_by_hand(void)
   CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 2, picks, NULL), MO_OK);
   CHECK(picks[0] == 3 && picks[1] == 1);
   CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 3, picks, NULL),
-            MO_OK); /* one of the diverged, the first */
+            MO_OK); /* a diverged design: the first one */
   CHECK((picks[0] == 0 || picks[1] == 0 || picks[2] == 0) && picks[0] != 2 && picks[1] != 2 &&
         picks[2] != 2);
 }
@@ -222,7 +222,7 @@ static void champions_by_hand(void)
 static const struct check_case cases[] = {
     {"distances as defined, pair by pair", distances},
     {"distances of fewer than two, and of equals", distances_of_few},
-    {"sizes as the body has them", sizes},
+    {"sizes equal those of the body", sizes},
     {"statistics of a population", populations},
     {"champions: the best, even steps, most distinct first", champions},
     {"champions by hand", champions_by_hand},

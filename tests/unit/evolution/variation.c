@@ -1,4 +1,4 @@
-/* variation.c: each rule by which children are made, on many seeds. */
+/* variation.c: each rule for making children, on many seeds. */
 #include "fixture.h"
 
 #define SEEDS 40
@@ -27,12 +27,12 @@ static void check_births(const struct made_up_campaign *campaign)
   CHECK_INT(campaign->counts.recombinants + campaign->counts.fallbacks, s->population - mutants);
   CHECK(!campaign->counts.exhausted);
   CHECK(campaign->counts.fallbacks == 0 ||
-        n - mutants < 20); /* few pairs of small bodies may give nothing new */
+        n - mutants < 20); /* few pairs of small bodies may produce nothing new */
   for (uint32_t i = 0; i < campaign->n_children; i++) {
     const struct mo_birth *birth = &campaign->births[i];
     CHECK(birth->attempts >= 1);
     REQUIRE(birth->parents[0] < n);
-    if (i < mutants) { /* each member of the group has one */
+    if (i < mutants) { /* number of each member within its group */
       CHECK(birth->op == MO_BORN_MUTATION && birth->parents[1] == MO_NO_PARENT);
       CHECK(!mutates[birth->parents[0]]);
       mutates[birth->parents[0]] = 1;
@@ -68,7 +68,7 @@ static void split(void)
     }
 }
 
-/* Each place mutates in a quarter of the generations, and neighbors do not go together. */
+/* Each member mutates in a quarter of the generations, independently of its neighbors. */
 static void groups_are_random(void)
 {
   const struct mo_campaign_settings settings = small_campaign(5, 64);
@@ -89,7 +89,7 @@ static void groups_are_random(void)
   CHECK_NEAR(together, 200 * 63 * (16.0 / 64) * (15.0 / 63), 5 * sqrt(200 * 63 * 0.06));
 }
 
-/* All pairs of those that recombine are as likely. */
+/* All pairs of recombining members are equally likely. */
 static void pairs_are_random(void)
 {
   struct mo_campaign_settings settings = small_campaign(6, 5);
@@ -109,7 +109,7 @@ static void pairs_are_random(void)
       CHECK_NEAR(times[a][b], a == b ? 0 : all / 20.0, 4.5 * sqrt(all / 20.0));
 }
 
-/* ---- children are bodies, none of them twice ---- */
+/* ---- children are valid bodies, and none occurs twice ---- */
 
 static void children(void)
 {
@@ -126,7 +126,7 @@ static void children(void)
         for (uint32_t i = 0; i < campaign->n + campaign->n_children; i++) {
           const uint64_t *bits = genotype_of(campaign, i);
           CHECK_INT(mo_genotype_is_contiguous(settings.workspace, bits),
-                    1); /* 0 also for an empty one */
+                    1); /* also 0 for an empty one */
           CHECK(is_placed(settings.workspace, bits));
         }
         campaign_select(campaign);
@@ -134,8 +134,8 @@ static void children(void)
     }
 }
 
-/* A recombinant is what its two parents give, a mutant of one attempt differs from its parent by a
- * few flips. */
+/* A recombinant is the result of its two parents; a mutant of one attempt differs from its parent
+ * by a few flips. */
 static void inheritance(void)
 {
   const struct mo_campaign_settings settings = small_campaign(9, 64);
@@ -164,9 +164,9 @@ static void uniqueness(void)
     const struct mo_campaign_settings settings = small_campaign(seed, 64);
     struct id_list list = {0};
     struct mo_form_set *excluded = make_form_set(MO_DEFAULT_WORKSPACE);
-    /* Excluded: 500 bodies of the very stream of the initial population, so that it must leave some
-     * out; later the first children of the same campaign without exclusion, so that variation must,
-     * too. */
+    /* Excluded: 500 bodies of the stream that the initial population comes from, so that some draws
+     * must be skipped. Later also the first children of the same campaign without exclusion, so
+     * that variation must skip some, too. */
     for (uint32_t i = 0; i < 500; i++) {
       struct mo_random random;
       uint64_t body[W], form[W];
@@ -202,18 +202,18 @@ static void uniqueness(void)
   }
 }
 
-/* ---- the rate of mutation ---- */
+/* ---- the mutation rate ---- */
 
 static const uint64_t full[W] = {UINT64_MAX, UINT64_MAX, 0xffff};
 
 struct flips {
   uint32_t by_attempts[8]; /* children that were new at their first, second, … attempt */
-  double sum[8];           /* flips of these */
+  double sum[8];           /* flips of those children */
   uint32_t first[16];      /* children of the first attempt by flips */
 };
 
-/* One child of the full block, `times` times. From the full block a few flips are as many voxels
- * fewer: they can be counted. */
+/* Mutates the full block `times` times. A few flips remove exactly as many voxels from the full
+ * block, so they can be counted. */
 static void mutate_full(struct mo_campaign_settings settings, uint32_t times, struct flips *flips)
 {
   settings.population = 1;
@@ -254,7 +254,7 @@ static void rate_of_flips(void)
   mutate_full(small_campaign(1, 1), times, &flips);
   const double none = binomial(0, 1.0 / 144);
   CHECK_NEAR(flips.by_attempts[0], times * (1 - none), 4.5 * sqrt(times * none * (1 - none)));
-  for (uint32_t k = 0; k <= 7; k++) { /* none: it is its parent, which was seen */
+  for (uint32_t k = 0; k <= 7; k++) { /* none: the child equals its parent, which was seen before */
     const double expected = k == 0 ? 0.0 : times * binomial(k, 1.0 / 144);
     CHECK_NEAR(flips.first[k], expected, 4.5 * sqrt(expected) + 1e-9);
   }
@@ -282,8 +282,8 @@ static void escalation(void)
   }
 }
 
-/* Whatever the growth, at most half of the voxels flip: of a body of one voxel that may only change
- * to what was seen. */
+/* Whatever the growth, at most half of the voxels flip: for a body of one voxel whose only changes
+ * were seen before. */
 static void rate_has_an_end(void)
 {
   struct mo_campaign_settings settings = small_campaign(3, 1);
@@ -302,10 +302,10 @@ static void rate_has_an_end(void)
             n == 1);
     voxels += mo_genotype_count(settings.workspace, child);
   }
-  CHECK(voxels / 300 > 60 && voxels / 300 < 74); /* largest pieces of half the voxels */
+  CHECK(voxels / 300 > 60 && voxels / 300 < 74); /* largest components with half the voxels */
 
-  /* In one voxel a rate above 1/2 would empty it ever more often: all 2^16 attempts are made, none
-   * succeeds. */
+  /* In one voxel, a rate above 1/2 would empty it more and more often: all 2^16 attempts are made,
+   * and none succeeds. */
   settings.workspace = (struct mo_workspace){1, 1, 1};
   const uint64_t one = 1;
   uint32_t n = 7;
@@ -315,7 +315,7 @@ static void rate_has_an_end(void)
   CHECK(n == 0 && counts.exhausted && counts.mutation_attempts == 65536);
 }
 
-/* ---- when nothing new comes ---- */
+/* ---- when nothing new is found ---- */
 
 static void fallback(void)
 {
@@ -325,7 +325,7 @@ static void fallback(void)
     struct made_up_campaign *campaign = make_campaign(&settings, NULL);
     memmove(campaign->genotypes + W, campaign->genotypes + (size_t)W * (1 + seed % 19),
             W * sizeof(uint64_t));
-    campaign->n = 2; /* two parents: one pair, one child at most */
+    campaign->n = 2; /* two parents: one pair, and at most one child */
     campaign_vary(campaign);
     CHECK_INT(campaign->n_children, 20);
     CHECK(campaign->counts.recombinants <= 1 && !campaign->counts.exhausted);
@@ -347,7 +347,7 @@ static void fallback(void)
   }
 }
 
-/* One parent has no partner; no parent has no children. */
+/* A single parent has no partner; without parents there are no children. */
 static void few_parents(void)
 {
   const struct mo_campaign_settings settings = small_campaign(8, 16);
@@ -359,12 +359,12 @@ static void few_parents(void)
   campaign->n = 0;
   campaign_vary(campaign);
   CHECK(campaign->n_children == 0 && campaign->counts.exhausted);
-  campaign->n = 3; /* one mutates; of two there is one pair */
+  campaign->n = 3; /* one mutates; two form one pair */
   campaign_vary(campaign);
   CHECK(campaign->n_children == 16 && campaign->counts.mutants - campaign->counts.fallbacks == 1);
 }
 
-/* Every form that a workspace holds, by trying all sets of voxels. */
+/* Counts every form of a workspace by trying all sets of voxels. */
 static size_t count_forms(struct mo_workspace w)
 {
   struct id_list list = {0};
@@ -402,7 +402,7 @@ static void exhaustion(void)
     }
 }
 
-/* Nothing but what is excluded: there is no population, and no children of one. */
+/* Everything is excluded: there is no initial population, and no children of one. */
 static void nothing_left(void)
 {
   struct mo_campaign_settings settings = small_campaign(1, 8);
@@ -436,16 +436,16 @@ static const struct check_case cases[] = {
     {"the share that mutates, exactly; parents from one group or the other", split},
     {"groups are random", groups_are_random},
     {"pairs are random", pairs_are_random},
-    {"children are whole and placed", children},
-    {"recombinants are what their parents give", inheritance},
+    {"children are valid and placed", children},
+    {"recombinants are the result of their parents", inheritance},
     {"no design twice, none that is excluded", uniqueness},
     {"flips are binomial at one in the number of voxels", rate_of_flips},
     {"the rate grows with each attempt", escalation},
-    {"the rate ends at a half", rate_has_an_end},
-    {"mutants when pairs give nothing new", fallback},
-    {"no, one and two parents that recombine", few_parents},
-    {"small workspaces are found out, all of them, and end", exhaustion},
-    {"nothing left from the beginning", nothing_left},
+    {"the rate is at most one half", rate_has_an_end},
+    {"mutants when pairs produce nothing new", fallback},
+    {"zero, one and two parents that recombine", few_parents},
+    {"small workspaces are explored completely, and end", exhaustion},
+    {"nothing left at the start", nothing_left},
     {"cancelled", cancelled},
 };
 CHECK_MAIN(cases)

@@ -1,4 +1,4 @@
-/* canary.c: the canary depends on the class and on nothing else. */
+/* canary.c: the canary depends only on the class. */
 #include <math.h>
 
 #include "fleet/fleet.h"
@@ -32,7 +32,7 @@ static void differs_between_classes(void)
   }
 }
 
-/* One bit of one parameter of the gradient of one block. */
+/* Flips one bit of one parameter in the gradient of one block. */
 typeof(mo_gradient_block) __real_mo_gradient_block, __wrap_mo_gradient_block;
 
 static bool is_wrong;

@@ -1,7 +1,8 @@
-/* checks.c: sessions that give different bits: who decides, and who is refused. */
+/* checks.c: sessions that return different bits: how the correct result is decided, and which
+ * sessions are refused. */
 #include "scene.h"
 
-/* Every character becomes two in JSON: the data of an event has room for half. */
+/* Every character becomes two in JSON: an event's data has room for half of them. */
 #define QUOTES "\"\\\"\\\"\\\"\\\"\\\"\\\"\\"
 #define LONG   QUOTES QUOTES QUOTES QUOTES
 
@@ -17,15 +18,16 @@ static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
                         diverged_steps);
 }
 
-/* Gives the loss of the first row a wrong bit. */
+/* Flips one bit in the loss of the first row. */
 static void lie(struct mo_wire_result *result)
 {
   if (result->diverged_steps[0] == 0)
     result->losses[0] = nextafter(result->losses[0], 2);
 }
 
-/* Sessions compute until two differ. Where the process decides, all but the last give the same
- * wrong bits, and are refused; elsewhere one does, and it is refused with an honest one. */
+/* Sessions compute until two of them differ. If the process decides, all but the last return the
+ * same wrong bits and are refused. Otherwise only one returns wrong bits, and it is refused
+ * together with an honest one. */
 static void decided(int by_process)
 {
   static const char *const names[] = {"liar" LONG, "liar-2" LONG, LONG "a"};
@@ -54,7 +56,7 @@ static void decided(int by_process)
       if (fake_exchange(fake, ids[w], &results, &leases[w]) != MO_OK)
         CHECK(!by_process || w < 2);
     }
-    /* The clock turns while the process computes. */
+    /* The clock advances while the process computes. */
     const bool was_deciding = fake->fleet->decision.lease != NULL;
     const uint32_t n = fake_refused(fake, "");
     advance(0.4);
@@ -70,14 +72,14 @@ static void decided(int by_process)
   CHECK_HAS(fake->data, "\",\"why\":\"gave a loss of ");
   CHECK_HAS(fake->data, by_process ? "this machine computed" : "another worker gave");
   CHECK(status().audits_failed >= 1 && status().n_sessions == 1);
-  /* A new session of the same worker is welcome. */
+  /* The same worker may join with a new session. */
   struct mo_wire_leases welcome = exchange(join(names[0]));
   mo_wire_free_leases(&welcome);
   for (int w = 0; w < 3; w++)
     mo_wire_free_leases(&leases[w]);
 }
 
-/* Shards of gradients: one per lease, shared out, compared as a whole. */
+/* Shards of gradients: one per lease, spread over sessions, compared as a whole. */
 static void shards(void)
 {
   enum { N = 40, N_PARAMETERS = 7 };
@@ -124,19 +126,19 @@ static void shards(void)
   CHECK(fake->n_done > 0 && fake->n_wrong > 0 && fake->n_wrong < fake->n_done);
   for (int w = 0; w < 3; w++)
     mo_wire_free_leases(&leases[w]);
-  for (int w = 1; w < 3; w++) /* what the honest one has goes back */
+  for (int w = 1; w < 3; w++) /* the work of the honest session is put back */
     CHECK_OK(mo_fleet_leave(fake->fleet, ids[w], true, fake->now_ns));
 }
 
-/* A worker of 128 rows a second. */
+/* A worker that computes 128 rows per second. */
 struct worker {
   uint64_t id, ready_ns[2 * MO_FLEET_LEASES];
   struct mo_wire_lease leases[2 * MO_FLEET_LEASES];
   uint32_t n;
-  struct mo_random *liar; /* NULL: honest */
+  struct mo_random *liar; /* NULL if honest */
 };
 
-/* Sends what is ready; false: the session is no more. */
+/* Sends the finished results; returns false if the session no longer exists. */
 static bool visit(struct worker *worker, uint32_t *sent)
 {
   struct mo_wire_results results = {0};
@@ -164,9 +166,9 @@ static bool visit(struct worker *worker, uint32_t *sent)
   return true;
 }
 
-/* A session that flips a bit in one of 1000 rows, among three honest ones, with 128 rows to a
- * lease: it is refused within 500 of its leases in at least 99 of 100 runs, and they never are.
- */
+/* One session flips a bit in one of 1000 rows, among three honest ones, with 128 rows per lease: in
+ * at least 99 of 100 runs it is refused within 500 of its leases. Honest sessions are never
+ * refused. */
 static void liars(void)
 {
   static const char *const names[4] = {"liar", "a", "b", "c"};
@@ -201,7 +203,7 @@ static void liars(void)
     }
     check_drop_to(0);
   }
-  printf("# found in %u of 100 runs, the last after %u leases of %.0f rows on average\n", found,
+  printf("# detected in %u of 100 runs, the last after %u leases of %.0f rows on average\n", found,
          longest, (double)rows / (double)leases);
   CHECK(found >= 99);
 }
@@ -210,6 +212,6 @@ static const struct check_case cases[] = {
     {"nobody decides", WITH(decided, 0)},
     {"the process decides", WITH(decided, 1)},
     {"shards of gradients", shards},
-    {"liars are found", liars},
+    {"liars are detected", liars},
 };
 CHECK_MAIN_AROUND(cases, drop_blocks)

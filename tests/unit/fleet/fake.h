@@ -1,5 +1,5 @@
-/* fake.h: a source of blocks and workers for tests of the fleet: a queue in memory, a clock that
- * tests turn, and rollouts whose losses are a hash of their inputs. */
+/* fake.h: a source of blocks, and workers, for tests of the fleet: a queue in memory, a clock that
+ * tests advance, and rollouts whose losses are a hash of their inputs. */
 #ifndef MORPHO_TESTS_FLEET_FAKE_H
 #define MORPHO_TESTS_FLEET_FAKE_H
 
@@ -17,7 +17,7 @@ struct fake_block {
   struct mo_block block;
   uint64_t genotype[MO_DEFAULT_WORDS];
   enum fake_state state;
-  int cancel, status; /* status: as delivered */
+  int cancel, status; /* status: as in the delivery */
   int64_t origin;
   TAILQ_ENTRY(fake_block) next;
 };
@@ -28,20 +28,20 @@ struct fake_taken {
   struct mo_block *blocks[];
 };
 
-/* A source. Each thing that goes wrong in it is a failed check. */
+/* A source. Every inconsistency in it is a failed check. */
 struct fake {
   struct mo_lattice *lattice;
   struct mo_controller *controller;      /* nullable */
-  const struct mo_gradient_batch *shard; /* taken again and again, instead of blocks; nullable */
+  const struct mo_gradient_batch *shard; /* handed out repeatedly instead of blocks; nullable */
   struct mo_environment environments[ENVIRONMENTS];
   uint64_t genotypes[GENOTYPES][MO_DEFAULT_WORDS];
   TAILQ_HEAD(, fake_block) queue;
   uint32_t n_waiting, n_taken, n_done, n_wrong, n_cancelled, n_failed, n_kept, n_origins, n_wakes,
       n_events, wanted;
   uint64_t rows_done;
-  bool frees_done;           /* blocks, as they are delivered; otherwise they are the test's */
-  uint64_t woken[256];       /* the newest */
-  char event[64], data[512]; /* the newest */
+  bool frees_done;     /* frees blocks when they are delivered; otherwise the test owns them */
+  uint64_t woken[256]; /* the latest */
+  char event[64], data[512]; /* the latest */
   int origin_error;
   struct mo_fleet *fleet;
   uint64_t now_ns;
@@ -55,7 +55,7 @@ static inline void fake_hash(uint64_t *h, const void *bytes, size_t n)
   hash(h, bytes, n);
 }
 
-/* The loss of a body in an environment. One in 16 diverges. */
+/* Returns the loss of a body in an environment. One in 16 diverges. */
 static inline void fake_rollout(const uint64_t genotype[MO_DEFAULT_WORDS],
                                 const struct mo_environment *environment, double *loss,
                                 uint32_t *diverged_step)
@@ -70,7 +70,7 @@ static inline void fake_rollout(const uint64_t genotype[MO_DEFAULT_WORDS],
 
 /* ---- the source ---- */
 
-/* NULL: out of memory. */
+/* Returns NULL if out of memory. */
 static inline struct fake_taken *fake_taken_of(uint32_t n)
 {
   struct fake_taken *taken = calloc(1, sizeof(*taken) + n * sizeof(struct mo_block *));
@@ -212,7 +212,7 @@ static inline void fake_deliver(struct mo_compute *context, struct mo_taken *sho
   free(taken);
 }
 
-/* Ends the blocks as if it had computed them. */
+/* Finishes the blocks as if the source had computed them. */
 static inline void fake_keep(struct mo_compute *context, struct mo_taken *shown)
 {
   fake_deliver(context, shown, &(struct mo_remote_result){.status = MO_ERR_UNSUPPORTED});
@@ -301,7 +301,7 @@ static inline struct fake *make_fake(uint64_t seed)
   return check_keep(fake, drop_fake);
 }
 
-/* Counts open sessions that are refused, of names that begin so. */
+/* Counts open sessions that are refused and have names with this prefix. */
 static inline uint32_t fake_refused(const struct fake *fake, const char *prefix)
 {
   const struct mo_session *session;
@@ -312,7 +312,7 @@ static inline uint32_t fake_refused(const struct fake *fake, const char *prefix)
   return n;
 }
 
-/* Lets the thread that decides end, if there is one. */
+/* Waits for the thread that decides, if there is one. */
 static inline void fake_settle(struct fake *fake)
 {
   struct mo_decision *decision = &fake->fleet->decision;
@@ -320,8 +320,8 @@ static inline void fake_settle(struct fake *fake)
     usleep(50);
 }
 
-/* Queues n blocks of ROWS rollouts of 1000 steps; returns the first, which the caller frees when
- * it is done (keep: at the end of the case). */
+/* Queues n blocks of ROWS rollouts of 1000 steps. Returns the first, which the caller frees when it
+ * is done (keep: at the end of the case). */
 static inline struct fake_block *fake_submit(struct fake *fake, uint64_t number)
 {
   struct fake_block *block = calloc(1, sizeof(*block));
@@ -351,8 +351,8 @@ static inline struct mo_fleet_offer fake_offer(const char *name, const char *hos
   return offer;
 }
 
-/* Computes a lease. liar: nullable; one row in 1000 then has a wrong bit, and the sum of every
- * shard. */
+/* Computes a lease. liar: nullable; if given, one row in 1000 and the sum of every shard get a
+ * wrong bit. */
 static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lease,
                                                  struct mo_random *liar)
 {
@@ -398,7 +398,7 @@ static inline int fake_recompute(struct mo_compute *compute, struct mo_workspace
   return MO_OK;
 }
 
-/* One exchange at the fake's time: results (nullable; freed) up, leases down. */
+/* One exchange at the fake clock's time: sends results (nullable; freed) and receives leases. */
 static inline int fake_exchange(struct fake *fake, uint64_t session,
                                 struct mo_wire_results *results, struct mo_wire_leases *leases)
 {
@@ -423,8 +423,8 @@ static inline int fake_exchange(struct fake *fake, uint64_t session,
   return MO_OK;
 }
 
-/* What must hold at any time: every block that was taken is in a lease, every lease has an owner,
- * and both sides agree on who holds what. */
+/* Checks invariants: every block that was taken is in a lease, every lease has an owner, and both
+ * sides agree on who holds what. */
 static inline void fake_check(const struct fake *fake)
 {
   const struct mo_fleet *fleet = fake->fleet;

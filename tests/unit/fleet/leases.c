@@ -1,4 +1,5 @@
-/* leases.c: who gets which lease, and what becomes of it; model.c is the same by chance. */
+/* leases.c: which session gets which lease, and how the lease ends; model.c tests the same at
+ * random. */
 #include "scene.h"
 
 #include "fleet/sessions.h"
@@ -41,7 +42,7 @@ static void refused(void)
   CHECK_INT(fake->n_origins, 0);
 }
 
-/* A refused session gives back what it has; its worker joins again. */
+/* A refused session returns its leases; its worker may rejoin. */
 static void refused_and_drained(void)
 {
   struct mo_wire_leases leases;
@@ -63,16 +64,16 @@ static void refused_and_drained(void)
   CHECK_OK(mo_fleet_leave(fake->fleet, a, false, fake->now_ns));
   CHECK_INT(fake_exchange(fake, a, NULL, &leases), MO_ERR_NOT_FOUND);
   join("a");
-  /* Drained: no more leases, and what it has is taken. */
+  /* A drained session gets no more leases, and its results are accepted. */
   const uint64_t c = join("c");
   leases = exchange(c);
   CHECK_OK(mo_fleet_drain(fake->fleet, c, false));
   CHECK(was_woken(c) && orders_of(c).state == MO_SESSION_DRAINING);
-  CHECK_INT(fake->n_origins, 0); /* nobody has delivered anything */
+  CHECK_INT(fake->n_origins, 0); /* nothing has been delivered */
   leases = finish(c, &leases, MO_RESULT_DONE);
   CHECK(leases.n == 0 && status().leases_done == 2);
   CHECK_INT(fake->n_origins, 1);
-  /* Of ended sessions the newest are listed. */
+  /* Only the newest ended sessions are listed. */
   for (int i = 0; i < 300; i++)
     CHECK_OK(mo_fleet_leave(fake->fleet, join("short"), true, fake->now_ns));
   struct mo_session_status *items = NULL;
@@ -84,7 +85,7 @@ static void refused_and_drained(void)
   free(items);
 }
 
-/* Workers of any version may join that compute the same bits. */
+/* Workers of any version may join if they compute the same bits. */
 static void versions(void)
 {
   static const struct {
@@ -98,7 +99,7 @@ static void versions(void)
     snprintf(offer.version, sizeof(offer.version), "%s", offers[i].version);
     const uint32_t n_events = fake->n_events;
     ids[i] = (uint64_t)mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
-    /* Its joining, and once that there are older ones. */
+    /* One event when it joins, and one about older sessions. */
     CHECK_INT(fake->n_events, n_events + (i == 1 ? 2 : 1));
     CHECK_TEXT(fake->event, i == 1 ? "fleet.older" : "fleet.joined");
     CHECK(i != 1 || strstr(fake->data, "\"version\":\"0.10.1\",\"wanted\":\"1.0.0\"") != NULL);
@@ -110,7 +111,7 @@ static void versions(void)
   for (size_t i = 0; i < n; i++)
     CHECK(items[i].is_older == offers[i].is_older);
   free(items);
-  /* Only who is drained for an upgrade is told what is wanted. */
+  /* Only a worker that is drained for an upgrade receives the required version. */
   CHECK_OK(mo_fleet_drain(fake->fleet, ids[1], true));
   CHECK_OK(mo_fleet_drain(fake->fleet, ids[2], false));
   CHECK_OK(mo_fleet_drain(fake->fleet, ids[2], true));
@@ -134,7 +135,7 @@ static void sizes(void)
   leases = warm(c, 320);
   CHECK(leases.n == 2 && leases.items[0].n_rows >= 256 && leases.items[0].n_rows <= 320);
   CHECK(fake->wanted >= 60 && fake->wanted <= 100); /* four seconds of 20 blocks */
-  /* Near the end of the queue leases become smaller, down to one body. */
+  /* Near the end of the queue, leases shrink down to one body. */
   uint32_t last = leases.items[0].n_blocks;
   while (leases.n > 0) {
     advance(
@@ -148,7 +149,7 @@ static void sizes(void)
   CHECK(last <= 2 && fake->n_done == 4096 && fake->n_wrong == 0);
 }
 
-/* What sessions say of themselves makes the source hold little. */
+/* Claims of sessions make the source hold only little. */
 static void boasters(void)
 {
   struct mo_fleet_offer offer = fake_offer("w", "h");
@@ -163,7 +164,7 @@ static void boasters(void)
   CHECK_INT(fake->wanted, 1 << 17);
 }
 
-/* Two sessions, one four times as fast: both get about a second, and end together. */
+/* Two sessions, one four times as fast: each lease takes about a second, and both end together. */
 static void shared(void)
 {
   begin(4096);
@@ -175,7 +176,7 @@ static void shared(void)
   mo_wire_free_leases(&of_b);
 }
 
-/* ---- lost and late ---- */
+/* ---- lost and late sessions ---- */
 
 static void lost(void)
 {
@@ -186,7 +187,7 @@ static void lost(void)
   const uint64_t b = join("b");
   struct mo_wire_leases none = {0};
   CHECK(leases.n == 2 && same_body(&leases.items[0].blocks[0], first));
-  /* Back in their order, in front of what waits; the next session gets them. */
+  /* The blocks are back in order, ahead of waiting ones; the next session gets them. */
   CHECK_OK(mo_fleet_leave(fake->fleet, a, true, fake->now_ns));
   CHECK_TEXT(fake->event, "fleet.lost");
   CHECK(fake->n_taken == 0 && status().lost == 1 && status().leases_again == 2);
@@ -196,7 +197,8 @@ static void lost(void)
   mo_wire_free_leases(&leases);
   leases = exchange(b);
   CHECK(same_body(&leases.items[0].blocks[0], first));
-  /* Silence: after six seconds, and the newcomer is lost, not who spoke meanwhile. */
+  /* After six seconds of silence a session is lost, even if it has just joined, but not one that
+   * has sent something in the meantime. */
   const uint64_t c = join("c");
   fake->fleet->silence_ns = MO_FLEET_SILENCE_MS * UINT64_C(1000000);
   advance(4);
@@ -213,8 +215,8 @@ static void late(void)
   const uint64_t a = join("a");
   struct mo_wire_leases slow = warm(a, 320), fast = {0};
   const uint64_t b = join("b");
-  /* a hangs with both leases: after five times the expected time a session of its rate may have
-   * them, too, and ten seconds later any. */
+  /* Session a hangs with both leases. After five times the expected time, a session with the same
+   * rate may get them too; ten seconds later, any session. */
   advance(25);
   fast = exchange(b);
   CHECK(fast.n == 2 && fast.items[0].id.number == slow.items[0].id.number);
@@ -223,7 +225,8 @@ static void late(void)
   const uint64_t rows = fake->rows_done;
   struct mo_wire_leases next = finish(b, &fast, MO_RESULT_DONE);
   CHECK_INT(fake->rows_done - rows, slow.items[0].n_rows + slow.items[1].n_rows);
-  /* The first result won; what a still sends is compared, until it is told so. */
+  /* The first result counts. What session a still sends is compared, until it learns that the lease
+   * ended. */
   const uint64_t delivered = fake->rows_done, twice = status().rows_twice;
   const uint32_t one = slow.items[0].n_rows;
   struct mo_wire_leases first = {1, {slow.items[0]}}, more;
@@ -232,7 +235,7 @@ static void late(void)
   struct mo_fleet_orders orders = orders_of(a);
   CHECK(orders.n_dropped == 2 && orders.dropped[1].number == slow.items[1].id.number);
   mo_wire_free_leases(&more);
-  more = exchange(a); /* in its place */
+  more = exchange(a); /* in place of the first session */
   CHECK(more.n == 1 && status().leases == 2 + next.n);
   mo_wire_free_leases(&more);
   slow.items[0] = slow.items[1];
@@ -244,7 +247,7 @@ static void late(void)
   mo_wire_free_leases(&next);
 }
 
-/* Nothing is left and a session is idle: it gets the oldest lease that should be done. */
+/* The queue is empty and a session is idle: it gets the oldest overdue lease. */
 static void idle(void)
 {
   begin(2);
@@ -264,7 +267,7 @@ static void idle(void)
   CHECK(of_b.n == 1 && of_b.items[0].id.number == of_a.items[1].id.number);
   of_b = finish(b, &of_b, MO_RESULT_DONE);
   CHECK(fake->n_done == 2 && of_b.n == 0);
-  /* New work wakes who waits. */
+  /* New work wakes waiting sessions. */
   fake->n_wakes = 0;
   blocks[2] = fake_submit(fake, 2);
   advance(0.02);
@@ -285,17 +288,17 @@ static void cancelled(void)
   struct mo_fleet_orders orders = orders_of(a);
   CHECK(was_woken(a) && orders.n_dropped == 1 && fake->n_cancelled == n);
   CHECK(orders.dropped[0].number == leases.items[0].id.number);
-  /* Its result comes all the same: it is of no lease. */
+  /* A late result arrives; it belongs to no lease and is ignored. */
   leases = finish(a, &leases, MO_RESULT_DONE);
   CHECK_INT(status().results_ignored, 1);
   mo_wire_free_leases(&leases);
 }
 
-/* ---- bodies and workers that fail ---- */
+/* ---- failing bodies and workers ---- */
 
-/* A body that ends every session that computes it is found, if three workers say so, and no other
- * body suffers. With fewer it is kept: a worker that joins again and again proves nothing, though
- * only workers have the class. */
+/* A body that crashes every session that computes it is identified once three workers were lost
+ * with it, and no other body is affected. With fewer workers the body is kept, because a worker
+ * that keeps rejoining proves nothing. This holds even if only workers compute the class. */
 static void poison_of(int n_workers, bool is_absent)
 {
   uint32_t sessions = 0;
@@ -331,7 +334,7 @@ static void poison_of(int n_workers, bool is_absent)
   CHECK(sessions >= 3 && sessions <= 16);
   for (uint32_t i = 0; i < GENOTYPES; i++)
     CHECK_INT(blocks[i]->status, i == 40 ? MO_ERR_EXHAUSTED : MO_OK);
-  /* Submitted again it gets the same patience. */
+  /* A resubmitted body gets the same number of tries. */
   blocks[GENOTYPES] = fake_submit(fake, 40);
   const uint64_t session = join("w");
   struct mo_wire_leases leases = exchange(session);
@@ -351,8 +354,8 @@ static void poison_of_absent(int n_workers)
   poison_of(n_workers, true);
 }
 
-/* The same, where it takes seconds to see that a session is lost: at the end of the queue the next
- * ones get the lease while others still hold it. */
+/* The same, if it takes seconds to notice that a session is lost: at the end of the queue, other
+ * sessions get the lease while the first ones still hold it. */
 static void poison_seen_late(void)
 {
   static const char *const names[] = {"w0", "w1", "w2"};
@@ -388,8 +391,8 @@ static void poison_seen_late(void)
     CHECK_INT(blocks[i]->status, i == 40 ? MO_ERR_EXHAUSTED : MO_OK);
 }
 
-/* Two sessions hold a body alone. The one that has it for too long is the third worker that is lost
- * with it: the lease ends, and the other session is told to drop it. */
+/* Two sessions hold a lease of only this body. The session that holds it for too long counts as the
+ * third worker lost with it: the lease ends, and the other session is asked to drop it. */
 static void poison_held_twice(void)
 {
   static const char *const names[] = {"w0", "w1", "w2", "w0", "w1"};
@@ -416,7 +419,7 @@ static void poison_held_twice(void)
   CHECK(orders_of(hung).n_dropped == 1 && orders_of(other).n_dropped == 1);
 }
 
-/* Sessions that hold a lease put a suspect back, and wake nobody but one that holds none. */
+/* Sessions that hold a lease put a suspect body back, and wake only a session without leases. */
 static void suspected(void)
 {
   uint64_t ids[3];
@@ -453,8 +456,8 @@ static void suspected(void)
   leases = finish(ids[2], &leases, MO_RESULT_DONE);
 }
 
-/* What the workers of a class cannot compute stays here. One that says so of everything gets
- * little, and leaves the rest to others, until it computes again. */
+/* Blocks that no worker of the class can compute stay in this process. A worker that returns every
+ * block gets little work and leaves the rest to others, until it computes again. */
 static void unsupported(void)
 {
   begin(MANY);
@@ -481,7 +484,7 @@ static void unsupported(void)
   mo_wire_free_leases(&leases);
 }
 
-/* A worker that fails everything rests, and then gets no more; the work is done by another. */
+/* A worker that fails everything is paused, and then gets no more work; another worker does it. */
 static void failing(void)
 {
   begin(8);
@@ -521,7 +524,7 @@ static void weights(void)
     advance(0.05);
     leases = finish(a, &leases, MO_RESULT_DONE);
   }
-  /* The file is kept for a while; under the address of its controller there may be another one. */
+  /* The file is kept for a while; later, another file may have its controller's address. */
   REQUIRE_OK(mo_fleet_controller(fake->fleet, &wanted, &file));
   mo_fleet_file_release(file);
   join("b");
@@ -541,7 +544,7 @@ static void weights(void)
   mo_fleet_file_release(file);
   leases = finish(a, &leases, MO_RESULT_DONE);
   mo_wire_free_leases(&leases);
-  /* It is for another session, and nobody else comes. A tick that is late changes nothing. */
+  /* It is for another session, but no other session polls. A late tick changes nothing. */
   mo_fleet_tick(fake->fleet, fake->now_ns - 1);
   CHECK_INT(fake->fleet->n_checks, 1);
   advance(20);
@@ -549,7 +552,7 @@ static void weights(void)
   CHECK(leases.n == 0 && fake->fleet->n_checks == 1);
   advance(11);
   CHECK_INT(fake->fleet->n_checks, 0);
-  /* Readers keep some files, and no more. */
+  /* Readers keep a bounded number of files. */
   for (uint32_t i = 0; i <= MO_WEIGHTS_READ; i++) {
     mo_controller_randomize(fake->controller, i);
     blocks[201 + i] = fake_submit(fake, i);
@@ -561,7 +564,7 @@ static void weights(void)
     CHECK_INT(mo_fleet_controller(fake->fleet, &newest, is_full ? &file : &files[i]),
               is_full ? MO_ERR_BUSY : MO_OK);
   }
-  /* A file that a lease keeps anyway is not refused. */
+  /* A file that a lease keeps anyway can always be read. */
   blocks[202 + MO_WEIGHTS_READ] = fake_submit(fake, 0);
   leases = exchange(a);
   REQUIRE(leases.n == 1);
@@ -574,7 +577,7 @@ static void weights(void)
   CHECK_INT(mo_fleet_controller(fake->fleet, &wanted, &file), MO_ERR_NOT_FOUND);
 }
 
-static int name_error; /* of the next name */
+static int name_error; /* belongs to the next name */
 
 static int name_class(void *context, enum mo_back_end back_end, const char *scores,
                       const char *gradients, const char *names[2])
@@ -585,7 +588,7 @@ static int name_class(void *context, enum mo_back_end back_end, const char *scor
   return name_error;
 }
 
-/* Joins with devices; canary: its first byte. */
+/* Joins a worker with devices; canary: its first byte. */
 static int64_t join_with_devices(const char *name, const char *scores, uint8_t canary)
 {
   struct mo_fleet_offer offer = fake_offer(name, name);
@@ -595,8 +598,8 @@ static int64_t join_with_devices(const char *name, const char *scores, uint8_t c
   return mo_fleet_join(fake->fleet, &offer, fake->now_ns, NULL);
 }
 
-/* A class that only workers have: its first worker names it and is its measure, unless it may not
- * join at all. */
+/* A class that only workers compute: the first worker names it and becomes its reference, unless
+ * that worker may not join. */
 static void absent_class(void)
 {
   begin(0);
@@ -617,7 +620,8 @@ static void absent_class(void)
   CHECK(status().n_serving[0] == 3 && status().n_serving[1] == 2);
 }
 
-/* A store that cannot name the origin of results costs nobody: not the worker, nor its bodies. */
+/* If the store cannot record the origin of results, neither the worker nor its bodies are
+ * blamed. */
 static void without_an_origin(void)
 {
   begin(1);
@@ -649,7 +653,7 @@ static const struct check_case cases[] = {
     {"refused and drained", refused_and_drained},
     {"other versions", versions},
     {"sizes of leases", sizes},
-    {"sessions that boast", boasters},
+    {"sessions with inflated claims", boasters},
     {"sessions of different rates", shared},
     {"lost sessions", lost},
     {"late leases", late},
@@ -659,12 +663,12 @@ static const struct check_case cases[] = {
     {"workers that end with a body", WITH(poison, 2)},
     {"a worker that ends with a body of an absent class", WITH(poison_of_absent, 1)},
     {"a body that ends sessions, seen late", poison_seen_late},
-    {"a body that ends sessions, held twice", poison_held_twice},
+    {"a body that ends sessions, held by two", poison_held_twice},
     {"a suspect and busy sessions", suspected},
-    {"what no worker computes", unsupported},
+    {"blocks that no worker computes", unsupported},
     {"a worker that fails", failing},
     {"a store without room for an origin", without_an_origin},
     {"weights", weights},
-    {"a class that only workers have", absent_class},
+    {"a class that only workers compute", absent_class},
 };
 CHECK_MAIN_AROUND(cases, drop_blocks)

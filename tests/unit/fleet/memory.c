@@ -4,8 +4,8 @@
 
 static struct fake *fake;
 
-/* Runs `work` with the first, the second, … allocation failing, each time with a new fleet of two
- * sessions that have work; at least `least` must have been there. */
+/* Runs `work` with the first, the second, … allocation failing, each time with a new fleet and two
+ * sessions that have work. At least `least` allocations must occur. */
 static void each(int (*work)(const uint64_t sessions[2]), int least)
 {
   bool reached = true;
@@ -53,7 +53,7 @@ static int give(const uint64_t sessions[2])
 /* A result, an audit of it, and a difference, after which the sessions are refused. */
 static int take(const uint64_t sessions[2])
 {
-  long failing = left; /* except for what the test itself allocates */
+  long failing = left; /* except allocations of the test itself */
   int error = MO_OK;
   left = -1;
   uint8_t *down = NULL, *up = NULL;
@@ -80,12 +80,12 @@ static int take(const uint64_t sessions[2])
     down = NULL;
     fake->now_ns += MO_S_NS;
   }
-  CHECK(failing < 0 || fake->fleet->counts.rows_twice > 0); /* nothing failed */
+  CHECK(failing < 0 || fake->fleet->counts.rows_twice > 0); /* no allocation failed */
   left = failing;
   return error;
 }
 
-/* The same, but this process is to decide. */
+/* The same, but this process decides. */
 static int take_disputed(const uint64_t sessions[2])
 {
   fake->fleet->config.source.recompute = fake_recompute;

@@ -1,5 +1,5 @@
-/* messages.h: messages that tests of the room send: leases of random bodies, and results; every
- * fourth, from 2 on, is of a gradient. Freed by the caller (mo_wire_free_…). */
+/* messages.h: random messages for tests of the room: leases of random bodies, and results. Every
+ * fourth, starting with 2, is for a gradient. The caller frees them (mo_wire_free_…). */
 #ifndef MORPHO_TESTS_FLEET_MESSAGES_H
 #define MORPHO_TESTS_FLEET_MESSAGES_H
 

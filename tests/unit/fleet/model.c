@@ -1,9 +1,11 @@
-/* model.c: the fleet under everything that workers and networks do, on a clock that the test turns.
+/* model.c: the fleet under every behavior of workers and networks, with a clock that the test
+ * advances.
  *
  * Workers join, compute, leave, are lost, fall silent, hang, fail, give leases back, repeat old
- * results and send wrong ones, while work comes, stops and is cancelled. Meanwhile every block is
- * delivered or put back exactly once, every lease has an owner, the counters agree, and nobody
- * honest is refused. Argument "soak": 10^6 steps in place of 2 × 10^4. */
+ * results and send wrong ones, while work arrives, stops and is cancelled. At the same time, every
+ * block must be delivered or put back exactly once, every lease must have an owner, the counters
+ * must agree, and no honest session may be refused. Argument "soak": 10^6 steps in place of 2 ×
+ * 10^4. */
 #include "fake.h"
 #include "messages.h"
 
@@ -12,7 +14,7 @@
 #define WORKERS  24
 #define STEP_NS  (MO_S_NS / 50)
 #define OLD_MAX  8
-#define JOBS_MAX 16 /* with those that it should have dropped */
+#define JOBS_MAX 16 /* including those that it should have dropped */
 #define TICKS_NS (MO_S_NS / 50)
 
 struct job {
@@ -22,13 +24,13 @@ struct job {
 
 struct worker {
   char name[16], host[16];
-  uint64_t session;         /* 0: none */
-  uint64_t silent_until_ns; /* cut off, or stopped */
+  uint64_t session;         /* 0 if none */
+  uint64_t silent_until_ns; /* disconnected or stopped */
   double rows_per_s;
   bool is_liar;
   struct job jobs[JOBS_MAX];
   uint32_t n_jobs, n_old;
-  struct mo_lease_id old[OLD_MAX]; /* results that it sent */
+  struct mo_lease_id old[OLD_MAX]; /* results sent earlier */
 };
 
 struct world {
@@ -36,12 +38,12 @@ struct world {
   struct mo_random random;
   struct worker workers[WORKERS];
   uint64_t ticked_ns, submitted, refused, given_back, hung;
-  bool is_calm; /* nothing goes wrong any more */
+  bool is_calm; /* from now on nothing goes wrong */
 };
 
 static uint64_t n_steps = 20000;
 
-/* One in n. */
+/* Returns true once in n times on average. */
 static bool chance(struct world *world, uint32_t n)
 {
   return mo_random_below(&world->random, n) == 0 && !world->is_calm;
@@ -95,7 +97,7 @@ static void read_orders(struct world *world, struct worker *worker)
   if (r == MO_ERR_NOT_FOUND || orders.state == MO_SESSION_REFUSED) {
     CHECK(r == MO_ERR_NOT_FOUND || worker->is_liar);
     world->refused += r != MO_ERR_NOT_FOUND;
-    if (r != MO_ERR_NOT_FOUND) /* it comes again */
+    if (r != MO_ERR_NOT_FOUND) /* it rejoins */
       CHECK_OK(mo_fleet_leave(world->fake->fleet, worker->session, false, world->fake->now_ns));
     forget_session(worker);
     return;
@@ -117,8 +119,8 @@ static void add_empty(struct mo_wire_results *results, struct mo_lease_id id,
   results->items[results->n++] = (struct mo_wire_result){.id = id, .state = state};
 }
 
-/* Results of leases that the session does not hold: of an older life of the daemon, of another
- * session, sent before, never given. They change nothing. */
+/* Sends results for leases that the session does not hold: of an earlier daemon, of another
+ * session, sent before, or never handed out. They must change nothing. */
 static void add_foreign(struct world *world, struct worker *worker, struct mo_wire_results *results)
 {
   const struct worker *other = &world->workers[mo_random_below(&world->random, WORKERS)];
@@ -134,7 +136,7 @@ static void add_foreign(struct world *world, struct worker *worker, struct mo_wi
   const struct mo_lease_id id = ids[mo_random_below(&world->random, COUNT(ids))];
   for (uint32_t i = 0; i < worker->n_jobs; i++)
     if (memcmp(&worker->jobs[i].lease.id, &id, sizeof(id)) == 0)
-      return; /* a lease may come to the same worker twice, or be held by two */
+      return; /* a lease may be given to the same worker twice, or be held by two sessions */
   results->items[results->n++] = result_of(id, has_job ? own->n_rows : 3);
 }
 
@@ -182,7 +184,7 @@ static void exchange(struct world *world, struct worker *worker)
     CHECK(error == MO_ERR_FORMAT || error == MO_ERR_NOT_FOUND || error == MO_ERR_CONFLICT);
   if (error == MO_ERR_FORMAT) {
     CHECK(is_bad && fake->n_done == n_done);
-    /* What a worker does: it gives up all that it has. */
+    /* puts back everything that it has */
     CHECK_OK(mo_fleet_leave(fake->fleet, worker->session, true, fake->now_ns));
   }
   if (error == MO_ERR_CONFLICT)
@@ -221,7 +223,7 @@ static void visit(struct world *world, struct worker *worker)
     exchange(world, worker);
 }
 
-/* ---- what must hold at any time ---- */
+/* ---- invariants ---- */
 
 static void check_counts(const struct world *world)
 {
@@ -298,7 +300,8 @@ static void run(uint64_t seed, uint32_t n_liars)
     if (i % 1024 == 0)
       check_counts(world);
   }
-  /* Nothing goes wrong any more: all that is left is computed, if only by those who are left. */
+  /* Nothing goes wrong from here on: the remaining sessions must compute everything that is
+   * left. */
   world->is_calm = true;
   for (uint64_t i = 0; i < 200000 && fake->n_waiting + fake->n_taken > 0; i++)
     step(world);
@@ -309,15 +312,16 @@ static void run(uint64_t seed, uint32_t n_liars)
   check_counts(world);
   struct mo_fleet_status status;
   mo_fleet_status(fake->fleet, &status);
-  printf("# %u blocks, %u cancelled, %u failed; %llu leases, %llu again; %llu sessions, %llu lost; "
-         "%llu rows twice, %llu audits, %llu failed, %u wrong rows, %llu refused; %llu ignored, "
-         "%llu given back, %llu hung\n",
-         fake->n_done, fake->n_cancelled, fake->n_failed, (unsigned long long)status.leases_done,
-         (unsigned long long)status.leases_again, (unsigned long long)status.joined,
-         (unsigned long long)status.lost, (unsigned long long)status.rows_twice,
-         (unsigned long long)status.audits, (unsigned long long)status.audits_failed, fake->n_wrong,
-         (unsigned long long)world->refused, (unsigned long long)status.results_ignored,
-         (unsigned long long)world->given_back, (unsigned long long)world->hung);
+  printf(
+      "# %u blocks, %u cancelled, %u failed; %llu leases, %llu repeated; %llu sessions, %llu lost; "
+      "%llu rows twice, %llu audits, %llu failed, %u wrong rows, %llu refused; %llu ignored, "
+      "%llu given back, %llu hung\n",
+      fake->n_done, fake->n_cancelled, fake->n_failed, (unsigned long long)status.leases_done,
+      (unsigned long long)status.leases_again, (unsigned long long)status.joined,
+      (unsigned long long)status.lost, (unsigned long long)status.rows_twice,
+      (unsigned long long)status.audits, (unsigned long long)status.audits_failed, fake->n_wrong,
+      (unsigned long long)world->refused, (unsigned long long)status.results_ignored,
+      (unsigned long long)world->given_back, (unsigned long long)world->hung);
   CHECK(status.leases_again > 0 && status.lost > 0 && status.audits > 0 &&
         status.results_ignored > 0 && (world->refused > 0) == (n_liars > 0) &&
         status.rows_twice > 0 && world->hung > 0);

@@ -1,4 +1,4 @@
-/* scene.h: one fleet on a fake source and clock, and what its sessions do by hand. */
+/* scene.h: one fleet on a fake source and clock, and actions of its sessions, one by one. */
 #ifndef MORPHO_TESTS_FLEET_SCENE_H
 #define MORPHO_TESTS_FLEET_SCENE_H
 
@@ -7,8 +7,8 @@
 static struct fake *fake;
 static struct fake_block *blocks[4096];
 
-/* A new source with n blocks of 16 rows × 1000 steps, kept until the end of the case. Silence ends
- * no session. */
+/* Makes a new source with n blocks of 16 rows × 1000 steps, kept until the end of the case. Silence
+ * does not end sessions. */
 static inline void begin(uint32_t n)
 {
   fake = make_fake(3);
@@ -52,7 +52,7 @@ static inline void send(struct mo_wire_results *results, const struct mo_wire_le
                                      : (struct mo_wire_result){.id = lease->id, .state = state};
 }
 
-/* Sends the results of all leases, frees them, and takes new ones. */
+/* Sends the results of all leases, frees them, and receives new ones. */
 static inline struct mo_wire_leases finish(uint64_t session, struct mo_wire_leases *leases,
                                            enum mo_wire_state state)
 {
@@ -65,7 +65,7 @@ static inline struct mo_wire_leases finish(uint64_t session, struct mo_wire_leas
   return next;
 }
 
-/* A session that has the rate of `rows_per_s`. Returns its leases. */
+/* Joins a session with a rate of `rows_per_s`. Returns its leases. */
 static inline struct mo_wire_leases warm(uint64_t session, double rows_per_s)
 {
   struct mo_wire_leases leases = exchange(session);
@@ -106,7 +106,7 @@ static inline bool same_body(const struct mo_wire_block *block, uint32_t i)
   return memcmp(block->genotype, blocks[i]->genotype, sizeof(blocks[i]->genotype)) == 0;
 }
 
-/* Runs a case, and keeps what is left of its blocks until its end. */
+/* Runs a case, and keeps its remaining blocks until the end. */
 static inline void drop_blocks(void (*run)(void))
 {
   memset(blocks, 0, sizeof(blocks));

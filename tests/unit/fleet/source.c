@@ -1,5 +1,5 @@
-/* source.c: the fleet over the real queues: four sessions on threads of their own compute what a
- * job submitted, one of them gives wrong bits and another is lost. */
+/* source.c: the fleet on the real queues: four sessions, each in a thread, compute a job's blocks.
+ * One of them returns wrong bits and another is lost. */
 #include "fake.h"
 
 #include "base/thread.h"
@@ -69,7 +69,7 @@ static struct mo_wire_result result_of_lease(const struct mo_wire_lease *lease, 
   return result;
 }
 
-/* Session number 0 gives wrong bits. */
+/* Session number 0 returns wrong bits. */
 static void *run_session(void *context)
 {
   const intptr_t number = (intptr_t)context;
@@ -103,7 +103,7 @@ static void *run_session(void *context)
   return NULL;
 }
 
-/* A session that takes two leases, and is lost. */
+/* A session that takes two leases and is then lost. */
 static void lose_session(void)
 {
   const struct mo_fleet_offer offer = fake_offer("lost", "lost");
@@ -155,7 +155,7 @@ static void real_queues(void)
   TAILQ_FOREACH(session, &fleet->sessions, all)
   CHECK(session->state != MO_SESSION_REFUSED || strcmp(session->offer.name, "w0") == 0);
   mo_fleet_free(fleet);
-  /* The same bits as here, but for what the liar gave. */
+  /* The bits are the same as on this machine, except for the liar's. */
   uint32_t n_wrong = 0;
   for (uint32_t i = 0; i < BLOCKS; i++) {
     struct job again;

@@ -1,4 +1,4 @@
-/* wire.c: messages come back as they were sent, and no other message is accepted. */
+/* wire.c: messages are decoded exactly as they were encoded, and no other message is accepted. */
 #include "messages.h"
 
 #define HEADER 24
@@ -7,7 +7,7 @@
 
 static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {5, 3, 2}, {16, 8, 8}};
 
-/* A message in either direction, decoded and encoded again. */
+/* A message in either direction, decoded and re-encoded. */
 struct message {
   bool is_leases;
   struct mo_workspace workspace;
@@ -39,8 +39,8 @@ static struct message results_of(uint32_t n)
   return message;
 }
 
-/* Decodes `size` bytes of a message, in a block of memory of just that size. An accepted message
- * must be encoded as the same bytes; a refused one must be explained. */
+/* Decodes `size` bytes of a message, in an allocation of exactly that size. An accepted message
+ * must encode to the same bytes; a refused one must be explained. */
 static int decode(const struct message *message, size_t size, struct mo_message *why)
 {
   struct mo_wire_leases leases;
@@ -79,7 +79,7 @@ static void round_trip(void)
     const struct message message = results_of(n);
     CHECK_OK(decode(&message, message.size, &why));
   }
-  /* Value by value, not only as bytes. */
+  /* Compares the values, not only the bytes. */
   struct mo_wire_leases leases;
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   struct mo_wire_lease sent = lease_of(workspace, 3, 7, 4);
@@ -111,14 +111,15 @@ static void cut_short(void)
       const uint64_t claimed = size;
       CHECK_INT(decode(&message, size, &why), MO_ERR_FORMAT);
       if (size < HEADER)
-        continue; /* the header also says the shorter size */
+        continue; /* the header also states the shorter size */
       memcpy(message.bytes + 16, &claimed, sizeof(claimed));
       CHECK_INT(decode(&message, size, &why), MO_ERR_FORMAT);
     }
   }
 }
 
-/* Any bit of any byte: the message is refused, or it says exactly what its bytes say. */
+/* If any bit of any byte is flipped, the message is refused, or it means exactly what its bytes
+ * say. */
 static void bits_flipped(void)
 {
   struct mo_message why;
@@ -135,7 +136,8 @@ static void bits_flipped(void)
   }
 }
 
-/* What a hostile peer writes over a good message: at an offset, a number of so many bytes. */
+/* Bytes that a hostile peer writes into a good message: at an offset, a number of this many
+ * bytes. */
 static const struct hostile {
   bool is_leases;
   size_t at, size;
@@ -194,7 +196,8 @@ static void hostile(void)
   }
 }
 
-/* A body that is not where placement puts it, and a bit beyond the last voxel. */
+/* A body that is not placed as mo_genotype_place would place it, and a bit beyond the last
+ * voxel. */
 static void bodies(void)
 {
   struct mo_message why;
@@ -209,7 +212,7 @@ static void bodies(void)
   CHECK_SAYS(why, "bits beyond voxel 29");
 }
 
-/* Gradients with numbers that none has. */
+/* Gradients with out-of-range numbers. */
 static void gradients(void)
 {
   for (int fault = 0; fault < 10; fault++) {
@@ -242,7 +245,7 @@ static void gradients(void)
   }
 }
 
-/* What the format cannot hold is not sent. */
+/* A message that does not fit the format is not sent. */
 static void too_large(void)
 {
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
@@ -263,7 +266,7 @@ static void too_large(void)
   leases.items[0].n_environments = MO_WIRE_ENVIRONMENTS_MAX + 1;
   CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
   leases.items[0].n_environments = 3;
-  leases.items[0].n_parameters = 1; /* of blocks with more than one environment */
+  leases.items[0].n_parameters = 1; /* for blocks with more than one environment */
   CHECK_INT(mo_wire_put_leases(&leases, workspace, &bytes, &size), MO_ERR_LIMIT);
   leases.items[0].n_parameters = 0;
   leases.items[0].blocks[1].n_environments = 0;

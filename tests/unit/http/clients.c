@@ -1,9 +1,9 @@
-/* What one client has in flight. */
+/* clients.c: what one client has in flight. */
 #include "http/client.h"
 
 #include "unit/check.h"
 
-/* A client is remembered while one of its requests waits, however long. */
+/* A client is remembered while one of its requests waits, no matter how long. */
 static void parked_clients_are_kept(void)
 {
   static const unsigned char key[16] = "parked";
@@ -15,12 +15,12 @@ static void parked_clients_are_kept(void)
   mo_client_park(&clients, client, true);
   mo_clients_sweep(&clients, INT64_MAX);
   CHECK(mo_client_enter(&clients, key, 1, &refused) == client);
-  mo_client_park(&clients, client, false); /* two now, of one: what is woken is not refused */
+  mo_client_park(&clients, client, false); /* two of one: a resumed one is not refused */
   mo_client_leave(&clients, client, 0);
   CHECK(mo_client_enter(&clients, key, 1, &refused) == NULL && refused);
   mo_client_leave(&clients, client, 0);
   mo_clients_free(&clients);
 }
 
-static const struct check_case cases[] = {{"clients that wait are kept", parked_clients_are_kept}};
+static const struct check_case cases[] = {{"waiting clients are kept", parked_clients_are_kept}};
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* Header fields, paths, queries, routes, hosts, tokens, problem documents. What a request may not
- * look like is in tests/api/test_raw.py. */
+/* Header fields, paths, queries, routes, hosts, tokens, problem documents. tests/api/test_raw.py
+ * has malformed requests. */
 #include "unit/check.h"
 
 #include <jansson.h>
@@ -137,7 +137,7 @@ static void ids(void)
         !mo_id("1000000000000000000", &id));
 }
 
-/* Finds a path in a small table; the index of its first line, or −1. */
+/* Finds a path in a small table; returns the index of its first row, or −1. */
 static const struct mo_route lines[] = {
     {"/", MO_GET, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
     {"/v1/jobs", MO_GET, NULL, MO_RIGHT_READ, 0, MO_BODY_SMALL, ""},
@@ -248,16 +248,17 @@ static void tokens(void)
   REQUIRE(mo_tokens_set(&set, two, 2, &message) == MO_OK);
   for (size_t i = 0; i < sizeof(wrong) / sizeof(wrong[0]); i++)
     CHECK_INT(mo_tokens_check(&set, wrong[i], &caller), 0);
-  CHECK(strcmp(caller.name, "nobody") == 0); /* a wrong token fills in nothing */
+  CHECK(strcmp(caller.name, "nobody") == 0); /* with a wrong token nothing is filled in */
   CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 1);
   CHECK(strcmp(caller.name, "anna") == 0 && caller.right == MO_RIGHT_READ);
   CHECK_INT(mo_tokens_check(&set, "bearer  another-token-of-24-bytes", &caller), 1);
   CHECK(strcmp(caller.name, "<b>") == 0 && caller.right == MO_RIGHT_SUBMIT);
   for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++) {
     CHECK_INT(mo_tokens_set(&set, &bad[i], 1, &message), MO_ERR_INVALID);
-    CHECK(strstr(message.text, bad[i].text) == NULL); /* no message quotes a token */
+    CHECK(strstr(message.text, bad[i].text) == NULL); /* messages never quote a token */
   }
-  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 1); /* the old ones stay */
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller),
+            1); /* the old tokens stay valid */
   REQUIRE(mo_tokens_set(&set, two + 1, 1, &message) == MO_OK);
   CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 0);
   mo_tokens_free(&set);
@@ -286,7 +287,7 @@ static void problems(void)
   mo_text_free(&text);
 }
 
-/* The fewest digits from 15 on that read back, as printf writes them. */
+/* Formats with printf's digits: the fewest, from 15 on, that read back exactly. */
 static void shortest_numbers(void)
 {
   struct mo_text text = {0};
@@ -296,9 +297,9 @@ static void shortest_numbers(void)
     double number;
     state = state * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
     memcpy(&number, &state, sizeof(number));
-    if (i % 4 == 1) /* of few digits */
+    if (i % 4 == 1) /* with few digits */
       number = (double)(int64_t)(state >> 20) * pow(10, -(int)(state % 30));
-    else if (i % 4 == 2) /* beside powers of ten, and powers of two */
+    else if (i % 4 == 2) /* next to powers of ten and powers of two */
       number = i % 8 == 2 ? nextafter(pow(10, (int)(state >> 40) % 40 - 20), (double)(state % 3))
                           : ldexp(1, (int)(state >> 40) % 70 - 18);
     else if (i % 4 == 3) /* a score */
@@ -345,7 +346,7 @@ static void texts(void)
   text.size = 0;
   mo_text_json_number(&text, 0.1);
   CHECK_TEXT(text.data, "0.1");
-  /* Whole numbers look as printf writes them. */
+  /* Whole numbers are written like printf writes them. */
   static const double whole[] = {
       0, -0.0, 7, -40, 123456, 999999999999999, -999999999999999, 1e14, 1e15, 0x1p53, 1e300};
   for (size_t i = 0; i < sizeof(whole) / sizeof(whole[0]); i++) {
@@ -367,11 +368,11 @@ static float random_float(uint64_t *state)
   uint32_t word = (uint32_t)(*state >> 32);
   float value;
   memcpy(&value, &word, sizeof(value));
-  /* All bit patterns, and as many of the sizes that a robot's coordinates have. */
+  /* All bit patterns, and as many numbers in the range of a robot's coordinates. */
   return *state >> 31 & 1 ? value : (float)(int32_t)word * 0x1p-30F;
 }
 
-/* The writer of recordings gives the text of printf, and takes less time than one printf. */
+/* The writer of recordings writes the same text as printf, in less time than one printf. */
 static void floats(void)
 {
   enum { N = 300000 };

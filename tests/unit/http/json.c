@@ -1,5 +1,5 @@
-/* The JSON reader: what it accepts, and that its faults are at the right places. The fuzz targets
- * of requests hold it to jansson. */
+/* The JSON reader: what it accepts, and the positions of its faults. The fuzz targets of requests
+ * compare it with jansson. */
 #include "unit/check.h"
 
 #include "base/base64.h"
@@ -8,7 +8,7 @@
 static struct mo_json json;
 static struct mo_faults faults;
 
-/* Reads a whole text without looking at it. */
+/* Reads a whole text and ignores its values. */
 static bool well_formed(const char *text, size_t size)
 {
   faults = (struct mo_faults){0};
@@ -22,7 +22,7 @@ static bool good(const char *text)
   return well_formed(text, strlen(text));
 }
 
-/* The texts of a list that are taken for JSON, or not. */
+/* Checks which texts of a list are accepted as JSON. */
 #define TEXTS(...)                                                                                 \
   (const char *const[])                                                                            \
   {                                                                                                \
@@ -75,7 +75,7 @@ static void depth(void)
   memset(text + 65, ']', 65);
   CHECK(!well_formed(text, 130));
   CHECK(faults.malformed && strstr(faults.items[0].detail, "64") != NULL);
-  /* A bomb costs no stack and no time. */
+  /* A deeply nested bomb takes neither stack nor time. */
   size_t size = 1 << 20;
   char *bomb = malloc(size + 1);
   REQUIRE(bomb != NULL);
@@ -83,7 +83,7 @@ static void depth(void)
   bomb[size] = '\0';
   CHECK(!well_formed(bomb, size));
   free(bomb);
-  /* Too many keys. */
+  /* More keys than allowed. */
   char keys[2048] = "{";
   for (int i = 0; i < 65; i++)
     sprintf(keys + strlen(keys), "%s\"k%d\":0", i > 0 ? "," : "", i);
@@ -124,7 +124,7 @@ static void places(void)
   for (unsigned i = 0; i < 7 && i < faults.n; i++)
     CHECK_TEXT(faults.items[i].where, expected[i]);
   CHECK(!faults.malformed);
-  /* A syntax error has a place too. */
+  /* A syntax error also has a position. */
   CHECK(!good("{\"designs\":[{\"cells\":[[0,0,NaN]]}]}"));
   CHECK_TEXT(faults.items[0].where, "/designs/0/cells/0/2");
   CHECK(strstr(faults.items[0].detail, "line 1, column 28") != NULL);
@@ -147,7 +147,7 @@ static void numbers(void)
   CHECK(read_integer("9007199254740991", 0, INT64_MAX, &n) && n == INT64_C(9007199254740991));
   CHECK(!read_integer("21", 0, 20, &n) && !faults.malformed);
   CHECK(!read_integer("1.5", 0, 20, &n) && !faults.malformed);
-  /* By what is written, not by the float64 next to it. */
+  /* By the digits as written, not by the nearest float64. */
   static const char *const fractions[] = {"9007199254740991.4",
                                           "1.00000000000000000001",
                                           "1e-400",
@@ -184,8 +184,8 @@ static void numbers(void)
   CHECK_TEXT(faults.items[0].where, "/0");
 }
 
-/* A key that is spelt with escapes is that key, and stays it while an array of plain keys is read.
- */
+/* A key that is spelled with escapes is that key, and remains so while an array of plain keys is
+ * read. */
 static void escaped_keys(void)
 {
   static const char text[] = "{\"\\u0064esigns\":[{\"cells\":1}],\"la\\u0062el\":2,"
@@ -229,7 +229,7 @@ static void bytes(void)
 {
   static const struct {
     const char *text;
-    size_t n; /* SIZE_MAX: refused */
+    size_t n; /* SIZE_MAX means refused */
   } cases[] = {{"\"\"", 0},
                {"\"AP8=\"", 2},
                {"\"AP9=\"", SIZE_MAX},
@@ -276,10 +276,10 @@ static void many_faults(void)
 }
 
 static const struct check_case cases[] = {
-    {"accepts what is JSON", accepts},
-    {"rejects what is not", rejects},
+    {"accepts JSON", accepts},
+    {"rejects other text", rejects},
     {"bounds depth and keys", depth},
-    {"knows the place of every fault", places},
+    {"reports the position of every fault", places},
     {"reads numbers", numbers},
     {"resolves escapes in keys", escaped_keys},
     {"reads strings", strings},

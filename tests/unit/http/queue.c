@@ -36,7 +36,7 @@ static void clients_take_turns(void)
   CHECK(mo_queue_take(&queue) == NULL);
 }
 
-/* Who comes while another's requests wait is next, however often that one comes back. */
+/* A new client is next while another one's requests wait, no matter how often those return. */
 static void newcomers_are_next(void)
 {
   struct mo_queue queue = {.n_new = 0};
@@ -48,11 +48,11 @@ static void newcomers_are_next(void)
   push(&queue, &one, "b");
   push(&queue, &many[0], "a"); /* the next piece of its reply */
   mo_queue_done(&queue, many[0].client_key);
-  CHECK(mo_queue_take(&queue) == &many[1]); /* whose turn had come before */
+  CHECK(mo_queue_take(&queue) == &many[1]); /* its turn had come before */
   CHECK(mo_queue_take(&queue) == &one);
 }
 
-/* One client's requests do not take all threads. */
+/* One client's requests do not occupy all threads. */
 static void a_client_has_a_limit(void)
 {
   struct mo_queue queue = {.n_new = 0};
@@ -72,7 +72,7 @@ static void a_client_has_a_limit(void)
   CHECK_INT(queue.n_running, 3);
 }
 
-/* What was taken before is not counted as new, so that it is never refused. */
+/* A resumed request does not count as new, so it is never refused. */
 static void only_new_ones_count(void)
 {
   struct mo_queue queue = {.n_new = 0};
@@ -91,7 +91,7 @@ static void only_new_ones_count(void)
 
 static const struct check_case cases[] = {
     {"clients take turns", clients_take_turns},
-    {"who comes new is next", newcomers_are_next},
-    {"a client does not take all threads", a_client_has_a_limit},
+    {"a new client is next", newcomers_are_next},
+    {"one client does not occupy all threads", a_client_has_a_limit},
     {"only new requests count", only_new_ones_count}};
 CHECK_MAIN(cases)

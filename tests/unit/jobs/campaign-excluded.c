@@ -1,5 +1,5 @@
-/* campaign-excluded.c: the bodies that a campaign's controller was pretrained on: found by its
- * lineage, drawn again, left out. */
+/* campaign-excluded.c: the bodies that a campaign's controller was pretrained on: found through its
+ * lineage, redrawn, and excluded. */
 #include <dirent.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -9,7 +9,7 @@
 
 /* ---- controllers ---- */
 
-/* What a controller says of how it was trained; NULL: nothing. */
+/* Training metadata of a controller; NULL if it has none. */
 struct said {
   const char *kind, *parent, *seed, *step, *settings;
 };
@@ -17,7 +17,7 @@ struct said {
 static const struct said good = {"pretrain", "random", "31", "40",
                                  "{\"steps\":900,\"batch\":64,\"x\":1}"};
 
-/* Stores a controller with the default weights. digits: of its file. */
+/* Stores a controller with the default weights. digits: the hash of its file. */
 static void put(const char *name, const struct said *said, char digits[MO_SHA256_DIGITS + 1])
 {
   const char *const entries[][2] = {{"morphod.kind", said->kind},
@@ -40,7 +40,7 @@ static void put(const char *name, const struct said *said, char digits[MO_SHA256
   mo_controller_free(controller);
 }
 
-/* Stores "pretrained" with a seed of bodies, 64 of them a step, and "tuned", its child. */
+/* Stores "pretrained", trained on 64 bodies per step drawn from a seed, and "tuned", its child. */
 static void put_family(const char *steps)
 {
   struct said said = good;
@@ -52,8 +52,8 @@ static void put_family(const char *steps)
   put("tuned", &said, child);
 }
 
-/* Stores "long": so many controllers, each the child of the one before, with `first` at its
- * beginning and `other` after that. */
+/* Stores "long": a chain of n controllers, each the child of the previous one. The metadata of the
+ * first is `first`, that of the others `other`. */
 static void put_long(int n, const struct said *first, const struct said *other)
 {
   char digits[MO_SHA256_DIGITS + 1], parent[MO_SHA256_DIGITS + 1], seed[16];
@@ -68,7 +68,7 @@ static void put_long(int n, const struct said *first, const struct said *other)
   }
 }
 
-/* The forms of the bodies that "pretrained" learned from in so many steps. */
+/* Returns the forms of the bodies that "pretrained" learned from in n steps. */
 static struct mo_form_set *forms_of(struct mo_workspace workspace, uint64_t steps)
 {
   struct mo_form_set *forms = NULL;
@@ -77,7 +77,7 @@ static struct mo_form_set *forms_of(struct mo_workspace workspace, uint64_t step
   return forms;
 }
 
-/* ---- what is left out ---- */
+/* ---- exclusions ---- */
 
 SERVICE_CASE(leaves_out_what_was_learned_from, 3)
 {
@@ -95,7 +95,7 @@ SERVICE_CASE(leaves_out_what_was_learned_from, 3)
   origin.excluded = excluded;
   request.controller = "tuned";
   for (int i = 0; i < 3; i++) {
-    request.record.settings.exclude_pretraining = i < 2; /* two that share the set, one without */
+    request.record.settings.exclude_pretraining = i < 2; /* two share the set, one has none */
     ids[i] = submit_campaign(&request);
   }
   CHECK(ends_as_plain(ids[0], &origin));
@@ -105,12 +105,13 @@ SERVICE_CASE(leaves_out_what_was_learned_from, 3)
   printf("# the next line is to be a difference:\n");
   CHECK(!same_history(stored, without));
   free(stored);
-  /* More than can be drawn again. */
+  /* More bodies than can be redrawn. */
   put_family("1000000000");
   request.record.settings.exclude_pretraining = true;
   CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT); /* before anything is stored or drawn */
   CHECK_SAYS(fixture.message, "exclude_pretraining false");
-  /* All of five together, though no one alone; spelled as others may write it. */
+  /* The five pretrainings together exceed the limit, although each one is below it; written as
+   * other programs may write it. */
   put_long(5, &line, &line);
   request.controller = "long";
   CHECK_INT(submit_campaign(&request), MO_ERR_LIMIT); /* before anything is stored or drawn */
@@ -119,9 +120,10 @@ SERVICE_CASE(leaves_out_what_was_learned_from, 3)
   free(without);
 }
 
-/* ---- lineages that cannot be read ---- */
+/* ---- unreadable lineages ---- */
 
-/* How often the campaign reported this field of this controller (its digits, or NULL: any). */
+/* Returns how often the campaign reported this field of this controller (its digits; NULL =
+ * any). */
 static int reported(int64_t id, const char *digits, const char *field)
 {
   struct mo_event events[80];
@@ -187,8 +189,8 @@ SERVICE_CASE(reports_what_cannot_be_read, 1)
   CHECK_INT(warnings, 0);
 }
 
-/* A lineage ends where it is too long to be read, which is reported; with too many pretrainings it
- * is refused, and the words say of what. */
+/* A lineage is cut off where it becomes too long to read, and that is reported. With too many
+ * pretrainings, the campaign is refused with a message that says why. */
 SERVICE_CASE(reports_long_lineages, 1)
 {
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
@@ -199,7 +201,7 @@ SERVICE_CASE(reports_long_lineages, 1)
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
   struct origin origin = origin_of(&request);
-  odd.seed = "none"; /* reported as far as it is read */
+  odd.seed = "none"; /* reported as far as it was read */
   for (int n = 64; n <= 65; n++) {
     put_long(n, &odd, &tuned);
     id = submit_campaign(&request);
@@ -213,7 +215,7 @@ SERVICE_CASE(reports_long_lineages, 1)
   CHECK_SAYS(fixture.message, "16 pretrainings");
 }
 
-/* What can be read counts, though a descendant or an ancestor cannot be. */
+/* Readable entries count even if a descendant or an ancestor is unreadable. */
 SERVICE_CASE(leaves_out_what_can_be_read, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
@@ -240,10 +242,10 @@ SERVICE_CASE(leaves_out_what_can_be_read, 1)
   mo_form_set_free(excluded);
 }
 
-/* ---- while they are drawn ---- */
+/* ---- during the drawing ---- */
 
-/* Steps of 64 bodies that take long enough to be met, a second or two; and so many that nobody
- * awaits their end. */
+/* Numbers of steps of 64 bodies: one takes a second or two, so that a test can observe it; the
+ * other never ends within a test. */
 #if defined(__SANITIZE_THREAD__) || defined(__SANITIZE_ADDRESS__)
 #define LONG_STEPS 1000
 #else
@@ -254,7 +256,7 @@ SERVICE_CASE(leaves_out_what_can_be_read, 1)
 #define LONG_GENERATIONS 1000
 #define SEEN             40
 
-/* "tuned", pretrained for so many steps, and a campaign with it, on one worker. */
+/* Submits a campaign with "tuned", pretrained for n steps, on one worker. */
 static int start_drawing(const char *steps, struct mo_campaign_request *request)
 {
   int error = service_begin();
@@ -269,7 +271,7 @@ static int start_drawing(const char *steps, struct mo_campaign_request *request)
   return error;
 }
 
-/* The figures of a campaign as soon as some of its bodies are drawn. */
+/* Returns the figures of a campaign as soon as some of its bodies are drawn. */
 static struct mo_live await_drawing(int64_t id)
 {
   struct mo_live live;
@@ -278,8 +280,8 @@ static struct mo_live await_drawing(int64_t id)
   return live;
 }
 
-/* The time when a campaign was last seen to draw, once it does no more: never too late, whatever
- * else the machine does. */
+/* Waits until a campaign no longer draws and returns when it was last seen drawing. The result is
+ * never too late, no matter how busy the computer is. */
 __attribute__((unused)) static double await_drawn(int64_t id)
 {
   double seen = now_s(), look = seen;
@@ -311,15 +313,16 @@ static bool names(const struct mo_live *live, int64_t id)
   return strstr(live->reason, text) != NULL;
 }
 
-/* Whether one shows that it draws, and the other that it waits for that one. */
+/* Returns whether one campaign shows that it is drawing, and the other that it is waiting for
+ * it. */
 static bool draws_for(int64_t drawer, int64_t other)
 {
   const struct mo_live first = live_of(drawer), second = live_of(other);
   return first.phase == MO_PHASE_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
 }
 
-/* What one draws, others wait for, and they report that; when it is paused or cancelled, the
- * drawing goes on for them. */
+/* While one campaign draws, others wait for it, and report that. If it is paused or cancelled, the
+ * drawing continues for them. */
 static void hands_the_drawing_over(void)
 {
   struct mo_campaign_request request;
@@ -371,7 +374,8 @@ static void hands_the_drawing_over(void)
   mo_form_set_free(excluded);
 }
 
-/* Nobody waits for it any more: it ends at once; so it does at the end of the process. */
+/* If no campaign waits for the drawing any more, it ends at once, as it does when the process
+ * stops. */
 static void draws_for_nobody(void)
 {
   struct mo_campaign_request request;
@@ -387,7 +391,7 @@ static void draws_for_nobody(void)
   for (int i = 0; i < 2; i++)
     CHECK(await_phase(ids[i], MO_PHASE_IDLE));
   CHECK(exclusions() == NULL);
-  CHECK_OK(mo_jobs_resume(service.jobs, ids[1])); /* again */
+  CHECK_OK(mo_jobs_resume(service.jobs, ids[1])); /* drawn again */
   ids[0] = submit_campaign(&request);
   for (int i = 0; i < 2; i++)
     CHECK(await_drawing(ids[i]).done > 0);
@@ -398,8 +402,8 @@ static void draws_for_nobody(void)
   CHECK(exclusions() == NULL);
 }
 
-/* The time that is left: of the drawing by its own rate; of the generations, too, once there is one
- * beside the first. */
+/* The remaining time: of the drawing from its own rate, and of the generations as soon as there is
+ * one after the first. */
 __attribute__((unused)) static void reports_how_long_it_draws(void)
 {
   struct mo_campaign_generation rows[SEEN];
@@ -416,7 +420,7 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
   const double begin = now_s();
   struct mo_live live = await_drawing(id);
   REQUIRE(AWAIT(live_of(id).done >= live.total / 2)); /* half of it */
-  /* It has drawn for at least so long, and at most so long, however late this thread looks. */
+  /* Bounds on how long it has been drawing, however late this thread looks. */
   const double least = now_s() - begin;
   live = live_of(id);
   const double most = now_s() - submitted;
@@ -427,7 +431,7 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
   CHECK(live.seconds_left > 0.5 * rest * least);
   CHECK(live.seconds_left < 2 * rest * most + 0.1);
   const double drawing_s = await_drawn(id) - begin;
-  CHECK(live_of(id).seconds_left < 0); /* nothing is known of the generations */
+  CHECK(live_of(id).seconds_left < 0); /* the duration of generations is still unknown */
   REQUIRE(await_place(id, 2, MO_PHASE_SCORE));
   CHECK_OK(mo_jobs_pause(service.jobs, id));
   REQUIRE(await_phase(id, MO_PHASE_IDLE));
@@ -436,7 +440,7 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
   int64_t committed = n;
   CHECK(rows[0].seconds > drawing_s);
   CHECK(seconds_of(rows, committed) < now_s() - submitted); /* the drawing is counted once */
-  /* What the first generation's event says of the rest does not count the drawing again. */
+  /* The estimate in the first generation's event does not count the drawing again. */
   n = mo_store_events(store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     if (strcmp(events[i].type, "campaign.generation") == 0 &&
@@ -454,13 +458,13 @@ __attribute__((unused)) static void reports_how_long_it_draws(void)
                   MO_PHASE_SCORE)); /* a commit is written while the next generation is scored */
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   REQUIRE(mo_store_campaign_generations(store, id, -1, 1, rows, SEEN) > committed);
-  /* What was drawn after the pause is no part of any. */
+  /* Drawing after the pause does not count toward any generation. */
   CHECK(seconds_of(rows, committed + 1) < now_s() - submitted - again_s);
 }
 
-/* ---- kept in a file ---- */
+/* ---- files ---- */
 
-/* A file of the folder "excluded", the only one; n: how many there are. */
+/* Returns the path of the only file in the folder "excluded". n: how many there are. */
 static struct stat only_file(int *n, char path[PATH_MAX])
 {
   struct stat status = {.st_ino = 0};
@@ -493,8 +497,8 @@ static void start_kept(uint64_t most, struct mo_campaign_request *request, struc
   *origin = origin_of(request);
 }
 
-/* Drawn once; then found, also after a restart and by another controller of the same lineage. A
- * damaged file is drawn again, and the log says so. */
+/* A set is drawn once and then read from its file, also after a restart and for another controller
+ * with the same lineage. A damaged file is redrawn, and the log says so. */
 SERVICE_CASE(keeps_what_was_drawn, 2)
 {
   static const struct timespec long_ago[2] = {{.tv_sec = 1000}, {.tv_sec = 1000}};
@@ -519,7 +523,7 @@ SERVICE_CASE(keeps_what_was_drawn, 2)
     CHECK(ends_as_plain(submit_campaign(&request), &origin));
     (void)idle_stats();
     const struct stat used = only_file(&n, path);
-    CHECK(n == 1 && used.st_ino == made.st_ino && used.st_mtime > 1000); /* opened, not made */
+    CHECK(n == 1 && used.st_ino == made.st_ino && used.st_mtime > 1000); /* opened, not created */
   }
   CHECK_INT(warnings, 0);
   for (off_t size = made.st_size; size >= 0; size -= made.st_size / 2) {
@@ -540,8 +544,8 @@ SERVICE_CASE(keeps_what_was_drawn, 2)
   mo_form_set_free(excluded);
 }
 
-/* Files beyond the budget go, the one that was not used for longest first; a set above it is not
- * kept, and the log says so. */
+/* Files beyond the budget are deleted, the least recently used first. A set above the budget is not
+ * stored, and the log says so. */
 SERVICE_CASE(keeps_to_a_budget, 1)
 {
   struct mo_campaign_request request;
@@ -568,7 +572,7 @@ SERVICE_CASE(keeps_to_a_budget, 1)
     CHECK_INT(stat(path, &status) == 0 && status.st_ino == first.st_ino, i < 3);
   }
   CHECK_INT(warnings, 0);
-  for (int life = 0; life < 2; life++) { /* above the budget; then none is kept */
+  for (int life = 0; life < 2; life++) { /* above the budget: nothing is stored */
     service.max_excluded_bytes = life == 0 ? one / 2 : 0;
     CHECK_OK(service_reopen());
     CHECK(succeeds(submit_campaign(&request), NULL));
@@ -580,8 +584,8 @@ SERVICE_CASE(keeps_to_a_budget, 1)
   }
 }
 
-/* A file goes with its controller; so does what a killed process left. A folder that cannot be
- * written only means that nothing is kept. */
+/* A file is deleted with its controller; so are files that a killed process left. If the folder is
+ * not writable, the only effect is that nothing is stored. */
 SERVICE_CASE(gives_files_up, 1)
 {
   struct mo_campaign_request request;
@@ -600,7 +604,7 @@ SERVICE_CASE(gives_files_up, 1)
   CHECK_INT(n, 1);
   CHECK_INT(mo_store_orphans(store)->n, 0);
   service_close();
-  rename(path, left); /* as of a controller that was deleted */
+  rename(path, left); /* as for a deleted controller */
   char *digits = strrchr(path, '/') + 1;
   memset(digits, digits[0] == 'a' ? 'b' : 'a', 4);
   rename(left, path);
@@ -609,7 +613,7 @@ SERVICE_CASE(gives_files_up, 1)
   CHECK_INT(n, 0);
   snprintf(left, sizeof(left), "%s/excluded", fixture.path);
   CHECK(rmdir(left) == 0);
-  close(open(left, O_WRONLY | O_CREAT, 0600)); /* no folder can be made there */
+  close(open(left, O_WRONLY | O_CREAT, 0600)); /* the folder cannot be created there */
   request.controller = "tuned";
   CHECK(succeeds(submit_campaign(&request), NULL));
   (void)idle_stats();
@@ -618,17 +622,17 @@ SERVICE_CASE(gives_files_up, 1)
 }
 
 static const struct check_case cases[] = {
-    {"hands the drawing over", hands_the_drawing_over},
-    {"draws for nobody", draws_for_nobody},
+    {"hands over the drawing", hands_the_drawing_over},
+    {"stops drawing if no campaign waits", draws_for_nobody},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"reports how long it draws", reports_how_long_it_draws},
-    {"leaves out what was learned from", leaves_out_what_was_learned_from},
-    {"reports what cannot be read", reports_what_cannot_be_read},
+    {"excludes the bodies of a pretraining", leaves_out_what_was_learned_from},
+    {"reports unreadable lineages", reports_what_cannot_be_read},
     {"reports long lineages", reports_long_lineages},
-    {"leaves out what can be read", leaves_out_what_can_be_read},
-    {"keeps what was drawn", keeps_what_was_drawn},
+    {"excludes what it can read", leaves_out_what_can_be_read},
+    {"stores what was drawn", keeps_what_was_drawn},
     {"keeps to a budget", keeps_to_a_budget},
-    {"gives files up", gives_files_up},
+    {"deletes files with their controllers", gives_files_up},
 #endif
 };
 CHECK_MAIN(cases)

@@ -1,6 +1,6 @@
-/* campaign_history.h: everything that a campaign did, read from the store, and the same by plain
- * loops over the functions of evolution and learning, without jobs, threads, blocks or store. The
- * two must be equal, bit for bit. */
+/* campaign_history.h: the whole history of a campaign, read from the store, and the same history
+ * computed by plain loops over the functions of evolution and learning, without jobs, threads,
+ * blocks or store. The two must be equal, bit for bit. */
 #ifndef MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 #define MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 
@@ -19,10 +19,10 @@ struct history {
     uint32_t n, numbers[HISTORY_POPULATION];
     double scores[HISTORY_POPULATION];
   } populations[HISTORY_GENERATIONS];
-  struct mo_sha256 result; /* of the controller's file; zeros: none */
+  struct mo_sha256 result; /* of the controller's file; zeros if none */
 };
 
-/* How the test computes. */
+/* How the test computes losses and gradients. */
 struct plain {
   double (*loss)(void *context, const struct mo_bits *genotype,
                  const struct mo_controller *controller, const struct mo_environment *environment,
@@ -35,19 +35,19 @@ struct plain {
   const char *code_version;
 };
 
-/* What a campaign begins with. */
+/* What a campaign starts with. */
 struct origin {
   struct mo_campaign_settings settings;
   const struct mo_environment *environments;
   uint32_t n_environments;
-  const struct mo_controller *controller; /* NULL: random weights */
+  const struct mo_controller *controller; /* NULL for random weights */
   const char *digits;                     /* of its file */
   const struct mo_bits *given;            /* (n_given) placed */
   uint32_t n_given;
   const struct mo_form_set *excluded;
 };
 
-/* Takes steps of a training. row (nullable): counts them and keeps the first and last loss. */
+/* Performs steps of a training. row (nullable): counts them and keeps the first and last loss. */
 static inline void plain_steps(const struct plain *plain, struct mo_training *training,
                                uint32_t n_steps, struct mo_campaign_generation *row)
 {
@@ -71,7 +71,7 @@ static inline void plain_steps(const struct plain *plain, struct mo_training *tr
   free(gradient);
 }
 
-/* The hash of the file that a training leaves. */
+/* Returns the hash of the file that a training exports. */
 static inline struct mo_sha256 plain_result(const struct mo_training *training, const char *parent,
                                             const char *code_version,
                                             const struct mo_training_lineage *lineage)
@@ -103,7 +103,7 @@ static inline struct mo_training *plain_training(const struct origin *origin, ui
   return training;
 }
 
-/* Learns in a generation, on the parents and on the children behind them. */
+/* Learns during a generation, on the parents followed by the children. */
 static inline void plain_learning(const struct plain *plain, const struct origin *origin,
                                   const struct mo_bits *bits, uint32_t n_parents, uint32_t n,
                                   struct mo_training **training, struct mo_campaign_generation *row)
@@ -134,8 +134,8 @@ static inline double plain_score(const struct plain *plain, const struct origin 
   return sum / origin->n_environments;
 }
 
-/* Cuts a child short, after the first wave that shows that it cannot survive. Returns the rollouts
- * up to there; *blocks: how many there are. */
+/* Cuts a child short after the first wave that shows that it cannot survive. Returns the rollouts
+ * up to there; *blocks: their number of blocks. */
 static inline uint32_t plain_race(const struct mo_race *race, const double *losses,
                                   struct mo_campaign_design *design, uint32_t *blocks)
 {
@@ -161,7 +161,7 @@ static inline void plain_move(const struct mo_bits *from, struct mo_workspace wo
   CHECK_OK(mo_genotype_move(MO_DEFAULT_WORKSPACE, from->words, workspace, genotype));
 }
 
-/* Returns false when the campaign had no more children. */
+/* Returns false if the campaign found no more children. */
 static inline bool plain_generation(const struct plain *plain, const struct origin *origin,
                                     uint32_t g, struct mo_seen *seen, struct mo_training **training,
                                     struct history *history)
@@ -215,8 +215,8 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   double *losses = calloc((size_t)2 * HISTORY_POPULATION * e, sizeof(*losses));
   double scores[2 * HISTORY_POPULATION];
   struct mo_race race = {.n_waves = 0};
-  static bool race_pays; /* a race saved time in the generation before, or would have */
-  double saved = 0;      /* by a race, where a block costs as much as two rollouts */
+  static bool race_pays; /* whether a race saved time in the previous generation, or would have */
+  double saved = 0;      /* with a race, where a block costs as much as two rollouts */
   race_pays = race_pays && g > 0;
   for (uint32_t i = 0; i < n_parents + n; i++) {
     const uint32_t number = i < n_parents ? numbers[i] : history->n_designs + i - n_parents;
@@ -244,7 +244,7 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   free(losses);
   if (race.n_waves > 0 && isfinite(race.bound))
     race_pays = saved > 0;
-  /* Selected by all scores: who was cut short would not have survived. */
+  /* Selection by full scores must agree: a child that was cut short would not have survived. */
   CHECK_OK(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors));
   for (uint32_t i = 0; i < n_parents + n; i++)
     history->designs[candidates[i].number].died = g;
@@ -260,7 +260,7 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   return true;
 }
 
-/* The whole campaign (calloc). */
+/* Returns the whole history of a campaign (calloc). */
 static inline struct history *plain_history(const struct plain *plain, const struct origin *origin)
 {
   struct history *history = calloc(1, sizeof(*history));
@@ -277,7 +277,7 @@ static inline struct history *plain_history(const struct plain *plain, const str
   return history;
 }
 
-/* What the store holds of a campaign (calloc). */
+/* Returns the history that the store has of a campaign (calloc). */
 static inline struct history *stored_history(int64_t id)
 {
   struct history *history = calloc(1, sizeof(*history));
@@ -332,7 +332,7 @@ static inline bool same_generation(const struct history *x, const struct history
   return same;
 }
 
-/* Tells the first difference. */
+/* Prints the first difference. */
 static inline bool same_history(const struct history *a, const struct history *b)
 {
   if (a->n_generations != b->n_generations || a->n_designs != b->n_designs) {
@@ -362,7 +362,7 @@ static inline bool same_history(const struct history *a, const struct history *b
   return true;
 }
 
-/* Whether the store holds this history. */
+/* Returns whether the store holds this history. */
 static inline bool is_history(int64_t id, const struct history *expected)
 {
   struct history *stored = stored_history(id);
@@ -371,7 +371,7 @@ static inline bool is_history(int64_t id, const struct history *expected)
   return same;
 }
 
-/* Whether the store holds what plain loops give. */
+/* Returns whether the store holds the history that plain loops compute. */
 static inline bool is_as_plain(int64_t id, const struct plain *plain, const struct origin *origin)
 {
   struct history *expected = plain_history(plain, origin);

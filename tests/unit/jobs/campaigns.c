@@ -1,9 +1,9 @@
-/* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their
- * inputs: every mode end to end, against plain loops (campaign_history.h), and what is reported of
- * them. */
+/* campaigns.c: campaigns with a fake back end, in which losses and gradients are functions of their
+ * inputs: every mode end to end, compared with plain loops (campaign_history.h), and the
+ * reports. */
 #include "fakes.h"
 
-/* For any number of workers; with environments of its own, more than a block takes. */
+/* Any number of workers; with custom environments, more than fit in one block. */
 static void evolves_in_every_mode(void)
 {
   static const uint32_t workers[] = {1, 2, 7};
@@ -29,11 +29,11 @@ static void evolves_in_every_mode(void)
   }
 }
 
-/* Parents keep their scores, and what is stored is not computed again. */
+/* Parents keep their scores, and stored losses are not recomputed. */
 SERVICE_CASE(scores_nothing_twice, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  request.record.settings.racing = MO_RACING_OFF; /* what was cut short is raced again */
+  request.record.settings.racing = MO_RACING_OFF; /* children that were cut short are raced again */
   struct origin origin = origin_of(&request);
   struct mo_campaign_generation rows[GENERATIONS + 1];
   struct mo_campaign_design designs[POPULATION];
@@ -48,7 +48,7 @@ SERVICE_CASE(scores_nothing_twice, 1)
   CHECK_INT(stats.campaign_designs, status_of(id).n_designs);
   CHECK_INT(stats.active_campaigns, 0);
   CHECK_INT(stats.jobs_succeeded, 1);
-  /* The same once more finds everything; an evaluation of its designs does, too. */
+  /* The same campaign again finds every loss; so does an evaluation of its designs. */
   id = submit_campaign(&request);
   CHECK(ends_as_plain(id, &origin));
   stats = idle_stats();
@@ -66,7 +66,7 @@ SERVICE_CASE(scores_nothing_twice, 1)
   evaluation.physics = request.record.settings.physics;
   id = submit_evaluation(&evaluation);
   CHECK_INT(end_of(id).rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
-  /* A campaign that learns asks its own controller. */
+  /* A campaign that learns scores with its own controller. */
   request = campaign(MO_FEW_SHOT);
   request.record.settings.racing = MO_RACING_OFF;
   request.record.settings.generations = 1;
@@ -78,12 +78,12 @@ SERVICE_CASE(scores_nothing_twice, 1)
   CHECK_INT(idle_stats().campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
 }
 
-/* What is stored of children that were cut short is not computed again: neither by the same
- * campaign nor by one that scores them to their end. */
+/* Stored losses of children that were cut short are not recomputed, neither by the same campaign
+ * nor by one that scores children completely. */
 SERVICE_CASE(scores_no_loss_twice, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  request.record.settings.generations = 12; /* the first ones do not race */
+  request.record.settings.generations = 12; /* the first generations do not race */
   struct origin origin = origin_of(&request);
   int64_t id = submit_campaign(&request);
   CHECK(ends_as_plain(id, &origin));
@@ -105,7 +105,8 @@ SERVICE_CASE(scores_no_loss_twice, 1)
             all);
 }
 
-/* What was stored is counted once, also of children that a process saved before it was stopped. */
+/* Stored losses are counted once, including those of children that a process saved before it was
+ * stopped. */
 SERVICE_CASE(counts_what_was_stored_through_stops, 1)
 {
   enum { UNTIL = 12, STOPS = 4 };
@@ -118,7 +119,8 @@ SERVICE_CASE(counts_what_was_stored_through_stops, 1)
   CHECK(ends_as_plain(id, &origin));
   const uint64_t stored = idle_stats().campaign_rollouts;
   fake_plan.delay_us = 10000;
-  request.record.settings.racing = MO_RACING_OFF; /* children have some losses, and get the rest */
+  request.record.settings.racing =
+      MO_RACING_OFF; /* children have some of their losses, and get the rest */
   origin = origin_of(&request);
   id = submit_campaign(&request);
   for (uint32_t stop = 0; stop < STOPS; stop++) {
@@ -137,8 +139,8 @@ SERVICE_CASE(counts_what_was_stored_through_stops, 1)
   CHECK_INT(cached, stored);
 }
 
-/* Listed designs, in a smaller workspace; then another campaign that begins with what the first
- * ended with. */
+/* Listed designs in a smaller workspace; then another campaign that starts with the final
+ * population of the first. */
 SERVICE_CASE(begins_with_what_is_given, 1)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
@@ -147,7 +149,7 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   struct mo_bits inherited[4];
   uint32_t n = 0;
   for (uint32_t i = 0; i < 3;
-       i++) { /* columns of 1, 2, 3 voxels along y: only turned do they fit */
+       i++) { /* columns of 1, 2 or 3 voxels along y: they fit only if turned */
     for (uint32_t y = 0; y <= i; y++)
       listed[i].words[(y * 4) / 64] |= UINT64_C(1) << (y * 4) % 64;
     mo_genotype_place(MO_DEFAULT_WORKSPACE, listed[i].words);
@@ -163,7 +165,7 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   REQUIRE(mo_store_campaign_population(store, id, -1, 0, designs, POPULATION, &n) == POPULATION);
   request = campaign(MO_ZERO_SHOT);
   request.record.initial_campaign = id;
-  request.record.settings.population = 4; /* the best of them */
+  request.record.settings.population = 4; /* the best designs of the first campaign */
   for (int i = 0; i < 4; i++)
     memcpy(inherited[i].words, designs[i].genotype.words, sizeof(*inherited));
   origin = origin_of(&request);
@@ -180,7 +182,7 @@ SERVICE_CASE(begins_with_what_is_given, 1)
   free(history);
 }
 
-/* ---- what is reported ---- */
+/* ---- reports ---- */
 
 SERVICE_CASE(reports_its_generations, 1)
 {
@@ -190,8 +192,8 @@ SERVICE_CASE(reports_its_generations, 1)
   double most = 0;
   bool warned_since = false;
   int expected = 0;
-  request.record.settings.collapse_share = 1; /* any fall */
-  request.record.settings.seed = 2;           /* there is one */
+  request.record.settings.collapse_share = 1; /* the threshold: any drop */
+  request.record.settings.seed = 2;           /* set if there was one */
   snprintf(request.record.name, sizeof(request.record.name), "walker");
   fake_plan.delay_us = 2000;
   int64_t id = submit_campaign(&request);
@@ -206,7 +208,8 @@ SERVICE_CASE(reports_its_generations, 1)
   CHECK_TEXT(events[n - 1].type, "job.finished");
   REQUIRE(mo_store_campaign_generations(store, id, -1, 1, rows, GENERATIONS + 1) ==
           GENERATIONS + 1);
-  for (int g = 0; g <= GENERATIONS; g++) { /* once of every fall, again only after a new maximum */
+  for (int g = 0; g <= GENERATIONS;
+       g++) { /* one event for every drop, and the next only after a new maximum */
     if (rows[g].stats.diversity > most) {
       most = rows[g].stats.diversity;
       warned_since = false;
@@ -229,7 +232,8 @@ SERVICE_CASE(reports_its_generations, 1)
   CHECK_INT(live_of(id + 7).phase, MO_PHASE_IDLE);
 }
 
-/* What it shows to work on is never a generation behind its last, also while the end is saved. */
+/* The reported work is never a generation behind the last commit, even while the end is being
+ * saved. */
 SERVICE_CASE(shows_no_generation_behind_its_last, 1)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
@@ -254,9 +258,9 @@ static const struct check_case cases[] = {
     {"evolves in every mode", evolves_in_every_mode},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
-    {"computes no stored loss of a child that was cut", scores_no_loss_twice},
-    {"counts what was stored through stops", counts_what_was_stored_through_stops},
-    {"begins with what is given", begins_with_what_is_given},
+    {"recomputes no stored loss of a child that was cut short", scores_no_loss_twice},
+    {"counts stored losses across stops", counts_what_was_stored_through_stops},
+    {"starts with given designs", begins_with_what_is_given},
     {"reports its generations", reports_its_generations},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
 #endif

@@ -1,12 +1,12 @@
-/* crash.c: what a kill costs: a process that runs a campaign is killed with SIGKILL at random
- * moments, again and again, until the campaign is done.
+/* crash.c: the cost of a kill. A process that runs a campaign is repeatedly killed with SIGKILL at
+ * random moments until the campaign is done.
  *
  * A child opens the state folder, submits the campaign under a key, and computes with the fake back
  * end, which counts what it computes. The parent kills it and starts the next child. At the end the
- * campaign is as an undisturbed one, and a kill cost no more than what was in flight or waited for
- * its commit. tests/crash does the same to the daemon, and to evaluations.
+ * campaign must equal an undisturbed one, and each kill must have cost only work that was in flight
+ * or waiting for its commit. tests/crash does the same to the daemon, and to evaluations.
  *
- * MORPHO_CRASH_KILLS: how many times at least, in each mode (default 10). */
+ * MORPHO_CRASH_KILLS: minimum number of kills in each mode (default 10). */
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/wait.h>
@@ -20,8 +20,8 @@
 /* In memory that the processes share. */
 struct shared {
   struct fake_count count;
-  atomic_bool acknowledged; /* in any life */
-  atomic_bool runs;         /* this life is at work */
+  atomic_bool acknowledged; /* by all processes together */
+  atomic_bool runs;         /* the current process has started to work */
 };
 
 static struct shared *shared;
@@ -44,7 +44,7 @@ static struct mo_campaign_request long_campaign(int mode)
 {
   struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
   request.record.settings.generations = LONG_GENERATIONS;
-  request.record.checkpoint_every_s = 0; /* only at the end of each generation's learning */
+  request.record.checkpoint_every_s = 0; /* only at the end of learning in each generation */
   request.job.key.text = "one campaign";
   return request;
 }
@@ -57,7 +57,8 @@ static bool live_on_campaign(int mode)
   fake_plan.delay_us = BLOCK_US;
   fake_plan.gradient_delay_us = STEP_US;
   int error = mo_jobs_submit_campaign(service.jobs, &request, &id, &replayed, NULL);
-  /* It was refused, is another job, or was acknowledged before and is now unknown. */
+  /* The submission was refused, returned another job, or was acknowledged before and is now
+   * unknown. */
   if (error != MO_OK || id != 1 || (atomic_exchange(&shared->acknowledged, true) && !replayed))
     return false;
   atomic_store(&shared->runs, true);
@@ -74,18 +75,20 @@ static void check_campaign(int mode, int kills)
   needs(&origin, &rollouts, &robots);
   rollouts = atomic_load(&shared->count.rollouts) - rollouts;
   robots = atomic_load(&shared->count.robots) - robots;
-  printf("# %s: %d kills; %.1f blocks and %.1f learning steps were computed again per kill\n",
-         mo_campaign_mode_words[mode], kills, (double)rollouts / MO_PAPER_TEST_COUNT / kills,
+  printf("# %s: %d kills; %.1f blocks and %.1f learning steps were recomputed per kill
+         ",
+         mo_campaign_mode_words[mode],
+         kills, (double)rollouts / MO_PAPER_TEST_COUNT / kills,
          (double)robots / POPULATION / kills);
-  /* Two blocks per worker are in flight or wait for their commit; a generation's learning starts
-   * over. */
+  /* Two blocks per worker are in flight or wait for their commit; learning in the current
+   * generation restarts. */
   CHECK(rollouts <= (uint64_t)kills * 2 * 7 * MO_PAPER_TEST_COUNT);
   CHECK(robots <= (uint64_t)kills * (PARENT_STEPS + CHILD_STEPS) * POPULATION);
 }
 
-/* ---- lives ---- */
+/* ---- processes ---- */
 
-/* Never returns: killed from outside, or done. */
+/* Runs in a child process and never returns: the process is killed, or exits when done. */
 static void live(int mode, uint32_t n_workers)
 {
   service.n_workers = n_workers;
@@ -99,9 +102,9 @@ static void live(int mode, uint32_t n_workers)
   _exit(0);
 }
 
-/* Waits until the child has done so much work, and up to a block longer; false: it has ended, or
- * makes no progress. So a kill hits a job at work on any machine. work 0: soon after a submission.
- */
+/* Waits until the child has done this much work, up to one block more. Returns false if it has
+ * ended or makes no progress. A kill therefore hits a job at work on any machine. work 0: soon
+ * after a submission. */
 static bool await_work(pid_t child, uint64_t work)
 {
   const uint64_t before = work_done();
@@ -116,8 +119,8 @@ static bool await_work(pid_t child, uint64_t work)
   return work > 0;
 }
 
-/* Lives until the work is done, most of which are killed while `kills_left` lasts. Returns the
- * number of kills; *at_work: of those that hit a job at work. */
+/* Starts processes until the work is done, and kills most of them while `kills_left` lasts. Returns
+ * the number of kills; *at_work: how many hit a job at work. */
 static int run_lives(int mode, int kills_left, uint64_t all_work, int *at_work)
 {
   static const uint32_t workers[] = {1, 2, 7};
@@ -153,7 +156,7 @@ static void check_mode(int mode)
   uint64_t rollouts = 0, robots = 0;
   int all = 0, at_work = 0;
   needs(&origin, &rollouts, &robots);
-  while (all < wanted) { /* until there are so many kills */
+  while (all < wanted) { /* repeated until there were enough kills */
     REQUIRE_OK(service_begin());
     memset(shared, 0, sizeof(*shared));
     int kills = run_lives(mode, wanted - all, (rollouts + robots) / 4, &at_work);
@@ -176,5 +179,5 @@ static void loses_nothing(void)
   munmap(shared, sizeof(*shared));
 }
 
-static const struct check_case cases[] = {{"loses nothing that it acknowledged", loses_nothing}};
+static const struct check_case cases[] = {{"loses nothing acknowledged", loses_nothing}};
 CHECK_MAIN(cases)

@@ -21,7 +21,7 @@ struct fake_count *fake_count;
 static pthread_mutex_t history_mutex = PTHREAD_MUTEX_INITIALIZER;
 static int64_t history[HISTORY_MAX];
 static size_t n_history;
-static double weights[WEIGHTS]; /* by tag, modulo */
+static double weights[WEIGHTS]; /* by tag, modulo the size */
 
 struct mo_compute_controller {
   const struct mo_controller *controller;
@@ -145,7 +145,7 @@ static bool is_cancelled(const volatile int *cancel)
   return cancel != NULL && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
 }
 
-/* Sleeps. false: cancelled meanwhile. */
+/* Sleeps. Returns false if the block was cancelled in the meantime. */
 static bool pass(int delay_us, const volatile int *cancel)
 {
   for (int waited = 0; waited < delay_us && !is_cancelled(cancel); waited += 200)
@@ -180,7 +180,7 @@ static int run_block(struct mo_block *block)
   return MO_OK;
 }
 
-/* Every block takes a worker a millisecond. */
+/* Every block takes a worker one millisecond. */
 static void charge(struct mo_compute_share *share, int64_t tag)
 {
   double weight = 0;
@@ -306,7 +306,7 @@ struct mo_gradient_state {
   struct mo_compute *compute;
 };
 
-/* Rollouts that are stored nowhere are tested with the real back end. */
+/* Rollouts that are not stored anywhere are tested with the real back end. */
 int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
 {
   (void)compute;
@@ -388,7 +388,7 @@ const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_pre
   return precision == MO_FLOAT64 ? "fake float64" : "fake float32";
 }
 
-/* ---- what has no effect here; devices: there are none ---- */
+/* ---- functions without effect here; there are no devices ---- */
 
 #define ONLY(type, value, name, ...)                                                               \
   type name(__VA_ARGS__)                                                                           \

@@ -1,4 +1,4 @@
-/* fakes.h: small jobs on the fake back end, and what they must end with. */
+/* fakes.h: small jobs on the fake back end, and their expected results. */
 #ifndef MORPHO_TESTS_JOBS_FAKES_H
 #define MORPHO_TESTS_JOBS_FAKES_H
 
@@ -31,7 +31,7 @@ static const struct plain fake_plain = {fake_plain_loss, fake_plain_gradient, NU
 
 /* ---- evaluations ---- */
 
-/* Whether the results of an evaluation are, bit for bit, what the fake back end gives. */
+/* Returns whether the results of an evaluation are, bit for bit, those of the fake back end. */
 static inline bool results_right(int64_t id, const struct mo_bits *genotypes,
                                  enum mo_precision precision,
                                  const struct mo_controller *controller)
@@ -58,7 +58,7 @@ static inline bool results_right(int64_t id, const struct mo_bits *genotypes,
   return is_right;
 }
 
-/* Whether an evaluation succeeds with these. */
+/* Returns whether an evaluation succeeds with these losses. */
 static inline bool right(int64_t id, const struct mo_bits *genotypes)
 {
   if (!succeeds(id, NULL))
@@ -93,7 +93,7 @@ static inline struct mo_training_request pretraining(const char *name)
   return request;
 }
 
-/* The hash of the file that a training must end with. parent_digits, lineage: as in
+/* Returns the hash of the file that a training must export. parent_digits, lineage: as in
  * mo_training_export. */
 static inline struct mo_sha256 expect(const struct mo_training_request *request,
                                       const struct mo_controller *parent, const char *parent_digits,
@@ -112,7 +112,7 @@ static inline struct mo_sha256 expect(const struct mo_training_request *request,
 
 static const struct mo_training_lineage one_code = {1, {{0, "fake gradient"}}};
 
-/* That of pretraining(""). */
+/* The same for pretraining(""). */
 static inline const struct mo_sha256 *undisturbed(void)
 {
   static struct mo_sha256 sha256;
@@ -131,7 +131,7 @@ static inline struct mo_training_status training_of(int64_t id)
   return status;
 }
 
-/* Whether a training succeeds with this result and without an attempt that counts. */
+/* Returns whether a training succeeds with this result and without an attempt that counts. */
 static inline bool learns_to(int64_t id, const struct mo_sha256 *expected)
 {
   struct mo_job job;
@@ -173,7 +173,7 @@ static inline struct mo_campaign_request campaign(enum mo_campaign_mode mode)
   return request;
 }
 
-/* The file of the default controller, as put_weights stores it. */
+/* Returns the file of the default controller, as put_weights stores it. */
 static inline const char *default_digits(void)
 {
   static char digits[MO_SHA256_DIGITS + 1];
@@ -213,14 +213,14 @@ static inline struct mo_campaign_status status_of(int64_t id)
   return status;
 }
 
-/* Awaits this phase in this generation or a later one. */
+/* Waits for this phase in this generation or a later one. */
 static inline bool await_place(int64_t id, uint32_t generation, enum mo_phase phase)
 {
   struct mo_live live;
   return AWAIT((live = live_of(id)).position >= generation && live.phase == phase);
 }
 
-/* Whether a campaign succeeds, with everything that plain loops give. */
+/* Returns whether a campaign succeeds with the history that plain loops compute. */
 static inline bool ends_as_plain(int64_t id, const struct origin *origin)
 {
   struct mo_job job;
@@ -232,9 +232,9 @@ static inline int extend(int64_t id, uint32_t generations)
   return mo_jobs_extend_campaign(service.jobs, id, generations, NULL, &fixture.message);
 }
 
-/* ---- jobs that learn or evolve, for what all of them must do ---- */
+/* ---- trainings and campaigns, for behavior that they share ---- */
 
-enum { TRAINING = -1 }; /* beside the modes of campaigns */
+enum { TRAINING = -1 }; /* in addition to the modes of campaigns */
 
 static inline int64_t submit_one(int mode)
 {
@@ -245,8 +245,8 @@ static inline int64_t submit_one(int mode)
   return submit_campaign(&request);
 }
 
-/* Whether a job of submit_one ends as if nothing had disturbed it. Learning is most of the work of
- * these tests, so what plain loops give is computed once for each mode. */
+/* Returns whether a job of submit_one ends as if it had not been disturbed. Learning dominates the
+ * time of these tests, so the history from plain loops is computed once for each mode. */
 static inline bool ends_right(int64_t id, int mode)
 {
   static struct history *known[MO_SIMULTANEOUS + 1];
@@ -260,7 +260,7 @@ static inline bool ends_right(int64_t id, int mode)
   return succeeds(id, &job) && job.attempts == 0 && is_history(id, known[mode]);
 }
 
-/* The rollouts and learning robots of a campaign of which nothing is computed twice. */
+/* Returns the rollouts and learning robots of a campaign in which nothing is computed twice. */
 static inline void needs(const struct origin *origin, uint64_t *rollouts, uint64_t *robots)
 {
   struct history *history = plain_history(&fake_plain, origin);

@@ -1,4 +1,5 @@
-/* jobs.c: the scheduler with a fake back end: what is computed, in which order, and what is not. */
+/* jobs.c: the scheduler with a fake back end: what is computed, in which order, and what is not
+ * computed. */
 
 #include "fakes.h"
 
@@ -32,7 +33,7 @@ SERVICE_CASE(computes_nothing_twice, 0)
   struct mo_evaluation_request request = service_request(genotypes, 30);
   request.job.priority = MO_BATCH;
   int64_t first = submit_evaluation(&request);
-  request = service_request(genotypes + 10, 30); /* 20 of them the same, at the same time */
+  request = service_request(genotypes + 10, 30); /* 20 of them with equal seeds, at the same time */
   request.job.priority = MO_BATCH;
   int64_t second = submit_evaluation(&request);
   CHECK(succeeds(first, &job));
@@ -40,7 +41,7 @@ SERVICE_CASE(computes_nothing_twice, 0)
   CHECK_INT(computed(), 400);
   CHECK(right(first, genotypes));
   CHECK(right(second, genotypes + 10));
-  /* The same design twice in one request, and again after a restart: from the store. */
+  /* The same design twice in one request, and again after a restart: losses come from the store. */
   for (int i = 0; i < 20; i++)
     twice[i] = genotypes[30 + i / 2];
   REQUIRE_OK(service_reopen());
@@ -49,13 +50,13 @@ SERVICE_CASE(computes_nothing_twice, 0)
   CHECK_INT(computed(), 0);
   CHECK_INT(job.rollouts_cached, 200);
   CHECK(right(third, twice));
-  /* New ones, doubled within one request. */
+  /* New designs, each twice in one request. */
   genotypes = bodies(77, 10);
   for (int i = 0; i < 20; i++)
     twice[i] = genotypes[i % 10];
   third = evaluate(twice, 20);
   CHECK(succeeds(third, &job));
-  CHECK(computed() > 50 && computed() <= 100); /* some small bodies came before */
+  CHECK(computed() > 50 && computed() <= 100); /* some small bodies were seen before */
   CHECK_INT(job.rollouts_cached, 200 - computed());
   CHECK(right(third, twice));
 }
@@ -73,7 +74,7 @@ SERVICE_CASE(puts_interactive_first_and_shares, 0)
   urgent = evaluate(genotypes + 200, 1);
   CHECK(succeeds(urgent, &job));
   CHECK_INT(job.priority, MO_INTERACTIVE);
-  /* The two others take 0.4 s more. */
+  /* The two others take 0.4 s longer. */
   CHECK(state_of(a) == MO_JOB_RUNNING && state_of(b) == MO_JOB_RUNNING);
   (void)end_of(a);
   (void)end_of(b);
@@ -85,7 +86,7 @@ SERVICE_CASE(puts_interactive_first_and_shares, 0)
   CHECK(of_a >= 15 && of_b >= 15);
 }
 
-/* Ends a running job of long blocks, and returns whether they were broken off at once. */
+/* Ends a running job with long blocks, and returns whether they were interrupted at once. */
 static bool breaks_off(const struct mo_bits *genotypes,
                        int (*request)(struct mo_jobs *jobs, int64_t id), int64_t *id)
 {
@@ -109,7 +110,7 @@ SERVICE_CASE(cancels_pauses_resumes, 0)
   CHECK_INT(mo_jobs_cancel(service.jobs, 1234), MO_ERR_NOT_FOUND);
   CHECK(breaks_off(genotypes, mo_jobs_pause, &id));
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
-  /* Paused in the middle: what is done stays done. */
+  /* Paused in the middle: completed work is kept. */
   fake_plan.delay_us = 200000;
   id = evaluate(genotypes, 50);
   CHECK(AWAIT(computed() > 0));
@@ -127,7 +128,7 @@ SERVICE_CASE(cancels_pauses_resumes, 0)
   CHECK(succeeds(id, NULL));
   CHECK_INT(computed(), 500);
   CHECK(right(id, genotypes));
-  /* Paused and resumed at once, many times. */
+  /* Paused and immediately resumed, many times. */
   genotypes = bodies(5, 60);
   fake_plan.delay_us = 50000;
   id = evaluate(genotypes, 60);
@@ -136,7 +137,7 @@ SERVICE_CASE(cancels_pauses_resumes, 0)
     CHECK_OK(mo_jobs_resume(service.jobs, id));
     usleep((useconds_t)(i * 100));
   }
-  /* A shared rollout outlives the job that started it. */
+  /* A shared rollout survives the job that started it. */
   other = evaluate(genotypes, 60);
   usleep(5000);
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
@@ -144,8 +145,8 @@ SERVICE_CASE(cancels_pauses_resumes, 0)
   CHECK(right(other, genotypes));
 }
 
-/* Whatever kind of job: nothing is computed twice, its own work is not "cached", and its counts
- * never go back. */
+/* For any kind of job: nothing is computed twice, a job's own work is not "cached", and its counts
+ * never decrease. */
 static void counts_through_pauses(void)
 {
   enum { DESIGNS = 200, ROLLOUTS = DESIGNS * 10, ROUNDS = 12 };
@@ -155,8 +156,8 @@ static void counts_through_pauses(void)
     bool back = false;
     REQUIRE_OK(service_start(0));
     const struct mo_bits *genotypes = bodies(31, DESIGNS);
-    fake_plan.delay_us =
-        10000; /* some blocks end between two pauses, which break off the others; it does not end */
+    fake_plan.delay_us = 10000; /* some blocks end between two pauses, which interrupt the others;
+                                   the job does not end */
     struct mo_evaluation_request request = service_request(genotypes, DESIGNS);
     request.verify = kind == 1;
     request.record = kind == 2 ? MO_RECORD_COM : 0;
@@ -176,7 +177,7 @@ static void counts_through_pauses(void)
     CHECK(!back);
     CHECK(!mo_job_state_is_final(job.state));
     CHECK(AWAIT(computed() > 0));
-    /* Paused for good: what was in flight ends and is counted. */
+    /* Paused for a long time: work in flight ends and is counted. */
     CHECK_OK(mo_jobs_pause(service.jobs, id));
     usleep(400000);
     first = computed();
@@ -185,7 +186,7 @@ static void counts_through_pauses(void)
     CHECK_INT(job.state, MO_JOB_PAUSED);
     CHECK_INT(job.rollouts_done, first);
     CHECK_INT(job.rollouts_cached, 0);
-    /* And by another process. */
+    /* Resumed by another process. */
     REQUIRE_OK(service_reopen());
     CHECK_INT(job_of(id).rollouts_done, first);
     fake_plan.delay_us = 300000;
@@ -201,8 +202,8 @@ static void counts_through_pauses(void)
   }
 }
 
-/* One client pauses, another resumes before the scheduler has looked: the request finds a job that
- * is to run. */
+/* One client pauses and another resumes before the scheduler has reacted: by then the job is
+ * supposed to run again. */
 SERVICE_CASE(survives_a_late_request, 0)
 {
   struct mo_job job;
@@ -219,8 +220,8 @@ SERVICE_CASE(survives_a_late_request, 0)
   CHECK(right(id, genotypes));
 }
 
-/* Another process holds the database: what is computed meanwhile has to stay in memory, so it must
- * have an end. */
+/* Another process holds the database. Results have to stay in memory in the meantime, so their
+ * number must be bounded. */
 SERVICE_CASE(waits_for_a_slow_store, 0)
 {
   enum { DESIGNS = 4000, IN_MEMORY = 16384 + 5000 };
@@ -235,7 +236,7 @@ SERVICE_CASE(waits_for_a_slow_store, 0)
   sqlite3_busy_timeout(db, 5000);
   REQUIRE(sqlite3_exec(db, "BEGIN IMMEDIATE", NULL, NULL, NULL) == SQLITE_OK);
   fake_plan.delay_us = 0;
-  for (int i = 0; i < 300; i++) { /* until nothing is computed any more */
+  for (int i = 0; i < 300; i++) { /* until nothing more is computed */
     usleep(100000);
     stats = stats_of();
     if (stats.rollouts_computed == before && stats.blocks_in_flight == 0)
@@ -296,7 +297,7 @@ SERVICE_CASE(verifies, 0)
   CHECK(isnan(results->stored_losses[70]) && !isnan(results->losses[70]));
   mo_evaluation_results_free(results);
   CHECK(right(id, genotypes));
-  /* As if other code had computed them. */
+  /* As if different code had computed them. */
   fake_plan.skew = 1;
   id = submit_evaluation(&request);
   CHECK(succeeds(id, &job));
@@ -313,7 +314,7 @@ SERVICE_CASE(records, 0)
   struct mo_trajectory *trajectory = NULL;
   int64_t id;
   const struct mo_bits *genotypes = bodies(8, 3);
-  for (int round = 0; round < 2; round++) { /* recorded even when the scores are known */
+  for (int round = 0; round < 2; round++) { /* recorded even if the scores are known */
     request = service_request(genotypes, 3);
     request.record = MO_RECORD_COM | MO_RECORD_MASSES;
     id = submit_evaluation(&request);
@@ -342,7 +343,7 @@ static struct mo_evaluation_results *results_of(int64_t id)
   return results;
 }
 
-/* Whether two evaluations of the same designs say the same. */
+/* Returns whether two evaluations of the same designs have the same results. */
 static bool same_results(const struct mo_evaluation_results *a,
                          const struct mo_evaluation_results *b)
 {
@@ -355,8 +356,8 @@ static bool same_results(const struct mo_evaluation_results *a,
   return same;
 }
 
-/* Whether the best of `whole`, with those that equal the last of them, have their scores in
- * `raced`, and all others a score or a lower bound that is worse. */
+/* Returns whether the best designs of `whole` (including ties with the last of them) have the same
+ * scores in `raced`, and all others have a worse score or a worse lower bound. */
 static bool has_best(const struct mo_evaluation_results *raced,
                      const struct mo_evaluation_results *whole, uint32_t k)
 {
@@ -367,7 +368,7 @@ static bool has_best(const struct mo_evaluation_results *raced,
       better += whole->scores[j] < whole->scores[i];
     is_right = is_right && (raced->is_bound[i] ? better >= k && raced->scores[i] <= whole->scores[i]
                                                : same_number(raced->scores[i], whole->scores[i]));
-    better = 0; /* the bound alone shows that it is not among the best */
+    better = 0; /* the bound itself shows that it is not among the best */
     for (uint32_t j = 0; j < whole->n_designs; j++)
       better += !raced->is_bound[j] && raced->scores[j] < raced->scores[i];
     is_right = is_right && (!raced->is_bound[i] || better >= k);
@@ -375,8 +376,8 @@ static bool has_best(const struct mo_evaluation_results *raced,
   return is_right;
 }
 
-/* The same result and no rollout more after pauses and restarts, with more workers, and where
- * losses are known; a later evaluation of the rest does not change it. */
+/* Pauses, restarts, more workers and known losses lead to the same result without an additional
+ * rollout; a later evaluation of the rest does not change it. */
 SERVICE_CASE(finds_the_best, 0)
 {
   enum { DESIGNS = 300, BEST = 7 };
@@ -445,9 +446,9 @@ static const struct check_case cases[] = {
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
     {"counts through pauses", counts_through_pauses},
-    {"survives a request that comes late", survives_a_late_request},
+    {"survives a late request", survives_a_late_request},
     {"waits for a slow store", waits_for_a_slow_store},
-    {"parks at a stop and goes on after it", parks_and_goes_on},
+    {"parks at a stop and continues after it", parks_and_goes_on},
     {"verifies bits", verifies},
     {"records", records},
     {"finds the best", finds_the_best},

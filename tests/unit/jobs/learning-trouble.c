@@ -1,5 +1,5 @@
-/* learning-trouble.c: errors, damage and lack of space: trainings and campaigns wait, try again,
- * and end as if nothing had been. */
+/* learning-trouble.c: errors, damage and lack of space: trainings and campaigns wait, retry, and
+ * end as if nothing had happened. */
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/resource.h>
@@ -7,9 +7,9 @@
 #include "../store/fault_vfs.h"
 #include "fakes.h"
 
-/* ---- both ---- */
+/* ---- trainings and campaigns ---- */
 
-/* No file may grow beyond so many bytes: the database can, checkpoints cannot. */
+/* Limits the size of files: the database fits, checkpoints do not. */
 static void limit_files(rlim_t bytes)
 {
   struct rlimit limit;
@@ -25,16 +25,16 @@ enum { LAST_MODE = TRAINING };
 enum { LAST_MODE = MO_FEW_SHOT };
 #endif
 
-/* Whether only this job is shown as waiting. */
+/* Returns whether only this job is shown as waiting. */
 static bool only_waits(int64_t id)
 {
   int64_t waiting[MO_WAITING_MAX] = {0};
   return mo_jobs_waiting(service.jobs, waiting) == 1 && waiting[0] == id;
 }
 
-/* What becomes of a job that waits for something: it can be paused, resumed and cancelled, and the
- * process can stop meanwhile; `shorten` takes away what it waits for, or gives it back. stopped:
- * what mo_jobs_stop returns. */
+/* Tests a job that waits for a resource: it can be paused, resumed and cancelled, and the process
+ * can stop in the meantime. `shorten` takes the resource away, or gives it back. stopped: the
+ * expected result of mo_jobs_stop. */
 static void check_waiting(int mode, int64_t id, void (*shorten)(int mode, bool is_short),
                           int stopped)
 {
@@ -51,7 +51,7 @@ static void check_waiting(int mode, int64_t id, void (*shorten)(int mode, bool i
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   CHECK(await_phase(id, MO_PHASE_IDLE));
   CHECK(is_soon_after(begin));
-  id = submit_one(mode); /* stopped while it waits: what is not saved is done again */
+  id = submit_one(mode); /* stopped while it waits: unsaved work is repeated */
   REQUIRE(await_phase(id, MO_PHASE_WAIT));
   begin = now_s();
   CHECK_INT(mo_jobs_stop(service.jobs, STOP_MS), stopped);
@@ -86,7 +86,7 @@ static void waits_for_room(void)
   }
 }
 
-/* Gradients, or the blocks of a zero-shot or few-shot campaign, end with an error so many times. */
+/* Makes a number of gradients fail, or of blocks if the campaign does not learn. */
 static void break_down(int mode, int times, int status)
 {
   const bool blocks = mode == MO_ZERO_SHOT || mode == MO_FEW_SHOT;
@@ -99,11 +99,11 @@ static void shorten_memory(int mode, bool is_short)
   break_down(mode, is_short ? 1000 : 0, MO_ERR_NO_MEMORY);
 }
 
-/* Lack of memory is no fault of a job: it waits, as often as it takes, and loses nothing. */
+/* Lack of memory is not the job's fault: it waits as often as necessary, and loses nothing. */
 static void waits_for_memory(void)
 {
   for (int mode = TRAINING; mode <= MO_FEW_SHOT; mode += 2) {
-    const int often = mode == TRAINING ? 995 : 980; /* more often than there are attempts */
+    const int often = mode == TRAINING ? 995 : 980; /* more often than the number of attempts */
     REQUIRE_OK(service_start(1));
     shorten_memory(mode, true);
     int64_t id = submit_one(mode);
@@ -127,8 +127,8 @@ __attribute__((unused)) static void tries_three_times(void)
     CHECK_INT(idle_stats().jobs_failed, 1);
     if (modes[i] != TRAINING)
       CHECK_INT(extend(id, 1), MO_ERR_CONFLICT);
-    /* Nothing is lost: when the cause is gone, it goes on. One error is forgiven by what is saved
-     * after it. */
+    /* Nothing is lost: the job continues once the cause is gone. An error is forgiven when
+     * something is saved after it. */
     break_down(modes[i], 1, MO_ERR_IO);
     CHECK_OK(mo_jobs_resume(service.jobs, id));
     CHECK(ends_right(id, modes[i]));
@@ -139,7 +139,7 @@ __attribute__((unused)) static void tries_three_times(void)
   }
 }
 
-/* Puts right what was damaged, the second time. */
+/* Repairs the damage at the second call. */
 static bool damage(const char *path)
 {
   uint8_t bytes[6];
@@ -184,7 +184,7 @@ SERVICE_CASE(passes_over_damaged_checkpoints, 1)
   struct mo_checkpoint_row rows[5];
   fake_plan.gradient_delay_us = 20000;
   int64_t id = submit_one(TRAINING);
-  /* The newest, then all of them. */
+  /* The newest checkpoint, then all of them. */
   for (int round = 1; round <= 2; round++) {
     REQUIRE(await_step(id, 12));
     CHECK_OK(mo_jobs_stop(service.jobs, STOP_MS));
@@ -225,7 +225,7 @@ __attribute__((unused)) static void waits_for_the_database(void)
   CHECK(ends_right(id, TRAINING));
 }
 
-/* No memory, not even for the note that there was none: it is written when there is. */
+/* There is no memory, not even to store the failure: it is stored once there is memory. */
 __attribute__((unused)) static void notes_a_failure_when_it_can(void)
 {
   struct mo_training_request request = pretraining("");
@@ -246,7 +246,7 @@ __attribute__((unused)) static void notes_a_failure_when_it_can(void)
 
 /* ---- campaigns ---- */
 
-/* A workspace that holds one body, or two: what there is gets scored, and then it is over. */
+/* A workspace with room for one or two distinct bodies: they are scored, and the campaign ends. */
 SERVICE_CASE(exhausts_small_spaces, 2)
 {
   static const struct {
@@ -254,7 +254,7 @@ SERVICE_CASE(exhausts_small_spaces, 2)
     uint32_t population, n_designs;
   } spaces[] = {{{1, 1, 1}, POPULATION, 1},
                 {{2, 1, 1}, POPULATION, 2},
-                {{2, 2, 1}, 3, 4}}; /* 1, 2, L and the square */
+                {{2, 2, 1}, 3, 4}}; /* sizes 1 and 2, the L and the square */
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++)
     for (int i = 0; i < 3; i++) {
       struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
@@ -278,7 +278,7 @@ SERVICE_CASE(refuses_nan, 1)
   fake_plan.poison = true;
   struct mo_job job = end_of(submit_one(MO_SIMULTANEOUS));
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
-  /* Nor does a design that no worker survives end a campaign as if there were no more children. */
+  /* A design that fails on every worker does not end a campaign as exhausted either. */
   fake_plan.poison = false;
   fake_plan.fail_status = MO_ERR_EXHAUSTED;
   fake_plan.fail_times = 1000;
@@ -286,14 +286,15 @@ SERVICE_CASE(refuses_nan, 1)
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "the design ") != NULL);
 }
 
-/* Damages what a generation has learned at its end. */
+/* Damages the checkpoint at the end of a generation's learning. */
 static bool damage_generation(int64_t id, uint32_t generation)
 {
   return damage(path_of("campaigns/%lld/%u-%u.checkpoint", (long long)id, generation,
                         PARENT_STEPS + CHILD_STEPS));
 }
 
-/* What was learned inside a generation is learned again; what a generation left cannot be. */
+/* Learning inside a generation is repeated; the final state of a generation cannot be
+ * recomputed. */
 SERVICE_CASE(reports_damaged_checkpoints, 1)
 {
   struct mo_job job;
@@ -343,9 +344,9 @@ static const struct check_case cases[] = {
     {"waits for descriptors", waits_for_descriptors},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"tries three times", tries_three_times},
-    {"passes over damaged checkpoints", passes_over_damaged_checkpoints},
+    {"skips damaged checkpoints", passes_over_damaged_checkpoints},
     {"waits for the database", waits_for_the_database},
-    {"notes a failure when it can", notes_a_failure_when_it_can},
+    {"records a failure when it can", notes_a_failure_when_it_can},
     {"exhausts small spaces", exhausts_small_spaces},
     {"refuses losses that are not numbers", refuses_nan},
     {"reports damaged checkpoints", reports_damaged_checkpoints},

@@ -1,10 +1,10 @@
-/* memory.c: jobs that do not fit into max_memory are refused, or wait with a reason; a job
- * that gets the process killed is found. */
+/* memory.c: jobs that do not fit into max_memory are refused, or wait with a reason; a job that
+ * causes the process to be killed is identified. */
 #include "fakes.h"
 
 #define MIB ((uint64_t)1 << 20)
 
-/* Learns for hours: the set of its bodies takes some 100 MiB. */
+/* A request that learns for hours; the set of its bodies takes about 100 MiB. */
 static struct mo_training_request large(void)
 {
   struct mo_training_request request = pretraining("");
@@ -32,7 +32,7 @@ SERVICE_CASE(refuses_what_never_fits, 1)
   CHECK_SAYS(fixture.message, "max_memory");
   evolves.record.settings.population = MO_POPULATION_MAX;
   CHECK_INT(submit_campaign(&evolves), MO_ERR_LIMIT);
-  /* The one that is stored waits, and is in nobody's way. */
+  /* The job that is already stored waits, and does not block other jobs. */
   CHECK(await_reason(id, "jobs can have 136 MiB"));
   CHECK(succeeds(submit_one(TRAINING), NULL));
   CHECK_INT(state_of(id), MO_JOB_QUEUED);
@@ -51,7 +51,7 @@ SERVICE_CASE(waits_beside_others, 1)
   int64_t second = submit_training(&request);
   CHECK(await_reason(second, "free of the 236 MiB"));
   CHECK_INT(state_of(second), MO_JOB_QUEUED);
-  /* Those that fit go first, but not without end. */
+  /* Jobs that fit may go first, but not indefinitely. */
   for (int i = 0; i < 8; i++)
     CHECK(succeeds(submit_one(TRAINING), NULL));
   int64_t id = submit_one(TRAINING);
@@ -61,7 +61,7 @@ SERVICE_CASE(waits_beside_others, 1)
   CHECK(await_state(second, MO_JOB_RUNNING));
   CHECK(succeeds(id, NULL));
   CHECK(live_of(second).phase != MO_PHASE_WAIT);
-  /* Who waits and is paused holds up nobody. */
+  /* A waiting job that is paused does not hold up others. */
   first = submit_training(&request);
   CHECK(await_reason(first, "MiB"));
   CHECK_OK(mo_jobs_pause(service.jobs, first));
@@ -72,7 +72,7 @@ SERVICE_CASE(waits_beside_others, 1)
   CHECK_OK(mo_jobs_cancel(service.jobs, first));
 }
 
-/* As if the process had been killed while these ran. */
+/* As if the process had been killed while these jobs ran. */
 static int kill_with(int64_t first, int64_t second)
 {
   service_close();
@@ -93,8 +93,8 @@ SERVICE_CASE(finds_who_has_it_killed, 2)
   }
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_HAS(job.error_text, "killed while it ran this job, before the job had saved");
-  /* Of two nobody knows which it was: they run one after the other, until the first has saved
-   * something. */
+  /* With two jobs, it is unknown which one caused the kill: they run one after the other until the
+   * first has saved something. */
   id = submit_one(TRAINING);
   int64_t other = submit_one(TRAINING);
   REQUIRE(await_state(id, MO_JOB_RUNNING));
@@ -107,11 +107,11 @@ SERVICE_CASE(finds_who_has_it_killed, 2)
   REQUIRE_OK(kill_with(id, 0));
   CHECK_INT(job_of(id).attempts, 1);
   fake_plan.gradient_delay_us = 0;
-  CHECK(ends_right(id, TRAINING)); /* the attempt is forgiven: it has gone on */
+  CHECK(ends_right(id, TRAINING)); /* the attempt is forgiven: the job has made progress */
   CHECK(ends_right(other, TRAINING));
 }
 
-/* A job that has saved its work is not blamed for one that has not. */
+/* A job that has saved its work is not blamed instead of one that has not. */
 SERVICE_CASE(blames_who_has_saved_nothing, 2)
 {
   struct mo_training_request request = pretraining("");
@@ -134,7 +134,7 @@ SERVICE_CASE(blames_who_has_saved_nothing, 2)
   CHECK_OK(mo_jobs_cancel(service.jobs, proven));
 }
 
-/* Scores that were saved since the process began count, though no generation is complete. */
+/* Scores saved since the process started count as progress, even if no generation is complete. */
 SERVICE_CASE(counts_scores_as_work, 2)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
@@ -155,7 +155,8 @@ SERVICE_CASE(counts_scores_as_work, 2)
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
 }
 
-/* After a kill that counts, a training saves its first checkpoint early, whatever its settings. */
+/* After a kill that counts, a training saves its first checkpoint early, regardless of its
+ * settings. */
 SERVICE_CASE(saves_early_after_a_kill, 1)
 {
   struct mo_training_request request = pretraining("");
@@ -174,7 +175,7 @@ SERVICE_CASE(saves_early_after_a_kill, 1)
   CHECK(now_s() - begin > 1);
   CHECK_INT(job_of(id).attempts, 0);
   const uint32_t step = row.step;
-  REQUIRE(await_step(id, step + 200)); /* 4 s: the next one comes as the settings say */
+  REQUIRE(await_step(id, step + 200)); /* after 4 s: later checkpoints follow the settings */
   REQUIRE(mo_store_checkpoints(store, id, &row, 1) > 0);
   CHECK_INT(row.step, step);
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
@@ -182,9 +183,9 @@ SERVICE_CASE(saves_early_after_a_kill, 1)
 
 static const struct check_case cases[] = {
     {"refuses what never fits", refuses_what_never_fits},
-    {"waits beside others", waits_beside_others},
-    {"finds who has it killed", finds_who_has_it_killed},
-    {"blames who has saved nothing", blames_who_has_saved_nothing},
+    {"waits without blocking others", waits_beside_others},
+    {"identifies the job that gets the process killed", finds_who_has_it_killed},
+    {"blames the job that has saved nothing", blames_who_has_saved_nothing},
     {"counts scores as work", counts_scores_as_work},
     {"saves early after a kill", saves_early_after_a_kill},
 };

@@ -1,4 +1,4 @@
-/* pace.c: the time that jobs have left, by a clock that is made up. */
+/* pace.c: the remaining time of jobs, with a simulated clock. */
 #include <math.h>
 #include <stdbool.h>
 #include <stdlib.h>
@@ -12,7 +12,7 @@
 #define WORKERS  4
 #define BLOCK    16
 
-/* A job of `total` rollouts that is claimed at 0 and computes from `begins_us` on. */
+/* A job of `total` rollouts that is claimed at time 0 and computes from `begins_us` on. */
 struct job {
   int64_t begins_us, guess_us, end_us; /* guess: the end as estimated after a tenth of the work */
   uint64_t total, submitted, done;
@@ -21,13 +21,13 @@ struct job {
 
 static struct mo_random dice;
 
-/* Blocks take very different times, as bodies do. */
+/* Durations of blocks differ widely, as those of bodies do. */
 static int64_t duration_us(void)
 {
   return 20000 + (int64_t)(mo_random_below(&dice, 400) * mo_random_below(&dice, 400));
 }
 
-/* Runs the jobs: a free worker takes a block of the job that had the fewest. */
+/* Runs the jobs: a free worker takes a block of the job that has received the fewest. */
 static void run(struct job *jobs, unsigned n)
 {
   struct {
@@ -75,7 +75,7 @@ static void run(struct job *jobs, unsigned n)
 static bool is_near(const struct job *job)
 {
   const int64_t now_us = job->guess_us, end_us = job->end_us;
-  return llabs(now_us - end_us) < end_us * 27 / 100; /* 0.3 of the nine tenths that are left */
+  return llabs(now_us - end_us) < end_us * 27 / 100; /* 0.3 of the remaining nine tenths */
 }
 
 static void begin(void)
@@ -102,7 +102,7 @@ static void eight_at_a_time(void)
     CHECK(is_near(&jobs[i]));
 }
 
-/* The time before its first results is not part of its rate. */
+/* The time before a job's first results does not count in its rate. */
 static void after_a_wait(void)
 {
   begin();
@@ -111,7 +111,7 @@ static void after_a_wait(void)
   CHECK(llabs(job.guess_us - job.end_us) < (job.end_us - job.begins_us) * 27 / 100);
 }
 
-/* A rate is that of the last seconds, and unknown at first. */
+/* A rate covers the last seconds, and is unknown at first. */
 static void follows(void)
 {
   struct mo_pace pace = {0};
@@ -126,7 +126,7 @@ static void follows(void)
   for (; now_us < 60000000; now_us += 100000)
     mo_pace_add(&pace, now_us, done += 80);
   CHECK(fabs(mo_pace_rate(&pace, now_us) - 800) < 1e-9);
-  /* When nothing comes any more, it falls. */
+  /* It drops when no results arrive any more. */
   CHECK(mo_pace_rate(&pace, now_us + 1000000000) < 20);
 }
 
@@ -134,6 +134,6 @@ static const struct check_case cases[] = {
     {"one job alone", alone},
     {"eight jobs at a time", eight_at_a_time},
     {"a job that waits for its first results", after_a_wait},
-    {"a rate is that of the last seconds", follows},
+    {"a rate covers the last seconds", follows},
 };
 CHECK_MAIN(cases)

@@ -1,20 +1,20 @@
-/* races.c: whole campaigns, with and without races, on a disk whose power fails: the same
+/* races.c: whole campaigns, with and without races, on a disk that loses power: the same
  * populations, births, deaths and controllers, bit for bit, for any number of workers.
  *
- * Plain loops give a campaign in which every child is scored to its end, and one whose children
- * race. The two must agree in everything but the scores of those that were cut short, and what the
- * store has after the cuts must be the second one. tests/crash does the same to the daemon, with
- * kills and real robots. MORPHO_RACE_SEEDS: how many seeds (default 3). */
+ * Plain loops compute a campaign in which every child is scored completely, and one in which
+ * children race. The two must agree in everything except the scores of children that were cut
+ * short, and after the power cuts the store must hold the second one. tests/crash does the same to
+ * the daemon, with kills and real robots. MORPHO_RACE_SEEDS: how many seeds (default 3). */
 #include "../store/disk.h"
 #include "fakes.h"
 
 enum { CUTS_MAX = 2 };
 
 static struct {
-  unsigned cuts, stops, cut, whole; /* stops: cuts of a campaign at work */
+  unsigned cuts, stops, cut, whole; /* number of cuts while the campaign was working */
 } seen;
 
-/* As the presets, in small: the more designs, the fewer of their children live on. */
+/* Like the presets but small: the more designs, the fewer of their children survive. */
 static struct mo_campaign_request request_of(int mode, uint32_t seed, bool is_large)
 {
   struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
@@ -29,16 +29,16 @@ static struct mo_campaign_request request_of(int mode, uint32_t seed, bool is_la
   return request;
 }
 
-/* ---- with and without ---- */
+/* ---- with and without races ---- */
 
-/* What a race changes is taken from the campaign without; all else must be the same. */
+/* Copies what a race may change from the campaign without races; everything else must be equal. */
 static void check_same_lives(const struct history *raced, const struct history *whole)
 {
   struct history *same = malloc(sizeof(*same));
   *same = *raced;
   for (uint32_t i = 0; i < same->n_designs; i++) {
     struct mo_campaign_design *one = &same->designs[i];
-    if (one->score != whole->designs[i].score) /* also of one that diverged later */
+    if (one->score != whole->designs[i].score) /* also for children that diverged later */
       CHECK(one->score < whole->designs[i].score && one->died == one->born && one->born > 0);
     one->score = whole->designs[i].score;
     one->is_cut = false;

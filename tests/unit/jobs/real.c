@@ -1,13 +1,14 @@
 /* real.c: the jobs room with the real back end, for several numbers of workers: the losses of a job
- * are those of its rollouts run alone, and what campaigns learn is what plain loops give. */
+ * equal those of its rollouts run one by one, and what campaigns learn equals the result of plain
+ * loops. */
 #include "campaign_history.h"
 #include "service.h"
 
 #define WORKERS        7
-#define BOUND          0.25 /* passed by lives this short, too */
+#define BOUND          0.25 /* even such short rollouts exceed it */
 #define RESTART_WEIGHT 2.5
 
-/* What computes one rollout or one batch alone. */
+/* Computes one rollout or one batch at a time. */
 struct alone {
   struct mo_lattice *lattice;
   struct mo_workspace_memory *memory;
@@ -34,7 +35,7 @@ static void close_alone(struct alone *alone)
   mo_lattice_free(alone->lattice);
 }
 
-/* One body in one environment, alone in its block. */
+/* Computes one body in one environment, in a block by itself. */
 static double lone_loss(void *context, const struct mo_bits *genotype,
                         const struct mo_controller *controller,
                         const struct mo_environment *environment, const struct mo_physics *physics)
@@ -71,7 +72,7 @@ static void lone_gradient(void *context, const struct mo_controller *controller,
   *counts = batch.counts;
 }
 
-/* ---- evaluations: in company or not, and after a restart ---- */
+/* ---- evaluations: alone or with others, and after a restart ---- */
 
 static void evaluates(void)
 {
@@ -94,7 +95,7 @@ static void evaluates(void)
     service.n_workers = workers[round];
     REQUIRE_OK(service_reopen());
     request.physics.scheme.n_steps = STEPS;
-    request.verify = round > 0; /* computed again, in other company */
+    request.verify = round > 0; /* recomputed, together with others */
     request.record = round == 2 ? MO_RECORD_COM : 0;
     request.record_stride = 50;
     int64_t id = submit_evaluation(&request);
@@ -171,7 +172,7 @@ static void evolves(void)
 }
 
 static const struct check_case cases[] = {
-    {"evaluates with the bits of lone rollouts", evaluates},
-    {"evolves with the bits of lone rollouts", evolves},
+    {"evaluates with the bits of single rollouts", evaluates},
+    {"evolves with the bits of single rollouts", evolves},
 };
 CHECK_MAIN(cases)

@@ -1,7 +1,7 @@
-/* refusals.c: submissions that are refused, with the words that say why. */
+/* refusals.c: requests that are refused, and the messages that say why. */
 #include "fakes.h"
 
-/* Submits `bad`, which is `good` after some changes. */
+/* Submits `bad`, which is `good` with some changes, and checks the refusal. */
 #define REFUSED(submit, error, words, ...)                                                         \
   do {                                                                                             \
     bad = good;                                                                                    \
@@ -29,7 +29,7 @@ SERVICE_CASE(of_evaluations, 0)
   bad.n_designs = 1;
   CHECK(submit_evaluation(&bad) > 0);
   CHECK_INT(submit_evaluation(&bad), MO_ERR_BUSY);
-  CHECK_INT(submit_evaluation(&good), id); /* a known key is answered even now */
+  CHECK_INT(submit_evaluation(&good), id); /* a known key still gets its reply */
   REFUSED(submit_evaluation, MO_ERR_CONFLICT, "key", mo_sha256_of("x", 1, &bad.job.key.sha256));
   CHECK_OK(mo_jobs_cancel(service.jobs, id));
   good = service_request(genotypes, 1);
@@ -68,7 +68,7 @@ SERVICE_CASE(of_campaigns, 1)
   REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "no campaign 77", bad.record.initial_campaign = 77);
   REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "no set of environments \"moon\"",
           strcpy(bad.record.environment_set, "moon"));
-  /* A key is answered with its campaign. */
+  /* A known key returns its campaign. */
   good = campaign(MO_ZERO_SHOT);
   good.job.key.text = "once";
   good.record.replicates = 3;

@@ -1,5 +1,5 @@
-/* service.h: a store, a back end and the jobs room together, in a folder of their own; what tests
- * look at while jobs run. */
+/* service.h: a store, a back end and the jobs room together, in a temporary folder; and what tests
+ * observe while jobs run. */
 #ifndef MORPHO_TESTS_JOBS_SERVICE_H
 #define MORPHO_TESTS_JOBS_SERVICE_H
 
@@ -11,9 +11,9 @@
 #include "jobs/state.h"
 #include "jobs/trainings.h"
 
-#define END_S 600 /* jobs take at most so long, also on a busy machine under a sanitizer */
-/* What comes at once comes within SOON_S, also on a slow machine with much else to do. What it must
- * not wait for takes much longer: blocks of LONG_US, and a stop that uses all of its STOP_MS. */
+#define END_S 600 /* upper bound for a job, even on a busy machine under a sanitizer */
+/* Immediate effects occur within SOON_S, even on a slow, busy machine. What they must not wait for
+ * takes much longer: blocks of LONG_US, and a stop that uses all of its STOP_MS. */
 #define SOON_S  30
 #define LONG_US 120000000
 #define STOP_MS 60000
@@ -28,8 +28,8 @@ static struct {
   uint64_t max_excluded_bytes;
 } service;
 
-/* Waits up to END_S seconds for a condition, evaluated every half millisecond. Its value is that of
- * the condition at the end. */
+/* Waits up to END_S seconds for a condition, which is evaluated every half millisecond. The result
+ * is the condition's last value. */
 #define AWAIT(condition)                                                                           \
   ({                                                                                               \
     const double await_end_s = now_s() + END_S;                                                    \
@@ -46,7 +46,7 @@ static inline bool is_soon_after(double begin_s)
 
 /* ---- warnings ---- */
 
-static char warned[256]; /* the last one */
+static char warned[256]; /* the latest one */
 static atomic_int warnings;
 static pthread_mutex_t warned_mutex = PTHREAD_MUTEX_INITIALIZER;
 
@@ -106,7 +106,8 @@ static inline void service_end(void *of_the_case)
   fixture_remove(fixture.path);
 }
 
-/* A new folder, closed: in place of the one before it, and until the end of the case. */
+/* Makes a new folder, with no store open, in place of the previous one. It is removed at the end of
+ * the case. */
 static inline int service_begin(void)
 {
   if (check_place_of(&service) < check_n_kept)
@@ -122,7 +123,7 @@ static inline int service_begin(void)
   return fixture_folder();
 }
 
-/* side_by_side: so many trainings and so many campaigns run at once; 0: as by default. */
+/* side_by_side: how many trainings, and how many campaigns, run at once; 0 = the default. */
 static inline int service_start(uint32_t side_by_side)
 {
   const int error = service_begin();
@@ -145,7 +146,7 @@ static inline void service_set_states(int64_t first, int64_t second, enum mo_job
   CHECK_OK(outside(sql));
 }
 
-/* Begins a case with an open service, as for service_start. */
+/* Begins a case with an open service; parameters as for service_start. */
 #define SERVICE_CASE(name, side_by_side)                                                           \
   static void name##_with(void);                                                                   \
   __attribute__((unused)) static void name(void)                                                   \
@@ -155,15 +156,15 @@ static inline void service_set_states(int64_t first, int64_t second, enum mo_job
   }                                                                                                \
   static void name##_with(void)
 
-/* ---- what jobs are made of ---- */
+/* ---- contents of jobs ---- */
 
-/* (n) distinct bodies, placed. */
+/* Returns (n) distinct placed bodies. */
 static inline const struct mo_bits *bodies(uint64_t seed, uint32_t n)
 {
   return make_bodies(seed, n, NULL);
 }
 
-/* The weights that put_weights stores with a seed. */
+/* Returns the weights that put_weights stores for a seed. */
 static inline struct mo_controller *weights_of(uint64_t seed)
 {
   struct mo_controller *weights = NULL;
@@ -172,7 +173,7 @@ static inline struct mo_controller *weights_of(uint64_t seed)
   return weights;
 }
 
-/* Those of "default". Call it first before there are other threads. */
+/* Returns the weights of "default". Call it for the first time before there are other threads. */
 static inline const struct mo_controller *default_weights(void)
 {
   static struct mo_controller *weights;
@@ -192,7 +193,7 @@ static inline struct mo_evaluation_request service_request(const struct mo_bits 
                                         .record_stride = 100};
 }
 
-/* submit_NAME: these return the job's id or the error. */
+/* submit_NAME return the job's id or an error. */
 #define SUBMIT(name)                                                                               \
   static inline int64_t submit_##name(const struct mo_##name##_request *request)                   \
   {                                                                                                \
@@ -228,14 +229,14 @@ static inline bool await_state(int64_t id, enum mo_job_state state)
   return AWAIT(state_of(id) == state);
 }
 
-/* The job when it is final. */
+/* Waits until the job is final and returns it. */
 static inline struct mo_job end_of(int64_t id)
 {
   CHECK(AWAIT(mo_job_state_is_final(state_of(id))));
   return job_of(id);
 }
 
-/* Whether a job succeeds; *job (nullable): at its end. */
+/* Returns whether a job succeeds; *job (nullable): its final state. */
 static inline bool succeeds(int64_t id, struct mo_job *job)
 {
   const struct mo_job ended = end_of(id);
@@ -244,7 +245,7 @@ static inline bool succeeds(int64_t id, struct mo_job *job)
   return ended.state == MO_JOB_SUCCEEDED;
 }
 
-/* The job fails, after so many attempts, with these words. */
+/* Checks that the job fails after this many attempts, with this text in its error. */
 static inline void check_failed(int64_t id, uint32_t attempts, int error, const char *words)
 {
   const struct mo_job job = end_of(id);
@@ -266,7 +267,7 @@ static inline bool await_phase(int64_t id, enum mo_phase phase)
   return AWAIT(live_of(id).phase == phase);
 }
 
-/* Whether the job comes to wait for a reason with these words. */
+/* Returns whether the job eventually waits for a reason that contains this text. */
 static inline bool await_reason(int64_t id, const char *words)
 {
   struct mo_live live;
@@ -289,7 +290,7 @@ static inline uint64_t computed(void)
   return stats_of().rollouts_computed;
 }
 
-/* The figures follow a commit by a moment, and a runner ends after its job. */
+/* Figures are updated shortly after a commit, and a runner ends after its job. */
 static inline struct mo_jobs_stats idle_stats(void)
 {
   struct mo_jobs_stats stats;
@@ -297,7 +298,7 @@ static inline struct mo_jobs_stats idle_stats(void)
   return stats;
 }
 
-/* The number of a job's events of a type. */
+/* Returns the number of a job's events of one type. */
 static inline int count_events(int64_t id, const char *type)
 {
   struct mo_event events[80];

@@ -1,19 +1,20 @@
-/* stops.c: whatever people or ends of the process do to a training or campaign, it ends as it would
- * have without them. */
+/* stops.c: no matter how clients or stops of the process interrupt a training or campaign, it ends
+ * as it would have without them. */
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/wait.h>
 
 #include "fakes.h"
 
-/* Slow enough to be met in every phase. */
+/* Slow enough that every phase can be observed. */
 static void slow_down(int mode)
 {
   fake_plan.delay_us = mode == TRAINING ? 0 : 2500;
   fake_plan.gradient_delay_us = mode == TRAINING ? 20000 : 5000;
 }
 
-/* A pause and a stop save all that is computed, but for the first waves of children that race. */
+/* A pause and a stop save everything that was computed, except for the first waves of racing
+ * children. */
 static void check_counts(int mode, const struct fake_count *count)
 {
   uint64_t rollouts = 0, robots = 0;
@@ -29,7 +30,7 @@ static void check_counts(int mode, const struct fake_count *count)
   CHECK_INT(atomic_load(&count->robots), robots);
 }
 
-/* Waits for a moment inside the job: the phases of a campaign take turns. */
+/* Waits for a certain moment inside the job: the phases of a campaign take turns. */
 static bool await_round(int64_t id, int mode, uint32_t round, bool learns)
 {
   return mode == TRAINING
@@ -90,11 +91,11 @@ static void pauses_and_resumes(void)
     check_pauses(mode);
 }
 
-/* A stop, and another number of workers in the next life. */
+/* A stop, and then another number of workers. */
 static void stops_and_goes_on(void)
 {
   static const uint32_t workers[] = {1, 7, 2};
-#ifdef __SANITIZE_THREAD__ /* slow there: one that learns alone, and one that scores, too */
+#ifdef __SANITIZE_THREAD__ /* slow there: one that only learns, and one that also scores */
   const int stride = 2;
 #else
   const int stride = 1;
@@ -122,8 +123,8 @@ static void stops_and_goes_on(void)
   }
 }
 
-/* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage
- * reports every change. */
+/* Stopped under one code version and continued under another, at any step: it continues, and the
+ * lineage reports every change. */
 SERVICE_CASE(reports_other_code, 1)
 {
   static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};
@@ -191,8 +192,8 @@ static void cancels(void)
   }
 }
 
-/* Extended while it waits, runs, is paused, and when it is over: each time as if it had been asked
- * for at once. */
+/* Extended while waiting, running, paused, and finished: each time as if the final length had been
+ * requested at once. */
 __attribute__((unused)) static void extends(void)
 {
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++) {
@@ -212,10 +213,10 @@ __attribute__((unused)) static void extends(void)
     CHECK(succeeds(id, NULL));
     CHECK_INT(idle_stats().open_jobs, 0);
     CHECK_INT(status_of(id).generation, 3);
-    for (int i = 0; i < 2; i++) /* over; the same again */
+    for (int i = 0; i < 2; i++) /* finished; the same key again */
       CHECK_OK(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL));
     CHECK_OK(extend(id, 1));
-    CHECK(AWAIT(status_of(id).generation == 5)); /* one may be over before the next */
+    CHECK(AWAIT(status_of(id).generation == 5)); /* one may finish before the next extension */
     CHECK(ends_as_plain(id, &origin));
     CHECK_INT(idle_stats().open_jobs, 0);
     CHECK_INT(extend(id, MO_GENERATIONS_MAX), MO_ERR_RANGE);
@@ -236,14 +237,14 @@ SERVICE_CASE(does_not_extend_one_cosine, 1)
   CHECK(ends_as_plain(id, &origin));
 }
 
-/* Several at once, one of them heavier, and an evaluation beside them. */
+/* Several jobs at once, one of them with a larger weight, and an evaluation along with them. */
 SERVICE_CASE(runs_side_by_side, 3)
 {
   struct mo_campaign_request requests[3];
   struct origin origins[3];
   int64_t ids[3], other;
   const struct mo_bits *genotypes = bodies(77, 20);
-  fake_plan.delay_us = 50000; /* so that the first is not over before its weight is set */
+  fake_plan.delay_us = 50000; /* so that the first does not finish before its weight is set */
   for (int i = 0; i < 3; i++) {
     requests[i] = campaign((enum mo_campaign_mode)i);
     requests[i].record.settings.seed = 100 + (uint64_t)i;
@@ -269,8 +270,7 @@ static void on_fault(int number)
   _exit(99);
 }
 
-/* A process dies on the own thread of a job that learns, again and again: the job is blamed, and
- * fails. */
+/* The process crashes repeatedly in the thread of a learning job: the job is blamed, and fails. */
 __attribute__((unused)) static void blames_crashes_on_their_job(void)
 {
   for (int mode = TRAINING; mode <= MO_FEW_SHOT; mode += 2) {
@@ -309,7 +309,7 @@ __attribute__((unused)) static void blames_crashes_on_their_job(void)
 
 static const struct check_case cases[] = {
     {"pauses and resumes", pauses_and_resumes},
-    {"stops and goes on", stops_and_goes_on},
+    {"stops and continues", stops_and_goes_on},
     {"reports other code", reports_other_code},
     {"cancels", cancels},
     {"runs side by side", runs_side_by_side},

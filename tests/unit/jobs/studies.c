@@ -1,5 +1,6 @@
-/* studies.c: studies with a fake back end. One that asks for its population and tells it as it is
- * must be the campaign of the same settings, bit for bit, whatever happens between two steps. */
+/* studies.c: studies with a fake back end. A study whose client asks for the population and tells
+ * the same population back must equal the campaign with the same settings, bit for bit, no matter
+ * what happens between two steps. */
 #include "jobs/studies.h"
 #include "fakes.h"
 
@@ -12,7 +13,7 @@ static struct mo_campaign_request study_of(const struct mo_campaign_request *req
   return study;
 }
 
-/* Tells what was asked for. Returns MO_OK or the error. */
+/* Tells the population that was asked for. Returns MO_OK or an error. */
 static int tell(int64_t id, const struct mo_asked *asked, struct mo_telling_reply *reply)
 {
   static const uint8_t state[] = "state";
@@ -30,7 +31,7 @@ static bool is_committed(int64_t id, uint32_t batch)
   return AWAIT(status_of(id).generation == (int64_t)batch && state_of(id) != MO_JOB_RUNNING);
 }
 
-/* What happens to a batch that was told. */
+/* What happens after a batch was told. */
 static void disturb(int64_t id, uint32_t batch)
 {
   switch (batch % 4) {
@@ -94,7 +95,7 @@ SERVICE_CASE(is_a_campaign, 2)
   CHECK_OK(check_whole());
 }
 
-/* While it waits for its client, it has no thread: others run on the only one. */
+/* While it waits for its client, it has no thread: other campaigns run on the only one. */
 SERVICE_CASE(waits_without_a_thread, 1)
 {
   const struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
@@ -116,7 +117,7 @@ SERVICE_CASE(waits_without_a_thread, 1)
 }
 
 static const struct check_case cases[] = {
-    {"asks and tells to what a campaign is", is_a_campaign},
+    {"equals a campaign if it tells what it asked", is_a_campaign},
     {"waits without a thread", waits_without_a_thread},
 };
 CHECK_MAIN(cases)

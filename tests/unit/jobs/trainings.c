@@ -1,5 +1,5 @@
-/* trainings.c: trainings with a fake back end, whose gradients are a function of robots and
- * weights: what they ask for, do and leave. */
+/* trainings.c: trainings with a fake back end, in which gradients are a function of robots and
+ * weights: requests, results, order and exports. */
 #include "fakes.h"
 #include "jobs/held_out.h"
 
@@ -25,8 +25,8 @@ SERVICE_CASE(learns, 1)
   CHECK(metadata != NULL && strstr(metadata, "\"morphod.version\":\"fake gradient\"") != NULL &&
         strstr(metadata, "\"morphod.parent\":\"random\"") != NULL);
   free(metadata);
-  /* The curve has every step, the validations those that were asked for, with the first and the
-   * last. */
+  /* The curve has every step; validations occur at the requested steps, and at the first and the
+   * last step. */
   CHECK_INT(mo_store_training_steps(store, id, 0, 1, rows, STEPS + 1), STEPS);
   CHECK(rows[0].report.step == 1 && rows[STEPS - 1].report.step == STEPS &&
         rows[0].report.rate > 0 && rows[0].report.mean_loss > 0 &&
@@ -53,8 +53,8 @@ SERVICE_CASE(learns, 1)
   CHECK_INT(stats.training_validations, 3);
   CHECK_INT(stats.jobs_succeeded, 1);
   CHECK_INT(stats.open_jobs, 0);
-  CHECK(await_phase(id, MO_PHASE_IDLE)); /* its thread follows in a moment */
-  /* What it was validated on. */
+  CHECK(await_phase(id, MO_PHASE_IDLE)); /* its thread ends a moment later */
+  /* The validation set. */
   struct mo_training_status status = training_of(id);
   CHECK_OK(mo_held_out_load(store, &status, &held_out));
   CHECK(held_out.n_designs == 3 && held_out.n_environments == 20);
@@ -64,7 +64,7 @@ SERVICE_CASE(learns, 1)
   CHECK_OK(check_whole());
 }
 
-/* Trains several at once, so many side by side. Returns the order of their steps. */
+/* Runs several trainings with a limit on how many run at once. Returns the order of their steps. */
 static size_t train(uint32_t side_by_side, int n, int64_t *ids, int64_t *tags)
 {
   struct mo_training_request request = pretraining("");
@@ -172,7 +172,7 @@ SERVICE_CASE(tunes_a_population, 1)
   CHECK_OK(mo_held_out_load(store, &status, &held_out));
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);
-  /* From the result, on designs that are listed. */
+  /* A finetuning that starts from the result, on listed designs. */
   request.record.population = 0;
   request.parent = "tuned";
   request.genotypes = genotypes;

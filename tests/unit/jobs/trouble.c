@@ -1,5 +1,4 @@
-/* trouble.c: the scheduler with a fake back end: what becomes of evaluations when something
- * breaks. */
+/* trouble.c: the scheduler with a fake back end: how evaluations end if something breaks. */
 #include <fcntl.h>
 #include <signal.h>
 
@@ -14,7 +13,7 @@ SERVICE_CASE(parks_after_three_errors, 0)
   fake_plan.fail_times = 1;
   fake_plan.fail_status = MO_ERR_NO_MEMORY;
   int64_t id = evaluate(genotypes, 10);
-  CHECK(succeeds(id, &job)); /* once is forgiven */
+  CHECK(succeeds(id, &job)); /* one error is forgiven */
   CHECK_INT(job.attempts, 1);
   CHECK(right(id, genotypes));
   genotypes = bodies(11, 10);
@@ -63,12 +62,12 @@ SERVICE_CASE(names_a_damaged_controller, 0)
   CHECK_HAS(job.error_text, "submit again"); /* to its end */
   CHECK_INT(warnings, 3);
   CHECK(has_warned(".safetensors"));
-  /* As it says: */
+  /* As the message says: */
   REQUIRE_OK(put_weights("again", 1, NULL));
   CHECK(succeeds(evaluate(genotypes, 2), NULL));
 }
 
-/* The save that fails holds the start of the job, or one of its errors, or neither. */
+/* The failed save contained the start of the job, or one of its errors, or neither. */
 static void parks_what_cannot_be_saved(void)
 {
   for (int round = 0; round < 3; round++) {
@@ -86,7 +85,7 @@ static void parks_what_cannot_be_saved(void)
     CHECK_INT(job.state, MO_JOB_FAILED);
     CHECK_INT(job.attempts, 3);
     CHECK_INT(idle_stats().open_jobs, 0);
-    /* The others go on. */
+    /* The other jobs continue. */
     service.jobs->classes.cpu[MO_FLOAT32] = fingerprint;
     fake_plan.fail_status = 0;
     fake_plan.delay_us = 0;
@@ -109,16 +108,16 @@ SERVICE_CASE(blames_crashes_on_their_job, 0)
   int64_t other = evaluate(genotypes + 10, 10);
   for (int round = 1; round <= 3; round++) {
     CHECK(await_state(id, MO_JOB_RUNNING));
-    /* A thread that is in no block writes nothing. */
+    /* A thread that is not inside a block writes nothing. */
     fd = open(marker, O_WRONLY | O_CREAT | O_APPEND, 0600);
     REQUIRE(fd >= 0);
     mo_jobs_crash_note(fd, SIGSEGV);
     CHECK_INT(lseek(fd, 0, SEEK_END), 0);
-    /* What a worker's handler writes, and a line that another was cut off at. */
+    /* The line that a worker's handler writes, and a second line that was cut off. */
     dprintf(fd, "%lld %d\n%lld", (long long)id, SIGSEGV, (long long)other);
     close(fd);
     service_close();
-    /* Running in the file, or still queued: the start of a job is written some time after it. */
+    /* Running in the file, or still queued: the start of a job is written some time later. */
     service_set_states(id, other, round == 2 ? MO_JOB_QUEUED : MO_JOB_RUNNING);
     REQUIRE_OK(service_open());
     job = job_of(id);
@@ -126,7 +125,7 @@ SERVICE_CASE(blames_crashes_on_their_job, 0)
   }
   check_failed(id, 3, job.error, "signal 11");
   fake_plan.delay_us = 0;
-  REQUIRE_OK(service_reopen()); /* the marker was emptied: nobody is blamed */
+  REQUIRE_OK(service_reopen()); /* the marker was emptied: no job is blamed */
   CHECK(succeeds(other, &job));
   CHECK_INT(job.attempts, 0);
 }
@@ -145,9 +144,9 @@ static void waits_for_room(void)
   atomic_store(&fault_plan.write_error, SQLITE_FULL);
   CHECK(AWAIT(stats_of().no_space));
   CHECK_INT(evaluate(genotypes + 50, 10), MO_ERR_NO_SPACE);
-  CHECK_INT(state_of(id), MO_JOB_RUNNING); /* reading goes on */
+  CHECK_INT(state_of(id), MO_JOB_RUNNING); /* reading still works */
   usleep(300000);
-  CHECK_INT(stats_of().blocks_in_flight, 0); /* nothing is computed that cannot be kept */
+  CHECK_INT(stats_of().blocks_in_flight, 0); /* nothing is computed that cannot be stored */
   atomic_store(&fault_plan.write_error, 0);
   CHECK(right(id, genotypes));
   CHECK_INT(computed(), 500);
@@ -158,7 +157,7 @@ static void waits_for_room(void)
 
 SERVICE_CASE(answers_from_its_cache_of_controllers, 0)
 {
-  enum { CONTROLLERS = 12 }; /* more than are kept ready */
+  enum { CONTROLLERS = 12 }; /* more than are kept in memory */
   char name[32];
   int64_t ids[CONTROLLERS];
   const struct mo_bits *genotypes = bodies(14, 10);
@@ -204,7 +203,7 @@ static void *be_a_client(void *context)
       (void)mo_jobs_cancel(service.jobs, id);
       continue;
     }
-    for (uint32_t k = 0; k < i % 3; k++) { /* perhaps before its start is written */
+    for (uint32_t k = 0; k < i % 3; k++) { /* possibly before its start is written */
       (void)mo_jobs_pause(service.jobs, id);
       (void)mo_jobs_resume(service.jobs, id);
     }
@@ -237,7 +236,7 @@ SERVICE_CASE(serves_many_clients, 0)
 
 static const struct check_case cases[] = {
     {"parks a job after three errors", parks_after_three_errors},
-    {"names a damaged controller", names_a_damaged_controller},
+    {"reports a damaged controller", names_a_damaged_controller},
     {"refuses losses that are not numbers", refuses_nan},
     {"parks a job whose losses cannot be saved", parks_what_cannot_be_saved},
     {"blames crashes on their job", blames_crashes_on_their_job},

@@ -1,5 +1,5 @@
-/* weights.c: what jobs weigh in the shares of a fake back end: changed while they run, wait and
- * come back. */
+/* weights.c: the weights of jobs in the shares of a fake back end, changed while jobs run, wait and
+ * resume. */
 #include "fakes.h"
 
 static bool await_weight(int64_t id, double weight)
@@ -7,7 +7,7 @@ static bool await_weight(int64_t id, double weight)
   return AWAIT(fake_weight(id) == weight);
 }
 
-/* Each has a share of its own, which the back end weighs. */
+/* Each job has its own share with its own weight in the back end. */
 SERVICE_CASE(of_evaluations, 0)
 {
   enum { BODIES = 160 };
@@ -34,7 +34,7 @@ SERVICE_CASE(of_evaluations, 0)
   CHECK(stats_of().worker_s[MO_JOB_EVALUATION] > 0);
 }
 
-/* What is known of an evaluation while it runs: how much is done, how fast, how long it takes. */
+/* Figures of a running evaluation: how much is done, how fast, and the remaining time. */
 SERVICE_CASE(pace_of_an_evaluation, 0)
 {
   enum { BODIES = 200, ROLLOUTS = BODIES * MO_PAPER_TEST_COUNT };
@@ -52,7 +52,7 @@ SERVICE_CASE(pace_of_an_evaluation, 0)
   CHECK(live.busy_s >= 0);
   CHECK(live.rate <= (double)(live.done + MO_BLOCK_LANES) / 0.5);
   CHECK(fabs(live.seconds_left * live.rate - (double)(ROLLOUTS - live.done)) < 1e-6 * ROLLOUTS);
-  /* Paused: nothing is known. Continued: nothing done is counted as fast. */
+  /* While paused: unknown. After resuming: earlier work does not count in the rate. */
   CHECK_OK(mo_jobs_pause(service.jobs, id));
   REQUIRE(AWAIT((live = live_of(id)).busy_s < 0));
   CHECK(live.phase == MO_PHASE_IDLE && live.rate == 0 && live.seconds_left < 0);
@@ -66,7 +66,8 @@ SERVICE_CASE(pace_of_an_evaluation, 0)
   CHECK(await_phase(id, MO_PHASE_IDLE));
 }
 
-/* The list of running jobs: those of batch priority, the heaviest first, then the newest. */
+/* The list of running jobs: only those of batch priority, the largest weight first, then the
+ * newest. */
 SERVICE_CASE(what_runs, 0)
 {
   enum { BODIES = 100, N = 4 };
@@ -138,10 +139,10 @@ SERVICE_CASE(of_a_training, 1)
   REQUIRE(await_phase(id, MO_PHASE_IDLE));
   struct mo_jobs_stats stats = stats_of();
   CHECK(stats.worker_s[MO_JOB_TRAINING] > 0 && stats.worker_s[MO_JOB_EVALUATION] == 0);
-  CHECK_INT(count_events(id, "job.weight"), 3); /* the same weight again is none */
+  CHECK_INT(count_events(id, "job.weight"), 3); /* setting the same weight again changes nothing */
 }
 
-/* ---- changed by many, while shares come and go ---- */
+/* ---- changed by many threads, while shares come and go ---- */
 
 struct changer {
   struct mo_jobs *jobs;

@@ -1,4 +1,5 @@
-/* adam.c: the optimizer against a plain one in float64, its guards, and what a step reports. */
+/* adam.c: the optimizer compared with a plain one in float64, its guards, and the report of a
+ * step. */
 #include "fixture.h"
 
 #include "learning/internal.h"
@@ -95,13 +96,13 @@ static void clip(void)
     made_up->gradient[3] = 6.0;
     made_up->gradient[made_up->n - 1] = -8.0;
     REQUIRE(apply(training, made_up, &report) == MO_OK);
-    CHECK(report.gradient_norm == 10.0); /* as it was */
+    CHECK(report.gradient_norm == 10.0); /* unchanged */
     CHECK_NEAR(training->adam.first[3], limited ? 0.06 : 0.6, 1e-15);
     CHECK_NEAR(training->adam.second[made_up->n - 1], limited ? 0.00064 : 0.064, 1e-16);
   }
 }
 
-/* Whether weights and moments are those of `copy`. */
+/* Returns whether weights and moments equal those of `copy`. */
 static bool same_weights(const struct mo_training *a, const struct mo_training *copy)
 {
   const size_t n = a->controller->n_parameters;
@@ -110,11 +111,11 @@ static bool same_weights(const struct mo_training *a, const struct mo_training *
          a->adam.beta2_power == copy->adam.beta2_power;
 }
 
-/* Gradients that must not reach the weights: the step counts, and nothing else changes. */
+/* Gradients that must not reach the weights: the step counts, but nothing else changes. */
 static void skipped(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
-  settings.learning.norm_limit = 0.0; /* else the clip saves the huge ones */
+  settings.learning.norm_limit = 0.0; /* otherwise the clip would save the huge ones */
   struct mo_training *training = make_training(&settings, NULL, NULL, 0);
   struct made_up *made_up = make_made_up(training);
   struct mo_training_report report;
@@ -140,7 +141,7 @@ static void skipped(void)
           : kind == 5 ? fabs(report.mean_loss - 0.8) < 1e-15
                       : true);
   }
-  REQUIRE(advance(training, made_up, &report) == MO_OK); /* and it goes on */
+  REQUIRE(advance(training, made_up, &report) == MO_OK); /* and the training continues */
   CHECK(!report.skipped && !same_weights(training, before));
 }
 
@@ -163,7 +164,7 @@ static void reported(void)
   CHECK_INT(apply(training, made_up, &report), MO_ERR_CONFLICT);
 }
 
-/* The highest rate, and weights next to their limit, pushed outwards. */
+/* The highest rate, with weights near their limit pushed outward. */
 static void bounded(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
@@ -192,7 +193,7 @@ static const struct check_case cases[] = {
     {"norms without overflow", norms},
     {"the norm clip", clip},
     {"a step with a bad gradient is skipped", skipped},
-    {"what a step reports, and the order of calls", reported},
+    {"the report of a step, and the order of calls", reported},
     {"weights stay within their limit", bounded},
 };
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* checkpoint.c: a training saved at any step goes on to the same bytes; nothing damaged is read;
- * lineage. */
+/* checkpoint.c: a training saved at any step continues to the same bytes; damaged files are
+ * refused; lineage. */
 #include "fixture.h"
 
 #include "learning/internal.h"
@@ -15,7 +15,7 @@ static struct mo_training *begin(enum mo_training_kind kind)
                                       : make_training(&settings, NULL, NULL, 0);
 }
 
-/* Advances by one; step 5's gradient is not finite. */
+/* Advances by one step; step 5's gradient is not finite. */
 static void advance_one(struct mo_training *training, struct made_up *made_up)
 {
   make_up(made_up, training, draw(training));
@@ -32,7 +32,8 @@ static void resume(void)
     const uint32_t n = mo_training_settings_of(whole)->n_steps;
     struct blob a = encoded(whole), b = a;
     for (uint32_t step = 0; step < n; step++) {
-      /* The one is never saved; the other is saved and restored at every step, drawn or not. */
+      /* One training is never saved; the other is saved and restored at every step, with or without
+       * a draw. */
       struct mo_training *broken = decoded(b);
       if (step % 3 == 1)
         draw(broken);
@@ -119,7 +120,8 @@ static void expect_refused(const uint8_t *bytes, size_t size, const char *says)
   CHECK_SAYS(message, says);
 }
 
-/* Bytes all over the header and the rest, changed in one bit; and cut short anywhere. */
+/* One bit is flipped in bytes all over the header and the rest, and the file is cut off
+ * anywhere. */
 static void damaged(void)
 {
   struct blob blob = encoded(begin(MO_TRAINING_FINETUNE));
@@ -136,15 +138,15 @@ static void damaged(void)
   blob.bytes[blob.size - 1] ^= 128;
   const size_t cuts[] = {0, 7, 8, 100, 243, 244, 255, 256, 5000, blob.size / 2, blob.size - 1};
   for (size_t i = 0; i < COUNT(cuts); i++) {
-    uint8_t *cut = malloc(cuts[i] + 1); /* of its size, for the sanitizer */
+    uint8_t *cut = malloc(cuts[i] + 1); /* of its exact size, for the sanitizer */
     memcpy(cut, blob.bytes, cuts[i]);
     expect_refused(cut, cuts[i], cuts[i] < 8 ? "not a checkpoint" : "damaged");
     free(cut);
   }
-  decoded(blob); /* as good as it was */
+  decoded(blob); /* still as good as it was */
 }
 
-/* Writes a value over that of a member of the settings, and blanks over the rest. */
+/* Replaces the value of a member of the settings, and fills the rest with blanks. */
 static void overwrite(uint8_t *bytes, const char *member, const char *value)
 {
   char *at = strstr((char *)bytes + 72, member);
@@ -155,8 +157,8 @@ static void overwrite(uint8_t *bytes, const char *member, const char *value)
   memcpy(at, value, strlen(value));
 }
 
-/* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile
- * file. */
+/* The checksum can be correct even though the contents are wrong, because of a program error or a
+ * hostile file. */
 static void wrong_contents(void)
 {
   enum {
@@ -231,7 +233,7 @@ static void wrong_contents(void)
 
 static void checksum(void)
 {
-  /* The check value that the catalogues give for CRC-64/XZ. */
+  /* The check value that catalogs list for CRC-64/XZ. */
   CHECK(mo_checksum((const uint8_t *)"123456789", 9) == UINT64_C(0x995DC9BBDF1939FA));
   CHECK(mo_checksum((const uint8_t *)"", 0) == 0);
   uint8_t bytes[64], bitwise_ok = 1;
@@ -283,7 +285,7 @@ static void lineage(void)
              ",\"designs\":4}");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);
-  /* The file reads back, and equal trainings give equal files. */
+  /* The file can be read back, and equal trainings export equal files. */
   REQUIRE(mo_training_export(decoded(encoded(training)), "ab12", "1.2.3", &code, &again) == MO_OK);
   struct blob file, file2;
   REQUIRE(mo_controller_encode(c, &file.bytes, &file.size) == MO_OK);
@@ -293,7 +295,7 @@ static void lineage(void)
   CHECK_TEXT(mo_controller_get_metadata(read, "morphod.step"), "1");
   mo_controller_free(again);
   again = NULL;
-  /* Which code it was computed by, as far as it has come. */
+  /* The lineage lists the code that computed the steps so far. */
   advance_one(training, made_up);
   REQUIRE(mo_training_export(training, "ab12", "1.2.3", &code, &again) == MO_OK);
   CHECK_TEXT(
@@ -325,7 +327,7 @@ static const struct check_case cases[] = {
     {"every setting survives", settings_kept},
     {"the checksum", checksum},
     {"damaged bytes are refused", damaged},
-    {"wrong contents under a right checksum are refused", wrong_contents},
+    {"wrong contents with a correct checksum are refused", wrong_contents},
     {"lineage", lineage},
 };
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* designs.c: a finetuning whose designs change between its steps, and one that goes on for longer,
- * as campaigns need them. */
+/* designs.c: a finetuning with designs that change between steps, and a training that becomes
+ * longer, as campaigns need them. */
 #include "fixture.h"
 
 #include "learning/internal.h"
@@ -19,7 +19,7 @@ static struct mo_training *begin(uint32_t n_steps, struct mo_schedule schedule)
   return make_training(&settings, make_random_controller(MO_SENSOR_INVERSE_SQRT, 7), first, 3);
 }
 
-/* n steps of each. */
+/* Performs n steps of each. */
 static void advance_all(struct mo_training *const *trainings, int n_trainings,
                         struct made_up *made_up, int n)
 {
@@ -28,7 +28,7 @@ static void advance_all(struct mo_training *const *trainings, int n_trainings,
       CHECK_INT(advance(trainings[i], made_up, NULL), MO_OK);
 }
 
-/* The robots of step t are of designs t·batch, t·batch + 1, … of those that are set. */
+/* The robots of step t come from designs t·batch, t·batch + 1, … of the current ones. */
 static void takes_them_in_turn(void)
 {
   struct mo_training *training = begin(9, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]);
@@ -36,10 +36,10 @@ static void takes_them_in_turn(void)
   const struct mo_lattice *lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (uint32_t step = 0; step < 9; step++) {
     const bool late = step >= 4;
-    if (step == 4) { /* also where a step has been drawn */
+    if (step == 4) { /* also after a step has been drawn */
       CHECK(is_body_of(draw(training)[0].body, lattice, first + (size_t)W * (4 * 5 % 3)));
       CHECK_INT(mo_training_set_designs(training, second, MANY), MO_OK);
-      CHECK_INT(apply(training, made_up, NULL), MO_ERR_CONFLICT); /* it is forgotten */
+      CHECK_INT(apply(training, made_up, NULL), MO_ERR_CONFLICT); /* the draw is discarded */
     }
     const struct mo_robot *robots = draw(training);
     for (uint32_t i = 0; i < 5; i++) {
@@ -54,8 +54,8 @@ static void takes_them_in_turn(void)
   }
 }
 
-/* They are part of the checkpoint, and weights and moments go on: saved and restored, or not, the
- * end is the same. */
+/* The designs are part of the checkpoint, and weights and moments continue: saved and restored or
+ * not, the result is the same. */
 static void goes_on(void)
 {
   enum { WHOLE, SAVED, UNCHANGED, N };
@@ -92,7 +92,7 @@ static void placed(void)
   CHECK_INT(mo_training_design_is_placed(beyond), 0);
 }
 
-/* A training of 4 steps that is made one of 9 ends where one of 9 does. */
+/* A training of 4 steps that is extended to 9 ends like one of 9 steps. */
 static void longer(void)
 {
   struct mo_training *training = begin(4, mo_schedule_presets[MO_SCHEDULE_PAPER_SIMULTANEOUS]),
@@ -101,7 +101,7 @@ static void longer(void)
   const struct mo_robot *robots = NULL;
   advance_all(&training, 1, made_up, 4);
   CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_CONFLICT);
-  CHECK_INT(mo_training_set_steps(training, 3), MO_ERR_RANGE); /* fewer than it has done */
+  CHECK_INT(mo_training_set_steps(training, 3), MO_ERR_RANGE); /* fewer than it has completed */
   CHECK_INT(mo_training_set_steps(training, MO_TRAINING_STEPS_MAX + 1), MO_ERR_RANGE);
   CHECK_INT(mo_training_set_steps(training, 9), MO_OK);
   advance_all(&training, 1, made_up, 5);
@@ -116,7 +116,7 @@ static void shorter_and_never(void)
   struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
   struct made_up *made_up = make_made_up(training);
   advance_all(&training, 1, made_up, 2);
-  CHECK_INT(mo_training_set_steps(training, 2), MO_OK); /* it ends here */
+  CHECK_INT(mo_training_set_steps(training, 2), MO_OK); /* it is finished here */
   CHECK_INT(advance(training, made_up, NULL), MO_ERR_CONFLICT);
   CHECK_INT(mo_training_set_steps(cosine, 10), MO_ERR_UNSUPPORTED);
   CHECK_INT(mo_training_set_steps(cosine, 9), MO_OK);
@@ -129,7 +129,7 @@ static void shorter_and_never(void)
   CHECK_INT(mo_training_set_steps(pretraining, 4097), MO_ERR_RANGE); /* bodies */
 }
 
-/* Weights of another workspace would not fit. */
+/* Weights for another workspace would not fit. */
 static void another_workspace(void)
 {
   const struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
@@ -143,9 +143,9 @@ static void another_workspace(void)
 static const struct check_case cases[] = {
     {"new designs are taken in turn from the current step on", takes_them_in_turn},
     {"new designs, the same weights and moments, saved or not", goes_on},
-    {"which designs are placed", placed},
-    {"a training made longer", longer},
-    {"a training made shorter, and those that cannot be changed", shorter_and_never},
+    {"designs are placed", placed},
+    {"a training that becomes longer", longer},
+    {"a training that becomes shorter, and those that cannot change", shorter_and_never},
     {"a parent of another workspace", another_workspace},
 };
 CHECK_MAIN(cases)

@@ -1,13 +1,14 @@
-/* draw.c: which robots a step gets: distinct, never held out, the same whenever they are drawn; and
+/* draw.c: the robots of a step: distinct, never held out, the same whenever they are drawn; and
  * what stops a draw. */
 #include "fixture.h"
 
 #include "learning/internal.h"
 
-/* The linker sends the room's calls here, so that a morphospace can run dry. */
+/* The linker redirects the room's calls to this function, so that a morphospace can run out of
+ * bodies. */
 int __real_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
 int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-static long left = -1; /* bodies until there are no more; negative: no end */
+static long left = -1; /* remaining bodies; negative = unlimited */
 
 int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
@@ -17,7 +18,7 @@ int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, ui
   return __real_mo_body_stream_next(stream, bits, form);
 }
 
-/* The bodies of the current step, as they came out of the stream. */
+/* Returns the bodies of the current step, as the stream returned them. */
 static const uint64_t *drawn(const struct mo_training *training)
 {
   return training->hands[training->step % 2].drawn;
@@ -32,7 +33,7 @@ static struct mo_training *pretraining(uint64_t seed, uint32_t batch, uint32_t n
   return make_training(&settings, NULL, NULL, 0);
 }
 
-/* Draws that must fail, at once or when there are no more bodies. */
+/* Checks draws that must fail, at once or when no more bodies are left. */
 static void expect_failure(struct mo_training *training, long bodies, int code)
 {
   const struct mo_robot *robots = NULL;
@@ -42,8 +43,8 @@ static void expect_failure(struct mo_training *training, long bodies, int code)
   left = -1;
 }
 
-/* 20,000 bodies over several steps: all forms differ, none is held out; environments are those
- * promised. */
+/* 20,000 bodies over several steps: all forms differ, none is held out, and environments are as
+ * documented. */
 __attribute__((unused)) static void distinct(void)
 {
   struct mo_training *training = pretraining(3, 2500, 8);
@@ -94,8 +95,7 @@ static void held_out_designs(void)
   CHECK_INT(mo_held_out_designs(1, 0, NULL), MO_OK);
 }
 
-/* One form in 16 is held out, and it is always the same ones: the choice is part of what a
- * comparison means. */
+/* One form in 16 is held out, always the same ones: comparisons depend on this choice. */
 static void held_out_share(void)
 {
   uint32_t held_out = 0;
@@ -136,7 +136,7 @@ static void held_out_environments(void)
   CHECK_INT(odd, 0);
 }
 
-/* The designs take turns, on from one step to the next. */
+/* The designs take turns, continuing from one step to the next. */
 static void finetuning_turns(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
@@ -168,8 +168,8 @@ static int differences(const struct mo_training *a, const struct mo_robot *x,
   return different;
 }
 
-/* No bodies left: the draw says so, again and again, nothing is lost, and with new bodies it goes
- * on as if nothing had been. */
+/* Without bodies, the draw reports that each time and loses nothing; with new bodies it continues
+ * as if nothing had happened. */
 static void exhausted(void)
 {
   struct mo_training *training = pretraining(4, 300, 3), *other = pretraining(4, 300, 3);
@@ -180,8 +180,8 @@ static void exhausted(void)
   CHECK_INT(differences(training, robots, draw(other), 300), 0);
 }
 
-/* The same where the step's first draws were held out: no body of it is there yet, but the stream
- * has moved on. */
+/* The same if the step's first draws were held out: the step has no body yet, but the stream has
+ * advanced. */
 __attribute__((unused)) static void exhausted_at_a_held_out_form(void)
 {
   struct mo_training *training = pretraining(5, 2, 100), *other = pretraining(5, 2, 100);
@@ -202,7 +202,7 @@ __attribute__((unused)) static void exhausted_at_a_held_out_form(void)
   CHECK_INT(different, 0);
 }
 
-/* A replay is cancelled, goes on, counts, and notices a stream that is not the one it was. */
+/* A replay can be cancelled and continued, counts its bodies, and notices a different stream. */
 static void replay(void)
 {
   struct mo_training *training = pretraining(6, 200, 4);
@@ -226,8 +226,8 @@ static void replay(void)
   expect_failure(wrong, -1, MO_ERR_CORRUPT);
 }
 
-/* Robots drawn ahead, on several threads, with stops on the way, and checkpoints between, are those
- * of a plain draw; the present ones stay. */
+/* Robots drawn ahead on several threads, with stops and checkpoints in between, equal those of a
+ * plain draw; the current robots stay. */
 static void ahead(void)
 {
   enum { N = 700, STEPS = 6 };
@@ -236,7 +236,7 @@ static void ahead(void)
     struct made_up *made_up = make_made_up(plain);
     const volatile int cancel = 1;
     int different = 0;
-    CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT); /* nothing is drawn yet */
+    CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT); /* nothing has been drawn */
     mo_training_set_threads(training, threads);
     for (uint32_t step = 0; step < STEPS; step++) {
       const struct mo_robot *expected = draw(plain), *robots = draw(training);
@@ -264,7 +264,7 @@ static void ahead(void)
   }
 }
 
-/* Designs that change after a step was drawn ahead change that step. */
+/* If the designs change after a step was drawn ahead, that step uses the new ones. */
 static void ahead_of_new_designs(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
@@ -287,7 +287,7 @@ static void ahead_of_new_designs(void)
 
 static const struct check_case cases[] = {
     {"held-out designs", held_out_designs},
-    {"the share and the choice of held-out forms", held_out_share},
+    {"the fraction and the choice of held-out forms", held_out_share},
     {"held-out environments", held_out_environments},
     {"finetuning takes its designs in turn", finetuning_turns},
     {"an exhausted morphospace", exhausted},
@@ -296,7 +296,7 @@ static const struct check_case cases[] = {
     {"designs that change after a draw ahead", ahead_of_new_designs},
 #ifndef __SANITIZE_THREAD__ /* slow there, and of one thread */
     {"20000 bodies are distinct and none is held out", distinct},
-    {"exhausted at a form that is held out", exhausted_at_a_held_out_form},
+    {"exhausted at a held-out form", exhausted_at_a_held_out_form},
 #endif
 };
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* fixture.h: trainings whose gradients are made up: a training takes any gradient, and these tests
- * are about the rest. */
+/* fixture.h: trainings with made-up gradients: a training accepts any gradient, and these tests are
+ * about everything else. */
 #ifndef MORPHO_TESTS_LEARNING_FIXTURE_H
 #define MORPHO_TESTS_LEARNING_FIXTURE_H
 
@@ -33,8 +33,8 @@ static inline struct made_up *make_made_up(const struct mo_training *training)
   return made_up;
 }
 
-/* A gradient that depends on the weights, the robots and the step: what is lost of any of them
- * shows. */
+/* Makes up a gradient that depends on the weights, the robots and the step: if any of them is lost,
+ * the result differs. */
 static inline void make_up(struct made_up *made_up, const struct mo_training *training,
                            const struct mo_robot *robots)
 {
@@ -83,7 +83,7 @@ static inline int advance(struct mo_training *training, struct made_up *made_up,
   return apply(training, made_up, report);
 }
 
-/* A finetuning on the first n held-out designs, from random weights times `factor`. */
+/* Returns a finetuning on the first n held-out designs, from random weights times `factor`. */
 static inline struct mo_training *finetuning(const struct mo_training_settings *settings,
                                              uint32_t n, float factor)
 {

@@ -1,6 +1,6 @@
-/* memory.c: every allocation of this room fails once; each time the function says so, leaves its
- * outputs alone, leaks nothing (the address sanitizer looks), and what was begun goes on when there
- * is memory again. */
+/* memory.c: every allocation of this room fails once. Each time the function must report the error,
+ * leave its outputs unchanged, and leak nothing (checked by the address sanitizer); whatever had
+ * begun continues when memory is available again. */
 #include "fixture.h"
 
 #include "../failing.h"
@@ -76,7 +76,7 @@ static void functions(void)
   each_fails(hold_out, 1);
 }
 
-/* A draw that runs out of memory goes on at the next call, with the same robots. */
+/* A draw that runs out of memory continues at the next call, with the same robots. */
 static void draws(void)
 {
   for (int kind = 0; kind < 2; kind++) {
@@ -88,7 +88,7 @@ static void draws(void)
     const struct mo_robot *robots, *expected = draw(both[1]);
     int r = MO_ERR_NO_MEMORY, failed = 0;
     for (long k = 0; k < 1000 && r == MO_ERR_NO_MEMORY; k++) {
-      left = k; /* each call gets one allocation further than the last */
+      left = k; /* each call gets one allocation further than the previous one */
       r = mo_training_draw(both[0], NULL, NULL, &robots);
       left = -1;
       failed += r == MO_ERR_NO_MEMORY;
@@ -105,6 +105,6 @@ static void draws(void)
 
 static const struct check_case cases[] = {
     {"functions without memory", functions},
-    {"draws without memory go on later", draws},
+    {"draws without memory continue later", draws},
 };
 CHECK_MAIN(cases)

@@ -1,4 +1,5 @@
-/* schedule.c: learning rates against figures of the paper and figures worked out by hand. */
+/* schedule.c: learning rates compared with numbers from the paper and numbers worked out by
+ * hand. */
 #include "../make.h"
 
 /* Rates of the paper's schedules and of ours at some steps. */
@@ -43,7 +44,7 @@ static void rates(void)
       {&one_cosine, 10 + 25, 110, 1e-5 + 1.99e-3 * quarter, 1e-17},
       {&one_cosine, 109, 110, 1e-5, 1e-6},
       {&one_cosine, 110, 110, 1e-5, 0},
-      {&one_cosine, 4, 5, 1e-3, 1e-18}, /* shorter than its warm-up: on the way up */
+      {&one_cosine, 4, 5, 1e-3, 1e-18}, /* shorter than its warm-up: the rate is still rising */
       {&finetune, 0, 60, 3e-4, 1e-18},
       {&finetune, 30, 60, 1.505e-4, 1e-17},
       {&finetune, 59, 60, 1e-6, 1e-6},
@@ -102,7 +103,7 @@ static void cosine(void)
   CHECK(worst < 5e-16);
 }
 
-/* The bits are part of the format: a restored training must go on with the same rates. */
+/* The bits are part of the format: a restored training must continue with the same rates. */
 static void bits(void)
 {
   const struct mo_schedule s = mo_schedule_presets[MO_SCHEDULE_ONE_COSINE],
@@ -171,7 +172,7 @@ static const struct check_case cases[] = {
     {"constant rates, short cycles, long cycles", corners},
     {"the cosine against the C library's", cosine},
     {"the same bits everywhere", bits},
-    {"bad schedules are refused with a reason", refused},
-    {"all schedules of this program are good", known},
+    {"invalid schedules are refused with a reason", refused},
+    {"all built-in schedules are valid", known},
 };
 CHECK_MAIN(cases)

@@ -1,4 +1,4 @@
-/* settings.c: presets, settings that must be refused with a reason, and first weights. */
+/* settings.c: presets, settings that must be refused with a reason, and initial weights. */
 #include "fixture.h"
 
 static void presets(void)
@@ -87,7 +87,7 @@ static void shipped(void)
   mo_controller_free(made);
 }
 
-/* ---- what is refused ---- */
+/* ---- refused settings ---- */
 
 static void refused_settings(void)
 {
@@ -137,7 +137,7 @@ static void refused_settings(void)
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
 }
 
-/* A parent hands on its weights and its sensor. */
+/* A parent passes on its weights and its sensor. */
 static void from_a_parent(void)
 {
   const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN);
@@ -150,7 +150,8 @@ static void from_a_parent(void)
   mo_training_free(NULL);
 }
 
-/* Random weights come from the seed: the same seed, the same weights; another one, others. */
+/* Random weights come from the seed: equal seeds give equal weights, different seeds different
+ * ones. */
 static void initial_weights(void)
 {
   const struct mo_controller *c[3];
@@ -168,7 +169,7 @@ static const struct check_case cases[] = {
     {"presets", presets},
     {"names of presets", preset_names},
     {"the shipped controller has the settings of its preset", shipped},
-    {"bad settings are refused with a reason", refused_settings},
+    {"invalid settings are refused with a reason", refused_settings},
     {"the weights and the sensor of a parent", from_a_parent},
     {"initial weights", initial_weights},
 };

@@ -1,6 +1,5 @@
-/* stress.c: trainings under settings far outside of what the physics is made for. Whatever the
- * robots do, weights, moments and scores stay finite, and every robot that diverged is reported as
- * such. */
+/* stress.c: trainings with settings far outside of the physics' intended range. Whatever the robots
+ * do, weights, moments and scores stay finite, and every robot that diverged is reported. */
 #include <morpho/compute.h>
 #include <morpho/learning.h>
 
@@ -16,12 +15,13 @@ enum { ROBOTS = 32, SCORED = 4, PHASES_MAX = MO_HIDDEN, SPRINGS_SHOWN = 16 };
 
 /* ---- a controller that reverses every spring at every step ---- */
 
-/* The generator's phase θ = 10 t dt turns by one part in n per step. Neuron i of the first layer is
- * above 0 only while θ is within 0.8 of a part of its own part's middle: its input is cos(θ − ψ_i),
- * and as the ψ_i are spread evenly, the LayerNorm's mean and deviation over the neurons are the
- * same at every θ: it is an affine map, undone by its gain and shift. The second layer tells even
- * parts from odd ones, and its LayerNorm makes that a sign. The third passes it on, and each
- * spring gets tanh(±3.84): as good as an end of its range, and still with a gradient. */
+/* The generator's phase θ = 10 t dt advances by one of n equal parts per step. Neuron i of the
+ * first layer is above 0 only while θ is within 0.8 of a part of the middle of its own part: its
+ * input is cos(θ − ψ_i). The ψ_i are spread evenly, so the LayerNorm's mean and deviation over the
+ * neurons are the same at every θ: it is an affine map, undone by its gain and shift. The second
+ * layer distinguishes even parts from odd ones, and its LayerNorm turns that into a sign. The third
+ * passes it on, and each spring gets tanh(±3.84), which is almost an end of its range but still has
+ * a gradient. */
 static void make_reverser(struct mo_controller *c, double dt_s)
 {
   const uint32_t parts = 2 * (uint32_t)lround(PI / (MO_CPG_RAD_PER_S * dt_s));
@@ -34,7 +34,7 @@ static void make_reverser(struct mo_controller *c, double dt_s)
       c->weight[0][(size_t)i * c->n_inputs + c->n_masses + k] =
           (float)(0.4 * sin(part * i + shift));
     }
-  /* Over 256 neurons, `parts` of which are cosines: mean 0, mean square parts/512. */
+  /* Over 256 neurons, `parts` of them cosines: mean 0, mean square parts/512. */
   const double deviation = sqrt(parts / 512.0 + MO_LAYERNORM_EPSILON);
   for (uint32_t i = 0; i < parts && i < PHASES_MAX; i++) {
     c->norm_gain[0][i] = (float)(deviation / (1 - threshold));
@@ -53,7 +53,8 @@ static void make_reverser(struct mo_controller *c, double dt_s)
       c->weight[3][(size_t)s * MO_HIDDEN + i] = (i % 2 == 0) == (s % 2 == 0) ? 0.03f : -0.03f;
 }
 
-/* A time step, close to the one given, of which an even number makes one turn of the generator. */
+/* Returns a time step close to the given one, such that an even number of steps makes one turn of
+ * the generator. */
 static double whole_parts(double dt_s)
 {
   return PI / (MO_CPG_RAD_PER_S * (double)lround(PI / (MO_CPG_RAD_PER_S * dt_s)));
@@ -95,7 +96,8 @@ static void the_reverser_reverses(void)
 
 struct stress {
   const char *name;
-  double stiffness_factor, dt_s, weight_factor, drop_m, sigma_m; /* sigma 0: as trainings draw it */
+  double stiffness_factor, dt_s, weight_factor, drop_m,
+      sigma_m; /* sigma 0 = as trainings draw it */
   bool light_inside, full, reverser;
 };
 
@@ -109,7 +111,7 @@ static const struct stress stresses[] = {
     {"drop from 10 m", 1, 0.004, 1, 10, 0, false, false, false},
     {"all 144 voxels", 1, 0.004, 1, 0, 0, false, true, false},
     {"weights x100", 1, 0.004, 100, 0, 0, false, false, false},
-    {"all but stiffness and dt", 1, 0.004, 100, 0.2, 1, true, true, false},
+    {"except stiffness and dt", 1, 0.004, 100, 0.2, 1, true, true, false},
     {"reversal, terrain, light, drop", 1, 0.004, 1, 0.2, 1, true, false, true},
     {"everything", 4, 0.005, 100, 10, 1, true, true, false},
     {"everything, reversal", 4, 0.005, 1, 10, 1, true, true, true},
@@ -161,7 +163,7 @@ static void start(const struct stress *s, enum mo_sensor sensor, double bound, u
   run->training = make_training(&settings, run->start, run->designs[0], ROBOTS);
 }
 
-/* The robots that the training drew, in the worlds of the condition. */
+/* The robots that the training drew, in the environments of the condition. */
 static void move_house(const struct stress *s, const struct mo_robot *drawn, uint32_t step,
                        struct training_run *run)
 {
@@ -192,7 +194,7 @@ static size_t not_finite(const double *x, size_t n)
   return bad;
 }
 
-/* An outcome is a finite loss, or a divergence with its step; never NaN. */
+/* Checks that an outcome is a finite loss, or a divergence with its step; never NaN. */
 static bool is_told_truly(const struct mo_outcome *outcome, uint32_t n_steps)
 {
   const bool diverged = outcome->diverged_step > 0;
@@ -263,7 +265,7 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state,
   tally->largest_norm = fmax(tally->largest_norm, report.gradient_norm);
 }
 
-/* The last robots again with what was learned, by the scoring kernels. */
+/* Scores the last robots with the learned controller, with the scoring kernels. */
 static void score(struct mo_compute *compute, struct training_run *run, struct tally *tally)
 {
   struct mo_block blocks[SCORED];
@@ -330,7 +332,7 @@ static void run_all(uint32_t n_steps, uint32_t training_steps, bool thorough)
     diverged += tally.diverged;
     contributed += tally.robots - tally.diverged - tally.zeroed;
   }
-  CHECK(diverged > 0 && contributed > 0); /* both sides of the border were met */
+  CHECK(diverged > 0 && contributed > 0); /* both sides of the border occurred */
 }
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
@@ -351,7 +353,7 @@ static void long_runs(void)
 
 static const struct check_case cases[] = {
     {"short: a controller at the Nyquist rate", the_reverser_reverses},
-    {"short: nothing but numbers", short_runs},
-    {"nothing but numbers: 1000 steps", long_runs},
+    {"short: every result is finite or reported", short_runs},
+    {"every result is finite or reported: 1000 steps", long_runs},
 };
 CHECK_MAIN(cases)

@@ -1,11 +1,11 @@
 /* train.c: a tiny training with real gradients: three designs, 80 time steps, 10 steps of learning.
- * The mean loss of all its robots goes down, and an interrupted training ends with the same bytes.
- */
+ * The mean loss of all its robots must decrease, and an interrupted training must end with the same
+ * bytes. /
 #include "fixture.h"
 
 enum { DESIGNS = 3, STEPS = 10, BATCH = 4 };
 
-/* Mean loss of the robots of all steps with these weights. */
+/* Returns the mean loss of the robots of all steps with these weights. */
 static double loss_of(const struct mo_controller *controller,
                       const struct mo_body *const bodies[DESIGNS], const struct mo_physics *physics)
 {
@@ -69,7 +69,7 @@ static void learns(void)
   const double before = loss_of(mo_training_controller(training), bodies, physics);
   for (uint32_t step = 0; step < STEPS; step++) {
     REQUIRE(learn(training, made_up, true) == MO_OK);
-    if (step == 4) /* the other one is interrupted */
+    if (step == 4) /* the second one is interrupted */
       again = decoded(encoded(again));
     REQUIRE(learn(again, made_up, false) == MO_OK);
   }

@@ -1,5 +1,5 @@
-"""morphoctl against a server that misbehaves on demand: repetition, exit statuses, tables, streams.
-Speaks TAP.
+"""morphoctl with a server that misbehaves on demand: retries, exit statuses, tables, streams.
+Prints TAP.
 
 Usage: against_fake_server.py MORPHOCTL. The real daemon's replies are tested in tests/api."""
 import fcntl
@@ -47,7 +47,8 @@ def test_pace_of_an_evaluation():
 
 
 def test_text_of_others_is_not_obeyed():
-    """Any submitter chooses the label, and a terminal must not obey it."""
+    """Any submitter can choose a label, and a terminal must not interpret its control
+    characters."""
     evil = "x\033]0;owned\007\033[2J\u009b31m\x7f\ry"
     hidden = "a\u202egpj\u2066b\u200fc\u061cd\U000e0041e\u200b é😀ü"
     for label, shown in ((evil, "x?]0;owned??[2J?31m??y"),
@@ -86,7 +87,7 @@ def test_json_is_the_apis():
 
 
 def test_changes_many_jobs():
-    """Each job has a request of its own, however many there are."""
+    """Each job has a separate request, no matter how many jobs there are."""
     for command, sent in (("job cancel", "/v1/jobs/{}/cancel"),
                           ("train prune --step 5", "/v1/trainings/{}/checkpoints/5")):
         replies = [{**JOB, "items": [], "bytes": 0}] * 9
@@ -111,7 +112,7 @@ def test_mistakes():
         assert "standard input:1: " in err, (text[:80], err)
     many = ask([{**JOB, "results": [RESULT]}], "eval", input_text="[[0,0,0]]" * 10001)[2]
     sent = json.loads(many[0][3])["designs"]
-    assert len(sent) == 10001 and sent[7] == {"voxels": "8" + "0" * 35}  # packed: it is long
+    assert len(sent) == 10001 and sent[7] == {"voxels": "8" + "0" * 35}  # packed if long
 
 
 def test_waits_for_the_end():
@@ -167,7 +168,7 @@ def test_faults_are_printed():
 
 
 def test_closed_standard_output():
-    """The reply must not be written into the connection that got the descriptor's number."""
+    """The reply must not be written to the connection that got the descriptor's number."""
     with Server([JOB]) as server:
         run = subprocess.run(["sh", "-c", 'exec "$0" job show 7 >&-', MORPHOCTL],
                              env={**os.environ, "MORPHOD_SERVER": server.address},
@@ -224,7 +225,7 @@ def test_verify():
     for agrees, status in ((True, 0), (False, 3), (None, 3)):
         seen = ask([verified(agrees)], f"verify {VOXELS}", status=status)[2]
         assert json.loads(seen[0][3])["verify"] is True
-    # Of an id, the orientations are asked for.
+    # The orientation of an id is requested from the server.
     design = {"id": ID, "orientations": [{"genotype": VOXELS, "scores": []}]}
     seen = ask([design, verified(True)], f"verify {ID}")[2]
     assert json.loads(seen[1][3])["designs"] == [{"voxels": VOXELS}]
@@ -299,7 +300,7 @@ def test_train_start_finetune():
         replies = ([job] if job is not None else []) + [reply(202, TRAINING)]
         seen = ask(replies, "train start finetune " + words)[2]
         assert json.loads(seen[-1][3]) == {"kind": "finetune", **sent}
-        assert job is None or seen[0][1] == f"/v1/jobs/{words.split()[1]}"  # whose population it is
+        assert job is None or seen[0][1] == f"/v1/jobs/{words.split()[1]}"  # the source
     bodies = {"items": [{"id": ID, "genotype": VOXELS}] * 5}
     seen = ask([bodies, reply(202, TRAINING)], "train start finetune --random 5 --random-seed 9")[2]
     assert seen[0][1] == "/v1/bodies/random" and len(json.loads(seen[1][3])["designs"]) == 5
@@ -318,7 +319,7 @@ def test_random_bodies_from_an_offset():
 
 
 def test_more_random_bodies_than_a_list():
-    """They are named, not listed; with --best the whole scores come in pages."""
+    """Random designs are identified, not listed; with --best all scores come in pages."""
     large = {**JOB, "kind": "evaluation", "n_designs": 20000}
     seen = ask([reply(202, large)], "eval --no-wait --random 20000 --first 40 --seed 7")[2]
     sent = json.loads(seen[0][3])
@@ -373,7 +374,8 @@ def test_train_watch_goes_on_after_a_break():
 
 
 def test_wait_where_nobody_waits():
-    """A server, or a proxy, that drops Prefer and answers at once is not asked without a pause."""
+    """A server or proxy that drops Prefer and replies at once must not be polled without a
+    pause."""
     running = JOB | {"state": "running"}
     begun = time.monotonic()
     assert len(ask([running, running, running, running, JOB], "wait 7")[2]) == 5
@@ -434,7 +436,7 @@ def test_train_watch_is_left_with_an_interrupt():
 
 
 def shown_on_a_terminal(server, *command):
-    """What the command writes in a pseudo-terminal of 80 × 24."""
+    """Returns what the command writes to a pseudo-terminal of 80 × 24."""
     child, terminal = pty.fork()
     if child == 0:
         os.environ.update(MORPHOD_SERVER=server.address, LC_ALL="C.UTF-8", TERM="xterm")
@@ -445,14 +447,14 @@ def shown_on_a_terminal(server, *command):
         data += piece
         try:
             piece = os.read(terminal, 65536)
-        except OSError:  # the end of a pseudo-terminal
+        except OSError:  # end of file on a pseudo-terminal
             break
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, data
     return data.decode()
 
 
 def test_train_watch_draws_on_a_terminal():
-    """The same lines again and again, never more than there are."""
+    """The same lines are redrawn, and never more than the view has."""
     rows = "".join(
         event(42 + n, "training.progress", step=n + 3, mean_loss=0.5 / (n + 1)) for n in range(5))
     evil = {**TRAINING, "name": "w\033]0;x\007", "label": "\033[2J"}
@@ -511,7 +513,7 @@ def test_train_compare():
     assert [json.loads(s[3]) for s in seen[3:5]] == [{**held_out, "controller": name}
                                                      for name in ("old", "new")]
     # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446; both
-    # worlds are alike.
+    # environments are alike.
     half = 3.182446305284263 * (5 / 3 / 4)**0.5
     for words in (f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} "
                   "for other designs and environments (Student t, 3.0 degrees of freedom)",
@@ -526,13 +528,13 @@ def test_train_compare():
     assert value["a"]["designs_diverged"] == 1
     assert value["held_out"] == {"seed": 1, "designs": 5, "environments": 16}
     assert value["interval_for"] == "designs and environments"
-    # Most designs are better with B, one is much worse: the words say both.
+    # Most designs are better with B, but one is much worse: the text says both.
     replies = [{**held_out, "designs": held_out["designs"] * 2}] + known[1:] + [
         scored("8", [1.0] * 10), scored("9", [0.9] * 9 + [3.0])]
     out = ask(replies, "train compare old new")[0]
     assert "No significant difference" in out
     assert "most designs are better with new (sign test, p = 0.021)" in out
-    # A name that is not there is said before anything is computed.
+    # An unknown name is reported before anything is computed.
     _, _, seen = ask(known[:2] + [reply(404, {"title": "T", "detail": "D"})],
                          "train compare old no-such", status=3)
     assert [s[0] for s in seen] == ["GET"] * 3, seen

@@ -1,4 +1,4 @@
-/* How campaigns are shown: sparklines, lines of generations, the view. */
+/* How campaigns are displayed: sparklines, lines of generations, the live view. */
 #include "campaign.h"
 #include "table.h"
 
@@ -60,7 +60,7 @@ static void texts(void)
 static char drawn[40][800];
 static int n_drawn;
 
-/* Draws a campaign, and keeps its lines. */
+/* Draws a campaign and keeps its lines. */
 static void draw(const struct campaign *campaign, int columns, int table_rows)
 {
   char *text = campaign_draw(campaign, columns, table_rows), *rest = text;

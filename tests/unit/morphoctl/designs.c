@@ -22,7 +22,7 @@ static void every_form(void)
   designs_add_text(&designs, "test", text, strlen(text));
   CHECK_TEXT(json_string_value(json_array_get(designs.names, 0)), "two");
   CHECK(json_is_null(json_array_get(designs.names, 1)));
-  /* The server says what is wrong with the id "x". */
+  /* The server reports what is wrong with the id "x". */
   snprintf(expected, sizeof(expected),
            "[{\"cells\":[[0,0,0],[1,0,0]]},{\"voxels\":\"%s\"},"
            "{\"id\":\"0123456789abcdef0123456789ABCDEF0123\"},{\"voxels\":\"%s\"},"
@@ -78,7 +78,7 @@ static void ids(void)
   CHECK(voxels[0] == '1' && voxels[1] == '0' && voxels[143] == '1' && voxels[142] == '0');
   CHECK(!robot_voxels("80000000000000000000000000000000000", voxels));
   CHECK(!robot_voxels("80000000000000000000000000000000000g", voxels));
-  /* An L in the plane, along y: image 1 is mirrored in x, 5 is swapped first. */
+  /* An L in the plane, along y: image 1 is mirrored in x, and image 5 is swapped first. */
   static const char form[] = "888000800000000000000000000000000000";
   static const char *const images[8] = {"0 4 8 24 ",  "0 24 28 32 ", "0 4 8 32 ",  "8 24 28 32 ",
                                         "0 4 24 48 ", "0 24 48 52 ", "0 4 28 52 ", "4 28 48 52 "};
@@ -95,7 +95,7 @@ static void ids(void)
   CHECK(!is_robot("800000000000000000000000000000000001@8", 38) &&
         !is_robot("800000000000000000000000000000000001@", 37) &&
         is_robot("d00000000000000000000000000000000001@0", 38));
-  /* As they are in CSV. */
+  /* As written in CSV. */
   CHECK(robot_voxels("d800000000000000000000000000000000001", voxels) && voxels[0] == '1' &&
         voxels[143] == '1');
   CHECK(robot_voxels("d00000000000000000000000000000000001", voxels) &&

@@ -1,4 +1,4 @@
-"""A server that replies as a test wants, or breaks, and runs of morphoctl against it."""
+"""A server that replies as a test specifies, or fails, and runs of morphoctl with it."""
 import http.server
 import json
 import os
@@ -25,8 +25,8 @@ RESULT = {"id": ID, "robot": ID + "@0", "genotype": VOXELS, "voxels": 1, "repair
 
 
 class Server:
-    """Replies come from a list, one per request: functions, or JSON with status 200. The requests
-    are kept."""
+    """Replies come from a list, one for each request: functions, or JSON with status 200. The
+    requests are kept."""
 
     def __init__(self, replies):
         self.replies, self.seen = list(replies), []
@@ -78,7 +78,7 @@ def reply(status, body=None, content_type=None, **headers):
 
 
 def broken(handler):
-    """Ends the connection without a reply."""
+    """Closes the connection without a reply."""
     handler.close_connection = True
     handler.connection.shutdown(2)
 
@@ -106,8 +106,8 @@ def run(server, command, input_text="", **variables):
 
 
 def ask(replies, command, status=0, **more):
-    """Runs a command against a server with these replies, checks its exit status, and returns what
-    it wrote on standard output and standard error, and the requests."""
+    """Runs a command with a server that sends these replies, checks its exit status, and returns
+    its standard output, its standard error, and the requests."""
     with Server(replies) as server:
         code, out, err = run(server, command, **more)
         assert code == status, (code, out, err)

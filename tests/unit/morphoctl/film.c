@@ -1,5 +1,5 @@
-/* Reading and drawing scenes: whatever a server sends, the reader refuses it or the picture is
- * drawn within its arrays. */
+/* Reading and drawing scenes: whatever a server sends, either the reader refuses it or the picture
+ * is drawn within its arrays. */
 #include "../check.h"
 
 #include <fcntl.h>
@@ -9,7 +9,7 @@
 #include "../../../clients/film/raster.h"
 #include "ctl.h"
 
-/* One voxel, lying on flat ground, that rises by 0.1 m in its second frame. */
+/* One voxel that lies on flat ground and rises by 0.1 m in its second frame. */
 static const char header[] =
     "{\"frame_s\":0.04,\"environments\":[{\"light_xy_m\":[4,3],\"terrain_heights_m\":"
     "{\"offset\":0,\"type\":\"float32\",\"shape\":[8,8]}}],\"designs\":[{\"id\":\"x\",\"genotype\":"
@@ -19,7 +19,7 @@ static const char header[] =
     "\"rollouts\":"
     "[{\"design\":0,\"environment\":0,\"loss\":0.5,\"masses_m\":{\"offset\":344,\"type\":"
     "\"float32\",\"shape\":[2,8,3]}}]}";
-#define HEADER_BYTES ((sizeof(header) - 1 + 7) / 8 * 8 + 4) /* 4 + this is a multiple of 8 */
+#define HEADER_BYTES ((sizeof(header) - 1 + 7) / 8 * 8 + 4) /* plus 4: a multiple of 8 */
 #define ARRAY_BYTES  (344 + 2 * 8 * 3 * 4)
 
 static size_t make(unsigned char *bytes, const char *text)
@@ -53,8 +53,8 @@ static size_t make(unsigned char *bytes, const char *text)
 
 static _Alignas(8) unsigned char bytes[4096];
 
-/* Whether the first bytes of a scene, or one after another, end a process with the status of an
- * error. */
+/* Returns whether the process exits with the status of an error for a truncated scene, or for two
+ * scenes in a row. */
 static bool refuses(size_t size, const struct scene *other)
 {
   int status = 0;
@@ -84,7 +84,7 @@ static void reads(void)
   CHECK_NEAR(center[2], 0.15, 1e-6);
 }
 
-/* Two scenes as one: the second rollout keeps its body and world. */
+/* Two scenes as one: the second rollout keeps its body and environment. */
 static void appends(void)
 {
   struct scene both = {0};
@@ -103,7 +103,7 @@ static void appends(void)
   CHECK(refuses(size, &both));
 }
 
-/* A part of a scene ends before what its header tells. */
+/* A part of a scene ends before its header says. */
 static void refuses_what_is_cut(void)
 {
   const size_t size = make(bytes, header);
@@ -176,10 +176,10 @@ static void draws(void)
   struct raster *raster = raster_create(96, 64);
   const struct scene scene = scene_read(bytes, make(bytes, header));
   raster_draw(raster, &scene, 0, 0.02, &camera, false, rgb);
-  /* The face at rest is light, and the ground around it is not. */
+  /* The face at rest is bright, and the ground around it is not. */
   CHECK(rgb[(32 * 96 + 48) * 3] > 110);
   CHECK(rgb[(32 * 96 + 4) * 3] < 110);
-  /* From inside of the body, and from below. */
+  /* Seen from inside the body, and from below. */
   static const struct raster_camera odd[] = {
       {{2.55, 2.55, 0.1}, 0, 0.1, 0.01}, {{2.55, 2.55, -5}, 3, -1.5, 4}, {{0, 0, 0}, 0, 0, 0}};
   for (size_t i = 0; i < COUNT(odd); i++)
@@ -198,11 +198,11 @@ static void encodes(void)
 
 static const struct check_case cases[] = {
     {"reads a scene", reads},
-    {"makes two scenes one", appends},
-    {"refuses a scene that is cut", refuses_what_is_cut},
+    {"joins two scenes", appends},
+    {"refuses a truncated scene", refuses_what_is_cut},
     {"refuses arrays that do not fit", refuses_what_does_not_fit},
     {"refuses indices out of range", refuses_indices_out_of_range},
-    {"refuses places that are none", refuses_places_that_are_none},
+    {"refuses invalid positions", refuses_places_that_are_none},
     {"draws", draws},
     {"encodes a picture", encodes},
 };

@@ -1,11 +1,11 @@
-/* The command line, and the request that options make. */
+/* The command line, and the request that options produce. */
 #include "../check.h"
 
 #include <jansson.h>
 
 #include "commands.h"
 
-/* Parses the words of a line behind "morphoctl". */
+/* Parses the words of a line, as if they followed "morphoctl". */
 static struct ctl parse(const char *line)
 {
   static char words[256];
@@ -106,7 +106,7 @@ static void help_and_manual(void)
 }
 
 static const struct check_case cases[] = {
-    {"commands are sound", commands_are_sound},
+    {"commands are consistent", commands_are_sound},
     {"forms of options", forms},
     {"request", request},
     {"help and manual", help_and_manual},

@@ -1,4 +1,4 @@
-/* A curve as text: its size, its shape, and what must not break it. */
+/* A curve as text: its size, its shape, and input that must not break it. */
 #include "plot.h"
 #include "../check.h"
 
@@ -35,7 +35,7 @@ static void falls(void)
   struct plot plot = {.curve = curve, .n_curve = 200, .x_end = 200, .width = 50, .height = 12};
   draw(&plot);
   REQUIRE(n_lines == 12);
-  /* A straight line: in each row the asterisks stand right of those above. */
+  /* A straight line: in each row the asterisks are to the right of those above. */
   size_t before = 0;
   for (int row = 0; row < 10; row++) {
     const char *first = strchr(lines[row], '*'), *last = strrchr(lines[row], '*');
@@ -72,8 +72,8 @@ static void marks(void)
   CHECK(strstr(lines[0], "\033[33m" PLOT_MARK_UTF8 "\033[0m") != NULL);
 }
 
-/* Nothing, one point, a constant, gaps, huge numbers, a field too small: always a drawing of the
- * size asked for. */
+/* No point, one point, a constant, gaps, huge numbers, an area that is too small: the drawing
+ * always has the requested size. */
 static void odd(void)
 {
   const struct plot_point nothing[] = {{1, NAN}, {2, INFINITY}}, one[] = {{7, 3}},

@@ -1,4 +1,4 @@
-/* Server-sent events, cut anywhere. */
+/* Server-sent events, split anywhere. */
 #include "../check.h"
 
 #include "follow.h"
@@ -32,7 +32,7 @@ static void every_cut(void)
                        note, &count),
               0);
     CHECK_TEXT(seen, expected);
-    CHECK_TEXT(sse.last_id, "3"); /* the half one does not count */
+    CHECK_TEXT(sse.last_id, "3"); /* the incomplete event does not count */
     sse_free(&sse);
   }
 }
@@ -78,6 +78,6 @@ static void too_large(void)
 
 static const struct check_case cases[] = {{"cut anywhere", every_cut},
                                           {"byte by byte", byte_by_byte},
-                                          {"a listener ends it", ends},
+                                          {"a listener stops the stream", ends},
                                           {"too large", too_large}};
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* Student's t and comparisons. The reference quantiles are those of printed tables (three
- * places and more agree), and of the closed forms for one and two degrees of freedom. */
+/* Student's t and comparisons. The reference quantiles come from printed tables (and agree to three
+ * or more places), and from the closed forms for one and two degrees of freedom. */
 #include "stats.h"
 #include "../check.h"
 
@@ -26,10 +26,10 @@ static void quantiles(void)
   CHECK_NEAR(student_quantile(0.975, 1e8), 1.959963984540054, 1e-7); /* the normal distribution */
 }
 
-/* In one world the interval is Student's, over designs. */
+/* In one environment the interval is Student's, over designs. */
 static void one_world(void)
 {
-  /* Differences −1, −2, −3, 0, and one pair that is not there. */
+  /* Differences −1, −2, −3, 0, and one missing pair. */
   const double a[] = {2, 4, 6, 1, NAN, 5}, b[] = {1, 2, 3, 1, 3, INFINITY};
   struct paired paired = compare_crossed(a, b, 6, 1);
   CHECK_INT(paired.n, 4);
@@ -48,8 +48,8 @@ static void one_world(void)
   CHECK(paired.n == 0 && isnan(paired.mean_a) && isnan(paired.difference));
 }
 
-/* By hand: differences 1 2 | 3 6, means 1.5 and 4.5 of designs, 2 and 4 of worlds, 3 in all: mean
- * squares 9, 4 and 1. The third design has no loss in one world. */
+/* By hand: differences 1 2 | 3 6; means 1.5 and 4.5 of designs, 2 and 4 of environments, 3 in all;
+ * mean squares 9, 4 and 1. The third design has no loss in one environment. */
 static void two_worlds(void)
 {
   const double a[] = {0, 0, 0, 0, 0, NAN}, b[] = {1, 2, 3, 6, 7, 7};
@@ -69,9 +69,9 @@ static double normal(void)
   return length * cos(2 * 3.14159265358979323846 * drand48());
 }
 
-/* Of 1000 experiments in which designs, worlds and their pairs all vary, some 950 intervals hold
- * the true difference, 0. An interval over designs alone, whose worlds are taken as given, holds it
- * in some 600. */
+/* Of 1000 experiments in which designs, environments and their pairs all vary, about 950 intervals
+ * contain the true difference, 0. An interval only over designs, which takes the environments as
+ * given, contains it in about 600. */
 static void intervals_hold_for_other_worlds(void)
 {
   enum { DESIGNS = 20, WORLDS = 8, TIMES = 1000 };
@@ -121,6 +121,6 @@ static const struct check_case cases[] = {
     {"quantiles of Student's t", quantiles},
     {"one world", one_world},
     {"two worlds", two_worlds},
-    {"intervals hold for other worlds", intervals_hold_for_other_worlds},
+    {"intervals hold for other environments", intervals_hold_for_other_worlds},
     {"means of two sets", means}};
 CHECK_MAIN(cases)

@@ -1,8 +1,8 @@
 /* distinct.c: the statistics of a large distinct stream, and bodies of more than a million springs.
  *
- * 1.43 million distinct bodies are known to average 79 masses, 389 springs and 23 voxels, 32 % of
- * draws being new. By default a smaller stream is drawn, whose averages are smaller too, because
- * the small bodies run out slowly; the full size is drawn when MORPHO_TEST_FULL is set. */
+ * 1.43 million distinct bodies are known to average 79 masses, 389 springs and 23 voxels; 32 % of
+ * the draws are new. By default, a smaller stream is drawn. Its averages are smaller, because small
+ * bodies run out slowly. If MORPHO_TEST_FULL is set, the full size is drawn. */
 #include "../image.h"
 #include "../make.h"
 
@@ -56,7 +56,7 @@ static void full_stream(void)
   CHECK_NEAR(figures.new_share, 0.32, 0.01);
 }
 
-/* A dense box and a random body of a workspace with more than a million springs. */
+/* A dense box and a random body in a workspace with more than a million springs. */
 static void million_springs(void)
 {
   const struct mo_workspace large = {64, 48, 40};

@@ -1,4 +1,5 @@
-/* form_file.c: sets of forms as files: the same members, and nothing else than what was written. */
+/* form_file.c: sets of forms as files: they have the same members when read back, and changed files
+ * are refused. */
 #include "../make.h"
 
 #include "morphospace/form_file.h"
@@ -24,7 +25,8 @@ static int refuse(void *context, const void *bytes, size_t size)
   return --*(int *)context < 0 ? MO_ERR_NO_SPACE : MO_OK;
 }
 
-/* The forms of so many bodies of a seed: added to the set (nullable), or to be found in `has`. */
+/* Draws the forms of n bodies of a seed, and adds them to the set (nullable) or looks them up in
+ * `has`. */
 static uint32_t of_seed(uint64_t seed, uint32_t n, struct mo_form_set *set,
                         const struct mo_form_set *has)
 {
@@ -59,11 +61,11 @@ static void same_members(void)
     CHECK(of_seed(2, N, NULL, mapped) < N); /* not all of them are in it */
     mo_form_set_free(mapped);
   }
-  CHECK(mo_form_file_bytes(drawn) < 18 * N * 5 / 4 + 16384); /* close to 18 bytes a form */
+  CHECK(mo_form_file_bytes(drawn) < 18 * N * 5 / 4 + 16384); /* close to 18 bytes per form */
   close(fd);
 }
 
-/* A set without forms; one of a small workspace, all of whose one-word forms are compared. */
+/* An empty set, and the set of a small workspace, in which all one-word forms are compared. */
 static void other_sets(void)
 {
   struct mo_form_set *drawn = make_form_set(small), *mapped = NULL;
@@ -85,7 +87,7 @@ static void other_sets(void)
   close(fd);
 }
 
-/* A file that lacks bytes, has other bytes, or more, is corrupt wherever that is. */
+/* A file with missing, changed or additional bytes is corrupt, wherever they are. */
 static void damage(void)
 {
   struct mo_form_set *drawn = make_form_set(MO_DEFAULT_WORKSPACE), *mapped = NULL;
@@ -107,7 +109,7 @@ static void damage(void)
     CHECK_OK(mo_form_file_write(drawn, &key, put, (int[]){fd}));
     REQUIRE(ftruncate(fd, least) == 0);
     CHECK_INT(mo_form_file_map(fd, MO_DEFAULT_WORKSPACE, &key, 1, &mapped), MO_ERR_CORRUPT);
-    REQUIRE(ftruncate(fd, size) == 0); /* with zeros */
+    REQUIRE(ftruncate(fd, size) == 0); /* filled with zeros */
     CHECK_INT(mo_form_file_map(fd, MO_DEFAULT_WORKSPACE, &key, 1, &mapped), MO_ERR_CORRUPT);
   }
   CHECK(mapped == NULL);

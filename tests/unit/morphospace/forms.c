@@ -1,5 +1,5 @@
-/* forms.c: the set of forms against a sorted list, its memory, and the stream of distinct bodies.
- */
+/* forms.c: the set of forms compared with a sorted list, its memory, and the stream of distinct
+ * bodies. */
 #include "../make.h"
 
 #include "morphospace/form_set.h"
@@ -11,7 +11,8 @@ static void set_is_exact(void)
   enum { N = 60000 };
   struct mo_form_set *set = NULL;
   REQUIRE(mo_form_set_create(home, &set) == MO_OK);
-  /* Forms from a small range, so that about half come again; a bit array knows which. */
+  /* Forms from a small range, so that about half of them repeat; a bit array records which were
+   * seen. */
   static uint8_t seen[N];
   struct mo_random random = dice(51, 0, 0);
   uint64_t count = 0;
@@ -60,7 +61,7 @@ static void set_of_other_workspaces(void)
 
 #define MANY 40000
 
-/* Forms of which many come again and some are not to be added, one by one and all at once. */
+/* Forms with many repetitions and some that are not to be added, one by one and all at once. */
 static void set_of_many(void)
 {
   const uint32_t threads[] = {1, 2, 7};
@@ -71,7 +72,7 @@ static void set_of_many(void)
     struct mo_random random = dice(52, 0, 0);
     struct mo_form_set *set = make_form_set(home);
     struct mo_form_set *plain = make_form_set(home);
-    for (int part = 0; part < 2; part++) { /* the second time half of them are there */
+    for (int part = 0; part < 2; part++) { /* the second time, half of them are already present */
       for (uint64_t i = 0; i < MANY; i++) {
         const uint64_t k = mo_random_below(&random, MANY / 2) + (uint64_t)part * (MANY / 4) + 1;
         forms[i][0] = k;
@@ -96,7 +97,7 @@ static void set_of_many(void)
   }
 }
 
-/* At every size the set stays below 30 bytes a form: ten million fit in 300 MiB. */
+/* At every size the set stays below 30 bytes per form: ten million fit in 300 MiB. */
 static void set_is_small(void)
 {
   struct mo_form_set *set = make_form_set(home);
@@ -107,13 +108,14 @@ static void set_is_small(void)
     if (i > 50000) {
       double bytes = (double)mo_form_set_bytes(set) / (double)(i + 1);
       worst = bytes > worst ? bytes : worst;
-      if (i % 1000 == 0) { /* known beforehand */
+      if (i % 1000 == 0) { /* known in advance */
         double estimated = (double)mo_form_set_estimate(home, i + 1) / (double)(i + 1);
         CHECK(estimated >= bytes && estimated < 2.0 * bytes);
       }
     }
   }
-  printf("# at worst %.2f bytes a form\n", worst);
+  printf("# at worst %.2f bytes per form
+", worst);
   CHECK(worst < 30.0 && worst > 18.0);
 }
 
@@ -125,7 +127,7 @@ static void stream_is_distinct(void)
   int wrong = 0;
   for (int i = 0; i < N; i++) {
     uint64_t form[3];
-    if (i % 1000 == 500) { /* threads make no difference, from wherever */
+    if (i % 1000 == 500) { /* the number of threads makes no difference at any point */
       REQUIRE(mo_body_stream_set_threads(stream, (uint32_t)i / 500) == MO_OK);
     }
     REQUIRE(mo_body_stream_next(stream, bodies[i], form) == MO_OK);
@@ -139,7 +141,7 @@ static void stream_is_distinct(void)
   uint64_t draws = mo_body_stream_draws(stream);
   CHECK(draws > N);
 
-  /* Its bodies are the plain draws, less those seen before. */
+  /* Its bodies are the plain draws, without those seen before. */
   struct mo_form_set *seen = make_form_set(home);
   int n = 0;
   for (uint64_t i = 0; i < draws; i++) {
@@ -180,6 +182,6 @@ static const struct check_case cases[] = {
     {"many at once, on any number of threads", set_of_many},
     {"the set is small", set_is_small},
     {"the stream's bodies are distinct", stream_is_distinct},
-    {"a small workspace runs dry", stream_runs_dry},
+    {"a small workspace runs out of bodies", stream_runs_dry},
 };
 CHECK_MAIN(cases)

@@ -1,4 +1,4 @@
-/* genotype.c: cells, text and ids in and out, and what they refuse. */
+/* genotype.c: reading and writing cells, text and ids, and what is refused. */
 #include "../image.h"
 #include "../make.h"
 
@@ -13,7 +13,7 @@ static void from_cells(void)
     int64_t cells[4][3];
     int code;
     size_t cell;
-    int axis; /* −1: not said */
+    int axis; /* −1 = not set */
     size_t other;
   } refused[] = {
       {0, {{0}}, MO_ERR_EMPTY, 99, -1, 99},
@@ -23,9 +23,9 @@ static void from_cells(void)
       {4, {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}, {1, 0, 0}}, MO_ERR_DUPLICATE, 3, -1, 1},
       {4, {{3, 3, 3}, {3, 3, 2}, {0, 0, 0}, {0, 0, 1}}, MO_ERR_NOT_CONTIGUOUS, 2, -1, 99},
       {2, {{3, 3, 3}, {3, 2, 2}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* an edge does not connect */
-      {2, {{0, 0, 3}, {0, 1, 0}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* nor do the end of a column
-                                                                      */
-      {2, {{0, 5, 0}, {1, 0, 0}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* and the start of the next */
+      {2, {{0, 0, 3}, {0, 1, 0}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* nor is the end of a column
+                                                                        connected */
+      {2, {{0, 5, 0}, {1, 0, 0}}, MO_ERR_NOT_CONTIGUOUS, 1, -1, 99}, /* to the start of the next */
   };
   const int64_t good[3][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}};
   uint64_t bits[3];
@@ -36,7 +36,7 @@ static void from_cells(void)
     bits[0] = 7;
     CHECK_INT(mo_genotype_from_cells(home, refused[i].cells, refused[i].n, bits, &fault),
               refused[i].code);
-    /* Outputs are untouched, but for cells that can be repaired. */
+    /* Outputs are unchanged, except for cells that can be repaired. */
     CHECK((bits[0] == 7) == (refused[i].code != MO_ERR_NOT_CONTIGUOUS));
     CHECK(refused[i].code == MO_ERR_EMPTY || fault.cell == refused[i].cell);
     CHECK(refused[i].axis < 0 || (int)fault.axis == refused[i].axis);
@@ -61,7 +61,7 @@ static void from_text(void)
   text[7] = '1';
   CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_ERR_NOT_CONTIGUOUS);
   CHECK_INT(fault.cell, 143);
-  CHECK(bits[0] == 1 << 7 && bits[2] == 0x8000); /* to be repaired */
+  CHECK(bits[0] == 1 << 7 && bits[2] == 0x8000); /* can be repaired */
   text[100] = '2';
   CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_ERR_FORMAT);
   CHECK_INT(fault.cell, 100);
@@ -135,8 +135,9 @@ static void bad_ids(void)
   CHECK_INT(mo_genotype_from_id(odd, "f", 1, form), MO_ERR_FORMAT); /* a bit past the last voxel */
 }
 
-/* Every image of a body has the notation of the smallest K that gives it, and comes back from it,
- * placed. So two images have the same notation only if they are the same robot. */
+/* Every image of a body has the notation of the smallest K that produces it, and that notation is
+ * read back as the placed image. So two images have the same notation only if they are the same
+ * robot. */
 static void robots(void)
 {
   struct mo_random random = dice(6, 0, 0);
@@ -156,7 +157,7 @@ static void robots(void)
       for (unsigned turn = 0; turn < MO_ORIENTATIONS; turn++) {
         if (make_image(w, form, turn, image) != MO_OK)
           continue;
-        CHECK_INT(mo_genotype_robot(w, image, robot), MO_OK); /* as if it was not placed */
+        CHECK_INT(mo_genotype_robot(w, image, robot), MO_OK); /* as if it had not been placed */
         mo_genotype_place(w, image);
         CHECK_INT(mo_genotype_robot(w, image, other), MO_OK);
         CHECK_TEXT(other, robot);
@@ -209,7 +210,7 @@ static void bad_robots(void)
   CHECK_TEXT(robot, ONE "@0");
   bits[0] = bits[1] = bits[2] = 0;
   CHECK_INT(mo_genotype_robot(home, bits, robot), MO_ERR_EMPTY);
-  /* A row along y fits 1 × 3 × 1 as it is, and not turned. */
+  /* A row along y fits 1 × 3 × 1 as it is, but not turned. */
   const struct mo_workspace narrow = {1, 3, 1};
   CHECK_INT(mo_genotype_from_robot(narrow, "e@3", 3, bits, &k), MO_OK);
   CHECK_INT(mo_genotype_from_robot(narrow, "e@4", 3, bits, &k), MO_ERR_FORMAT);
@@ -217,11 +218,11 @@ static void bad_robots(void)
 }
 
 static const struct check_case test_cases[] = {
-    {"cells are read or refused with the place of the fault", from_cells},
-    {"text is read or refused with the place of the fault", from_text},
-    {"ids spell canonical forms and come back", ids},
+    {"cells are read, or refused with the position of the fault", from_cells},
+    {"text is read, or refused with the position of the fault", from_text},
+    {"ids spell canonical forms and can be read back", ids},
     {"ids that are not canonical are refused", bad_ids},
-    {"robots: every image has one notation, and comes back", robots},
-    {"notations of no robot are refused", bad_robots},
+    {"robots: every image has one notation, and can be read back", robots},
+    {"invalid notations are refused", bad_robots},
 };
 CHECK_MAIN(test_cases)

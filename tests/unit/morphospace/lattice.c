@@ -1,4 +1,4 @@
-/* lattice.c: counts, orders and incidence of masses and springs, against brute force. */
+/* lattice.c: counts, orders and incidence of masses and springs, compared with brute force. */
 #include "../make.h"
 
 #include <morpho/morphospace.h>
@@ -54,7 +54,7 @@ static void coordinates(struct mo_workspace w, uint32_t mass, int at[3])
   at[0] = (int)(mass / (w.nz + 1U) / (w.ny + 1U));
 }
 
-/* 1: edge, 2: face diagonal, 0: no spring between these two. */
+/* 1 = edge, 2 = face diagonal, 0 = no spring between the two. */
 static int relation(struct mo_workspace w, uint32_t a, uint32_t b)
 {
   int p[3];
@@ -131,7 +131,7 @@ static void voxels_hold_their_springs(void)
   }
 }
 
-/* A body's lists against the definition: what any of its voxels holds. */
+/* Compares a body's lists with the definition: the masses and springs of any of its voxels. */
 static void bodies(void)
 {
   struct mo_random random = dice(7, 0, 0);
@@ -195,7 +195,7 @@ static const struct check_case cases[] = {
     {"the full default workspace has 245 masses and 1648 springs", full_default},
     {"sizes are bounded", limits},
     {"springs are in the order of their ends", springs_in_order},
-    {"voxels hold 8 masses and 24 springs, ascending", voxels_hold_their_springs},
-    {"a body is what its voxels hold", bodies},
+    {"voxels have 8 masses and 24 springs, ascending", voxels_hold_their_springs},
+    {"a body has what its voxels have", bodies},
 };
 CHECK_MAIN(cases)

@@ -1,10 +1,10 @@
-/* memory.c: every allocation of the room fails once, in turn. The call must say so, leave its
- * outputs as they were, leak nothing (the address sanitizer looks), and succeed when memory is
- * back. Linked with --wrap for the allocating functions. */
+/* memory.c: every allocation of the room fails once, in turn. The call must report it, leave its
+ * outputs unchanged, leak nothing (checked by the address sanitizer), and succeed when memory is
+ * available again. Linked with --wrap for the allocating functions. */
 #include "../failing.h"
 #include "../make.h"
 
-static const struct mo_workspace large = {13, 12, 27}; /* beyond what fits the stack */
+static const struct mo_workspace large = {13, 12, 27}; /* too large for the stack */
 #define WORDS 66
 
 static struct mo_lattice *lattice;
@@ -29,7 +29,7 @@ static int create_body(void)
   return code;
 }
 
-/* Calls that write a genotype: a failure leaves it alone. */
+/* Calls that write a genotype: a failure leaves the genotype unchanged. */
 static int written(int code, const uint64_t bits[WORDS])
 {
   for (int w = 0; w < WORDS && code < 0; w++)
@@ -147,7 +147,7 @@ static void every_allocation(void)
   each_fails(create_stream, 4);
 }
 
-/* A set that cannot grow stays as it was, and grows later. */
+/* A set that cannot grow stays unchanged, and can grow later. */
 static void growing_set(void)
 {
   const struct mo_workspace home = MO_DEFAULT_WORKSPACE;
@@ -173,7 +173,7 @@ static void growing_set(void)
   }
 }
 
-/* A stream interrupted by a lack of memory goes on with the body that was due. */
+/* A stream interrupted by a lack of memory continues with the next body. */
 static void interrupted_stream(void)
 {
   const struct mo_workspace home = MO_DEFAULT_WORKSPACE;
@@ -200,7 +200,7 @@ static void interrupted_stream(void)
 
 static const struct check_case cases[] = {
     {"every allocation may fail", every_allocation},
-    {"a set that cannot grow stays whole", growing_set},
-    {"a stream goes on where it was", interrupted_stream},
+    {"a set that cannot grow stays intact", growing_set},
+    {"a stream continues where it was", interrupted_stream},
 };
 CHECK_MAIN(cases)

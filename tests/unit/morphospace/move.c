@@ -1,4 +1,4 @@
-/* move.c: a genotype in another workspace, against doing it cell by cell. */
+/* move.c: moving a genotype to another workspace, compared with a cell-by-cell version. */
 #include "plain.h"
 
 static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},  {1, 2, 1},
@@ -38,7 +38,7 @@ static void random_bodies(void)
         }
         moved_ones++;
         CHECK(SAME(moved, expected, mo_workspace_words(workspaces[b])));
-        /* And back it is the same design. */
+        /* Moved back, it is the same design. */
         char before[3000], after[3000];
         if (mo_genotype_move(workspaces[b], moved, workspaces[a], again) == MO_OK &&
             workspaces[a].nx == workspaces[a].ny) {
@@ -51,7 +51,7 @@ static void random_bodies(void)
   CHECK(moved_ones > 1000 && refused > 500);
 }
 
-/* Upright while that fits; turned without mirroring: an L of three arms shows it. */
+/* Not turned if it fits that way, and turned without mirroring, as an L with three arms shows. */
 static void turned(void)
 {
   const struct mo_workspace wide = {3, 2, 1}, deep = {2, 3, 1};

@@ -1,12 +1,12 @@
-/* place.c: placement against trying every shift. */
+/* place.c: placement compared with trying every shift. */
 #include "plain.h"
 
 static const struct mo_workspace workspaces[] = {{6, 6, 4},   {1, 1, 1},  {2, 1, 1}, {3, 5, 2},
                                                  {6, 4, 4},   {2, 3, 7},  {5, 8, 8}, {9, 9, 9},
                                                  {64, 2, 31}, {1, 1, 70}, {3, 70, 1}};
 
-/* Of the places on the ground that fit, the one whose centroid is nearest to the middle; the
- * distance is exact: squared, times twice the number of cells. */
+/* Of all positions on the ground that fit, returns the one whose centroid is nearest to the middle.
+ * The distance is exact: squared, times twice the number of cells. */
 static void place_by_trying(struct mo_workspace w, const struct cells *cells, uint64_t *best)
 {
   uint64_t moved[WORDS_MAX];
@@ -43,7 +43,7 @@ static void against_trying(void)
       place_by_trying(w, &cells, expected);
       mo_genotype_place(w, bits);
       wrong += !SAME(bits, expected, words) || !is_placed(w, bits);
-      /* and from wherever it fits */
+      /* and from any position where it fits */
       const int shift[3] = {(int)mo_random_below(&random, w.nx),
                             (int)mo_random_below(&random, w.ny),
                             (int)mo_random_below(&random, w.nz)};
@@ -59,7 +59,7 @@ static void against_trying(void)
 static void examples(void)
 {
   const struct mo_workspace w = MO_DEFAULT_WORKSPACE;
-  /* One voxel: the middle is 2.5, both 2 and 3 are as near, the first is taken. */
+  /* One voxel: the middle is 2.5, so 2 and 3 are equally near; the first is chosen. */
   const int64_t one[1][3] = {{5, 0, 3}};
   uint64_t bits[3], empty[3] = {0};
   REQUIRE(mo_genotype_from_cells(w, one, 1, bits, NULL) == MO_OK);

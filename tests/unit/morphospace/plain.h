@@ -1,4 +1,4 @@
-/* plain.h: bodies as lists of cells: the slow road to the same answers. */
+/* plain.h: bodies as lists of cells: a slow way to the same results. */
 #ifndef MORPHO_TESTS_MORPHOSPACE_PLAIN_H
 #define MORPHO_TESTS_MORPHOSPACE_PLAIN_H
 
@@ -27,7 +27,7 @@ static inline void unpack(struct mo_workspace w, const uint64_t *bits, struct ce
     }
 }
 
-/* The cells moved by `shift`; false: one leaves the workspace. */
+/* Moves the cells by `shift`; returns false if one leaves the workspace. */
 static inline bool pack(struct mo_workspace w, const struct cells *cells, const int shift[3],
                         uint64_t *bits)
 {
@@ -46,8 +46,8 @@ static inline bool pack(struct mo_workspace w, const struct cells *cells, const 
   return true;
 }
 
-/* Image k (4: x and y swapped, then 1: x and 2: y mirrored) in a corner of workspace `to`, and its
- * sides; false: it does not fit. */
+/* Computes image k (4: x and y swapped, then 1: x and 2: y mirrored) in a corner of workspace `to`,
+ * and its sides; returns false if it does not fit. */
 static inline bool image_by_cells(struct mo_workspace from, const uint64_t *bits, unsigned k,
                                   struct mo_workspace to, uint64_t *image, int side[3])
 {
@@ -69,7 +69,7 @@ static inline bool image_by_cells(struct mo_workspace from, const uint64_t *bits
   return pack(to, &cells, shift, image);
 }
 
-/* Some of the voxels of a box. */
+/* Draws some of the voxels of a box. */
 static inline void random_bits(struct mo_workspace w, struct mo_random *random, uint64_t *bits)
 {
   memset(bits, 0, mo_workspace_words(w) * sizeof(uint64_t));

@@ -1,6 +1,6 @@
-/* shape.c: components, contiguity and canonical forms against slow and plain versions, in small,
- * odd and large workspaces; and the two implementations (words of voxels, single voxels) against
- * each other. */
+/* shape.c: components, contiguity and canonical forms compared with slow, plain versions, in small,
+ * odd and large workspaces; and the two implementations (words of voxels, single voxels) compared
+ * with each other. */
 #include "../image.h"
 #include "plain.h"
 
@@ -14,7 +14,7 @@ static const struct mo_workspace workspaces[] = {
 #define VOXELS     1024
 #define WORDS      16
 
-/* Labels spread to neighbors until nothing changes. */
+/* Spreads labels to neighbors until nothing changes. */
 static int largest_by_labels(struct mo_workspace w, const uint64_t *bits, uint64_t *largest)
 {
   static struct cells cells, kept;
@@ -120,7 +120,7 @@ static void canonical_forms(void)
   }
 }
 
-/* All images that fit share one id, and so do all places. */
+/* All images that fit have the same id, and so do all positions. */
 static void one_id_for_all_images(void)
 {
   struct mo_random random = dice(33, 0, 0);
@@ -190,6 +190,6 @@ static const struct check_case cases[] = {
     {"images and canonical forms", canonical_forms},
     {"all images of a body share one id", one_id_for_all_images},
     {"both ways of placing agree", placing_in_both_ways},
-    {"nothing stays nothing", empty},
+    {"empty stays empty", empty},
 };
 CHECK_MAIN(cases)

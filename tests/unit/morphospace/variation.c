@@ -19,7 +19,7 @@ static void random_bodies(void)
   }
 }
 
-/* Without distinctness: 37 masses, 171 springs, 10 voxels on average. */
+/* Without removal of duplicates: 37 masses, 171 springs, 10 voxels on average. */
 static void averages(void)
 {
   struct mo_lattice *lattice = make_lattice(home);
@@ -58,7 +58,7 @@ static void mutation(void)
       CHECK_INT(code, MO_ERR_EMPTY);
     }
   }
-  /* Rate 0 gives the parent, rate 1 its complement's largest component. */
+  /* Rate 0 returns the parent, rate 1 the largest component of its complement. */
   uint64_t parent[3], child[3] = {5, 5, 5};
   REQUIRE(mo_genotype_random(home, &random, parent) == MO_OK);
   CHECK_INT(mo_genotype_mutate(home, parent, 0.0, &random, child), MO_OK);
@@ -76,8 +76,8 @@ static void mutation(void)
   CHECK_INT(mo_genotype_mutate(home, parent, NAN, &random, child), MO_ERR_RANGE);
 }
 
-/* A body in the middle of a wide workspace grows by what is added at its faces; from a full one,
- * what is missing counts the flips: no flip of a few can part it. */
+/* A body in the middle of a wide workspace grows by what is added at its faces. From a full body,
+ * the missing voxels count the flips: a few flips cannot split it. */
 static void mutation_rate(void)
 {
   const uint64_t full[3] = {UINT64_MAX, UINT64_MAX, 0xffff};

@@ -1,7 +1,7 @@
 /* The bits themselves. Stored scores are compared bit by bit with later ones, under a fingerprint
- * that names the kernels' version. So a change of any bit, wanted or not, must be seen here: 50
- * rollouts per instruction set and precision, hashed. A change of bits on purpose raises
- * MO_KERNEL_VERSION and writes the hashes that this test prints into the table. */
+ * that contains the kernels' version. So any change of bits, intended or not, must be noticed here:
+ * 50 rollouts per instruction set and precision are hashed. An intended change raises
+ * MO_KERNEL_VERSION and copies the hashes that this test prints into the table. */
 #include "../make.h"
 #include "compute/internal.h"
 
@@ -90,7 +90,8 @@ static void kernels(void)
   for (int isa = 0; isa < MO_ISA_COUNT; isa++)
     for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
       if (isa > (int)mo_isa_best()) {
-        printf("# %s: not on this processor\n", mo_isa_name((enum mo_isa)isa));
+        printf("# %s: not supported by this processor
+", mo_isa_name((enum mo_isa)isa));
         continue;
       }
       uint64_t h = FNV_START;
@@ -110,7 +111,8 @@ static void kernels(void)
                                  outcomes) == MO_OK);
         for (uint32_t e = 0; e < ENVIRONMENTS; e++) {
           hash_outcome(&h, outcomes + e, com[e]);
-          const float loss = (float)outcomes[e].loss; /* hypot's last bits are the C library's */
+          const float loss =
+              (float)outcomes[e].loss; /* hypot's last bits depend on the C library */
           hash(&h, &loss, sizeof(loss));
           diverged += outcomes[e].diverged_step > 0;
         }

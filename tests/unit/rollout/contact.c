@@ -1,4 +1,4 @@
-/* contact.c: one mass against the terrain: impact times against a fine search, the strike against
+/* contact.c: one mass on the terrain: impact times compared with a fine search, and the strike with
  * closed forms. */
 #include "../check.h"
 
@@ -24,7 +24,8 @@ static double gap(const double *heights_m, const double p[3], const double v[3],
   return p[2] + t * v[2] - mo_terrain_height(heights_m, p[0] + t * v[0], p[1] + t * v[1]);
 }
 
-/* The first time at which the gap turns negative, by walking in small steps, then halving. */
+/* Returns the first time at which the gap turns negative, found by walking in small steps, then
+ * halving. */
 static double search(const double *heights_m, const double p[3], const double v[3], double dt,
                      int n)
 {
@@ -44,9 +45,9 @@ static double search(const double *heights_m, const double p[3], const double v[
   return dt;
 }
 
-/* Segments of all lengths, up to many cells, in and out of the map, over rough terrain. The walk
- * may step over a dip that lasts less than one of its steps; then the gap at the closed form's time
- * must vanish, and what follows must be below. */
+/* Segments of all lengths, up to many cells, on and off the map, over rough terrain. The walk may
+ * miss a dip that is shorter than one of its steps; then the gap at the closed form's time must
+ * vanish, and right after it must be negative. */
 static void exact_against_search(void)
 {
   mo_random_init(&random_numbers, 5, MO_PURPOSE_CHECK, 0, 0);
@@ -84,7 +85,8 @@ static void exact_against_search(void)
   CHECK(crossing > 500 && earlier < 30);
 }
 
-/* On the ground already, borders, edges, and a start slightly below the terrain by rounding. */
+/* Already on the ground, borders, edges, and a start slightly below the terrain because of
+ * rounding. */
 static void exact_at_limits(void)
 {
   double heights_m[MO_TERRAIN_HEIGHTS];
@@ -107,11 +109,11 @@ static void exact_at_limits(void)
                    v[3] = {k & 1 ? 500.0 : -500.0, k & 2 ? 1.0 : 0.0, -1};
       CHECK_NEAR(mo_impact_exact(heights_m, p, v, dt), 0.002, 1e-15);
     }
-  /* A ridge along x = line: the segment starts and ends on its two sides, and meets the far one. */
+  /* A ridge along x = line: the segment starts and ends on opposite sides, and hits the far one. */
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     heights_m[k] = k % 8 >= 4 ? 0.5 : 0.1;
   const double left[3] = {line - 0.01, 2.2, 0.1 + 0.01}, right[3] = {10, 0, 0};
-  /* Flat up to x = line, then a rise of 0.4 m in 5/7 m: z = 0.11 is met after 0.01 + 0.01 ·
+  /* Flat up to x = line, then a rise of 0.4 m in 5/7 m: z = 0.11 is reached after 0.01 + 0.01 ·
    * (5/7)/0.4 m. */
   CHECK_NEAR(mo_impact_exact(heights_m, left, right, dt), (0.01 + 0.01 * (5.0 / 7) / 0.4) / 10,
              1e-15);
@@ -136,7 +138,7 @@ static void strike_flat(void)
   struct mo_physics physics = mo_default_physics();
   double heights_m[MO_TERRAIN_HEIGHTS];
   flat(heights_m, 0.25);
-  /* The cap: 0.9 · 2 > 0.95 · 1. */
+  /* Capped: 0.9 · 2 > 0.95 · 1. */
   double p[3] = {2.5, 2.5, 0.25 + 0.003}, v[3] = {1, 0, -2};
   mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, p, v);
   CHECK_NEAR(v[0], 0.05, 1e-15);
@@ -144,13 +146,13 @@ static void strike_flat(void)
   CHECK_NEAR(v[2], 0, 0);
   CHECK_NEAR(p[0], 2.5 + 0.0015 + 0.0025 * 0.05, 1e-15);
   CHECK_NEAR(p[2], 0.25, 0);
-  /* Friction proper: 5 m/s tangential lose 0.9 · 2. */
+  /* Not capped: 5 m/s tangential lose 0.9 · 2. */
   double q[3] = {2.5, 2.5, 0.25 + 0.003}, w[3] = {3, -4, -2};
   mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, q, w);
   CHECK_NEAR(w[0], 3 * (1 - 1.8 / 5), 1e-15);
   CHECK_NEAR(w[1], -4 * (1 - 1.8 / 5), 1e-15);
   CHECK_NEAR(q[1], 2.5 - 4 * 0.0015 - 4 * (1 - 1.8 / 5) * 0.0025, 1e-15);
-  /* Straight down: nothing tangential to divide by. */
+  /* Straight down: no tangential speed to divide by. */
   double s[3] = {2.5, 2.5, 0.25}, u[3] = {0, 0, -2};
   mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, s, u);
   CHECK(u[0] == 0 && u[1] == 0 && u[2] == 0 && s[2] == 0.25);
@@ -160,15 +162,15 @@ static void strike_flat(void)
   mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, a, b);
   CHECK_NEAR(b[0], 3, 0);
   CHECK_NEAR(a[0], 2.512, 1e-15);
-  /* Above the ground: nothing but motion. */
+  /* Above the ground: only motion. */
   double c[3] = {2.5, 2.5, 0.25}, d[3] = {1, 2, 0};
   mo_contact_move(&physics.scheme, &physics.constants, heights_m, 0.25, c, d);
   CHECK_NEAR(c[1], 2.508, 1e-15);
   CHECK_NEAR(d[1], 2, 0);
 }
 
-/* On a plane of slope 0.3 along x the velocity after the strike is tangential, and slowed by the
- * right amount. */
+/* On a plane of slope 0.3 along x, the velocity after the strike is tangential, and reduced by the
+ * correct amount. */
 static void strike_slope(void)
 {
   struct mo_physics physics = mo_default_physics();
@@ -190,7 +192,7 @@ static void strike_slope(void)
   CHECK_NEAR(p[2], 0.3 * p[0], 1e-15);
 }
 
-/* Whatever happens, the mass ends on or above the ground, no faster than it came. */
+/* In every case the mass ends on or above the ground, no faster than before. */
 static void never_below(void)
 {
   mo_random_init(&random_numbers, 6, MO_PURPOSE_CHECK, 0, 0);

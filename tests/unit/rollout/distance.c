@@ -1,5 +1,5 @@
-/* The distance that losses are made of: right to the last place, and the same bits whatever the C
- * library's hypot. */
+/* The distance that losses are computed from: correct to the last place, and with the same bits
+ * whatever the C library's hypot returns. */
 #include <inttypes.h>
 #include <math.h>
 #include <morpho/random.h>
@@ -37,8 +37,8 @@ static void exact(void)
   CHECK(isnan(mo_distance(NAN, 1)) && isnan(mo_distance(0, NAN)));
 }
 
-/* Distances as robots have them, in meters; one in eight pairs has numbers of very different size.
- */
+/* Distances of the size that robots have, in meters; in one of eight pairs the numbers differ
+ * widely in size. */
 static void frozen(void)
 {
   uint64_t h = FNV_START;
@@ -64,7 +64,7 @@ static void frozen(void)
 }
 
 static const struct check_case cases[] = {
-    {"what is exact, large, small or not a number", exact},
+    {"exact, large, small and invalid numbers", exact},
     {"the bits have not changed", frozen},
 };
 CHECK_MAIN(cases)

@@ -66,7 +66,7 @@ static num parameter(const struct second_parameters *theta, size_t at, int lane)
 }
 
 /* Σ_j weights[j] · in[j]: values in order, and for each lane Σ_j weights[j] · in[j].t. The compiler
- * picks the widest vectors of this machine at run time; lanes never mix, so that the result is the
+ * picks the widest vectors of this machine at run time; lanes never mix, so the result is the
  * same. */
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) &&                             \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
@@ -86,8 +86,8 @@ weigh(const double *weights, const num *in, uint32_t width, num *sum)
     sum->t[k] = t[k];
 }
 
-/* The matrix starts at parameter `at` and has `height` rows, its biases follow; `rows` (NULL: 0 …)
- * are wanted, n of them. Lane `lane` moves the matrix, lane + 1 its biases. */
+/* The matrix starts at parameter `at` and has `height` rows, followed by its biases. Only the n
+ * `rows` (NULL: 0 …) are computed. Lane `lane` perturbs the matrix, lane + 1 its biases. */
 static void dense(const struct second_parameters *theta, size_t at, int lane, uint32_t height,
                   const uint32_t *rows, uint32_t n, uint32_t width, const num *in, num *out)
 {
@@ -202,7 +202,7 @@ static int in_cell(const struct track *t, num time, num *fraction, num *rate)
   return t->cell;
 }
 
-/* Differentiated as it stands: through the root formula, and through the times at which borders are
+/* Differentiated directly: through the root formula, and through the times at which borders are
  * crossed. */
 static num exact_impact(const double *heights, const num p[3], const num v[3], double dt)
 {
@@ -221,7 +221,7 @@ static num exact_impact(const double *heights, const num p[3], const num v[3], d
       const num height =
           add(add(add(con(h[0]), scaled(u, ha)), scaled(w, hb)), mul(scaled(u, hc), w));
       const num gap = sub(add(p[2], mul(v[2], from)), height);
-      /* A mass that lies on the ground strikes at once, whatever rounding makes of its gap. */
+      /* A mass that lies on the ground strikes at once, whatever the rounding error of its gap. */
       const int lies =
           val(from) == 0 && !(val(p[2]) > val(terrain(heights, p[0], p[1], NULL, NULL)));
       const num c = val(gap) > 0 ? (lies ? con(val(gap)) : gap) : con(0),
@@ -309,7 +309,8 @@ static uint64_t move(const struct second_setup *setup, double highest, num p[3],
   }
   num slope[2];
   const num ground = terrain(heights, p[0], p[1], slope, &end_cell);
-  /* Within rounding of the ground both branches of the maximum have one derivative: no event. */
+  /* If a mass is on the ground to within rounding, both branches of the maximum have the same
+   * derivative: no event. */
   const int raised = val(p[2]) < val(ground) - 1e-12;
   if (val(p[2]) < val(ground))
     p[2] = ground;
@@ -353,8 +354,8 @@ static void sense_all(struct second *s, uint32_t step)
     s->input[s->n_inputs - 5 + (uint32_t)k] = con(sin(10.0 * t + 2.0 * M_PI * k / 5));
 }
 
-/* LayerNorm and ReLU of the 256 numbers in h; gain and shift start at parameter `at`, lanes `lane`,
- * lane + 1. */
+/* LayerNorm and ReLU of the 256 numbers in h; gain and shift start at parameter `at`, lanes `lane`
+ * and lane + 1. */
 static void normalize(const struct second *s, size_t at, int lane, num *h)
 {
   num mean = con(0), variance = con(0);
@@ -445,7 +446,7 @@ static num distance_to_light(const struct second *s)
   return root(add(mul(com[0], com[0]), mul(com[1], com[1])));
 }
 
-/* Lifted until no mass is below the ground. */
+/* Lifted until every mass is on or above the ground. */
 static void place_body(struct second *s)
 {
   const struct mo_body *body = s->setup->body;

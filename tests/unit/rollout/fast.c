@@ -1,5 +1,5 @@
-/* The fast path: its parts against plain arithmetic, its bits against themselves, its results
- * against the reference. */
+/* The fast path: its parts compared with plain arithmetic, its bits with each other, its results
+ * with the reference. */
 #include "probe.h"
 
 static struct mo_controller *controller;
@@ -13,7 +13,7 @@ static void setup(void)
   controller = make_shipped_controller("bootstrap");
 }
 
-/* A body of about `size` voxels, always the same for the same number. */
+/* Returns a body of about `size` voxels, always the same for the same number. */
 static struct mo_body *body_number(uint64_t number, uint32_t size)
 {
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
@@ -52,8 +52,9 @@ static void run_block(int isa, int precision, const struct mo_body *body, const 
 
 /* ---- parts ---- */
 
-/* The worst error of tanh over n numbers whose highest bits are `high`, in units of the last place:
- * both signs, mantissas spread over all bits. Infinite: beyond ±1, or of the other sign. */
+/* Returns the worst error of tanh over n numbers whose highest bits are `high`, in units of the
+ * last place: both signs, mantissas spread over all bits. Infinite if a result is beyond ±1 or has
+ * the wrong sign. */
 static double tanh_error(int isa, enum mo_precision precision, uint64_t high, uint32_t n)
 {
   static double x[1 << 14] __attribute__((aligned(64))), y[1 << 14] __attribute__((aligned(64)));
@@ -112,8 +113,8 @@ static void sin_and_exp(void)
   CHECK(mo_fast_exp(-800.0) == 0.0);
 }
 
-/* The product of every tile height against the same sum written plainly: k ascending, one fused
- * operation per term where the instruction set has it, so the bits must agree. */
+/* The product of every tile height compared with the same sum written plainly: k ascending, one
+ * fused operation per term if the instruction set has it, so the bits must agree. */
 static void products(void)
 {
   enum { K = 83, ROWS = MO_BLOCK_LANES };
@@ -154,7 +155,7 @@ static void products(void)
 
 enum { PATH_FRAMES = 7 };
 
-/* What a lane records; the rest of it stays 0. */
+/* What a lane records; the remaining entries stay 0. */
 struct path {
   float mass_m[PATH_FRAMES * MO_DEFAULT_MASSES * 3];
   int8_t actuation[PATH_FRAMES * MO_DEFAULT_SPRINGS];
@@ -169,8 +170,8 @@ static struct mo_recording recording_of(struct path *path, uint32_t stride)
                                .contacts = path->contacts};
 }
 
-/* A lane alone, and among others at every place, in any mixture: the same outcome and the same
- * path, bit for bit. */
+/* A lane by itself, and among others at every position, in any mixture: the same outcome and the
+ * same path, bit for bit. */
 static void lanes_keep_to_themselves(void)
 {
   struct mo_physics physics = physics_of(150);
@@ -230,7 +231,7 @@ static double worst_difference(const struct lives *a, const struct lives *b)
   return worst;
 }
 
-/* Every kernel against the one reference of a body. */
+/* Every kernel compared with the same reference. */
 static void compare_kernels(const struct mo_body *body, const struct mo_physics *physics,
                             int variant)
 {
@@ -285,8 +286,8 @@ static void free_recordings(struct mo_recording *recordings, int n)
     mo_recording_free(&recordings[l]);
 }
 
-/* Actuation and contacts of one lane against the reference's. Counts the contacts of the reference.
- */
+/* Compares actuation and contacts of one lane with the reference's. Counts the reference's
+ * contacts. */
 static void compare_channels(const struct mo_body *body, const struct mo_recording *a,
                              const struct mo_recording *b, int precision, uint32_t *contacts)
 {
@@ -301,7 +302,7 @@ static void compare_channels(const struct mo_body *body, const struct mo_recordi
     *contacts += b->contacts[i];
     CHECK(a->contacts[i] <= 1);
   }
-  CHECK(worst <= 1); /* of 127: where an output lies between two numbers */
+  CHECK(worst <= 1); /* in units of 1/127: where an output lies between two numbers */
   CHECK(precision == MO_FLOAT64 ? differ == 0 : differ <= 1 + CHANNEL_FRAMES * body->n_masses / 50);
 }
 
@@ -322,7 +323,7 @@ static void channels_agree(void)
     {
       uint32_t contacts = 0, moved = 0;
       make_recordings(recordings, LANES, body);
-      memset(recordings[0].actuation, 99, body->n_springs); /* the first frame is written, too */
+      memset(recordings[0].actuation, 99, body->n_springs); /* the first frame is also written */
       memset(recordings[0].contacts, 99, body->n_masses);
       run_block(isa, precision, body, lanes, LANES, &physics, recordings, outcomes);
       for (int l = 0; l < LANES; l++) {
@@ -342,7 +343,7 @@ static void channels_agree(void)
   }
 }
 
-/* A passive body that falls: nothing acts, and what touches lies on the terrain. */
+/* A passive body that falls: no actuation, and every mass in contact lies on the terrain. */
 static void contacts_of_a_fall(void)
 {
   struct mo_physics physics = physics_of((CHANNEL_FRAMES - 1) * CHANNEL_STRIDE);
@@ -397,8 +398,8 @@ static void passive_bodies(void)
   }
 }
 
-/* Stiff springs blow up in some environments sooner than in others: each lane ends by itself, at
- * the reference's step, and nothing that is not finite leaves the block. */
+/* Stiff springs blow up in some environments sooner than in others. Each lane ends independently,
+ * at the reference's step, and non-finite values never leave the block. */
 static void divergence_stays_in_its_lane(void)
 {
   struct mo_physics physics = physics_of(400);
@@ -432,7 +433,7 @@ static void divergence_stays_in_its_lane(void)
       CHECK_INT(wild, 0);
       run_block(isa, precision, body, &l, 1, &physics, NULL, &alone);
       CHECK(SAME(&alone, &outcomes[l], 1));
-      /* It stays where a life that ends a step earlier ends: at the last finite state. */
+      /* It stops where a rollout that is a step shorter ends: at the last finite state. */
       struct mo_physics shorter = physics;
       shorter.scheme.n_steps = (uint32_t)outcomes[l].diverged_step - 1;
       if (outcomes[l].diverged_step <= 1)
@@ -456,7 +457,7 @@ static void divergence_stays_in_its_lane(void)
   }
 }
 
-/* Recorded masses stand on the terrain or above it, at every step of a controlled life. */
+/* Recorded masses are on the terrain or above it, at every step of a controlled rollout. */
 static void no_mass_below_the_terrain(void)
 {
   struct mo_physics physics = physics_of(200);
@@ -482,12 +483,12 @@ static void no_mass_below_the_terrain(void)
         deepest =
             fmax(deepest, mo_terrain_height(environments[l].terrain_heights_m, p[0], p[1]) - p[2]);
       }
-    CHECK(deepest <= 1e-6); /* recordings are float32, whatever the precision of the life */
+    CHECK(deepest <= 1e-6); /* recordings are float32, whatever the precision of the rollout */
   }
 }
 
-/* Bodies far beyond the default workspace: a controlled one against the reference, and a passive
- * one of over a million springs. */
+/* Bodies far beyond the default workspace: a controlled one compared with the reference, and a
+ * passive one with over a million springs. */
 static void large_bodies(void)
 {
   const struct mo_workspace middle = {14, 11, 9}, huge = {48, 48, 48};
@@ -561,7 +562,7 @@ static const struct check_case cases[] = {
     {"tanh", tanh_of_every_exponent},
     {"sin and exp", sin_and_exp},
     {"products bit for bit", products},
-    {"a lane's bits are its own", lanes_keep_to_themselves},
+    {"a lane's bits do not depend on other lanes", lanes_keep_to_themselves},
     {"close to the reference", close_to_reference},
     {"actuation and contacts as in the reference", channels_agree},
     {"contacts of a fall", contacts_of_a_fall},

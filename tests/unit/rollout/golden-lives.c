@@ -1,7 +1,7 @@
-/* golden-lives.c: whole lives against the stored float64 rollouts, which have 9 digits: the float64
- * reference, and every kernel. A rollout bifurcates where a mass touches the ground or not by a
- * rounding error, so the comparison is by distribution (docs/model.md), and the cases that part are
- * named. */
+/* golden-lives.c: whole rollouts compared with the stored float64 rollouts, which have 9 digits:
+ * the float64 reference, and every kernel. A rollout bifurcates when a rounding error decides
+ * whether a mass touches the ground. So the comparison is by distribution (docs/model.md), and
+ * cases that diverge from the stored ones are listed. */
 #include "../make.h"
 #include "golden.h"
 
@@ -9,7 +9,7 @@ static struct golden golden;
 
 enum { CASES_MAX = 256, AT_200 = 4 /* of golden_steps */ };
 
-/* The loss of one case; com: (steps + 1, 3). isa −1: by the reference. */
+/* Returns the loss of one case; com: (steps + 1, 3). isa −1: by the reference. */
 static double live(const struct golden_case *c, int isa, enum mo_precision precision,
                    const struct mo_physics *physics, double *com)
 {
@@ -85,8 +85,9 @@ static void kernels(void)
         compare(isa, (enum mo_precision)precision, mode);
 }
 
-static const struct check_case cases[] = {{"the reference's lives are the golden ones", reference},
-                                          {"the kernels' lives are close to them", kernels}};
+static const struct check_case cases[] = {
+    {"the reference reproduces the golden rollouts", reference},
+    {"the kernels come close to them", kernels}};
 
 int main(int argc, char **argv)
 {

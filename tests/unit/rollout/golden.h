@@ -22,10 +22,10 @@ struct golden {
   size_t n;
 };
 
-/* 0, or −1 with a diagnostic printed. */
+/* Returns 0, or −1 after printing a diagnostic. */
 int golden_load(struct golden *golden);
 void golden_free(struct golden *golden);
-/* A file of the source tree; free the result. */
+/* Reads a file of the source tree; free the result. */
 char *golden_path(const char *relative);
 
 #endif

@@ -1,7 +1,7 @@
-/* The bits of the fast gradient, as bits.c does it for scores: a training that goes on after an
- * upgrade must go on with the same weights, or its fingerprint must say that it does not. A
- * change of bits on purpose raises MO_GRADIENT_VERSION and writes the hashes that this test prints
- * into the table. */
+/* The bits of the fast gradient, like bits.c for scores: a training that continues after an upgrade
+ * must continue with the same weights, or its fingerprint must show that it does not. An intended
+ * change of bits raises MO_GRADIENT_VERSION and copies the hashes that this test prints into the
+ * table. */
 #include "../make.h"
 #include "compute/internal.h"
 
@@ -15,7 +15,7 @@ static const uint64_t gradient_hashes[MO_ISA_COUNT] = {
     UINT64_C(0x3d5b81bc9e63ba58), /* avx512 */
 };
 
-/* Of lives in which what is rare in contact happens all the time. */
+/* For rollouts in which rare kinds of contact are frequent. */
 static const uint64_t rare_hashes[MO_ISA_COUNT] = {
     UINT64_C(0x2cad5ded0fb30d47), /* x86-64 */
     UINT64_C(0x4809bdfc431286f4), /* avx2 */
@@ -43,7 +43,7 @@ static void setup(void)
   robots[2].environment = beside;
 }
 
-/* The gradient of n robots by a random controller. */
+/* Returns a hash of the gradient of n robots with a random controller. */
 static void run(enum mo_isa isa, enum mo_sensor sensor, uint64_t seed, const struct mo_robot *own,
                 uint32_t n, const struct mo_physics *physics, double bound, uint64_t *h,
                 struct mo_outcome *outcomes, struct mo_gradient_counts *counts)
@@ -60,8 +60,8 @@ static void run(enum mo_isa isa, enum mo_sensor sensor, uint64_t seed, const str
   check_drop_to(kept);
 }
 
-/* Both sensors, both impact modes, a bound and none, whole and cut blocks, and one in which robots
- * diverge. */
+/* Both sensors, both impact modes, with and without a bound, whole and partial blocks, and one in
+ * which robots diverge. */
 static void run_block(enum mo_isa isa, int block, uint64_t *h, struct mo_gradient_counts *counts)
 {
   struct mo_outcome outcomes[ROBOTS];
@@ -74,7 +74,7 @@ static void run_block(enum mo_isa isa, int block, uint64_t *h, struct mo_gradien
       robots, n, &physics, block == 2 ? 0 : MO_ADJOINT_BOUND, h, outcomes, counts);
   for (uint32_t i = 0; i < n; i++) {
     const float loss =
-        (float)outcomes[i].loss; /* as it was when its last bits were the C library's */
+        (float)outcomes[i].loss; /* as when its last bits depended on the C library */
     hash(h, &loss, sizeof(loss));
     hash(h, &outcomes[i].diverged_step, sizeof(outcomes[i].diverged_step));
     hash(h, outcomes[i].com_start_m, sizeof(outcomes[i].com_start_m));
@@ -87,7 +87,8 @@ static void gradients(void)
   CHECK_INT(MO_GRADIENT_VERSION, HASHED_VERSION);
   for (int isa = 0; isa < MO_ISA_COUNT; isa++) {
     if (isa > (int)mo_isa_best()) {
-      printf("# %s: not on this processor\n", mo_isa_name((enum mo_isa)isa));
+      printf("# %s: not supported by this processor
+", mo_isa_name((enum mo_isa)isa));
       continue;
     }
     uint64_t h = FNV_START;
@@ -103,9 +104,9 @@ static void gradients(void)
   }
 }
 
-/* Robots slide down a mountain side that is rough, and over the edges of many cells: down slopes
- * that bend, into pits, up and over ridges. Life 1 begins with a fall from 10 m, life 2 goes across
- * roofs with a ridge or a valley along every edge. Returns how many end well. */
+/* Robots slide down a rough mountain side, and across the edges of many cells: down slopes that
+ * bend, into pits, up and over ridges. Case 1 starts with a fall from 10 m; case 2 crosses roofs
+ * with a ridge or a valley along every edge. Returns how many do not diverge. */
 static uint32_t run_rare(enum mo_isa isa, int life, uint64_t *h)
 {
   enum { N = 12 };
@@ -145,7 +146,7 @@ static void rare_contacts(void)
     uint32_t n_finite = 0;
     for (int life = 0; life < 3; life++)
       n_finite += run_rare((enum mo_isa)isa, life, &h);
-    printf("# %s: %u of 36 lives end well; the bits hash to 0x%016" PRIx64 "\n",
+    printf("# %s: %u of 36 rollouts did not diverge; the bits hash to 0x%016" PRIx64 "\n",
            mo_isa_name((enum mo_isa)isa), n_finite, h);
     CHECK(h == rare_hashes[isa]);
     CHECK(n_finite >= 24);
@@ -154,6 +155,6 @@ static void rare_contacts(void)
 
 static const struct check_case cases[] = {
     {"the gradient's bits have not changed", gradients},
-    {"nor where contacts are rare ones", rare_contacts},
+    {"the bits of rare contacts have not changed", rare_contacts},
 };
 CHECK_MAIN_WITH(setup, cases)

@@ -1,4 +1,4 @@
-/* gradient-cases.h: bodies, worlds and controllers on which gradients are tested. */
+/* gradient-cases.h: bodies, environments and controllers on which gradients are tested. */
 #ifndef MORPHO_TESTS_GRADIENT_CASES_H
 #define MORPHO_TESTS_GRADIENT_CASES_H
 
@@ -37,7 +37,7 @@ static inline struct mo_body *gradient_case_body(uint32_t k, struct mo_workspace
   const struct mo_lattice *lattice = make_lattice(workspace);
   struct mo_random random = dice(77, 1, k);
   uint64_t bits[MO_DEFAULT_WORDS] = {0};
-  uint32_t voxels = 0; /* the smallest draws are uninteresting where there is room */
+  uint32_t voxels = 0; /* in larger workspaces, skip the smallest draws */
   if (k == 0)
     return make_full_body(lattice);
   for (int tries = 0; tries < 50 && (voxels == 0 || voxels < mo_workspace_voxels(workspace) / 6);
@@ -48,7 +48,7 @@ static inline struct mo_body *gradient_case_body(uint32_t k, struct mo_workspace
   return make_body(lattice, bits);
 }
 
-/* Xavier weights; biases, gains and shifts off their initial values too. */
+/* Xavier weights; biases, gains and shifts are moved off their initial values as well. */
 static inline struct mo_controller *
 gradient_case_controller(uint32_t k, struct mo_workspace workspace, enum mo_sensor sensor)
 {
@@ -65,9 +65,9 @@ gradient_case_controller(uint32_t k, struct mo_workspace workspace, enum mo_sens
   return controller;
 }
 
-/* Case k: a random body (one of them all 144 voxels) of one of several workspaces, mostly the
- * default one, a random controller or the shipped one, terrain from flat to 1 m, both sensors, both
- * impact modes. */
+/* Makes case k: a random body (one of them with all 144 voxels) in one of several workspaces,
+ * mostly the default one, a random controller or the shipped one, terrain from flat to 1 m, both
+ * sensors, both impact modes. */
 static inline struct gradient_case make_gradient_case(uint32_t k)
 {
   static const struct mo_workspace others[] = {{3, 3, 2}, {2, 2, 2}, {1, 1, 1}, {4, 2, 3}};

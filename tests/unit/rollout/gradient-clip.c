@@ -1,6 +1,6 @@
-/* gradient-clip.c: what the adjoint's bound does, what is done about numbers that are not finite,
- * memory and time, and the contract's edges. Linked with calloc wrapped, so that allocations can be
- * counted and made to fail. */
+/* gradient-clip.c: the effect of the adjoint's bound, the handling of non-finite numbers, memory
+ * and time, and edge cases of the contract. Linked with a wrapped calloc, so that allocations can
+ * be counted and made to fail. */
 #include "gradient-cases.h"
 
 #include <stdbool.h>
@@ -10,7 +10,7 @@
 void *__real_calloc(size_t count, size_t size);
 void *__wrap_calloc(size_t count, size_t size);
 
-static long calls_left = -1; /* allocations until one fails; negative: never */
+static long calls_left = -1; /* allocations until one fails; negative = never */
 static size_t allocated;     /* bytes */
 
 void *__wrap_calloc(size_t count, size_t size)
@@ -27,12 +27,12 @@ struct watch {
   const struct gradient_case *c;
   enum mo_adjoint_rule rule;
   double weight;                  /* of a restarted adjoint */
-  double com_m[STEPS_MAX + 1][2]; /* after so many steps */
+  double com_m[STEPS_MAX + 1][2]; /* after this many steps */
   double scale_m, bound, largest_before, largest_after, factor;
-  double kept[2][3 * MO_DEFAULT_MASSES]; /* what the adjoint is to be after it was held against the
+  double kept[2][3 * MO_DEFAULT_MASSES]; /* what the adjoint must be after it was compared with the
                                             bound */
   uint32_t calls, above, astray,
-      inject_at; /* inject_at: step at which a NaN is put into the adjoint; 0: none */
+      inject_at; /* inject_at: step at which a NaN is put into the adjoint; 0 = never */
 };
 
 static double size_of(const struct watch *w, const double *dx, const double *dv)
@@ -76,13 +76,13 @@ static void after(void *context, uint32_t step, double *dx, double *dv)
   (void)step;
   w->largest_after = fmax(w->largest_after, size_of(w, dx, dv));
   for (uint32_t i = 0; i < 3 * w->c->body->n_masses;
-       i++) { /* one factor for all of it; 1e-7: d0 + 1e-8 m against d0 */
+       i++) { /* one factor for all of it; 1e-7: d0 + 1e-8 m versus d0 */
     const double x = w->factor * w->kept[0][i], v = w->factor * w->kept[1][i];
     w->astray += !(fabs(dx[i] - x) <= 1e-7 * fabs(x)) + !(fabs(dv[i] - v) <= 1e-7 * fabs(v));
   }
 }
 
-/* Where the center of mass is on the way forward. */
+/* Returns where the center of mass is in the forward pass. */
 static bool go(struct watch *w)
 {
   const struct gradient_case *c = w->c;
@@ -124,7 +124,7 @@ static int run(const struct gradient_case *c, double bound, uint32_t inject_at, 
   return run_by(MO_ADJOINT_CLIP, 1, c, bound, inject_at, w, gradient, counts);
 }
 
-/* A case whose adjoint exceeds 1, and its gradient without a bound. */
+/* Finds a case whose adjoint exceeds 1, and computes its gradient without a bound. */
 static double *prepare(struct gradient_case *c, uint32_t n_steps, struct watch *w)
 {
   struct mo_gradient_counts counts = {0};
@@ -168,7 +168,7 @@ static void bounds_every_step(void)
     CHECK_INT(counts.clipped_robots, k > 0);
     CHECK_INT(counts.robots, 1);
     CHECK_INT(counts.zeroed_robots, 0);
-    CHECK(SAME(gradient, unbounded, n) == (k == 0)); /* out of reach: the same bits as off */
+    CHECK(SAME(gradient, unbounded, n) == (k == 0)); /* never reached: same bits */
   }
 }
 
@@ -184,11 +184,11 @@ static void restarts(void)
     double bound, weight;
     uint32_t least, most; /* steps that restart */
   } list[] = {
-      {2 * free_run.largest_before, 3, 0, 0}, /* out of reach */
+      {2 * free_run.largest_before, 3, 0, 0}, /* never reached */
       {2 * fresh, 1, 1, 99},
       {4 * fresh, 2.5, 1, 99},
-      {2 * fresh, 0, 1, 1},       /* what ends stays ended */
-      {0.5 * fresh, 1, 200, 200}, /* passed by an adjoint that has just begun */
+      {2 * fresh, 0, 1, 1},       /* a restarted adjoint does not revive */
+      {0.5 * fresh, 1, 200, 200}, /* already exceeded by an adjoint that has just started */
   };
   for (size_t k = 0; k < COUNT(list); k++) {
     struct mo_gradient_counts counts = {0};
@@ -232,8 +232,8 @@ static void zeroes_what_is_not_finite(void)
   }
 }
 
-/* Adds weight · gradient to what is there, in the same bits each time; the outcome is the rollout's
- * own. */
+/* Adds weight · gradient to the existing contents, with the same bits each time; the outcome is
+ * that of the rollout. */
 static void adds_up(void)
 {
   struct gradient_case c = make_gradient_case(1);
@@ -347,7 +347,7 @@ static const struct check_case cases[] = {
     {"above the bound, the adjoint restarts from where the robot is", restarts},
     {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
     {"gradients add up, weighted, in the same bits", adds_up},
-    {"memory is bounded, and may run out", memory},
-    {"bad arguments change nothing", refuses},
+    {"memory is bounded, and allocations may fail", memory},
+    {"invalid arguments change nothing", refuses},
 };
 CHECK_MAIN(cases)

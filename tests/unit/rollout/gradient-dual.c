@@ -1,4 +1,4 @@
-/* gradient-dual.c: the adjoint against forward-mode dual numbers in an implementation of its own
+/* gradient-dual.c: the adjoint compared with forward-mode dual numbers in a separate implementation
  * (second.h). Every case has 16 random directions: one in each of the 14 tensors, and two in all
  * parameters. */
 #include <stdbool.h>
@@ -7,7 +7,7 @@
 #include "rollout/contact.h"
 
 #define TOLERANCE 1e-10
-#define NO_TOUCH  1e-15 /* before the first contact: the rounding of a sum that cancels */
+#define NO_TOUCH  1e-15 /* before the first contact: rounding errors of a sum that cancels */
 
 static struct second_parameters make_directions(const struct gradient_case *c, uint32_t k)
 {
@@ -36,8 +36,8 @@ static void project(const struct gradient_case *c, const struct second_parameter
   }
 }
 
-/* One length of one case: the largest relative error over the directions, or −1 if no mass has
- * struck anything yet. Zero tensors are counted. */
+/* Tests one length of one case: returns the largest relative error over the directions, or −1 if no
+ * mass has hit anything yet. Zero tensors are counted. */
 static double compare(struct gradient_case *c, const struct second_parameters *d, uint32_t steps,
                       const struct dual *dual, double *gradient, uint32_t *zeros)
 {
@@ -102,8 +102,7 @@ static void run_cases(const uint32_t *at, uint32_t n_at, const uint32_t *held, u
       for (int lane = 0; lane < SECOND_LANES; lane++)
         largest = fmax(largest, fabs(losses[a].t[lane]));
       CHECK(worst <= TOLERANCE);
-      CHECK(zeros ==
-            0); /* every tensor has a gradient, and it is not orthogonal to its direction */
+      CHECK(zeros == 0); /* every tensor has a gradient, not orthogonal to its direction */
       if (worst < 0) {
         printf(" - (no contact)");
         CHECK(at[a] <= 10);
@@ -140,14 +139,14 @@ static void long_runs(void)
   run_cases(at, 1, NULL, GRADIENT_CASES);
 }
 
-/* One mass and the transposed derivative of its step, against dual numbers input by input. */
+/* One mass and the transposed derivative of its step, compared with dual numbers input by input. */
 struct mass {
   const struct mo_physics *physics;
   struct mo_environment environment;
   double p[3], v[3], back_p[3], back_v[3];
 };
 
-/* Returns the branches taken (0: no contact); relative: to the largest of the six. */
+/* Returns the branches taken (0 = no contact); relative: to the largest of the six. */
 static uint64_t step_back(struct mass *m, double *error)
 {
   const struct second_setup setup = {NULL, &m->environment, m->physics, MO_SENSOR_INVERSE_SQRT};
@@ -210,8 +209,8 @@ static void contact(void)
   CHECK(struck > 5000 && capped > 300 && struck - capped > 300 && crossed > 100 && outside > 100);
 }
 
-/* A mass that lies on the ground and leaves it so slowly that the ground soon rises to meet it: the
- * closing speed is next to 0, but nothing grows by that, because the mass lies on the ground
+/* A mass that lies on the ground and leaves it so slowly that the ground soon rises to meet it. The
+ * closing speed is almost 0, but no derivative becomes large, because the mass lies on the ground
  * wherever it is. */
 static void lying(void)
 {
@@ -235,7 +234,7 @@ static void lying(void)
     m.v[2] = slope[0] * m.v[0] + slope[1] * m.v[1] + 1e-5 * mo_random_uniform(&random);
     const double impact_s = mo_impact_exact(heights_m, m.p, m.v, physics.scheme.dt_s);
     bool same_cell = step_back(&m, &error) != 0 && impact_s > 0;
-    for (int i = 0; i < 2; i++) /* dual.c lets go of the ground at the border of a cell */
+    for (int i = 0; i < 2; i++) /* dual.c lifts the mass off the ground at the border of a cell */
       same_cell =
           same_cell && floor(m.p[i] / cell_m) == floor((m.p[i] + impact_s * m.v[i]) / cell_m);
     if (!same_cell)

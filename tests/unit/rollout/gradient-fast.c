@@ -1,4 +1,5 @@
-/* The float32 gradient of blocks against the float64 reference, and what does not change it. */
+/* The float32 gradient of blocks compared with the float64 reference, and conditions that must not
+ * change it. */
 #include "../make.h"
 
 #include <float.h>
@@ -18,7 +19,7 @@ static void setup(void)
   lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   shipped = make_shipped_controller("bootstrap");
   fresh = make_random_controller(MO_SENSOR_INVERSE_SQUARE, 8);
-  /* A norm's parameters that are not 1 and 0, biases that are not 0. */
+  /* LayerNorm parameters other than 1 and 0, and nonzero biases. */
   for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
     for (uint32_t i = 0; i < (l < MO_HIDDEN_LAYERS ? MO_HIDDEN : fresh->n_springs); i++)
       fresh->bias[l][i] = (float)(0.2 * mo_random_uniform(&random) - 0.1);
@@ -71,7 +72,7 @@ static struct result plain(const struct mo_controller *controller, int isa,
   return block(controller, isa, list, n, physics, options, MO_GRADIENT_DEFAULT_BYTES, NULL);
 }
 
-/* Of all numbers; not a number if one of them is none. */
+/* Over all numbers; NaN if one of them is not finite. */
 static double largest(const float *d, size_t n)
 {
   double size = 0;
@@ -94,7 +95,7 @@ struct tensor {
   size_t first, count;
 };
 
-/* In the order of the file. */
+/* In file order. */
 static void tensors(const struct mo_controller *c, struct tensor *list)
 {
   struct tensor *t = list;
@@ -110,7 +111,7 @@ static void tensors(const struct mo_controller *c, struct tensor *list)
   }
 }
 
-/* |a − b| / |b| of one tensor. */
+/* Returns |a − b| / |b| of one tensor. */
 static double difference(const float *a, const double *b, struct tensor t)
 {
   double error = 0, size = 0;
@@ -121,7 +122,7 @@ static double difference(const float *a, const double *b, struct tensor t)
   return sqrt(error / size);
 }
 
-/* Rollouts whose gradient a reference says. */
+/* Rollouts with a reference gradient. */
 struct comparison {
   const char *name;
   const struct mo_controller *controller;
@@ -130,13 +131,13 @@ struct comparison {
   const struct mo_physics *physics;
   double bound, tolerance;
   int rule; /* enum mo_adjoint_rule */
-  /* Of the reference. */
+  /* From the reference. */
   double *d;
   struct mo_outcome outcomes[ROBOTS];
   struct mo_gradient_counts counts;
 };
 
-/* Each tensor of the block's gradient against the sum of the robots' references. */
+/* Compares each tensor of the block's gradient with the sum of the robots' references. */
 static void compare_on(int isa, const struct comparison *c)
 {
   const struct mo_gradient_options options = {.adjoint_bound = c->bound,
@@ -172,7 +173,7 @@ static void compare_on(int isa, const struct comparison *c)
   CHECK_INT(fast.counts.zeroed_robots, c->counts.zeroed_robots);
 }
 
-/* On the instruction sets from `first` on. */
+/* With the instruction sets from `first` on. */
 static void compare(enum mo_isa first, struct comparison c)
 {
   const struct mo_gradient_options options = {.adjoint_bound = c.bound,
@@ -216,7 +217,7 @@ static void agrees_on_few_steps(void)
     compare(MO_ISA_BASELINE, list[i]);
 }
 
-#ifndef __SANITIZE_ADDRESS__ /* slow there, and by code that the others run, too */
+#ifndef __SANITIZE_ADDRESS__ /* slow there, and the other cases run the same code */
 static double cosine(const float *a, const double *b, size_t n)
 {
   double ab = 0, aa = 0, bb = 0;
@@ -228,8 +229,8 @@ static double cosine(const float *a, const double *b, size_t n)
   return ab / sqrt(aa * bb);
 }
 
-/* A longer rollout touches the ground a step earlier or later in float32, and its adjoint then
- * takes another way; of most robots, and of the batch, the direction stays. */
+/* In a longer float32 rollout, masses touch the ground a step earlier or later, and the adjoint
+ * then differs. For most robots, and for the batch, the direction stays the same. */
 static void agrees_over_hundreds_of_steps(void)
 {
   enum { N = 12, FIRST = 8 };
@@ -252,8 +253,10 @@ static void agrees_over_hundreds_of_steps(void)
   }
   struct result fast = plain(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options);
   const double together = cosine(fast.d, sum, n);
-  printf("# 200 steps: %u of %d robots alike, the batch: 1 - cosine %.2g\n", alike, N,
-         1 - together);
+  printf("# 200 steps: %u of %d robots agree, the batch: 1 - cosine %.2g
+         ", alike, N,
+         1 -
+         together);
   CHECK(alike >= N * 3 / 4);
   CHECK(together > 0.999);
 }
@@ -354,7 +357,7 @@ static void budgets_are_kept(void)
     large[i] = (struct mo_robot){robots[ROBOTS - 1].body, environments + i};
   struct mo_pack *pack = make_gradient_pack(shipped, mo_isa_best());
   struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
-  /* The largest bodies, and stopped once the tape has been laid out. */
+  /* The largest bodies, stopped once the tape has been laid out. */
   struct stop stop = {.after = 1};
   const struct mo_pause_point pause = {.interval = 1, .reached = count_down, .context = &stop};
   CHECK_INT(
@@ -366,7 +369,7 @@ static void budgets_are_kept(void)
   CHECK(mo_gradient_memory_bytes(memory) < MO_GRADIENT_DEFAULT_BYTES + ((size_t)32 << 20));
 }
 
-/* With springs 2.5 times as stiff as usual a single voxel is stable, and everything larger blows
+/* With springs 2.5 times as stiff as usual, a single voxel is stable, and everything larger blows
  * up. */
 static void diverged_robots_contribute_nothing(void)
 {
@@ -376,7 +379,7 @@ static void diverged_robots_contribute_nothing(void)
   const struct mo_gradient_options options = mo_default_gradient_options();
   struct mo_robot list[2][N];
   for (uint32_t i = 0; i < N; i++)
-    for (uint32_t k = 0; k < 2; k++) /* every other robot diverges, in another world each time */
+    for (uint32_t k = 0; k < 2; k++) /* every other robot diverges, each in another environment */
       list[k][i] = (struct mo_robot){robots[i % 2 == 0 ? 0 : 12 + i].body,
                                      environments + i + (i % 2 == 0 ? 0 : N * k)};
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
@@ -402,8 +405,9 @@ static void diverged_robots_contribute_nothing(void)
   }
 }
 
-/* One body in several worlds. Without a bound its adjoint grows to 1e8 and more in one or two of
- * them, and to a few hundred at most in others; in which may change with any bit of the rollout. */
+/* One body in several environments. Without a bound, its adjoint grows to 1e8 and more in one or
+ * two of them, and at most to a few hundred in others; any changed bit of the rollout may change
+ * which ones. */
 enum { CANDIDATES = 8 };
 static const uint32_t candidates[CANDIDATES] = {26, 18, 0, 1, 7, 23, 25, 29};
 
@@ -413,7 +417,7 @@ struct explosion {
   double largest;
 };
 
-/* The world of the largest adjoint, in the midst of the calm ones. */
+/* The environment with the largest adjoint, among the calm ones. */
 static struct explosion find_explosion(enum mo_isa isa)
 {
   const struct mo_physics physics = physics_of(1000);
@@ -439,7 +443,7 @@ static struct explosion find_explosion(enum mo_isa isa)
   return e;
 }
 
-/* Checks that the block with the robot that explodes has the gradient of the block without it, to
+/* Checks that the block with the exploding robot has the same gradient as the block without it, to
  * the bit. */
 static void explosion_is_zeroed(const struct explosion *e, const struct mo_controller *controller,
                                 enum mo_isa isa, double weight)
@@ -459,8 +463,9 @@ static void explosion_is_zeroed(const struct explosion *e, const struct mo_contr
     CHECK(isfinite(a.outcomes[i].loss));
 }
 
-/* The shipped controller with the last layer's weights times 2^exponent and what they multiply over
- * it: the same rollouts to the bit, but on the way back there are larger numbers between. */
+/* Returns the shipped controller with the last layer's weights times 2^exponent and its inputs
+ * divided by 2^exponent: the same rollouts to the bit, but with larger intermediate numbers in the
+ * backward pass. */
 static struct mo_controller *steep(int exponent)
 {
   struct mo_controller *controller = make_controller(MO_DEFAULT_WORKSPACE, shipped->sensor);
@@ -477,7 +482,7 @@ static struct mo_controller *steep(int exponent)
   return controller;
 }
 
-/* First an adjoint leaves float32's range; then every adjoint is in range, but the gradient times
+/* First an adjoint exceeds float32's range; then every adjoint is in range, but the gradient times
  * the weight is not. */
 static void explosions_are_zeroed(void)
 {
@@ -489,10 +494,10 @@ static void explosions_are_zeroed(void)
   }
 }
 
-/* A weight that no gradient survives. */
+/* A weight so large that every gradient overflows. */
 static void gradients_out_of_range_are_zeroed(void)
 {
-  const struct mo_physics physics = physics_of(60); /* all of them have pushed off */
+  const struct mo_physics physics = physics_of(60); /* all of them have touched the ground */
   const struct mo_gradient_options options = {.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1e300};
   struct result none = plain(fresh, mo_isa_best(), robots, 12, &physics, &options);
   CHECK_INT(none.counts.zeroed_robots, 12);
@@ -517,7 +522,7 @@ static void pauses_and_ends(void)
             MO_OK);
   const uint32_t calls = stop.calls;
   CHECK(calls >=
-        2 * physics.scheme.n_steps / pause.interval); /* forth and back, and segments again */
+        2 * physics.scheme.n_steps / pause.interval); /* forward and backward, and segments again */
   for (uint32_t after = 1; after <= calls; after += 3) {
     stop = (struct stop){.after = after};
     counts = (struct mo_gradient_counts){0};
@@ -546,7 +551,7 @@ static void packs_can_be_updated(void)
   struct mo_outcome outcomes[ROBOTS];
   float *d = make_zeros(shipped->n_parameters, sizeof(float));
   CHECK_INT(mo_pack_update(pack, shipped), MO_OK);
-  /* The memory has seen other blocks, too. */
+  /* The memory was used for other blocks before. */
   for (uint32_t n = 1; n <= ROBOTS; n += 9)
     CHECK_INT(
         mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, outcomes, d, NULL),
@@ -628,9 +633,9 @@ static const struct check_case cases[] = {
     {"diverged robots contribute nothing", diverged_robots_contribute_nothing},
     {"explosions are zeroed", explosions_are_zeroed},
     {"gradients out of range are zeroed", gradients_out_of_range_are_zeroed},
-    {"pauses and ends", pauses_and_ends},
+    {"pauses and cancellation", pauses_and_ends},
     {"packs can be updated", packs_can_be_updated},
-    {"faults are refused", faults_are_refused},
+    {"invalid arguments are refused", faults_are_refused},
     {"large bodies", large_bodies},
     {"arrangement", arrangement},
 };

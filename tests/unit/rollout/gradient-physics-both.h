@@ -1,5 +1,5 @@
-/* gradient-physics-both.h: the float32 physics of the fast gradient beside the float64 reference,
- * for their tests. */
+/* gradient-physics-both.h: the float32 physics of the fast gradient next to the float64 reference,
+ * for the tests that compare them. */
 #ifndef MORPHO_TESTS_GRADIENT_PHYSICS_BOTH_H
 #define MORPHO_TESTS_GRADIENT_PHYSICS_BOTH_H
 
@@ -11,7 +11,7 @@
 static const struct physics_functions *const functions[MO_ISA_COUNT] = {
     &physics_baseline, &physics_avx2, &physics_avx512};
 
-/* Reference and fast path side by side. All arrays are (n_masses, 3) but the last three. */
+/* Reference and fast path side by side. All arrays are (n_masses, 3), except the last three. */
 struct both {
   const struct gradient_case *c;
   struct physics_scene scene;
@@ -22,8 +22,8 @@ struct both {
   struct physics_step fast;
   double *d_sensors, *fast_sensors, *fast_d_activation;
   bool *at_kink;                   /* (n_masses) */
-  double *shift_m, *shift_m_per_s; /* where the reference's contact takes the branch that float32
-                                      took; 0 but at kinks */
+  double *shift_m, *shift_m_per_s; /* changes that make the reference's contact take float32's
+                                      branch; 0 except at kinks */
 };
 
 static inline void drop_reference(void *reference)
@@ -65,7 +65,7 @@ static inline struct both *make_both(const struct gradient_case *c)
   return b;
 }
 
-/* What float32 can hold. */
+/* Rounds to what float32 can represent. */
 static inline double rounded(double x)
 {
   return (double)(float)x;

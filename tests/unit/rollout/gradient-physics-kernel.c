@@ -1,4 +1,4 @@
-/* gradient-physics-kernel.c: see gradient-physics.h. MO_FAST_ISA names the instruction set. */
+/* gradient-physics-kernel.c: see gradient-physics.h. MO_FAST_ISA is the instruction set. */
 #define MO_FAST_DOUBLE    0
 #define MO_JOIN3(a, b, c) a##b##c
 #define MO_JOIN(a, b, c)  MO_JOIN3(a, b, c)
@@ -38,7 +38,7 @@ static bool create(struct machine *k, const struct physics_scene *scene, size_t 
     free(k->memory);
     return false;
   }
-  for (size_t i = 0; i < reals; i++) /* nothing may depend on what was there */
+  for (size_t i = 0; i < reals; i++) /* the result must not depend on the previous contents */
     k->arrays[i] = i % 3 == 0 ? (REAL)NAN : i % 3 == 1 ? (REAL)INFINITY : (REAL)-1e30;
   REAL *at = k->arrays;
   k->sensors = take(&at, r->n_sensor_reals);
@@ -94,14 +94,14 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   for (uint32_t i = 0; i < r->n_masses; i++)
     s->sensors[r->sensor_mass[i]] = k.sensors[i];
   for (uint32_t i = r->n_masses; i < r->n_sensor_reals; i++)
-    s->sane &= k.sensors[i] == 0; /* as promised */
+    s->sane &= k.sensors[i] == 0; /* as documented */
   get(&k, k.state, MO_WORLD_CENTER_M, s->next_m);
   get(&k, velocity, 0, s->next_m_per_s);
   s->hits = 0;
   for (uint32_t v = 0; v < r->n_vectors; v++)
     s->hits += (uint32_t)__builtin_popcount(record_hits(r, k.records)[v]);
 
-  phys_back_start(r, outcome.com_end_m, 1.0, k.adjoint); /* 0 where there is no mass */
+  phys_back_start(r, outcome.com_end_m, 1.0, k.adjoint); /* 0 if there is no mass */
   put(&k, s->d_position, 0, k.adjoint);
   put(&k, s->d_velocity, 0, k.adjoint + 3 * (size_t)r->n_sites);
   phys_step_back(r, k.records, k.slots, k.adjoint, k.d_slots, k.scratch);
@@ -114,7 +114,7 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   phys_sense_back(r, k.records, k.sensors, k.adjoint);
   get(&k, k.adjoint, 0, s->d_position);
   get(&k, k.adjoint + 3 * (size_t)r->n_sites, 0, s->d_velocity);
-  /* Sites without a mass stay out of it. */
+  /* Sites without a mass must stay unchanged. */
   for (uint32_t i = 0; i < 3 * r->n_sites; i++)
     if ((r->present[i % r->n_sites / MO_VL].mask >> i % MO_VL & 1) == 0)
       s->sane &= k.adjoint[i] == 0 && k.adjoint[i + 3 * r->n_sites] == 0 && velocity[i] == 0 &&

@@ -1,17 +1,17 @@
-/* gradient-physics-step.c: a step of the fast gradient's float32 physics, and the way back, against
- * the float64 reference.
+/* gradient-physics-step.c: a step of the fast gradient's float32 physics and its backward pass,
+ * compared with the float64 reference.
  *
  * The two may disagree about a comparison whose sides differ by less than float32 resolves: whether
- * a mass strikes, in which cell, which friction applies, whether an impact comes at once. Float64
- * alone decides whether a mass is at such a kink: the reference's own contact, from a state that is
- * off by no more than NEAR_M and NEAR_M_PER_S, must come to what float32 came to, both ways. There
- * must be few such masses; all others, and all that hangs on their branch, must agree without
- * exception. */
+ * a mass strikes, in which cell, which friction applies, whether an impact comes at once. Only
+ * float64 decides whether a mass is at such a kink: the reference's own contact, from a state that
+ * differs by at most NEAR_M and NEAR_M_PER_S, must agree with float32, forward and backward. There
+ * must be few such masses; all others, and everything that depends on their branch, must agree
+ * without exception. */
 
 #include "gradient-physics-both.h"
 #include "rollout/contact.h"
 
-/* Some digits of float32 at the edge of the map, and what the springs' rounding makes of
+/* A few float32 rounding units at the edge of the map, and the effect of the springs' rounding on
  * velocities. */
 #define NEAR_M       5e-7
 #define NEAR_M_PER_S 1e-4
@@ -23,7 +23,7 @@
 #define D_VELOCITY       2e-4
 #define D_POSITION       2e-4
 
-/* A state near the ground anywhere on the map and beyond it, in which some masses strike. */
+/* Draws a state near the ground anywhere on the map and beyond it, in which some masses strike. */
 static void make_state(struct both *b, struct mo_random *random)
 {
   const struct gradient_case *c = b->c;
@@ -53,7 +53,7 @@ static void make_state(struct both *b, struct mo_random *random)
     }
 }
 
-/* The reference's contact of a mass again, from its shifted state. */
+/* Recomputes the reference's contact of a mass from its shifted state. */
 static void shift(struct both *b, uint32_t m)
 {
   struct mo_reference *r = &b->reference;
@@ -68,9 +68,10 @@ static void shift(struct both *b, uint32_t m)
                   r->highest_m, r->position_m + at, r->velocity_m_per_s + at);
 }
 
-/* Moves masses by as little as springs bear to where float32 hardly tells sides apart, or where
- * contact is rare: one in four each on the edge of a cell and on the ground; where it will end on
- * the ground; sliding fast; falling beside an edge, which the slope pushes it over. */
+/* Moves masses by no more than springs tolerate to places where float32 can barely distinguish the
+ * sides, or where contact is rare. One in four each: on the edge of a cell and on the ground; where
+ * it will end on the ground; sliding fast; falling next to an edge, over which the slope pushes
+ * it. */
 static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
 {
   const struct gradient_case *c = b->c;
@@ -93,8 +94,8 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
     if (m % 4 == 3)
       v[2] = rounded(-8 * mo_random_uniform(random));
   }
-  /* Where the springs take them: their velocity before contact is on the tape. Moving them changes
-   * it a little. */
+  /* Moves them where the springs take them: their velocity before contact is on the tape, and
+   * moving them changes it a little. */
   for (int round = 0; round < 4; round++) {
     memcpy(b->reference.position_m, b->position, 3 * n * sizeof(double));
     memcpy(b->reference.velocity_m_per_s, b->velocity, 3 * n * sizeof(double));
@@ -138,9 +139,9 @@ struct tally {
   double sensor, velocity, position, d_velocity, d_position, d_activation; /* largest errors */
 };
 
-/* Where the reference's contact of mass m, a little off, comes to what the fast path made of it:
- * state, ∂loss/∂ velocity and, with `rest`, ∂loss/∂ position, of which `rest` is missing. Sets the
- * shift; false: nowhere near. */
+/* Searches near mass m's state for one at which the reference's contact agrees with the fast path:
+ * in the state, ∂loss/∂ velocity and, with `rest`, ∂loss/∂ position, to which `rest` is still to be
+ * added. Sets the shift; returns false if there is none nearby. */
 static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_velocity,
                       double d_position, struct mo_random *random)
 {
@@ -183,8 +184,8 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
   return false;
 }
 
-/* What is off in the robot's largest adjoints, after the fast path has run with the reference's
- * branches. */
+/* Returns the error relative to the robot's largest adjoints, after the fast path has run with the
+ * reference's branches. */
 struct scales {
   double d_velocity, d_position, d_activation;
 };
@@ -208,9 +209,9 @@ static bool agrees(const struct both *b, uint32_t m, const struct scales *size, 
                                  D_POSITION * size->d_position);
 }
 
-/* Runs both; then again with the reference on the other side of the kinks that masses are at. First
- * those that velocities tell of: springs carry their adjoints on to the positions of others. Then
- * those that positions alone tell of: impacts at time 0, or just after it. */
+/* Runs both; then again with the reference on the other side of the kinks at which masses are.
+ * First the kinks that show in velocities, because springs carry their adjoints to other masses'
+ * positions. Then those that show only in positions: impacts at time 0, or right after it. */
 static bool run_to_agreement(struct both *b, const struct physics_functions *f, uint32_t step,
                              struct mo_random *random)
 {
@@ -314,5 +315,5 @@ static void one_step(void)
   }
 }
 
-static const struct check_case cases[] = {{"one step and back", one_step}};
+static const struct check_case cases[] = {{"one step forward and backward", one_step}};
 CHECK_MAIN(cases)

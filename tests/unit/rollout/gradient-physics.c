@@ -1,6 +1,6 @@
-/* gradient-physics.c: the float32 physics of the fast gradient, function by function, against the
- * float64 reference: the start, the bound of the adjoint, divergence. A step is in
- * gradient-physics-step.c, whole rollouts are in gradient-fast.c. */
+/* gradient-physics.c: the float32 physics of the fast gradient, function by function, compared with
+ * the float64 reference: the start, the bound of the adjoint, divergence. gradient-physics-step.c
+ * tests a step, gradient-fast.c whole rollouts. */
 
 #include "gradient-physics-both.h"
 

@@ -1,4 +1,4 @@
-/* probe-float.c: see probe.h; MO_FAST_ISA names the instruction set it is compiled for. */
+/* probe-float.c: see probe.h; MO_FAST_ISA is the instruction set that it is compiled for. */
 #ifndef MO_FAST_DOUBLE
 #define MO_FAST_DOUBLE 0
 #define PROBE          MO_JOIN(probe_, MO_FAST_ISA, _float)

@@ -1,5 +1,5 @@
-/* probe.h: calls parts of the kernels that scoring uses, compiled for every instruction set as they
- * are: tanh over n values in place, and the plain product c = init + x·w. */
+/* probe.h: calls parts of the scoring kernels, which are compiled unchanged for every instruction
+ * set: tanh over n values in place, and the plain product c = init + x·w. */
 #ifndef MORPHO_TESTS_ROLLOUT_PROBE_H
 #define MORPHO_TESTS_ROLLOUT_PROBE_H
 
@@ -32,7 +32,7 @@ static inline void run_probe(enum mo_isa isa, enum mo_precision precision, struc
   functions[isa][precision](&probe);
 }
 
-/* n numbers in the precision of a kernel, and one of them. */
+/* n numbers in the precision of a kernel, and one such number. */
 static inline void put_reals(enum mo_precision precision, void *to, const double *from, size_t n)
 {
   for (size_t i = 0; i < n; i++)
@@ -47,7 +47,7 @@ static inline double get_real(enum mo_precision precision, const void *from, siz
   return precision == MO_FLOAT64 ? ((const double *)from)[i] : (double)((const float *)from)[i];
 }
 
-/* c = init + x·w by a kernel, in its precision: x (rows, k); w (k, panel). */
+/* Computes c = init + x·w with a kernel, in its precision: x (rows, k); w (k, panel). */
 enum { PRODUCT_K_MAX = 256, PANEL_MAX = 32 };
 
 static inline const void *run_product(enum mo_isa isa, enum mo_precision precision, uint32_t rows,
@@ -69,7 +69,7 @@ static inline const void *run_product(enum mo_isa isa, enum mo_precision precisi
   return storage[3];
 }
 
-/* Columns of one panel. */
+/* Returns the columns of one panel. */
 static inline uint32_t panel_of(enum mo_isa isa, enum mo_precision precision)
 {
   return 2 * mo_isa_vector_bytes(isa) / (precision == MO_FLOAT64 ? 8 : 4);

@@ -1,5 +1,5 @@
-/* The kernels' products against OpenBLAS, within what rounding allows for sums of k terms in any
- * order. */
+/* The kernels' products compared with OpenBLAS's, within the rounding error of sums of k terms in
+ * any order. */
 #include "probe.h"
 
 #include <cblas.h>

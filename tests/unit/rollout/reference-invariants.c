@@ -1,4 +1,4 @@
-/* reference-invariants.c: what holds for any body on any ground: random bodies and environments,
+/* reference-invariants.c: properties of any body on any ground, for random bodies and environments,
  * step by step. */
 #include "../image.h"
 #include "../make.h"
@@ -43,8 +43,8 @@ static struct mo_outcome outcome_of(const struct mo_body *body, const struct mo_
   return outcome;
 }
 
-/* Every step, every mass: on or above the ground. Rough terrain, some of it far rougher than in
- * training. */
+/* At every step, every mass is on or above the ground. Rough terrain, some of it far rougher than
+ * in training. */
 static void never_below_ground(void)
 {
   uint64_t checked = 0, touching = 0;
@@ -70,8 +70,10 @@ static void never_below_ground(void)
     }
     mo_reference_done(&r);
   }
-  printf("# %llu masses looked at, %.1f %% on the ground\n", (unsigned long long)checked,
-         100 * (double)touching / (double)checked);
+  printf("# %llu masses checked, %.1f %% on the ground
+         ", (unsigned long long)checked,
+         100 *
+         (double)touching / (double)checked);
   CHECK(touching > checked / 100);
 }
 
@@ -99,8 +101,8 @@ static struct energy measure(const struct mo_reference *r)
   return e;
 }
 
-/* Runs a body without a controller for n steps. Returns the most energy above that of the start,
- * as a share of all that it can lose; *moves: kinetic energy per mass at the end. */
+/* Runs a body without a controller for n steps. Returns the largest energy above the initial one,
+ * as a fraction of all that it can lose; *moves: kinetic energy per mass at the end. */
 static double energy_gain(const struct mo_body *body, const struct mo_environment *environment,
                           const struct mo_physics *physics, double *moves)
 {
@@ -121,9 +123,9 @@ static double energy_gain(const struct mo_body *body, const struct mo_environmen
   return highest;
 }
 
-/* With the actuators off a body falls, comes to rest: its energy never exceeds what it began
- * with, and in the end next to nothing moves. (From step to step the energy of a symplectic
- * integrator swings, so single steps say nothing.) */
+/* Without actuation, a body falls and comes to rest: its energy never exceeds the initial energy,
+ * and in the end almost nothing moves. (The energy of a symplectic integrator oscillates from step
+ * to step, so single steps prove nothing.) */
 static void no_energy_gain(void)
 {
   double highest = -INFINITY, fastest = 0;
@@ -145,7 +147,7 @@ static void no_energy_gain(void)
 
 /* ---- the start ---- */
 
-/* One foot, and an arm above the ground that rises to it: an L of 7 voxels along x, or its image
+/* One foot, and an arm above ground that rises toward it: an L of 7 voxels along x, or its image
  * along y. */
 static struct mo_body *overhanging_body(int axis)
 {
@@ -167,8 +169,8 @@ static struct mo_environment slope_of(int axis, double slope)
   return environment;
 }
 
-/* Where a body starts if only its lowest layer has to be above the ground; returns whether a mass
- * is below it then. */
+/* Computes where a body would start if only its lowest layer had to be above the ground; returns
+ * whether another mass would then be below it. */
 static bool start_by_feet(const struct mo_body *body, const struct mo_environment *environment,
                           double *position_m)
 {
@@ -194,8 +196,8 @@ static bool start_by_feet(const struct mo_body *body, const struct mo_environmen
   return below;
 }
 
-/* Checks the start of a body in an environment; returns whether feet alone would leave a mass below
- * the ground. */
+/* Checks the start of a body in an environment; returns whether a start that considers only the
+ * feet would leave a mass below the ground. */
 static bool check_start(const struct mo_body *body, const struct mo_environment *environment)
 {
   const struct mo_physics physics = mo_default_physics();
@@ -206,14 +208,14 @@ static bool check_start(const struct mo_body *body, const struct mo_environment 
     const double *p = position_m + 3 * i;
     nearest = fmin(nearest, p[2] - mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
   }
-  CHECK(fabs(nearest) < 1e-14); /* it stands, and nothing is below */
+  CHECK(fabs(nearest) < 1e-14); /* it touches the ground, and nothing is below it */
   const bool below = start_by_feet(body, environment, by_feet_m);
   if (!below)
     CHECK(SAME(position_m, by_feet_m, 3 * body->n_masses));
   return below;
 }
 
-/* The same of the random body `index`. */
+/* Does the same for the random body `index`. */
 static bool check_random_start(uint64_t index, const struct mo_environment *environment)
 {
   const size_t kept = check_n_kept;
@@ -222,9 +224,9 @@ static bool check_random_start(uint64_t index, const struct mo_environment *envi
   return below;
 }
 
-/* No body starts in the ground. Where its lowest layer is what touches, the start has the bits that
- * it had when only that layer was looked at. How often it is not, by the roughness of the ground.
- */
+/* No body starts in the ground. If its lowest layer is what touches, the start has the same bits as
+ * when only that layer was considered. Prints how often another layer touches, by the roughness of
+ * the ground. */
 static void starts(void)
 {
   struct mo_environment test_set[MO_PAPER_TEST_COUNT];
@@ -258,9 +260,9 @@ static void starts(void)
   CHECK(before > 250 && before < 1000);
 }
 
-/* On slopes a body starts outside of the ground, and so gains no energy: with an overhang, too, and
- * on rough ground. In every kernel the center of mass, hence the potential energy, never exceeds
- * that of the start. */
+/* On slopes a body starts outside the ground, and therefore gains no energy, even with an overhang
+ * or on rough ground. In every kernel the center of mass, and hence the potential energy, never
+ * exceeds that of the start. */
 static void no_energy_of_overhangs(void)
 {
   static const double slopes[] = {-1.0, -0.4, 0.4, 0.56, 1.0};
@@ -300,7 +302,7 @@ static void no_energy_of_overhangs(void)
   CHECK(rise_m <= 1e-6);
 }
 
-/* On flat ground a passive body does the same wherever it stands. */
+/* On flat ground a passive body behaves the same wherever it stands. */
 static void translation(void)
 {
   struct mo_environment environment = {.light_xy_m = {4, 4}};
@@ -333,8 +335,8 @@ static void translation(void)
   }
 }
 
-/* A stiffness a hundred times too large for the step: reported with its step, and nothing that is
- * not finite gets out. */
+/* A stiffness a hundred times too large for the step: the divergence is reported with its step, and
+ * no non-finite value appears in the results. */
 static void divergence(void)
 {
   struct mo_physics physics = mo_default_physics();
@@ -357,7 +359,7 @@ static void divergence(void)
       CHECK(isfinite(com[k]));
     for (size_t k = 0; k < 201 * n; k++)
       CHECK(isfinite(masses[k]));
-    /* From the step before on, the record stands still, and the outcome agrees with it. */
+    /* From the previous step on, the recording stays constant, and the outcome agrees with it. */
     const size_t last = (size_t)outcome.diverged_step - 1;
     for (size_t frame = last; frame <= 200; frame++)
       CHECK(SAME(com + 3 * frame, com + 3 * last, 3));
@@ -394,7 +396,7 @@ static void extremes(void)
   CHECK_NEAR(outcome.loss, 1, 0.2);
 }
 
-/* Recording at a stride looks at the same rollout. */
+/* Recording with a stride shows the same rollout. */
 static void recordings(void)
 {
   struct mo_body *body = random_body(3000);

@@ -1,5 +1,5 @@
-/* reference-physics.c: the reference's mechanics against closed forms of the discrete step
- *   v ← e v + J/m − g dt,  x ← x + dt v,  e = exp(−drag · dt). */
+/* reference-physics.c: the reference's mechanics compared with closed forms of the discrete step v
+ * ← e v + J/m − g dt,  x ← x + dt v,  e = exp(−drag · dt). */
 #include "../make.h"
 
 #include "rollout/reference.h"
@@ -26,8 +26,8 @@ static void drop_reference(void *reference)
   mo_reference_done(reference);
 }
 
-/* A full workspace high above flat ground, passive or with a controller. Most physics may be
- * changed later. */
+/* A full workspace high above flat ground, passive or with a controller. Most of the physics can be
+ * changed afterward. */
 static struct scene *make_scene(struct mo_workspace workspace, struct mo_physics physics,
                                 const struct mo_controller *controller)
 {
@@ -91,12 +91,11 @@ static void drag_decay(void)
     CHECK_NEAR(s->r.velocity_m_per_s[3 * i + 2], -9.8 * 0.004 / (1 - e), 1e-11);
 }
 
-/* One voxel that breathes: each corner is displaced by q along all three axes. Edge and two face
- * diagonals add up, along each axis, to −6 k q; with the guard of the step's d/(L + 1e-8) to
- *   −w q/dt²,  w = dt² k/m (2 (1 − 1e-8/0.1) + 4 (1 − 1e-8/(0.1 √2))).
- * The step is then q'' = (1 + e − w) q' − e q: two complex roots of modulus sqrt(e), so
- *   q_n = e^{n/2} q0 (cos nφ + b sin nφ),  cos φ = (1 + e − w)/(2 sqrt(e)),
- * with b from q_1 = (1 − w) q0. */
+/* One voxel that expands and contracts: each corner is displaced by q along all three axes. Edge
+ * and two face diagonals add up, along each axis, to −6 k q; with the guard of the step's d/(L +
+ * 1e-8) to −w q/dt²,  w = dt² k/m (2 (1 − 1e-8/0.1) + 4 (1 − 1e-8/(0.1 √2))). The step is then q''
+ * = (1 + e − w) q' − e q: two complex roots of modulus sqrt(e), so q_n = e^{n/2} q0 (cos nφ + b sin
+ * nφ),  cos φ = (1 + e − w)/(2 sqrt(e)), with b from q_1 = (1 − w) q0. */
 static void breathing(double drag_per_s, double stiffness_n_per_m)
 {
   struct scene *s = make_scene(one, mo_default_physics(), NULL);
@@ -137,8 +136,8 @@ static void breathing_spring(void)
   breathing(3, 30000);
 }
 
-/* Springs and the controller's pulls act in pairs: in the air, without gravity and drag, momentum
- * and angular momentum stay. */
+/* Springs and the controller's actuation act in pairs: in the air, without gravity and drag,
+ * momentum and angular momentum are conserved. */
 static void momentum(void)
 {
   const struct mo_workspace workspace = {3, 2, 2};
@@ -180,7 +179,8 @@ static void momentum(void)
   CHECK(moved > 0.5); /* the controller did pull */
 }
 
-/* Largest deviation from a rigid lattice at rest after many steps, from a tiny disturbance. */
+/* Returns the largest deviation from a rigid lattice at rest after many steps, starting from a tiny
+ * disturbance. */
 static double disturbance_after(struct mo_workspace workspace, double dt_s, uint32_t steps)
 {
   struct scene *s = make_scene(workspace, mo_default_physics(), NULL);
@@ -193,7 +193,7 @@ static double disturbance_after(struct mo_workspace workspace, double dt_s, uint
     start[k] = s->r.position_m[k];
     s->r.position_m[k] += 1e-7 * mo_random_normal(&random);
   }
-  double drift[3] = {0}; /* the disturbance's mean stays: nothing holds the body */
+  double drift[3] = {0}; /* the mean of the disturbance stays, because the body is free */
   for (uint32_t n = 0; n < steps; n++)
     if (!mo_reference_step(&s->r, n))
       break;
@@ -204,8 +204,8 @@ static double disturbance_after(struct mo_workspace workspace, double dt_s, uint
   return largest;
 }
 
-/* The step is stable where dt² λ < 2 (1 + e), λ the largest stiffness eigenvalue: 10.9 k/m for the
- * full lattice, dt < 4.86 ms; 6 k/m for one voxel, dt < 6.52 ms. */
+/* The step is stable if dt² λ < 2 (1 + e), where λ is the largest stiffness eigenvalue: 10.9 k/m
+ * for the full lattice, dt < 4.86 ms; 6 k/m for one voxel, dt < 6.52 ms. */
 static void stability(void)
 {
   const double stable = disturbance_after(MO_DEFAULT_WORKSPACE, 0.0048, 2000);
@@ -222,7 +222,7 @@ static void stability(void)
   CHECK(one_unstable > 1e-3);
 }
 
-/* A body at rest in the air without gravity has nothing to do. */
+/* A body at rest in the air without gravity stays at rest. */
 static void rest(void)
 {
   struct scene *s = make_scene((struct mo_workspace){2, 2, 2}, mo_default_physics(), NULL);
@@ -235,7 +235,7 @@ static void rest(void)
     CHECK_NEAR(s->r.position_m[k], start[k], 1e-11);
 }
 
-/* The inputs of the controller: light less its mean at the body's places, 0 elsewhere, and five
+/* The inputs of the controller: light minus its mean at the body's masses, 0 elsewhere, and five
  * phases of one clock. */
 static void inputs(void)
 {

@@ -1,7 +1,7 @@
-/* second.h: a second implementation of the rollout, for the tests of the gradient. It shares
- * bodies, terrains and constants with the library and nothing else: dual.c is written from
- * docs/model.md on dual numbers, and gives the loss with its derivatives along SECOND_LANES
- * directions, by forward-mode differentiation.
+/* second.h: a second implementation of the rollout, for the tests of the gradient. It shares only
+ * bodies, terrains and constants with the library. dual.c is written from docs/model.md with dual
+ * numbers, and computes the loss with its derivatives along SECOND_LANES directions, by
+ * forward-mode differentiation.
  *
  * Values are computed in the order that the model documents, so that they agree with the reference
  * to rounding or better, also where the motion is chaotic. */
@@ -11,13 +11,14 @@
 #include <morpho/rollout.h>
 
 #define SECOND_LANES                                                                               \
-  16 /* one per parameter tensor, each moved alone; then two directions in all parameters */
+  16 /* one per parameter tensor, each perturbed separately; then two directions in all parameters \
+      */
 #define SECOND_WHOLES 2
 
 struct second_setup {
   const struct mo_body *body;
   const struct mo_environment *environment;
-  const struct mo_physics *physics; /* n_steps: all of them are run */
+  const struct mo_physics *physics; /* n_steps: the number of steps to run */
   enum mo_sensor sensor;
 };
 
@@ -33,11 +34,12 @@ struct dual {
   double t[SECOND_LANES];
 };
 
-/* Losses after each of `at` (n of them, ascending, ≤ n_steps). 0; −1: no memory. */
+/* Computes the losses after each of `at` (n of them, ascending, ≤ n_steps). Returns 0, or −1 if out
+ * of memory. */
 int dual_rollout(const struct second_setup *setup, const struct second_parameters *parameters,
                  const uint32_t *at, uint32_t n, struct dual *losses);
 
-/* One mass's motion and contact; returns the branches taken (0: no contact). */
+/* Computes one mass's motion and contact; returns the branches taken (0 = no contact). */
 uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3]);
 
 #endif

@@ -1,4 +1,4 @@
-/* acts.c: what is asked of the store, and what it means for the model. */
+/* acts.c: the operations that a test runs on the store, and how they change the model. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,13 +13,13 @@ const struct act life_script[SCRIPT] = {
     {ACT_TRAIN, 0, 21, 0, 1},
     {ACT_TRAIN_START, 0, 0, 0, 1},
     {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
-    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1}, /* COUNTED_FROM: power.c counts changes from here on */
+    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1}, /* COUNTED_FROM: power.c counts changes from here */
     {ACT_PUT, 1, 10, 0, 1},
     {ACT_SUBMIT, 0, 1, 0, 1},
     {ACT_SAVE, 0, 0, 2, 2},
     {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
     {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1},
-    {ACT_CAMPAIGN, 0, 22, 0, 1}, /* one that learns */
+    {ACT_CAMPAIGN, 0, 22, 0, 1}, /* a campaign that learns */
     {ACT_CAMPAIGN_START, 0, 0, 0, 1},
     {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
     {ACT_CAMPAIGN_LOSSES, 0, 0, 3, 1},
@@ -30,7 +30,7 @@ const struct act life_script[SCRIPT] = {
     {ACT_CAMPAIGN_GENERATION, 0, 0, 0, 1},
     {ACT_CAMPAIGN_EXTEND, 0, 0, 2, 1},
     {ACT_CAMPAIGN_FINISH, 0, 18, 0, 1},
-    {ACT_CAMPAIGN, 1, 23, 0, 1}, /* one that does not */
+    {ACT_CAMPAIGN, 1, 23, 0, 1}, /* a campaign that does not learn */
     {ACT_CAMPAIGN_START, 1, 0, 0, 1},
     {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
     {ACT_CAMPAIGN_GENERATION, 1, 0, 0, 1},
@@ -118,7 +118,7 @@ static bool fits(struct life *life, struct act *act)
   case ACT_REQUEUE:
   case ACT_KINDS: return false;
   case ACT_SCORES: return true;
-  case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
+  case ACT_PUT: /* a quarter of them store existing content, perhaps under another name */
     act->index = life_some(life, NAMES - 1) + 1;
     if (life->n_puts > 0 && life_some(life, 4) == 0)
       act->seed = life->puts[life_some(life, life->n_puts)];
@@ -134,7 +134,7 @@ static bool fits(struct life *life, struct act *act)
 struct act life_choose(struct life *life)
 {
   struct act act = {.kind = ACT_PUT, .parts = 1};
-  if (!life->named[0]) { /* what evaluations score with */
+  if (!life->named[0]) { /* evaluations score with this controller */
     act.seed = disk_random(life->disk) >> 12 | 8;
     return act;
   }
@@ -146,10 +146,10 @@ struct act life_choose(struct life *life)
   return act;
 }
 
-/* ---- promising it ---- */
+/* ---- the promise ---- */
 
-/* Reads a job as it is promised, but for the steps of a training, of which the store knows those of
- * earlier runs, too. */
+/* Reads a job as promised, except for the steps of a training: the store also lists those of
+ * earlier runs. */
 static void look(struct life *life, enum mo_job_kind kind, struct subject *subject)
 {
   static struct mo_training_status training;
@@ -236,7 +236,7 @@ void life_apply(struct life *life, struct act *act, uint32_t parts)
   look(life, kind, &life->jobs[kind][act->index]);
 }
 
-/* ---- doing it ---- */
+/* ---- the operations ---- */
 
 static int do_put(struct mo_store *of, const struct act *act)
 {
@@ -252,7 +252,7 @@ static int do_put(struct mo_store *of, const struct act *act)
   return error;
 }
 
-/* Scores of bodies with a controller that is only theirs. */
+/* Stores scores of bodies, with a controller that nothing else uses. */
 static int do_scores(const struct life *life, struct mo_store *of, const struct act *act)
 {
   static struct mo_score_block block;
@@ -375,7 +375,7 @@ static int do_training(struct life *life, struct mo_store *of, const struct act 
   }
 }
 
-/* ---- saving, several at once in one commit ---- */
+/* ---- several saves in one commit ---- */
 
 struct saving {
   pthread_mutex_t mutex;
@@ -385,8 +385,8 @@ struct saving {
   int error;
 };
 
-/* Of the first, which saves nothing: the writer waits until the others are queued, and takes them
- * together. */
+/* Callback of the first save, which stores nothing: the writer waits here until the others are
+ * queued, then commits them together. */
 static void wait_for_all(struct mo_save *save, int status)
 {
   struct saving *saving = save->context;

@@ -1,4 +1,5 @@
-/* by_hand.h: the database as others see it, and scores as the scheduler saves them, by hand. */
+/* by_hand.h: access to the database from outside the store, and scores saved the way the scheduler
+ * saves them. */
 #ifndef MORPHO_TESTS_STORE_BY_HAND_H
 #define MORPHO_TESTS_STORE_BY_HAND_H
 
@@ -18,7 +19,7 @@ static inline sqlite3 *open_outside(void)
   return db;
 }
 
-/* Runs SQL on the database behind the store's back: between closing and opening it. */
+/* Runs SQL directly on the database, without the store, which must be closed. */
 static inline int outside(const char *sql)
 {
   sqlite3 *db = open_outside();
@@ -40,7 +41,8 @@ static inline int64_t outside_integer(const char *sql)
   return value;
 }
 
-/* Closes the store, runs SQL behind its back, and returns the error of opening it again. */
+/* Closes the store, runs SQL directly on the database, and returns the error of reopening the
+ * store. */
 static inline int reopen_after(const char *sql)
 {
   close_store();
@@ -85,7 +87,7 @@ static inline double made_up_loss(uint32_t n, uint32_t k)
   return 0.1 * (n + 1) + 0.001 * k + 1e-17 * n;
 }
 
-/* Runs a whole job by hand: starts it, saves made-up losses, ends it. */
+/* Runs a whole job without a scheduler: starts it, saves made-up losses and finishes it. */
 static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k))
 {
   struct mo_work *work = NULL;

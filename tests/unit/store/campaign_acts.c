@@ -1,5 +1,5 @@
-/* campaign_acts.c: campaigns on a disk whose power fails: generations that are functions of a seed,
- * and what is asked of the store. */
+/* campaign_acts.c: campaigns on a disk that loses power: generations that depend only on a seed,
+ * and the operations on campaigns. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -16,7 +16,8 @@ struct population {
   double scores[MEMBERS];
 };
 
-/* A generation as its runner commits it: a function of the campaign's seed and its number. */
+/* A generation as its runner commits it. It depends only on the campaign's seed and the
+ * generation's number. */
 struct generation {
   struct mo_birth births[MEMBERS];
   double child_scores[MEMBERS], parent_scores[MEMBERS];
@@ -27,7 +28,7 @@ struct generation {
   struct population before, after;
 };
 
-static bool learns(const struct subject *campaign) /* else zero-shot */
+static bool learns(const struct subject *campaign) /* otherwise zero-shot */
 {
   return campaign->seed % 2 == 0;
 }
@@ -65,7 +66,7 @@ static double score_at(const struct generation *generation, uint32_t place)
                                       : generation->child_scores[place - generation->before.n];
 }
 
-/* The best of parents and children live on, the older first. */
+/* Selects the best of parents and children; older designs win ties. */
 static void select_survivors(struct generation *generation, uint32_t first_child)
 {
   uint32_t places[2 * MEMBERS];
@@ -139,7 +140,7 @@ static struct mo_campaign_loss saved_loss(const struct subject *campaign, uint32
 
 /* ---- choosing ---- */
 
-/* A study waits in the queue until a batch is told, and again behind its commit. */
+/* A study waits in the queue until a batch is submitted (tell), and again after its commit. */
 static bool study_fits(const struct subject *study, enum act_kind kind)
 {
   const bool is_pending = study->told > study->generation;
@@ -180,7 +181,7 @@ bool campaign_fits(struct life *life, struct act *act)
       return false;
     act->n = 1 + (uint32_t)life_some(life, (int)(2 * MEMBERS - campaign->done));
     return true;
-  case ACT_CAMPAIGN_CHECKPOINT: /* perhaps the same again */
+  case ACT_CAMPAIGN_CHECKPOINT: /* possibly the same step again */
     act->n = (campaign->inside > 0 ? campaign->inside : 1) + (uint32_t)life_some(life, 3);
     return goes_on && learns(campaign) && act->n <= LEARNING;
   case ACT_CAMPAIGN_GENERATION: return goes_on;
@@ -192,7 +193,7 @@ bool campaign_fits(struct life *life, struct act *act)
   }
 }
 
-/* ---- doing it ---- */
+/* ---- the operations ---- */
 
 static int submit(const struct life *life, struct mo_store *of, const struct act *act, int64_t *id)
 {
@@ -240,7 +241,7 @@ static int save_checkpoint(struct mo_store *of, const struct subject *campaign, 
   return error;
 }
 
-/* What a study says of its children: a word of its own, and a measure. */
+/* The metadata of a study's children: an operator with a custom name, and a measure. */
 static const char operator_word[] = "made", measure_word[] = "height";
 
 static struct mo_descent descent_of(const struct generation *generation, uint32_t child)
@@ -248,7 +249,7 @@ static struct mo_descent descent_of(const struct generation *generation, uint32_
   const struct mo_birth *birth = &generation->births[child];
   struct mo_descent descent = {.op = birth->op};
   if (child == 0)
-    descent.op = MO_OPERATORS; /* the first word of the study */
+    descent.op = MO_OPERATORS; /* the first custom operator of the study */
   for (int p = 0; p < 2; p++)
     descent.parents[p] = birth->parents[p] == MO_NO_PARENT
                              ? MO_NO_PARENT

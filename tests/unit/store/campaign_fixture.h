@@ -1,5 +1,5 @@
-/* campaign_fixture.h: generations as a runner would commit them, made up: bodies of a stream,
- * scores of a generator. */
+/* campaign_fixture.h: made-up generations as a runner would commit them, with random bodies and
+ * random scores. */
 #ifndef MORPHO_TESTS_STORE_CAMPAIGN_FIXTURE_H
 #define MORPHO_TESTS_STORE_CAMPAIGN_FIXTURE_H
 
@@ -58,18 +58,18 @@ static inline struct mo_campaign_status status_of(int64_t id)
   return status;
 }
 
-/* A campaign as its runner holds it. */
+/* A campaign as its runner keeps it. */
 struct made {
   int64_t id;
-  bool learns;    /* parents get new scores each generation; else zero-shot, with losses */
-  uint64_t state; /* of the generator of scores */
+  bool learns;    /* parents are rescored in each generation; otherwise zero-shot, with losses */
+  uint64_t state; /* state of the score generator */
   struct mo_body_stream *stream;
   int64_t generation;
   uint64_t n_designs;
   uint32_t n, numbers[MADE_POPULATION]; /* the population: */
   struct mo_bits genotypes[MADE_POPULATION];
   double scores[MADE_POPULATION];
-  /* The last commit, and what it points to. */
+  /* The latest commit, and the arrays that it points to. */
   struct mo_campaign_commit commit;
   struct mo_birth births[MADE_POPULATION];
   struct mo_bits forms[MADE_POPULATION], children[MADE_POPULATION];
@@ -104,8 +104,8 @@ static inline double made_score_of(const struct made *made, uint32_t place)
   return place < n_parents ? made->parent_scores[place] : made->child_scores[place - n_parents];
 }
 
-/* Draws the next generation into made->commit: as many children as the population, one of which
- * diverges. */
+/* Draws the next generation into made->commit, with as many children as the population has members.
+ * One child diverges. */
 static inline void made_next(struct made *made)
 {
   const uint32_t n = MADE_POPULATION, n_parents = made->generation < 0 ? 0 : made->n;
@@ -167,7 +167,7 @@ static inline void made_next(struct made *made)
                                   .n_steps = made->learns ? 2 : 0,
                                   .fingerprint = made->fingerprint,
                                   .event_data = "{\"made\":true}"};
-  for (uint32_t i = 0; i < n_parents + n; i++) { /* insertion by score; the older first */
+  for (uint32_t i = 0; i < n_parents + n; i++) { /* insertion sort by score; older designs first */
     uint32_t at = i;
     while (at > 0 && made_score_of(made, made->survivors[at - 1]) > made_score_of(made, i)) {
       made->survivors[at] = made->survivors[at - 1];
@@ -177,7 +177,7 @@ static inline void made_next(struct made *made)
   }
 }
 
-/* The commit went through: what lives becomes the population. */
+/* The commit succeeded: the survivors become the population. */
 static inline void made_apply(struct made *made)
 {
   const struct made old = *made;
@@ -194,7 +194,7 @@ static inline void made_apply(struct made *made)
   made->generation++;
 }
 
-/* Whether the store goes on from just what was committed. */
+/* Returns whether the stored state is exactly what was committed last. */
 static inline bool made_is_stored(const struct made *made)
 {
   struct mo_campaign_state *state = NULL;
@@ -217,7 +217,7 @@ static inline int made_commit(struct made *made)
   return error;
 }
 
-/* A generation, whole. */
+/* Draws and commits a generation. */
 static inline int made_generation(struct made *made)
 {
   made_next(made);

@@ -1,5 +1,5 @@
-/* campaign_history.c: every design that a campaign bore, as each reader gives it. Who lived when,
- * with which score and parents, is tested with the campaigns of jobs, against plain loops. */
+/* campaign_history.c: every design of a campaign, as each reader returns it. Survivors, scores and
+ * parents of each generation are tested with the campaigns of room jobs, against plain loops. */
 #include "../check.h"
 #include "../image.h"
 #include "campaign_fixture.h"
@@ -19,7 +19,7 @@ static bool same_design(const struct mo_campaign_design *a, const struct mo_camp
          memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
 }
 
-/* Page by page, some, and nobody's. all: (BORN). */
+/* Checks the designs by page, by number, and for an unknown campaign. all: (BORN). */
 static void check_designs(int64_t id, const struct mo_campaign_design *all)
 {
   static const uint32_t some[] = {7, 3, BORN - 1, 0, 3};
@@ -40,12 +40,12 @@ static void check_designs(int64_t id, const struct mo_campaign_design *all)
   CHECK_INT(mo_store_campaign_designs(store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
 }
 
-/* Who lives in a generation, with the score of that time. */
+/* Checks the population of each generation, with its scores at that time. */
 static void check_populations(int64_t id, const struct mo_campaign_design *all)
 {
   struct mo_campaign_design page[MADE_POPULATION], part[2];
   uint32_t n = 0;
-  for (int64_t g = UNTIL; g >= -1; g--) { /* 3 is looked at again below */
+  for (int64_t g = UNTIL; g >= -1; g--) { /* generation 3 is checked again below */
     const uint32_t at = g < 0 ? UNTIL : (uint32_t)g;
     CHECK_INT(mo_store_campaign_population(store, id, g, 0, page, MADE_POPULATION, &n),
               MADE_POPULATION);
@@ -110,7 +110,7 @@ static void check_each(int64_t id, const struct mo_campaign_design *all)
   CHECK(taken.same && taken.n == 10);
 }
 
-/* Just after the commit. */
+/* Checks the children right after the commit. */
 static void check_children(int64_t id, const struct mo_campaign_commit *commit)
 {
   struct mo_campaign_design page[2 * MADE_POPULATION];
@@ -149,7 +149,7 @@ static void tells_the_whole_history(int mode)
   CHECK_OK(check_whole());
 }
 
-/* Forms are found in every campaign that bore them, whichever way round. */
+/* A form is found in every campaign that produced it, in any orientation. */
 static void finds_where_a_form_was_born(void)
 {
   struct made made[3] = {{0}};

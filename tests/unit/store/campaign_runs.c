@@ -1,5 +1,5 @@
-/* campaign_runs.c: what a campaign's runner writes: generations whole, losses and checkpoints on
- * the way. */
+/* campaign_runs.c: writes by a campaign's runner: whole generations, and losses and checkpoints in
+ * between. */
 #include <sys/stat.h>
 
 #include "by_hand.h"
@@ -8,7 +8,7 @@
 
 #define UNTIL 5 /* generations after the first */
 
-/* A campaign of a mode that was started, its runner at hand. */
+/* Starts a campaign of this mode and returns the state of its runner. */
 static struct made begin(int mode)
 {
   const struct mo_campaign_request submission =
@@ -18,8 +18,8 @@ static struct made begin(int mode)
   return made_start(id, (enum mo_campaign_mode)mode, 9);
 }
 
-/* Another life of the process: the campaign runs again. */
-static int live_again(struct made *made)
+/* Restarts the process and the campaign. */
+static int restart_run(struct made *made)
 {
   int error = reopen();
   if (error == MO_OK)
@@ -29,13 +29,13 @@ static int live_again(struct made *made)
 
 static struct mo_campaign_loss known[MADE_POPULATION + 2];
 
-/* Which of n bodies have scores already: writes to `known`. */
+/* Writes to `known` the bodies that already have scores, and returns how many there are. */
 static int64_t known_of(int64_t id, int64_t fingerprint, const struct mo_bits *bits, uint32_t n)
 {
   return mo_store_campaign_known(store, id, fingerprint, 0, bits, n, known);
 }
 
-/* What is saved of a generation. */
+/* Returns the losses saved for a generation. */
 static struct mo_campaign_loss *losses_of(int64_t id, uint32_t generation, size_t *n)
 {
   struct mo_campaign_loss *losses = NULL;
@@ -102,7 +102,7 @@ static void commits_generations(int mode)
   CHECK_OK(check_whole());
 }
 
-/* Every moment at which a commit comes at the wrong time: nothing changes. */
+/* A commit that comes at the wrong time changes nothing. */
 static void refuses_what_is_wrong(void)
 {
   struct mo_campaign_commit commit;
@@ -119,8 +119,8 @@ static void refuses_what_is_wrong(void)
   }
   CHECK_INT(last_event(id).sequence, before.sequence);
   CHECK_INT(mo_store_campaign_commit(store, id + 1, &made.commit), MO_ERR_CONFLICT);
-  /* Paused: its thread commits what it has; cancelled, or of an earlier life of the process: it may
-   * not. */
+  /* While the campaign is paused, its thread can still commit. After a cancellation or a restart of
+   * the process, it cannot. */
   CHECK_OK(change(id, MO_CHANGE_PAUSE));
   CHECK_OK(made_commit(&made));
   CHECK(made_is_stored(&made));
@@ -158,7 +158,7 @@ static void keeps_losses_of_a_generation(void)
   more = made.losses[0];
   more.place = 2 * MADE_POPULATION - 1;
   CHECK_OK(mo_store_campaign_save_losses(store, id, 0, &more, 1, NULL));
-  REQUIRE_OK(live_again(&made));
+  REQUIRE_OK(restart_run(&made));
   CHECK_INT(status_of(id).scored, 5);
   losses = losses_of(id, 0, &n);
   REQUIRE(n == 5);
@@ -167,7 +167,7 @@ static void keeps_losses_of_a_generation(void)
     CHECK(same_losses(&losses[i], &made.losses[i]));
   }
   CHECK_INT(losses[4].place, 2 * MADE_POPULATION - 1);
-  /* They go with the commit. */
+  /* The commit removes them. */
   REQUIRE_OK(made_commit(&made));
   CHECK_INT(status_of(id).scored, 0);
   (void)losses_of(id, 0, &n);
@@ -180,8 +180,8 @@ static void keeps_losses_of_a_generation(void)
   CHECK_INT(outside_integer("SELECT count(*) FROM campaign_losses"), 2);
 }
 
-/* What the workers computed for a campaign of devices goes into `scores` as theirs, also after a
- * restart. */
+/* On a campaign for devices, losses computed by the workers are stored in `scores` under the
+ * workers' fingerprint, even after a restart. */
 static void names_who_computed(void)
 {
   static const char sql[] = "SELECT count(*) FROM scores s JOIN conditions c ON c.id=s.condition "
@@ -193,7 +193,7 @@ static void names_who_computed(void)
   made_next(&made);
   made.losses[2].by_workers = ~(UINT64_MAX << MO_PAPER_TEST_COUNT);
   CHECK_OK(mo_store_campaign_save_losses(store, id, 0, made.losses, 3, NULL));
-  REQUIRE_OK(live_again(&made));
+  REQUIRE_OK(restart_run(&made));
   losses = losses_of(id, 0, &n);
   REQUIRE(n == 3);
   for (uint32_t i = 0; i < 3; i++) {
@@ -215,8 +215,8 @@ static void names_who_computed(void)
   made_apply(&made);
 }
 
-/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once,
- * whichever was first. */
+/* A zero-shot campaign shares scores with evaluations: both find them, and the first to save
+ * inserts them. */
 static void shares_scores(void)
 {
   struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
@@ -256,10 +256,10 @@ static void shares_scores(void)
   snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
   CHECK_INT(mo_store_designs(store, &query, rows, 2 * MADE_POPULATION), MADE_POPULATION);
   CHECK(same_bits(rows[0].score, made_score_of(&made, made.survivors[0])));
-  CHECK(isinf(rows[MADE_POPULATION - 1].score)); /* the one that diverged */
+  CHECK(isinf(rows[MADE_POPULATION - 1].score)); /* the design that diverged */
   double first_loss = made.losses[1].losses[0];
   made_apply(&made);
-  /* Another campaign of the same: what is stored stays, though it says otherwise. */
+  /* Another campaign with the same bodies: stored scores stay, even though its losses differ. */
   const int64_t second = submit_campaign(&submission);
   REQUIRE_OK(mo_store_run_start(store, second));
   struct made other = made_start(second, MO_ZERO_SHOT, 9);
@@ -269,7 +269,7 @@ static void shares_scores(void)
   CHECK_INT(known_of(second, fingerprint, other.children, MADE_POPULATION), MADE_POPULATION);
   CHECK(same_bits(known[1].losses[0], first_loss));
   CHECK_INT(mo_store_designs(store, &query, rows, 2 * MADE_POPULATION), MADE_POPULATION);
-  /* In part: what is missing is not known. */
+  /* If a score is missing, the others are still found. */
   CHECK_OK(made_generation(&made));
   CHECK_INT(known_of(id, fingerprint, made.children, MADE_POPULATION), MADE_POPULATION);
   close_store();
@@ -327,16 +327,16 @@ static void keeps_checkpoints(void)
   const int64_t id = made.id;
   CHECK_INT(newest_checkpoint(store, id, &generation, &step, &bytes, &size), MO_ERR_NOT_FOUND);
   CHECK_INT(put_checkpoint(id, 1, 1, "out of turn"), MO_ERR_CONFLICT);
-  CHECK_INT(files_of("campaigns", id), -1); /* no folder */
+  CHECK_INT(files_of("campaigns", id), -1); /* no folder yet */
   CHECK_OK(put_checkpoint(id, 0, 1, "zero one"));
   CHECK(newest_is(id, 0, 1, "zero one"));
   CHECK_OK(put_checkpoint(id, 0, 2, "zero two"));
   CHECK(newest_is(id, 0, 2, "zero two") && files_of("campaigns", id) == 1);
-  /* The state after a generation replaces what is inside it. */
+  /* The state after a generation replaces the checkpoints inside the generation. */
   CHECK_OK(commit_with(&made, "after zero", 5));
   CHECK(newest_is(id, 0, 5, "after zero") && files_of("campaigns", id) == 1);
   CHECK_INT(put_checkpoint(id, 0, 6, "too late"), MO_ERR_CONFLICT);
-  /* Inside the next one, it stays. */
+  /* It stays when the next generation stores checkpoints. */
   CHECK_OK(mo_store_campaign_checkpoint(store, id, 1, 1, (const uint8_t *)"one one", 7, rows, 1));
   CHECK_OK(mo_store_campaign_checkpoint(store, id, 1, 2, (const uint8_t *)"one two", 7, rows, 2));
   CHECK(newest_is(id, 1, 2, "one two") && files_of("campaigns", id) == 2);
@@ -346,35 +346,35 @@ static void keeps_checkpoints(void)
   CHECK(step == 5 && size == 10 && memcmp(bytes, "after zero", 10) == 0);
   free(bytes);
   CHECK_INT(mo_store_campaign_checkpoint_of(store, id, 2, &step, &bytes, &size), MO_ERR_NOT_FOUND);
-  /* Of an earlier run that came further, or whose bytes were others. */
+  /* A repeated step replaces the checkpoint of an earlier run that got further or wrote other
+   * bytes. */
   CHECK_OK(put_checkpoint(id, 1, 1, "again one"));
   CHECK(newest_is(id, 1, 1, "again one") && files_of("campaigns", id) == 2);
   CHECK_OK(put_checkpoint(id, 1, 1, "another one"));
   CHECK(newest_is(id, 1, 1, "another one") && files_of("campaigns", id) == 2);
-  /* What a process that dies leaves without a row goes at the next start; what is not ours stays.
-   */
+  /* The next start removes files that a crash left without a row. Foreign files stay. */
   const long long folder = id;
   REQUIRE_OK(put_file(path_of("campaigns/%lld/1-7.checkpoint", folder), ""));
   REQUIRE_OK(put_file(path_of("campaigns/%lld/.tmp-3", folder), ""));
   REQUIRE_OK(put_file(path_of("campaigns/%lld/1-x.checkpoint", folder), ""));
   REQUIRE(mkdir(path_of("campaigns/77"), 0700) == 0);
   CHECK_INT(files_of("campaigns", id), 5);
-  REQUIRE_OK(live_again(&made));
+  REQUIRE_OK(restart_run(&made));
   CHECK_INT(files_of("campaigns", id), 3);
   CHECK_INT(files_of("campaigns", 77), 0);
   CHECK(newest_is(id, 1, 1, "another one"));
   CHECK_INT(mo_store_orphans(store)->n, 1);
   CHECK_HAS(mo_store_orphans(store)->first, "/1-x.checkpoint");
-  /* The checkpoint at the end of the learning is that of the commit, too. */
+  /* The checkpoint at the end of learning is also the checkpoint of the commit. */
   CHECK_OK(put_checkpoint(id, 1, 5, "after one"));
   CHECK_OK(commit_with(&made, "after one", 5));
   CHECK(newest_is(id, 1, 5, "after one"));
-  CHECK_INT(files_of("campaigns", id), 2); /* and the one that is not ours */
-  /* Without one, what is older than the generation goes. */
+  CHECK_INT(files_of("campaigns", id), 2); /* and the foreign file */
+  /* A commit without a checkpoint removes the older checkpoints. */
   REQUIRE_OK(made_generation(&made));
   CHECK_INT(newest_checkpoint(store, id, &generation, &step, &bytes, &size), MO_ERR_NOT_FOUND);
   CHECK_INT(files_of("campaigns", id), 1);
-  /* Damage is found. */
+  /* Damage is detected. */
   CHECK_OK(put_checkpoint(id, 3, 1, "three one"));
   REQUIRE_OK(put_file(path_of("campaigns/%lld/3-1.checkpoint", folder), "three ONE"));
   CHECK_INT(newest_checkpoint(store, id, &generation, &step, &bytes, &size), MO_ERR_CORRUPT);
@@ -392,13 +392,13 @@ static void removes_checkpoints(void)
   struct made made = begin(MO_SIMULTANEOUS);
   const int64_t id = made.id;
   CHECK_INT(mo_store_checkpoints(store, id, rows, 3), 0);
-  CHECK_OK(mo_store_extend_campaign(store, id, 1, NULL, &before)); /* it has learned nothing yet */
+  CHECK_OK(mo_store_extend_campaign(store, id, 1, NULL, &before)); /* nothing learned yet */
   REQUIRE_OK(commit_with(&made, "after zero", 5));
   REQUIRE_OK(put_checkpoint(id, 1, 1, "one one"));
   CHECK_INT(mo_store_checkpoints(store, id, rows, 3), 2);
   CHECK(rows[0].generation == 1 && rows[0].step == 1 && rows[0].size == 7 && rows[0].stored_us > 0);
   CHECK(rows[1].generation == 0 && rows[1].step == 5 && rows[1].size == 10);
-  /* It goes on from both, also when it is paused. */
+  /* The campaign needs both to continue, even while it is paused. */
   CHECK_INT(mo_store_checkpoints_remove(store, id + 1, MO_JOB_CAMPAIGN, 0, &removed),
             MO_ERR_NOT_FOUND);
   CHECK_INT(removed.n, 9);
@@ -414,7 +414,7 @@ static void removes_checkpoints(void)
         removed.bytes == 17);
   CHECK_INT(files_of("campaigns", id), -1); /* no folder */
   CHECK_INT(mo_store_checkpoints(store, id, rows, 3), 0);
-  /* A run that learns late of its end leaves nothing. */
+  /* A run that notices its end too late leaves no file. */
   CHECK_INT(put_checkpoint(id, 1, 2, "late"), MO_ERR_CONFLICT);
   CHECK_INT(files_of("campaigns", id), -1);
   CHECK_OK(check_whole());
@@ -424,9 +424,9 @@ static const struct check_case cases[] = {
     {"commits generations, zero-shot", WITH(commits_generations, MO_ZERO_SHOT)},
     {"commits generations, few-shot", WITH(commits_generations, MO_FEW_SHOT)},
     {"commits generations, simultaneous", WITH(commits_generations, MO_SIMULTANEOUS)},
-    {"refuses what is wrong", refuses_what_is_wrong},
+    {"refuses commits at the wrong time", refuses_what_is_wrong},
     {"keeps losses of a generation", keeps_losses_of_a_generation},
-    {"names who computed a score", names_who_computed},
+    {"records who computed a score", names_who_computed},
     {"shares scores", shares_scores},
     {"keeps checkpoints", keeps_checkpoints},
     {"removes checkpoints", removes_checkpoints},

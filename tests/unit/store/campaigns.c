@@ -1,5 +1,4 @@
-/* campaigns.c: what the store keeps of campaigns: what was asked for, how they wait, end and go on.
- */
+/* campaigns.c: what the store records about campaigns: requests, queues, ends and extensions. */
 #include "campaign_fixture.h"
 #include "one_store.h"
 #include "store/worlds.h"
@@ -16,7 +15,7 @@ static bool same_as(const struct mo_campaign_settings *a, const struct mo_campai
                        &(struct mo_campaign_record){.settings = *b});
 }
 
-/* What a campaign scores in. */
+/* Returns the environments in which a campaign scores. */
 static struct mo_environment *environments_of(int64_t id, uint32_t *n)
 {
   struct mo_environment *found = NULL;
@@ -24,8 +23,7 @@ static struct mo_environment *environments_of(int64_t id, uint32_t *n)
   return check_keep(found, free);
 }
 
-/* Every setting comes back from what is stored, bit for bit, but for those that have no meaning
- * beside the others. */
+/* Every setting is read back bit for bit, except those that the other settings make meaningless. */
 static void encodes_every_setting(void)
 {
   static const enum mo_selection_kind kinds[] = {MO_SELECT_TRUNCATION, MO_SELECT_TOURNAMENT,
@@ -59,7 +57,7 @@ static void encodes_every_setting(void)
   }
 }
 
-/* That a campaign comes back as it was asked for is tested over HTTP. */
+/* Whether requests are read back unchanged is tested over HTTP. */
 static void refuses_what_cannot_be(void)
 {
   struct mo_bits *found = NULL;
@@ -81,10 +79,10 @@ static void refuses_what_cannot_be(void)
   CHECK_INT(mo_store_job_environments(store, 99, MO_JOB_CAMPAIGN, &environments, &n),
             MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_job_designs(store, 99, &found, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_jobs(store, &(struct mo_job_query){0, -1, -1}, jobs, 1), 0); /* nothing left */
+  CHECK_INT(mo_store_jobs(store, &(struct mo_job_query){0, -1, -1}, jobs, 1), 0); /* no rows left */
 }
 
-/* Whether a page of `room` has so many campaigns, from `first` to `last`. */
+/* Returns whether a page with `room` entries contains n campaigns, from `first` to `last`. */
 static bool lists(const struct mo_job_query *query, uint32_t room, int64_t n, int64_t first,
                   int64_t last)
 {
@@ -125,18 +123,18 @@ static void starts_replicates(void)
     CHECK_INT(n, MO_PAPER_TEST_COUNT);
     CHECK(strcmp(last_event(id + r).type, "job.created") == 0);
   }
-  /* The key's answer is the first; with another body it is a conflict. */
+  /* Repeating the key returns the first campaign; with another body it is a conflict. */
   CHECK_OK(mo_store_submit_campaign(store, &submission, &again, &replayed));
   CHECK(replayed && again == id);
   submission.job.key.sha256.bytes[0] ^= 1;
   CHECK_INT(mo_store_submit_campaign(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
-  /* Interactive ones first, then as they came. */
+  /* Interactive campaigns come first, then the others in order of submission. */
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_CAMPAIGN, ids, 8), 5);
   CHECK(ids[0] == id && ids[1] == id + 1 && ids[3] == id + 3 && ids[4] == other);
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_CAMPAIGN, ids, 2), 2);
   CHECK_INT(mo_store_queued_runs(store, MO_JOB_TRAINING, ids, 8), 0);
   CHECK_INT(mo_store_queued(store, MO_INTERACTIVE, 0, true, ids, 8), 0);
-  /* Lists, newest first. */
+  /* Lists begin with the newest. */
   CHECK(lists(&query, 8, 5, id + 3, other));
   query.before = id + 2;
   CHECK(lists(&query, 1, 1, id + 1, id + 1));
@@ -165,8 +163,8 @@ static uint32_t notes_of(int64_t id, struct mo_design_note **notes)
   return n;
 }
 
-/* The population that another campaign has now, as it stands: what that one does later changes
- * nothing. */
+/* A campaign copies the current population of another one. Later changes to that campaign do not
+ * matter. */
 static void inherits_a_population(void)
 {
   struct made made = {0};
@@ -176,7 +174,7 @@ static void inherits_a_population(void)
   uint32_t n = 0, n_sound = 0, n_fitting = 0, n_noted = 0, n_notes;
   int64_t first = submit_campaign(&submission);
   submission.record.initial_campaign = first;
-  CHECK_INT(submit_campaign(&submission), MO_ERR_CONFLICT); /* nothing there yet */
+  CHECK_INT(submit_campaign(&submission), MO_ERR_CONFLICT); /* no population yet */
   CHECK_INT(mo_store_population(store, first, 0, &best, &n), MO_ERR_CONFLICT);
   submission.record.initial_campaign = 77;
   CHECK_INT(submit_campaign(&submission), MO_ERR_NOT_FOUND);
@@ -188,7 +186,7 @@ static void inherits_a_population(void)
   submission.record.initial_campaign = first;
   int64_t second = submit_campaign(&submission);
   REQUIRE(second > 0);
-  /* As designs of a training: those that did not diverge, best first. */
+  /* As designs for a training: only those that did not diverge, best first. */
   for (uint32_t i = 0; i < made.n; i++)
     n_sound += isfinite(made.scores[i]) != 0;
   best = best_of(first, 0, &n);
@@ -198,8 +196,8 @@ static void inherits_a_population(void)
   REQUIRE_OK(made_generation(&made));
   found = designs_of(second, &n);
   CHECK(n == MADE_POPULATION && SAME(found, before, n));
-  /* The best, while there is room. Into another workspace come those that fit it; of each other one
-   * it is said. */
+  /* The best designs are copied until the population is full. Another workspace gets only the
+   * designs that fit; each of the others gets a note. */
   memcpy(before, made.genotypes, sizeof(before));
   submission.record.settings.population = 4;
   found = designs_of(submit_campaign(&submission), &n);
@@ -236,7 +234,7 @@ static struct {
   size_t size;
 } result;
 
-/* Ends a campaign; with the result when it has a name. */
+/* Finishes a campaign, with a result if a name is given. */
 static int finish(int64_t id, enum mo_campaign_end end, uint32_t generations, const char *name)
 {
   return mo_store_campaign_finish(
@@ -244,7 +242,7 @@ static int finish(int64_t id, enum mo_campaign_end end, uint32_t generations, co
       name != NULL ? result.size : 0, name != NULL ? result.controller : NULL);
 }
 
-/* Returns the state before, or an error. */
+/* Returns the previous state, or an error. */
 static int extend(int64_t id, uint32_t generations, const struct mo_request_key *key)
 {
   enum mo_job_state before = MO_JOB_FAILED;
@@ -262,7 +260,7 @@ static void finish_with_its_result(int64_t id)
   CHECK_TEXT(event.type, "campaign.lineage_unreadable");
   CHECK_HAS(event.data, "\"controller\":\"abcd00");
   CHECK_HAS(event.data, "\"field\":\"morphod.seed\",\"detail\":\"no number\"}");
-  CHECK_INT(finish(id, end, 0, "walker"), MO_ERR_CONFLICT); /* it has more generations to go */
+  CHECK_INT(finish(id, end, 0, "walker"), MO_ERR_CONFLICT); /* more generations remain */
   CHECK_INT(mo_store_controller(store, "walker", &record), MO_ERR_NOT_FOUND);
   CHECK_INT(finish(id, end, 1, "Not A Name"), MO_ERR_FORMAT);
   CHECK_OK(finish(id, end, 1, "walker"));
@@ -287,11 +285,11 @@ static void finishes_and_extends(void)
   result.controller = make_random_controller(MO_SENSOR_INVERSE_SQRT, 77);
   REQUIRE_OK(mo_controller_encode(result.controller, &result.bytes, &result.size));
   check_keep(result.bytes, free);
-  /* Queued. */
+  /* A queued campaign cannot finish. */
   CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 9, NULL), MO_ERR_CONFLICT);
   REQUIRE_OK(mo_store_run_start(store, id));
   finish_with_its_result(id);
-  /* Succeeded: queued again, without its end. */
+  /* After success: queued again, and its end is reset. */
   CHECK_INT(extend(id, 2, NULL), MO_JOB_SUCCEEDED);
   struct mo_campaign_status status = status_of(id);
   CHECK(status.job.state == MO_JOB_QUEUED && status.job.finished_us == 0 &&
@@ -301,25 +299,26 @@ static void finishes_and_extends(void)
   struct mo_event event = last_event(id);
   CHECK_TEXT(event.type, "campaign.extended");
   CHECK_HAS(event.data, "\"state\":\"queued\",\"generations\":3,\"added\":2");
-  /* Queued, running, paused: just longer. */
+  /* Queued, running or paused: only the number of generations grows. */
   CHECK_INT(extend(id, 1, NULL), MO_JOB_QUEUED);
   REQUIRE_OK(mo_store_run_start(store, id));
   CHECK_INT(extend(id, 1, NULL), MO_JOB_RUNNING);
   CHECK_INT(state_of(id), MO_JOB_RUNNING);
-  CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 4, NULL), MO_ERR_CONFLICT); /* extended meanwhile */
+  CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 4, NULL),
+            MO_ERR_CONFLICT); /* extended in the meantime */
   CHECK_OK(change(id, MO_CHANGE_PAUSE));
   CHECK_INT(finish(id, MO_CAMPAIGN_COMPLETED, 5, NULL), MO_ERR_CONFLICT);
   CHECK_INT(extend(id, 1, NULL), MO_JOB_PAUSED);
   CHECK_INT(state_of(id), MO_JOB_PAUSED);
   CHECK_INT(job_of(id).steps_total, 6);
-  /* With a key: once. */
+  /* With a key, an extension happens once. */
   mo_sha256_of("one", 3, &key.sha256);
   CHECK_INT(extend(id, 1, &key), MO_JOB_PAUSED);
   CHECK_INT(extend(id, 1, &key), MO_JOB_QUEUED);
   mo_sha256_of("two", 3, &key.sha256);
   CHECK_INT(extend(id, 2, &key), MO_ERR_DUPLICATE);
   CHECK_INT(job_of(id).steps_total, 7);
-  /* Limits: of generations, of designs, of the steps of a training. */
+  /* The limits on generations, designs, and learning steps. */
   CHECK_INT(extend(id, MO_GENERATIONS_MAX - 6, NULL), MO_ERR_RANGE);
   CHECK_INT(extend(id, UINT32_MAX, NULL), MO_ERR_RANGE);
   CHECK_INT(extend(id, MO_GENERATIONS_MAX - 7, NULL), MO_JOB_PAUSED);
@@ -332,7 +331,7 @@ static void finishes_and_extends(void)
   id = submit_campaign(&submission);
   CHECK_INT(extend(id, 96, NULL), MO_ERR_RANGE); /* 2^16 · 4097 designs */
   CHECK_INT(extend(id, 95, NULL), MO_JOB_QUEUED);
-  /* What depends on the number of generations. */
+  /* Only schedules that do not depend on the number of generations can be extended. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
   submission.record.settings.learning.schedule.kind = MO_SCHEDULE_COSINE;
   CHECK_INT(extend(submit_campaign(&submission), 1, NULL), MO_ERR_UNSUPPORTED);
@@ -340,14 +339,14 @@ static void finishes_and_extends(void)
   submission.controller = "default";
   id = submit_campaign(&submission);
   CHECK_INT(extend(id, 1, NULL), MO_JOB_QUEUED);
-  /* Exhausted: there is nothing new to find. */
+  /* An exhausted campaign cannot find any new design. */
   REQUIRE_OK(mo_store_run_start(store, id));
   CHECK_OK(finish(id, MO_CAMPAIGN_EXHAUSTED, 2, NULL));
   CHECK_HAS(last_event(id).data, "\"end\":\"exhausted\"}");
   status = status_of(id);
   CHECK(status.end == MO_CAMPAIGN_EXHAUSTED && !status.job.has_result);
   CHECK_INT(extend(id, 1, NULL), MO_ERR_CONFLICT);
-  /* Cancelled, failed, of another kind, not there. */
+  /* Cancelled, failed, or unknown campaigns cannot be extended. */
   id = submit_campaign(&submission);
   CHECK_OK(change(id, MO_CHANGE_CANCEL));
   CHECK_INT(extend(id, 1, NULL), MO_ERR_CONFLICT);
@@ -369,14 +368,15 @@ static void parks_and_requeues(void)
   CHECK_TEXT(last_event(id).type, "job.started");
   CHECK_INT(park(id, MO_OK), MO_JOB_QUEUED);
   CHECK_TEXT(last_event(id).type, "job.requeued");
-  CHECK(park(id, MO_OK) >= 0); /* it does not run */
-  /* A process that dies leaves it running; the next one queues it again. */
+  CHECK(park(id, MO_OK) >= 0); /* not running */
+  /* A process that crashes leaves the campaign running; the next process requeues it. */
   REQUIRE_OK(mo_store_run_start(store, id));
   CHECK_OK(reopen());
   CHECK_INT(state_of(id), MO_JOB_RUNNING);
   CHECK_OK(mo_store_requeue(store, 0, 3, ""));
   CHECK_INT(state_of(id), MO_JOB_QUEUED);
-  /* An error, a crash, an error: the third is the last, unless a generation comes between. */
+  /* After an error, a crash and another error, the campaign fails, unless a generation was
+   * committed in between. */
   struct made made = made_start(id, MO_FEW_SHOT, 3);
   for (int round = 0; round < 2; round++) {
     REQUIRE_OK(mo_store_run_start(store, id));
@@ -394,8 +394,8 @@ static void parks_and_requeues(void)
   CHECK_INT(park(id, MO_ERR_NO_MEMORY), MO_JOB_FAILED);
   CHECK_INT(mo_store_run_start(store, id), MO_ERR_CONFLICT);
   CHECK_HAS(last_event(id).data, "\"kind\":\"campaign\",\"state\":\"failed\"");
-  /* A retry, not a mere resumption, takes it up again; nothing of one that is not over, and none
-   * that was cancelled. */
+  /* A retry requeues a failed campaign; a resumption does not. A retry of an open campaign changes
+   * nothing, and a cancelled one cannot be retried. */
   enum mo_job_state before;
   CHECK_INT(change(id, MO_CHANGE_RESUME), MO_ERR_CONFLICT);
   CHECK_OK(mo_store_change_job(store, id, MO_CHANGE_RETRY, &before));
@@ -408,7 +408,7 @@ static void parks_and_requeues(void)
   CHECK_INT(before, MO_JOB_QUEUED);
   CHECK_OK(change(id, MO_CHANGE_CANCEL));
   CHECK_INT(change(id, MO_CHANGE_RETRY), MO_ERR_CONFLICT);
-  /* One that is paused stays so. */
+  /* A paused campaign stays paused. */
   id = submit_campaign(&submission);
   REQUIRE_OK(mo_store_run_start(store, id));
   CHECK_OK(change(id, MO_CHANGE_PAUSE));
@@ -420,7 +420,7 @@ static void parks_and_requeues(void)
 
 static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
-    {"refuses what cannot be", refuses_what_cannot_be},
+    {"refuses invalid requests", refuses_what_cannot_be},
     {"starts replicates", starts_replicates},
     {"inherits a population", inherits_a_population},
     {"finishes and extends", finishes_and_extends},

@@ -1,5 +1,5 @@
-/* checkpoints.c: the checkpoints of trainings: rows and files go together, whatever comes between.
- */
+/* checkpoints.c: checkpoints of trainings: rows and files stay consistent, whatever happens in
+ * between. */
 #include <dirent.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -26,7 +26,7 @@ static int put(int64_t id, uint32_t step, const char *state, uint32_t keep)
   return mo_store_training_checkpoint(store, id, step, (const uint8_t *)state, strlen(state), keep);
 }
 
-/* Reads one, which holds this text; NULL: any. */
+/* Reads a checkpoint and compares it with `text` (NULL: any content). */
 static int get(int64_t id, uint32_t step, const char *text)
 {
   uint8_t *bytes = NULL;
@@ -56,18 +56,18 @@ static void keeps_checkpoints(void)
   CHECK_OK(get(id, 0, "state after 40"));
   CHECK_OK(get(id, 30, "state after 30"));
   CHECK_INT(get(id, 20, NULL), MO_ERR_NOT_FOUND);
-  /* Damage is noticed: another byte, another length, no file. */
+  /* Damage is detected: a changed byte, a changed length, a missing file. */
   REQUIRE_OK(put_file(path_of("trainings/%lld/40.checkpoint", folder), "state after 41"));
   CHECK_INT(get(id, 0, NULL), MO_ERR_CORRUPT);
   REQUIRE_OK(put_file(path_of("trainings/%lld/40.checkpoint", folder), "state"));
   CHECK_INT(get(id, 0, NULL), MO_ERR_CORRUPT);
-  /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
+  /* The run continues from 30. Its next checkpoint removes the damaged one and keeps the good
+   * one. */
   CHECK_OK(put(id, 35, "35", 2));
   CHECK_INT(mo_store_checkpoints(store, id, rows, 5), 2);
   CHECK(rows[0].step == 35 && rows[1].step == 30);
   CHECK_INT(training_of(id).checkpoint_step, 35);
-  /* A file that a crash left without its row, an unfinished one, and those of nobody, which stay.
-   */
+  /* A file that a crash left without a row, an unfinished file, and foreign files, which stay. */
   REQUIRE_OK(put_file(path_of("trainings/%lld/36.checkpoint", folder), "36"));
   REQUIRE_OK(put_file(path_of("trainings/%lld/.tmp-7", folder), "half"));
   REQUIRE_OK(put_file(path_of("trainings/%lld/036.checkpoint", folder), "not as we write it"));
@@ -83,7 +83,7 @@ static void keeps_checkpoints(void)
   CHECK_INT(files_of("trainings", id), 2);
   CHECK_INT(files_of("trainings", 77), -1);
   CHECK_OK(get(id, 35, "35"));
-  /* Of an earlier life of the process: not this one's to write. */
+  /* A run started by an earlier process can no longer write. */
   CHECK_INT(put(id, 50, "50", 2), MO_ERR_CONFLICT);
   CHECK_INT(files_of("trainings", id), 2);
 }
@@ -107,7 +107,7 @@ static void *write_checkpoints(void *context)
   return NULL;
 }
 
-/* A reader of the newest checkpoint gets a whole one, however fast they follow each other. */
+/* A reader of the newest checkpoint gets a whole one, no matter how fast new ones are written. */
 static void reads_checkpoints_while_they_go(void)
 {
   struct checkpointer writer = {.ended = false};
@@ -125,8 +125,8 @@ static void reads_checkpoints_while_they_go(void)
   CHECK_INT(get(writer.id, 299, NULL), MO_ERR_NOT_FOUND);
 }
 
-/* A process that can open no more files has lost no checkpoint. If that were taken for damage, the
- * training would start over. */
+/* A process that runs out of descriptors has not lost a checkpoint. If it mistook this for damage,
+ * the training would restart from the beginning. */
 static void keeps_apart_damage_and_want_of_descriptors(void)
 {
   struct rlimit before, small;
@@ -143,7 +143,7 @@ static void keeps_apart_damage_and_want_of_descriptors(void)
   CHECK_OK(get(id, 0, NULL));
 }
 
-/* Files larger than a limit cannot be written: as on a full disk, but for small ones. */
+/* Limits the size of files, which acts like a full disk that still has room for small files. */
 static void survives_a_full_disk(void)
 {
   struct mo_checkpoint_row rows[5];
@@ -172,7 +172,7 @@ static int drop(int64_t id, uint32_t step, struct mo_checkpoints_removed *remove
   return mo_store_checkpoints_remove(store, id, MO_JOB_TRAINING, step, removed);
 }
 
-/* What is needed to go on stays; of a training that has ended nothing is. */
+/* Checkpoints that are needed to continue stay; a training that has ended needs none. */
 static void removes_what_is_not_needed(void)
 {
   struct mo_training_request submission = submission_of(1000);
@@ -198,7 +198,7 @@ static void removes_what_is_not_needed(void)
   CHECK(removed.n == 1 && removed.places[0].step == 20 && removed.bytes == 5);
   CHECK_INT(files_of("trainings", id), 4);
   CHECK_INT(get(id, 20, NULL), MO_ERR_NOT_FOUND);
-  CHECK_OK(change(id, MO_CHANGE_PAUSE)); /* it is to go on some time */
+  CHECK_OK(change(id, MO_CHANGE_PAUSE)); /* it will continue later */
   CHECK_INT(drop(id, 50, &removed), MO_ERR_CONFLICT);
   CHECK_OK(drop(id, 0, &removed));
   CHECK(removed.n == 3 && removed.places[0].step == 40 && removed.places[2].step == 10 &&
@@ -209,7 +209,7 @@ static void removes_what_is_not_needed(void)
   CHECK_OK(drop(id, 0, &removed));
   CHECK(removed.n == 1 && removed.places[0].step == 50);
   CHECK(access(folder, F_OK) != 0);
-  /* A run that learns late of its end leaves nothing. */
+  /* A run that notices its end too late leaves no file. */
   CHECK_INT(put(id, 60, "late", 9), MO_ERR_CONFLICT);
   CHECK(access(folder, F_OK) != 0);
   status = training_of(id);
@@ -227,8 +227,8 @@ static void *remove_checkpoints(void *context)
   return NULL;
 }
 
-/* A training whose newest checkpoints are damaged writes old steps again, while another
- * thread deletes those: what is there has its file. */
+/* A training with damaged newest checkpoints writes earlier steps again, while another thread
+ * deletes those. Every remaining row must have its file. */
 static void writes_again_what_is_removed(void)
 {
   struct checkpointer remover = {.ended = false};
@@ -250,10 +250,10 @@ static void writes_again_what_is_removed(void)
 
 static const struct check_case cases[] = {
     {"keeps checkpoints", keeps_checkpoints},
-    {"reads checkpoints while they go", reads_checkpoints_while_they_go},
-    {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
+    {"reads checkpoints while they are replaced", reads_checkpoints_while_they_go},
+    {"distinguishes damage from a lack of descriptors", keeps_apart_damage_and_want_of_descriptors},
     {"survives a full disk", survives_a_full_disk},
-    {"removes what is not needed", removes_what_is_not_needed},
-    {"writes again what is removed", writes_again_what_is_removed},
+    {"removes checkpoints that are not needed", removes_what_is_not_needed},
+    {"rewrites removed checkpoints", writes_again_what_is_removed},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

@@ -1,5 +1,5 @@
-/* designs.c: what the store keeps of designs, scores and controllers, to the bit, and how it ranks.
- */
+/* designs.c: stored designs, scores and controllers are read back bit for bit, and designs are
+ * ranked. */
 #include <math.h>
 
 #include "../image.h"
@@ -41,16 +41,18 @@ static void shares_designs_between_orientations(void)
   CHECK_INT(mo_store_design(store, &absent, &design), MO_ERR_NOT_FOUND);
 }
 
-/* Of a design with 8 orientations, which were scored in the order below: their mean losses. */
+/* The orientations of one design that were scored, and their mean losses. The design has 8
+ * images. */
 static const unsigned order[] = {6, 2, 5, 0, 7, 3};
-static const double means[] = {2, 1, 1, 3, INFINITY, 1}; /* of 6, 2, 5, 0, 7, 3 */
+static const double means[] = {2, 1, 1, 3, INFINITY, 1}; /* same order */
 
 static double mean_loss(uint32_t n, uint32_t k)
 {
   return k == 4 ? means[n] : isinf(means[n]) ? 1 : means[n];
 }
 
-/* What an id alone means: the best score in exactly these worlds; of equal ones the smallest K. */
+/* An id without an orientation means the orientation with the best score in exactly these
+ * environments; of equal scores, the smallest K. */
 static void orients_ids(void)
 {
   struct mo_bits body = {{0}}, same_forms[6], images[6], asked[3];
@@ -61,7 +63,7 @@ static void orients_ids(void)
   char robot[MO_DEFAULT_ROBOT_DIGITS + 1];
   int64_t fingerprint = 0;
   int k = -1;
-  for (uint64_t seed = 1; k != 7; seed++) { /* a body of which all images differ */
+  for (uint64_t seed = 1; k != 7; seed++) { /* a body with 8 different images */
     struct mo_random random = dice(seed, 0, 0);
     REQUIRE_OK(mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body.words));
     REQUIRE_OK(mo_genotype_robot(MO_DEFAULT_WORKSPACE, body.words, robot));
@@ -84,16 +86,18 @@ static void orients_ids(void)
                                .workspace = MO_DEFAULT_WORKSPACE};
   for (int round = 0; round < 4; round++) {
     const bool is_scored = round == 0;
-    asked[0] = asked[1] = images[3]; /* orientation 0; the second one was given so */
+    asked[0] = asked[1] =
+        images[3]; /* orientation 0, which the request states for the second one */
     asked[2] = make_bodies(77, 1, NULL)[0];
     notes[1].orientation = notes[2].orientation = MO_ORIENTATION_CANONICAL;
     CHECK_OK(mo_store_orient(store, &under, asked, 3, notes, 3));
     CHECK_INT(notes[0].orientation, MO_ORIENTATION_GIVEN);
     CHECK_INT(notes[1].orientation, is_scored ? MO_ORIENTATION_BEST : MO_ORIENTATION_CANONICAL);
-    CHECK(SAME(&asked[0], is_scored ? &images[1] : &images[3], 1)); /* 2, as good as 3 and 5 */
+    CHECK(SAME(&asked[0], is_scored ? &images[1] : &images[3],
+               1)); /* orientation 2: as good as 3 and 5 */
     CHECK_INT(notes[1].robot[MO_DEFAULT_ROBOT_DIGITS - 1], is_scored ? '2' : '0');
     CHECK(SAME(&asked[1], &images[3], 1));
-    CHECK_INT(notes[2].orientation, MO_ORIENTATION_CANONICAL); /* never seen */
+    CHECK_INT(notes[2].orientation, MO_ORIENTATION_CANONICAL); /* never scored */
     if (round == 0)
       under.precision = MO_FLOAT64;
     else if (round == 1)
@@ -138,7 +142,7 @@ static void keeps_every_bit(void)
   CHECK(isinf(results->scores[0]));
   CHECK(memcmp(results->forms, forms, 3 * sizeof(*forms)) == 0);
   mo_evaluation_results_free(results);
-  /* A second writer of the same scores changes nothing; a verify job reports both. */
+  /* A second job that computes the same scores changes nothing; a verify job reports both. */
   submission.verify = true;
   int64_t again = submit_evaluation(&submission);
   REQUIRE_OK(run_by_hand(again, other_loss));
@@ -154,7 +158,7 @@ static void keeps_every_bit(void)
   CHECK_INT(mo_store_results(store, 77, &results), MO_ERR_NOT_FOUND);
 }
 
-/* Results stand at the places of the request; work has only what is left of it. */
+/* Results keep the positions of the request; the work contains only the designs that remain. */
 static void keeps_places_of_skipped_designs(void)
 {
   struct mo_design_note notes[] = {
@@ -282,7 +286,7 @@ static void keeps_controllers(void)
   CHECK_INT(
       mo_controller_name_check("0123456789012345678901234567890123456789012345678901234567890123x"),
       MO_ERR_FORMAT);
-  /* A damaged file is found out, and healed by the next upload. */
+  /* A damaged file is detected, and repaired by the next upload. */
   const char *path = path_of("controllers/%s.safetensors", digits);
   REQUIRE_OK(overwrite(path, 5000, "scratched", 9));
   CHECK_INT(mo_store_controller_bytes(store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
@@ -307,7 +311,7 @@ static void ranks_a_population(void)
   struct mo_training_request training = submission_of(10);
   int64_t id = 0;
   uint32_t n = 0;
-  forms[5] = forms[1]; /* asked for twice */
+  forms[5] = forms[1]; /* requested twice */
   genotypes[5] = genotypes[1];
   id = submit_evaluation(&evaluation);
   CHECK_INT(mo_store_population(store, id, 0, &best, &n), MO_ERR_CONFLICT);
@@ -318,7 +322,8 @@ static void ranks_a_population(void)
         SAME(&best[2], &genotypes[0], 1) && SAME(&best[3], &genotypes[3], 1));
   best = best_of(id, 2, &n);
   CHECK_INT(n, 2);
-  /* Lower bounds, though below all scores, are not ranked; another entry of the genotype is. */
+  /* Lower bounds are not ranked, even if they are below all scores; another entry of the same
+   * genotype is ranked. */
   REQUIRE_OK(reopen_after("UPDATE job_designs SET counted=3 WHERE position IN (1,4)"));
   best = best_of(id, 4, &n);
   CHECK(n == 3 && SAME(&best[0], &genotypes[5], 1) && SAME(&best[1], &genotypes[0], 1) &&
@@ -332,7 +337,7 @@ static void *delete_contents(void *context)
 {
   struct mo_controller_record record;
   char reference[80], digits[65];
-#ifdef __SANITIZE_THREAD__ /* finds in a few rounds what others find by chance */
+#ifdef __SANITIZE_THREAD__ /* finds in a few rounds what others find only by chance */
   const int rounds = 15;
 #else
   const int rounds = 60;
@@ -348,7 +353,7 @@ static void *delete_contents(void *context)
   return context;
 }
 
-/* Content that is stored again while it is deleted: no row speaks of a file that has gone. */
+/* Content is stored again while it is being deleted: no row may refer to a deleted file. */
 static void stores_again_what_is_deleted(void)
 {
   struct mo_controller_record record;
@@ -360,14 +365,14 @@ static void stores_again_what_is_deleted(void)
     REQUIRE_OK(put_weights("again", 77, &record));
     mo_sha256_to_hex(&record.sha256, digits);
     snprintf(reference, sizeof(reference), "sha256:%s", digits);
-    /* A row that is still there after its file is gone would stay: no other call makes that file
-     * again. */
+    /* If the row outlived its file, it would stay broken: no other call recreates the file. */
     CHECK(access(path_of("controllers/%s.safetensors", digits), F_OK) == 0 ||
           mo_store_controller(store, reference, &seen) == MO_ERR_NOT_FOUND);
   }
 }
 
-/* More than are stored with the submission: kept as bits, and stored group by group, in order. */
+/* A list that is too long to be stored with the submission: kept as bits, then stored group by
+ * group in order. */
 static void stores_long_lists_in_groups(void)
 {
   enum { N = MO_DESIGN_GROUP + 5 };
@@ -404,10 +409,10 @@ static const struct check_case cases[] = {
     {"shares a design between its orientations", shares_designs_between_orientations},
     {"turns an id to the best scored orientation", orients_ids},
     {"keeps every bit of a loss", keeps_every_bit},
-    {"keeps the places of skipped designs", keeps_places_of_skipped_designs},
+    {"keeps the positions of skipped designs", keeps_places_of_skipped_designs},
     {"ranks designs by score", ranks_designs},
     {"keeps controllers by content and by name", keeps_controllers},
-    {"stores again what is deleted", stores_again_what_is_deleted},
+    {"restores deleted content", stores_again_what_is_deleted},
     {"ranks a population", ranks_a_population},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

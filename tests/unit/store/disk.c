@@ -1,13 +1,13 @@
-/* disk.c: what is certain to be on the disk, and what is there after a cut.
+/* disk.c: tracks what is guaranteed to be on the disk, and chooses what survives a power cut.
  *
- * Names are paths below the state folder. A change of a name belongs to the folder that holds it:
- * syncing that folder makes all of its changes certain, in their order; at a cut all, none, the
- * first ones, or any of the others have happened. A renaming happens whole or not at all, as file
- * systems with a journal promise. What is in a folder that is not there is lost.
+ * Names are paths below the state folder. A name change belongs to the folder that contains the
+ * name. Syncing that folder makes all of its changes durable, in order. At a cut, all, none, the
+ * first few, or any subset of the unsynced changes have happened. A rename is atomic, as journaling
+ * file systems promise. The contents of a lost folder are lost.
  *
- * Data is torn at 512 bytes: every such sector of every unsynced write is there or not. The size is
- * one that the file had since its last sync, or what the sectors need; what was never written below
- * it is zeros or stale. */
+ * Data is torn at 512 bytes: each sector of each unsynced write is either on the disk or not. The
+ * size is one that the file had since its last sync, or as large as the surviving sectors need.
+ * Bytes below it that were never written are zero or stale. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,7 +30,7 @@ static bool chance(struct disk *disk, unsigned of)
   return disk_random(disk) % of == 0;
 }
 
-/* ---- stopping and failing ---- */
+/* ---- stops and faults ---- */
 
 bool disk_ask(struct disk *disk)
 {
@@ -100,7 +100,7 @@ void disk_sync_folder(struct disk *disk, const char *folder)
   disk->n_pending = left;
 }
 
-/* ---- a disk's life ---- */
+/* ---- creation and end ---- */
 
 static int make_folder(struct disk *disk)
 {
@@ -108,8 +108,7 @@ static int make_folder(struct disk *disk)
   return mkdir(disk->folder, 0700);
 }
 
-/* In memory, where the system has a folder for that: a disk that is busy takes seconds for so many
- * files. */
+/* In memory, if the system has a folder for that: a busy disk takes seconds for this many files. */
 static int make_base(struct disk *disk)
 {
   const char *given = getenv("TMPDIR");
@@ -164,7 +163,7 @@ const char *disk_vfs(const struct disk *disk)
   return disk->vfs.zName;
 }
 
-/* Statements that no other call of the disk sees half. */
+/* Statements that other calls on the disk see only as a whole. */
 #define LOCKED(disk, ...)                                                                          \
   do {                                                                                             \
     pthread_mutex_lock(&(disk)->mutex);                                                            \
@@ -228,19 +227,20 @@ void disk_go_on(struct disk *disk)
   disk->stop_at = disk->fail_at = 0;
 }
 
-/* Which of the changes that are not certain have happened. */
+/* Chooses which of the uncertain changes have happened. */
 static void choose_names(struct disk *disk, enum disk_luck luck, struct names *names)
 {
   size_t n_first = disk->n_pending > 0 ? disk_random(disk) % (disk->n_pending + 1) : 0;
   const unsigned mode =
-      luck == DISK_WORST ? 3 : (unsigned)(disk_random(disk) % 4); /* all, first ones, some, none */
+      luck == DISK_WORST ? 3
+                         : (unsigned)(disk_random(disk) % 4); /* all, the first ones, some, none */
   for (size_t i = 0; i < disk->n_pending; i++)
     if (mode == 0 || (mode == 1 && i < n_first) || (mode == 2 && chance(disk, 2)))
       names_apply(names, &disk->pending[i]);
   names_drop_orphans(names);
 }
 
-/* Which sectors of the writes that are not certain are there, and how long the file is. */
+/* Chooses which sectors of the uncertain writes are on the disk, and how long the file is. */
 static void choose_data(struct disk *disk, enum disk_luck luck, const struct inode *inode,
                         struct content *content)
 {
@@ -300,7 +300,7 @@ int disk_cut(struct disk *disk, enum disk_luck luck)
   snprintf(old, sizeof(old), "%s", disk->folder);
   disk->cuts++;
   int result = make_folder(disk);
-  for (size_t i = 0; i < after.n && result == 0; i++) { /* folders come before what is in them */
+  for (size_t i = 0; i < after.n && result == 0; i++) { /* folders come before their contents */
     struct content content = {0};
     if (after.list[i].inode == NULL) {
       snprintf(path, sizeof(path), "%s/%s", disk->folder, after.list[i].path);

@@ -1,4 +1,4 @@
-/* disk_files.c: the store's own files on a disk: its table of file operations. */
+/* disk_files.c: the store's own files on a simulated disk: the table of file operations. */
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -8,9 +8,9 @@
 
 #include "disk_inside.h"
 
-static struct disk *disk; /* whose files the store of this process writes */
+static struct disk *disk; /* the disk that the store of this process writes to */
 
-/* The turn of a change, and why there is none. */
+/* Takes the turn of a change; sets errno in case the change fails. */
 static enum turn change(bool is_sync, bool needs_room)
 {
   errno = ENOSPC;
@@ -20,7 +20,7 @@ static enum turn change(bool is_sync, bool needs_room)
   return disk_change(disk, is_sync);
 }
 
-/* Ends a call that has the mutex. The caller of the last change gets no result. */
+/* Ends a call that holds the mutex. The caller of the last change gets no result. */
 static int end(enum turn turn, ssize_t result)
 {
   pthread_mutex_unlock(&disk->mutex);
@@ -111,7 +111,7 @@ static int disk_close(int fd)
   return close(fd);
 }
 
-/* A new name, or one less. to: of a renaming. */
+/* Adds or removes a name. to: the new name of a rename. */
 static int change_name(enum name_kind kind, const char *path, const char *to)
 {
   int result = -1;

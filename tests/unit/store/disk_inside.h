@@ -1,7 +1,6 @@
-/* disk_inside.h: what the files of a disk share: its state, and how a call takes its turn. For
- * disk*.c alone.
+/* disk_inside.h: the state of a simulated disk, and how a call takes its turn. Only for disk*.c.
  *
- * Every call holds the disk's mutex from its turn to what it notes. */
+ * Every call holds the disk's mutex from taking its turn until it has recorded its changes. */
 #ifndef MORPHO_TESTS_STORE_DISK_INSIDE_H
 #define MORPHO_TESTS_STORE_DISK_INSIDE_H
 
@@ -21,13 +20,13 @@ struct disk {
   long changes, stop_at, calls, fail_at, descriptors, room[2]; /* by enum disk_part */
   bool stopped, at_sync, lasting, failed;
   struct names durable, now;
-  struct name_change *pending; /* in their order */
+  struct name_change *pending; /* in order */
   size_t n_pending, pending_room;
   struct inode *inodes;
   struct {
-    int fd; /* −1: free */
+    int fd; /* −1 = free */
     struct inode *inode;
-    char folder[240]; /* when it is one */
+    char folder[240]; /* if it is a folder */
     int64_t at;
   } files[FILES_MAX];
   sqlite3_vfs vfs, *real;
@@ -35,24 +34,24 @@ struct disk {
 
 enum turn { TURN_OFF, TURN_LAST, TURN_GO };
 
-/* A call that changes nothing. False: it fails. */
+/* Takes the turn of a call that changes nothing. Returns false if the call must fail. */
 bool disk_ask(struct disk *disk);
-/* A change: off: it does not happen; last: it is in flight when everything stops, and its caller
- * never learns its result. */
+/* Takes the turn of a change. TURN_OFF: it does not happen; TURN_LAST: it is in flight when
+ * everything stops, and its caller never learns the result. */
 enum turn disk_change(struct disk *disk, bool sync);
 
-/* Takes the room of one write. False: there is none. */
+/* Uses up the room of one write. Returns false if the disk is full. */
 bool disk_take_room(struct disk *disk, enum disk_part part);
 
-/* The name below the state folder; "": it is not there. */
+/* Returns the path below the state folder; "" if it is not below it. */
 const char *disk_below(const struct disk *disk, const char *path);
-/* Names that changed just now. to: renamed; inode: created, renamed. */
+/* Records that names have just changed. to: for renames; inode: for creations and renames. */
 void disk_note(struct disk *disk, enum name_kind kind, const char *path, const char *to,
                struct inode *inode);
 struct inode *disk_create(struct disk *disk, const char *path);
 void disk_sync_folder(struct disk *disk, const char *folder);
 
-int disk_vfs_start(struct disk *disk); /* SQLite's: disk_vfs.c. 0 or −1 */
+int disk_vfs_start(struct disk *disk); /* for SQLite, in disk_vfs.c; returns 0 or −1 */
 void disk_vfs_end(struct disk *disk);
 
 #endif

@@ -1,4 +1,4 @@
-/* disk_state.c: files with their unsynced writes, and names that lead to them. */
+/* disk_state.c: files with their unsynced writes, and the names that refer to them. */
 #include "disk_state.h"
 
 #include <malloc.h>
@@ -190,7 +190,8 @@ void names_apply(struct names *names, const struct name_change *change)
     if (is_there)
       take(names, i);
     break;
-  case NAME_RENAMED: /* another file of this name, or none: its creation is not there */
+  case NAME_RENAMED: /* another file with this name, or no file: the name's creation has not
+                        happened */
     if (!is_there || names->list[i].inode != change->inode)
       break;
     take(names, i);
@@ -224,7 +225,7 @@ void names_drop_orphans(struct names *names)
   size_t left = 0;
   if (names->n > 0)
     qsort(names->list, names->n, sizeof(*names->list),
-          compare_names); /* a folder's name begins those in it */
+          compare_names); /* true if the path lies inside the folder */
   for (size_t i = 0; i < names->n; i++) {
     const char *slash = strrchr(names->list[i].path, '/');
     char folder[240] = "";

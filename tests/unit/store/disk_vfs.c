@@ -1,20 +1,20 @@
-/* disk_vfs.c: SQLite's files on a disk: a file system over the default one. */
+/* disk_vfs.c: SQLite's files on a simulated disk: a VFS on top of the default one. */
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "disk_inside.h"
 
-/* What a file has beside the default one's, behind it. */
+/* Data stored before the default VFS's file. */
 struct disk_file {
   struct disk *disk;
-  struct inode *inode; /* NULL: a temporary file */
+  struct inode *inode; /* NULL for a temporary file */
   const sqlite3_io_methods *real;
-  sqlite3_io_methods methods; /* the real ones, but for those that take a turn */
+  sqlite3_io_methods methods; /* the default methods, except for those that take a turn */
 };
 
-/* In place of the C library's: what is certain is in memory, and the true disk may take its time.
- */
+/* Replaces the C library's function: durable data is kept in memory, so the real disk need not
+ * sync. */
 __attribute__((visibility("default"))) int fsync(int fd)
 {
   (void)fd;
@@ -28,8 +28,8 @@ __attribute__((visibility("default"))) int fdatasync(int fd)
 }
 
 /* SQLite syncs the folder of a new log or journal with that file's first sync, and after some
- * removals. It asks for a folder only to sync it: the default file system's call is replaced by one
- * that also notes that. */
+ * removals. SQLite opens a folder only to sync it. The default VFS's system call is therefore
+ * replaced by one that also records the sync. */
 static int (*real_open_directory)(const char *path, int *fd);
 static _Thread_local bool folder_was_synced;
 
@@ -44,7 +44,7 @@ static struct disk_file *beside(sqlite3_file *file)
   return (struct disk_file *)((char *)file + sqlite3_vfs_find(NULL)->szOsFile);
 }
 
-/* Calls that change nothing on the disk: they fail on demand, and go on after a stop. */
+/* Calls that change nothing on the disk: they can fail on demand, and still work after a stop. */
 #define PASS(name, parameters, arguments, failure)                                                 \
   static int name parameters                                                                       \
   {                                                                                                \
@@ -139,7 +139,7 @@ static int vfs_open(sqlite3_vfs *vfs, sqlite3_filename path, sqlite3_file *file,
   if (file->pMethods != NULL) {
     disk_file->real = file->pMethods;
     disk_file->methods = *file->pMethods;
-    disk_file->methods.iVersion = 2; /* no memory maps, which would write unseen */
+    disk_file->methods.iVersion = 2; /* no memory maps, because they would write unseen */
     disk_file->methods.xRead = xRead;
     disk_file->methods.xWrite = xWrite;
     disk_file->methods.xTruncate = xTruncate;

@@ -1,5 +1,5 @@
-/* encode.c: the encodings that the store hashes. A hash here never changes, or every stored score
- * is lost. */
+/* encode.c: the encodings that the store hashes. If a hash here changed, every stored score would
+ * be lost. */
 #include "store/encode.h"
 
 #include "../check.h"
@@ -78,7 +78,7 @@ static void refuses_other_bytes(void)
   }
 }
 
-/* −0 is 0, and bisections that nobody uses do not count. */
+/* −0 is encoded as 0, and the number of bisections counts only if it is used. */
 static void hashes(void)
 {
   struct mo_physics physics = mo_default_physics();

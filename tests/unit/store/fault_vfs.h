@@ -6,17 +6,18 @@
 #include <stdatomic.h>
 
 static struct fault_plan {
-  atomic_int write_error; /* 0 or the SQLite code that writes give */
+  atomic_int write_error; /* 0, or the SQLite code that writes return */
   atomic_int sync_error;
-  atomic_bool once;        /* the first error is the last */
-  atomic_long writes_left; /* so many writes succeed before the error; negative: all fail */
+  atomic_bool once; /* only the first write fails */
+  atomic_long
+      writes_left; /* number of writes that succeed before the error; negative = all writes fail */
   atomic_bool no_shared_memory;
 } fault_plan;
 
-/* What a file has beside the default one's, behind it. */
+/* Data stored before the default VFS's file. */
 struct fault_file {
   const sqlite3_io_methods *real;
-  sqlite3_io_methods methods; /* the real ones, but for those that fail */
+  sqlite3_io_methods methods; /* the default methods, except for those that fail */
 };
 
 static inline struct fault_file *fault_beside(sqlite3_file *file)

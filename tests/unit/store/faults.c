@@ -49,11 +49,11 @@ static void notices_that_there_is_room_again(void)
   REQUIRE_OK(start_failing());
   set_errors(SQLITE_FULL, 0, false);
   CHECK_INT(submit_evaluation(&submission), MO_ERR_NO_SPACE);
-  usleep(1500000); /* asking does not answer */
+  usleep(1500000); /* returns no result */
   mo_store_get_stats(store, &stats);
   CHECK(stats.no_space && !stats.fatal);
   set_errors(0, 0, false);
-  for (int i = 0; i < 1000 && stats.no_space; i++) { /* nobody writes */
+  for (int i = 0; i < 1000 && stats.no_space; i++) { /* nothing is written */
     usleep(10000);
     mo_store_get_stats(store, &stats);
   }
@@ -66,8 +66,8 @@ static void notices_that_there_is_room_again(void)
 
 static void dies_of_a_failing_disk(void)
 {
-  /* Once: a second fsync after a failed one may succeed although what the first should have kept is
-   * gone. */
+  /* The first write error is final: a second fsync after a failed one may succeed although the data
+   * of the first is gone. */
   static const struct {
     int write, sync;
     bool once;
@@ -85,13 +85,13 @@ static void dies_of_a_failing_disk(void)
     CHECK_INT(submit_evaluation(&submission), MO_ERR_IO);
     CHECK_INT(atomic_load(&fatal_calls), 1);
     set_errors(0, 0, false);
-    /* It does not come back to life: the process has to. */
+    /* The store does not recover; the process must restart. */
     CHECK_INT(submit_evaluation(&submission), MO_ERR_IO);
     CHECK_INT(atomic_load(&fatal_calls), 1);
     mo_store_get_stats(store, &stats);
     CHECK(stats.fatal);
     close_store();
-    CHECK_INT(access(path_of("morphod.db-wal"), F_OK), 0); /* the next opening recovers from it */
+    CHECK_INT(access(path_of("morphod.db-wal"), F_OK), 0); /* the next start recovers from it */
     REQUIRE_OK(reopen());
     (void)job_of(first);
     CHECK_OK(check_whole());
@@ -100,7 +100,7 @@ static void dies_of_a_failing_disk(void)
   }
 }
 
-/* In place of the C library's. */
+/* Replaces the C library's function. */
 static atomic_bool folder_sync_fails;
 
 int fsync(int fd)
@@ -113,8 +113,8 @@ int fsync(int fd)
   return (int)syscall(SYS_fsync, fd);
 }
 
-/* The file of weights is in its folder, but perhaps not on the disk: no caller may learn that it
- * is, not even later. */
+/* The file of weights is in its folder, but perhaps not on the disk. No call may report it as
+ * stored, even later. */
 static void dies_of_a_folder_that_cannot_be_synced(void)
 {
   REQUIRE_OK(start_failing());
@@ -240,14 +240,14 @@ static void shares_commits(void)
   fixture_end();
 }
 
-/* ---- readers that overlap ---- */
+/* ---- overlapping readers ---- */
 
 struct overlapping {
   atomic_bool reading, stop;
 };
 
-/* Two readers in turn: one begins before the other ends, so that at every moment one is inside a
- * transaction, and none for long. */
+/* Two readers take turns: one begins before the other ends. At every moment one of them is inside a
+ * transaction, but neither for long. */
 static void *overlap(void *context)
 {
   struct overlapping *overlapping = context;
@@ -291,9 +291,9 @@ static void keeps_its_log_short(void)
     usleep(1000);
   memset(note, 'x', NOTE);
   entry.value = note;
-  /* Rows of 1 MiB each; the store leaves the bytes to its caller. One wait for the readers may be
-   * too short on a machine that has much else to do: then the next must do, a few seconds later.
-   * Passive checkpoints never come to it, however long they go on. */
+  /* Writes rows of 1 MiB each. On a busy machine, one wait for the readers may be too short; then
+   * the next one, a few seconds later, must suffice. Passive checkpoints never reset the log, no
+   * matter how many there are. */
   do {
     CHECK_OK(mo_store_controller_put(store, "much", (const uint8_t *)&puts, sizeof(puts),
                                      &controller, &record, &created));
@@ -324,18 +324,17 @@ static void refuses_an_unwritable_folder(void)
   }
   REQUIRE(waitpid(child, &status, 0) == child);
   chmod(fixture.path, 0700);
-  /* As another user the folder of the test is perhaps not even found: then there is nothing to see.
-   */
+  /* Run as another user, the test may not even find its folder; then there is nothing to check. */
   CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
   fixture_end();
 }
 
 static const struct check_case cases[] = {
-    {"notices that there is room again", notices_that_there_is_room_again},
-    {"dies of a disk that fails, and recovers", dies_of_a_failing_disk},
-    {"dies of a folder that cannot be synced", dies_of_a_folder_that_cannot_be_synced},
+    {"notices when there is room again", notices_that_there_is_room_again},
+    {"stops when the disk fails, and recovers", dies_of_a_failing_disk},
+    {"stops when a folder cannot be synced", dies_of_a_folder_that_cannot_be_synced},
     {"refuses a file system without shared memory", refuses_a_file_system_without_shared_memory},
-    {"keeps its log short under readers that overlap", keeps_its_log_short},
+    {"keeps its log short with overlapping readers", keeps_its_log_short},
     {"shares commits among writers", shares_commits},
     {"refuses an unwritable folder", refuses_an_unwritable_folder},
 };

@@ -1,4 +1,4 @@
-/* fixture.h: a state folder of its own for every case, its store, and small submissions. */
+/* fixture.h: a separate state folder for each case, its store, and small requests. */
 #ifndef MORPHO_TESTS_STORE_FIXTURE_H
 #define MORPHO_TESTS_STORE_FIXTURE_H
 
@@ -16,9 +16,9 @@
 
 static struct {
   char path[256];
-  struct mo_message message; /* of the last opening, check or refusal */
+  struct mo_message message; /* from the last opening, check or refused request */
 } fixture;
-static struct mo_store *store; /* in the fixture's folder; NULL: closed */
+static struct mo_store *store; /* in the fixture's folder; NULL if closed */
 
 static inline int fixture_remove_entry(const char *path, const struct stat *status, int kind,
                                        struct FTW *place)
@@ -43,7 +43,7 @@ static inline int fixture_folder(void)
   return mkdtemp(fixture.path) != NULL ? 0 : -1;
 }
 
-/* The path of a file of the state folder. The next call overwrites it. */
+/* Returns the path of a file in the state folder. The next call overwrites it. */
 __attribute__((format(printf, 1, 2))) static inline const char *path_of(const char *format, ...)
 {
   static char path[512];
@@ -55,7 +55,7 @@ __attribute__((format(printf, 1, 2))) static inline const char *path_of(const ch
   return path;
 }
 
-/* Writes bytes into a file that is there, at a place. */
+/* Overwrites bytes at an offset of an existing file. */
 static inline int overwrite(const char *path, long at, const void *bytes, size_t n)
 {
   FILE *file = fopen(path, "r+");
@@ -94,7 +94,7 @@ static inline int check_whole(void)
   return mo_store_check(store, &fixture.message);
 }
 
-/* Weights drawn from a seed, and their file. */
+/* Draws weights from a seed and encodes them. */
 static inline int draw_weights(uint64_t seed, struct mo_controller **controller, uint8_t **bytes,
                                size_t *size)
 {
@@ -106,7 +106,7 @@ static inline int draw_weights(uint64_t seed, struct mo_controller **controller,
   return error == MO_OK ? mo_controller_encode(*controller, bytes, size) : error;
 }
 
-/* Stores these under a name. record: nullable. */
+/* Stores such weights under a name. record: nullable. */
 static inline int put_weights(const char *name, uint64_t seed, struct mo_controller_record *record)
 {
   struct mo_controller_record stored;
@@ -131,7 +131,7 @@ static inline int fixture_start(void)
   return error == MO_OK ? put_weights("default", 1, NULL) : error;
 }
 
-/* Distinct bodies, placed, with their canonical forms (nullable). */
+/* Returns distinct placed bodies, with their canonical forms (nullable). */
 static inline struct mo_bits *make_bodies(uint64_t seed, uint32_t n, struct mo_bits **forms)
 {
   struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, seed);
@@ -185,7 +185,7 @@ static inline void fixture_loss(struct mo_save *save, const struct mo_work *work
   block->diverged_steps[i] = (uint32_t)step;
 }
 
-/* Settings of learning, each with another value than its default. */
+/* Returns learning settings that all differ from their defaults. */
 static inline struct mo_learning fixture_learning(void)
 {
   return (struct mo_learning){
@@ -203,7 +203,7 @@ static inline struct mo_learning fixture_learning(void)
       .gradient = {.adjoint_bound = 2, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5}};
 }
 
-/* The classes of a process that has but one. */
+/* The classes of a process that has only one. */
 static inline const struct mo_classes *fixture_classes(int64_t fingerprint)
 {
   static _Thread_local struct mo_classes classes;
@@ -211,7 +211,7 @@ static inline const struct mo_classes *fixture_classes(int64_t fingerprint)
   return &classes;
 }
 
-/* Reads the newest checkpoint of the newest generation that has one. */
+/* Reads the newest checkpoint of the newest generation that has checkpoints. */
 static inline int newest_checkpoint(struct mo_store *of, int64_t id, uint32_t *generation,
                                     uint32_t *step, uint8_t **bytes, size_t *size)
 {

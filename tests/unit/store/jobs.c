@@ -1,5 +1,5 @@
-/* jobs.c: what the store keeps of jobs: keys, states, events, trajectories. That a job comes back
- * as it was asked for, in pages, too, is tested over HTTP; what pages cost, in lists.c. */
+/* jobs.c: stored jobs: keys, states, events, recordings. Whether requests are read back unchanged,
+ * also in pages, is tested over HTTP; the cost of pages is tested in lists.c. */
 #include "by_hand.h"
 #include "one_store.h"
 
@@ -21,9 +21,9 @@ static void answers_a_repeated_key(void)
   mo_sha256_of("other", 5, &submission.job.key.sha256);
   CHECK_INT(mo_store_submit(store, &submission, &again, &replayed), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_replay(store, &submission.job.key, &again), MO_ERR_CONFLICT);
-  /* Keys older than their time are forgotten. */
+  /* Keys expire. */
   REQUIRE_OK(reopen_after("UPDATE idempotency_keys SET created_us=created_us-90000000000"));
-  for (int i = 0; i < 1200; i++) { /* enough events to make a round of pruning due */
+  for (int i = 0; i < 1200; i++) { /* enough events to trigger pruning */
     enum mo_job_state before;
     CHECK_OK(
         mo_store_change_job(store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before));
@@ -55,7 +55,7 @@ static void changes_states(void)
   job = job_of(id);
   CHECK_INT(job.state, MO_JOB_RUNNING);
   CHECK(job.started_us > 0);
-  /* Errors of the runner: twice again, then parked. */
+  /* After an error of the runner, a job is retried twice, then parked. */
   update.step = MO_STEP_RETRY;
   update.error = MO_ERR_NO_MEMORY;
   update.max_attempts = 2;
@@ -73,7 +73,7 @@ static void changes_states(void)
   CHECK_TEXT(job.error_text, "ran out");
   CHECK(job.finished_us > 0);
   CHECK_INT(mo_store_change_job(store, id, MO_CHANGE_CANCEL, &before), MO_ERR_CONFLICT);
-  /* Fenced: what another opening of the store started is not ours to end. */
+  /* A job that another opening of the store started cannot be ended by this one. */
   id = submit_evaluation(&submission);
   update = (struct mo_job_update){.job = id, .step = MO_STEP_START};
   CHECK_OK(save_and_wait(&save));
@@ -81,7 +81,7 @@ static void changes_states(void)
   update.step = MO_STEP_SUCCEED;
   CHECK_OK(save_and_wait(&save));
   CHECK(!update.applied);
-  /* Restart after a crash that the marker blames on the job. */
+  /* The process restarts after a crash, and the marker blames the job. */
   CHECK_OK(mo_store_requeue(store, id, 3, "signal 11"));
   job = job_of(id);
   CHECK_INT(job.state, MO_JOB_QUEUED);
@@ -97,7 +97,7 @@ static void changes_states(void)
   CHECK_TEXT(job.error_text, "signal 11");
 }
 
-/* That all rollouts diverged is known only of a job that has ended. */
+/* Only a job that has ended can report that all rollouts diverged. */
 static void warns_of_divergence(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(4, 1);
@@ -146,7 +146,7 @@ static void reports_changes(void)
   id = submit_evaluation(&submission);
   CHECK_INT(received.n, 3);
   n = mo_store_events(store, 0, 0, events, 32, &oldest, &newest);
-  REQUIRE(n == 5); /* the controller, then created, started, finished, created */
+  REQUIRE(n == 5); /* the events: the controller, then created, started, finished, created */
   CHECK_TEXT(events[0].type, "controller.stored");
   CHECK_TEXT(events[1].type, "job.created");
   CHECK_TEXT(events[2].type, "job.started");
@@ -158,7 +158,7 @@ static void reports_changes(void)
   CHECK_INT(newest, events[4].sequence);
   CHECK_INT(mo_store_events(store, events[1].sequence, 1, events, 32, NULL, NULL), 2);
   CHECK_INT(mo_store_events(store, newest, 0, events, 32, NULL, NULL), 0);
-  /* Pruned: the oldest that is kept tells. */
+  /* After pruning, the oldest remaining event is reported. */
   mo_store_close(store);
   struct mo_store_config config =
       (struct mo_store_config){.path = fixture.path, .events_kept = 100};
@@ -201,7 +201,7 @@ static void keeps_trajectories(void)
   mo_trajectory_free(trajectory);
 }
 
-/* Of four recordings two fit: the first is kept, because its evaluation has not ended. */
+/* Only two of four recordings fit. The first is kept, because its evaluation has not ended. */
 static void removes_the_oldest_recordings(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(4, 2);
@@ -218,7 +218,7 @@ static void removes_the_oldest_recordings(void)
   for (int i = 0; i < 4; i++) {
     ids[i] = saved.job = submit_evaluation(&submission);
     CHECK_OK(save_and_wait(&save));
-    CHECK_OK(save_and_wait(&save)); /* again: it is there */
+    CHECK_OK(save_and_wait(&save)); /* again present */
     CHECK_INT(job_of(ids[i]).recorded_bytes, sizeof(com));
     if (i > 0)
       CHECK_OK(change(ids[i], MO_CHANGE_CANCEL));

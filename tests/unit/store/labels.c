@@ -1,5 +1,5 @@
-/* labels.c: what clients say of jobs afterwards, what jobs have used, and deletion: what goes, what
- * stays, and who keeps a job from it. */
+/* labels.c: labels of jobs, accounting of their usage, and deletion: what is deleted, what stays,
+ * and which jobs protect others. */
 #include <pthread.h>
 
 #include "base/clock.h"
@@ -18,7 +18,7 @@ static int delete_job(int64_t id)
   return mo_store_delete_job(store, id, &deleted, &message);
 }
 
-/* Waits for the background to delete the rows of a job. */
+/* Waits until the background thread has deleted the rows of a job. */
 static bool is_gone(int64_t id)
 {
   char sql[64];
@@ -28,7 +28,7 @@ static bool is_gone(int64_t id)
   return outside_integer(sql) == 0;
 }
 
-/* Whether a query finds these jobs, in order, and no others. n: −1 ends them. */
+/* Returns whether a query finds exactly these jobs, in order. The list ends with −1. */
 static bool finds(struct mo_job_query query, const int64_t *ids)
 {
   struct mo_job page[8];
@@ -70,7 +70,7 @@ static void finds_what_is_labeled(void)
   struct mo_job_query query = Q(.experiment = "x");
   query.kind = MO_JOB_TRAINING;
   CHECK(finds(query, (const int64_t[]){ids[4], -1}));
-  /* Changes: what is not named stays. */
+  /* A change keeps the fields that it omits. */
   CHECK_OK(mo_store_edit_job(
       store, ids[1],
       &(struct mo_job_edit){
@@ -98,7 +98,7 @@ static void finds_what_is_labeled(void)
             MO_ERR_NOT_FOUND);
 }
 
-/* A meter of one job. */
+/* Returns a meter of one job. */
 static int64_t metered;
 static double metered_s = 1.5;
 
@@ -121,7 +121,7 @@ static void counts_what_jobs_use(void)
     ids[i] = submit_evaluation(&submission);
     metered = ids[i];
     metered_s = 1.5 + i;
-    CHECK_OK(change(ids[i], MO_CHANGE_CANCEL)); /* its event writes them */
+    CHECK_OK(change(ids[i], MO_CHANGE_CANCEL)); /* written together with its event */
     CHECK(job_of(ids[i]).worker_s == metered_s && job_of(ids[i]).device_s == 2 * metered_s);
   }
   mo_store_meter(store, NULL, NULL);
@@ -131,13 +131,13 @@ static void counts_what_jobs_use(void)
     CHECK(rows[1].name[0] == '\0' && rows[1].jobs == 1 && rows[1].device_s == 7);
     CHECK_INT(mo_store_usage(store, MO_USAGE_KIND, rows, 4), 1);
     CHECK(strcmp(rows[0].name, "0") == 0 && rows[0].jobs == 3);
-    for (int i = 0; i < 3 && round == 0; i++) /* deleted jobs count on */
+    for (int i = 0; i < 3 && round == 0; i++) /* deleted jobs still count */
       CHECK_OK(delete_job(ids[i]));
     CHECK(is_gone(ids[2]));
   }
 }
 
-/* The sums are those of the jobs, whatever happens to them. */
+/* Checks that the sums equal those over the jobs. */
 static void usage_follows_changes(void)
 {
   static const char sums[] =
@@ -203,13 +203,13 @@ static void deletes_an_evaluation(void)
   CHECK_INT(mo_store_results(store, id, &results), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_trajectory(store, id, 0, 0, &trajectory), MO_ERR_NOT_FOUND);
   FINDS(Q(.archived = -1), -1);
-  CHECK_OK(save_and_wait(&save)); /* a block that was in flight */
+  CHECK_OK(save_and_wait(&save)); /* a block in flight */
   CHECK(is_gone(id));
   CHECK_OK(save_and_wait(&save));
   CHECK_INT(outside_integer("SELECT count(*) FROM trajectories"), 0);
   CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='recorded bytes'"), 0);
   CHECK_INT(outside_integer("SELECT count(*) FROM genotypes"), 2);
-  CHECK(submit_evaluation(&submission) > id); /* the key is free again */
+  CHECK(submit_evaluation(&submission) > id); /* the key can be used again */
   CHECK_OK(check_whole());
 }
 
@@ -224,7 +224,8 @@ static void commit_one(struct made *made)
   CHECK_OK(mo_store_campaign_checkpoint(store, made->id, 1, 1, state, sizeof(state), NULL, 0));
 }
 
-/* What others were bred from stays, until they are gone; so does the first of a group. */
+/* A job that others were bred from stays until they are deleted; so does the first job of a
+ * group. */
 static void keeps_what_others_need(void)
 {
   struct mo_campaign_request submission = campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 30);
@@ -264,8 +265,8 @@ static void keeps_what_others_need(void)
   CHECK_OK(check_whole());
 }
 
-/* A process that ended after the first transaction: the next one deletes the rest, with the files.
- */
+/* If the process stops after the first transaction, the next one deletes the remaining rows and the
+ * files. */
 static void goes_on_after_an_end(void)
 {
   struct mo_campaign_request submission = campaign_submission(MO_FEW_SHOT, MADE_POPULATION, 30);
@@ -310,7 +311,8 @@ static void forgets_by_age(void)
     usleep(10000);
   CHECK(strstr(last_event(ids[3]).data, "\"reason\":\"age\"") != NULL);
   for (int i = 0; i < 5; i++)
-    CHECK_INT(job_of(ids[i]).recorded_bytes, i == 3 ? 0 : sizeof(com)); /* ids[2]: new here */
+    CHECK_INT(job_of(ids[i]).recorded_bytes,
+              i == 3 ? 0 : sizeof(com)); /* ids[2] was imported here */
   REQUIRE_OK(reopen_with((struct mo_store_config){.keep_jobs_s = {60}}));
   CHECK(is_gone(ids[3]));
   FINDS(Q(.archived = -1), ids[4] + 1, ids[4], ids[2], ids[1], ids[0], -1);
@@ -318,8 +320,8 @@ static void forgets_by_age(void)
   CHECK_OK(check_whole());
 }
 
-/* Campaigns and trainings go with their files, each by its own rule. What is noted or needed stays,
- * and an imported campaign until it has been here as long. */
+/* Campaigns and trainings are deleted with their files, each kind by its own rule. Jobs with a note
+ * and jobs that are needed stay; an imported campaign stays until its import is old enough. */
 static void forgets_runs_by_age(void)
 {
 #define KEEPS(kind) ((struct mo_store_config){.keep_jobs_s = {[MO_JOB_##kind] = 60}})
@@ -367,8 +369,9 @@ static void forgets_runs_by_age(void)
   "UPDATE events SET time_us=time_us-" #days "*86400000000;"                                       \
   "UPDATE meta SET value=value-" #days "*86400000000 WHERE key='credible time'"
 
-/* A clock ahead of all that is stored, as after a wrong one was set, deletes nothing until a person
- * confirms it; after a pause that is short beside the time to keep, it is believed. */
+/* A clock that is far ahead of all stored times, perhaps set wrong, deletes nothing until a person
+ * confirms it. After a pause that is short compared with the retention time, the clock is
+ * trusted. */
 static void doubts_the_clock(void)
 {
   const struct mo_store_config keeps = {.keep_jobs_s = {90 * DAY_S}, .keep_recordings_s = DAY_S};
@@ -382,12 +385,12 @@ static void doubts_the_clock(void)
     const int64_t id = submit_evaluation(&submission);
     CHECK_OK(change(id, MO_CHANGE_CANCEL));
     REQUIRE_OK(reopen_with(keeps));
-    REQUIRE_OK(reopen_with(keeps)); /* the first one has kept a credible time */
+    REQUIRE_OK(reopen_with(keeps)); /* the first one recorded a credible time */
     close_store();
     CHECK_OK(outside(ahead[i]));
-    if (i == 2) /* older than 90 days all the same */
+    if (i == 2) /* older than 90 days anyway */
       CHECK_OK(outside("UPDATE jobs SET finished_us=1"));
-    for (int life = 0; life < 2; life++) { /* nor after another start, with new events */
+    for (int life = 0; life < 2; life++) { /* nor after another start with new events */
       REQUIRE_OK(reopen_with(keeps));
       for (int k = 0; k < 500; k++, usleep(10000)) {
         mo_store_get_stats(store, &stats);
@@ -410,13 +413,13 @@ static void doubts_the_clock(void)
   close_store();
   CHECK_OK(outside(SHIFT(8)));
   CHECK_OK(outside("UPDATE jobs SET finished_us=1"));
-  REQUIRE_OK(reopen_with(
-      (struct mo_store_config){.keep_jobs_s = {90 * DAY_S}})); /* off for a week: believed */
+  REQUIRE_OK(reopen_with((struct mo_store_config){
+      .keep_jobs_s = {90 * DAY_S}})); /* off for a week: the clock is trusted */
   CHECK(is_gone(id));
 }
 
-/* On the writer's thread. The computer sleeps for 8 hours in each of 20 nights; then somebody sets
- * the clock ahead by 400 days, and the service runs for two hours more. */
+/* On the writer's thread. The computer sleeps for 8 hours in each of 20 nights; then someone sets
+ * the clock ahead by 400 days, and the service runs for two more hours. */
 static int sleep_and_jump(struct mo_store *of, void *context)
 {
   const int64_t hour_us = INT64_C(3600) * 1000000;
@@ -441,12 +444,13 @@ static void believes_a_clock_that_slept(void)
   CHECK_INT(n_doubts, 0);
   mo_store_get_stats(store, &stats);
   CHECK_NEAR((double)stats.clock_ahead_us / 86400e6, 400 - 2.0 / 24, 0.01);
-  /* The hours that it ran count at the next start. */
+  /* The hours that the service ran count at the next start. */
   const int64_t kept_us = outside_integer("SELECT value FROM meta WHERE key='credible time'");
   CHECK_NEAR((double)(mo_clock_wall_us() - kept_us) / 86400e6, 400 - 2.0 / 24, 0.01);
 }
 
-/* The shortest time to keep decides for all: a clock that is 8 days ahead deletes nothing. */
+/* The shortest retention time decides for all rules: a clock that is 8 days ahead deletes
+ * nothing. */
 static void decides_once_for_all_rules(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(1, 1);
@@ -465,7 +469,7 @@ static void decides_once_for_all_rules(void)
   CHECK_INT(state_of(id), MO_JOB_CANCELLED);
 }
 
-/* A look deletes a bounded number, and counts it; the next look comes in a minute. */
+/* Each round deletes a bounded number and counts it; the next round comes a minute later. */
 static void forgets_some_at_a_time(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(1, 1);
@@ -488,17 +492,17 @@ static void forgets_some_at_a_time(void)
 }
 
 static const struct check_case cases[] = {
-    {"finds what is labeled", finds_what_is_labeled},
-    {"counts what jobs use", counts_what_jobs_use},
-    {"what jobs use follows changes", usage_follows_changes},
+    {"finds jobs by label", finds_what_is_labeled},
+    {"counts the usage of jobs", counts_what_jobs_use},
+    {"usage follows changes", usage_follows_changes},
     {"deletes an evaluation", deletes_an_evaluation},
-    {"keeps what others need", keeps_what_others_need},
-    {"goes on after an end", goes_on_after_an_end},
+    {"keeps jobs that others need", keeps_what_others_need},
+    {"continues a deletion after a stop", goes_on_after_an_end},
     {"forgets by age", forgets_by_age},
     {"forgets runs by age", forgets_runs_by_age},
-    {"doubts the clock", doubts_the_clock},
-    {"believes a clock that slept", believes_a_clock_that_slept},
+    {"distrusts a clock far ahead", doubts_the_clock},
+    {"trusts the clock after a sleep", believes_a_clock_that_slept},
     {"decides once for all rules", decides_once_for_all_rules},
-    {"forgets some at a time", forgets_some_at_a_time},
+    {"forgets a bounded number at a time", forgets_some_at_a_time},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

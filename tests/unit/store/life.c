@@ -1,5 +1,5 @@
-/* life.c: what a life is made of: things by their seeds, a disk with a promise beside it, what both
- * hold, and what was found wrong. */
+/* life.c: the history of a state folder: contents drawn from seeds, a disk with a promised store
+ * next to it, comparisons of the two, and a report of faults. */
 #include <ftw.h>
 #include <math.h>
 #include <sqlite3.h>
@@ -102,8 +102,8 @@ void life_found(struct life *life, const char *format, ...)
   va_end(arguments);
 }
 
-/* A quarter of all contents come with much metadata, so that the log grows long and is copied into
- * the database now and then. */
+/* A quarter of all contents have large metadata, so that the log grows long and is sometimes copied
+ * into the database. */
 void put_start(struct put *put, uint64_t seed)
 {
   const size_t length = seed % 4 == 0 ? 100000 : 20;
@@ -124,7 +124,7 @@ void put_end(struct put *put)
   free(put->bytes);
 }
 
-/* ---- what a folder holds ---- */
+/* ---- contents of a folder ---- */
 
 static bool is_left_out(const char *column)
 {
@@ -132,13 +132,13 @@ static bool is_left_out(const char *column)
   return strcmp(column, "epoch") == 0 || (n > 3 && strcmp(column + n - 3, "_us") == 0);
 }
 
-/* Packed losses end with 8 bytes of a checksum, of the row's time, too. */
+/* Packed losses end with an 8-byte checksum, which also covers the row's time. */
 static size_t checksum_of(const char *column)
 {
   return strcmp(column, "losses") == 0 ? 8 : 0;
 }
 
-/* The rows of a query. */
+/* Returns the rows of a query. */
 static uint64_t rows_of(sqlite3 *db, const char *sql)
 {
   uint64_t sum = FNV_START;
@@ -159,7 +159,7 @@ static uint64_t rows_of(sqlite3 *db, const char *sql)
 
 static struct {
   size_t folder_length;
-  uint64_t sum; /* of their names, in any order */
+  uint64_t sum; /* by name, in any order */
 } files;
 
 static int add_file(const char *path, const struct stat *status, int kind, struct FTW *place)

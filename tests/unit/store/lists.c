@@ -1,6 +1,6 @@
-/* lists.c: a page costs what it shows. SQLite counts the steps of its statements, so no clock is
- * needed: a page that goes through the rows that it leaves out, or sorts them, takes tens of
- * thousands. */
+/* lists.c: the cost of a page depends only on what it shows. SQLite counts the steps of its
+ * statements, so no clock is needed: a page that scans or sorts the rows that it leaves out takes
+ * tens of thousands. */
 #include <stdatomic.h>
 
 #include "by_hand.h"
@@ -32,7 +32,7 @@ static void checksum(sqlite3_context *context, int n, sqlite3_value **values)
   sqlite3_result_int64(context, (int64_t)mo_row_checksum(key, 2, &score, sizeof(score)));
 }
 
-/* The canonical form of a body. */
+/* Returns the canonical form of a body. */
 static void canonical(sqlite3_context *context, int n, sqlite3_value **values)
 {
   struct mo_genotype genotype;
@@ -54,8 +54,8 @@ static int watch(sqlite3 *db, char **message, const struct sqlite3_api_routines 
                              : result;
 }
 
-/* Copies of job 1, an evaluation, of 2, a training, and of 3, a campaign, in this order. The oldest
- * 24 of each kind are in all states in turn, all others in one. */
+/* Copies job 1 (an evaluation), job 2 (a training) and job 3 (a campaign), in this order. The
+ * oldest 24 of each kind take all states in turn; all others have the same state. */
 static int fill(void)
 {
   static const char *const tables[] = {"evaluations", "trainings", "campaigns"};
@@ -140,8 +140,8 @@ static void cheap(const char *what, int kind, int state, int64_t before, bool wa
            (long long)before, waits ? ", some waiting" : "", (long long)n);
 }
 
-/* Each page of each kind in each state, from the newest on and from before the oldest that match.
- */
+/* Each page of each kind in each state: from the newest job, and from before the oldest matching
+ * jobs. */
 static void pages_of_jobs(void)
 {
   struct mo_job jobs[PAGE];
@@ -149,7 +149,7 @@ static void pages_of_jobs(void)
   struct mo_campaign_status campaigns[PAGE];
   REQUIRE_OK(start());
   const int64_t places[] = {0, 2 * ROWS + 20, ROWS + 20, 20, 2};
-  /* Of the trainings and campaigns that run. */
+  /* Pages of running trainings and campaigns. */
   const int64_t waiting[] = {ROWS + 5, ROWS + 11, 2 * ROWS + 5};
   for (int state = -1; state < MO_JOB_STATES; state++)
     for (size_t p = 0; p < COUNT(places); p++)
@@ -168,7 +168,7 @@ static void pages_of_jobs(void)
             CHECK(mo_store_jobs(store, &query, jobs, PAGE) >= 0);
             cheap(query.label, kind, state, places[p], w > 0);
           }
-          /* By who submitted, and by both: also where no job has the pair. */
+          /* By label, by submitter, and by both, even if no job has that combination. */
           for (int which = 0; which < 4; which++) {
             static const char *const labels[] = {NULL, NULL, "usual", "rare"};
             query.label = labels[which];
@@ -188,16 +188,15 @@ static void pages_of_jobs(void)
       }
 }
 
-/* What a page shows is right whichever statement finds it: newest first, of the kind, those that
- * wait as paused. */
+/* A page is correct no matter which statement finds it: newest first, only the kind, and jobs that
+ * wait for their pause count as paused. */
 static void pages_name_the_states_that_are_shown(void)
 {
   struct mo_job jobs[40];
   static struct mo_training_status trainings[40];
   static const int64_t none[MO_WAITING_MAX + 1];
   REQUIRE_OK(start());
-  const int64_t first =
-      4 + ROWS; /* trainings: every sixth is queued, the next runs, the next is paused */
+  const int64_t first = 4 + ROWS; /* trainings: queued, running, paused, … */
   const int64_t waiting[] = {first + 7, first + 1};
   struct mo_job_query query = {
       .state = MO_JOB_PAUSED, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};
@@ -265,7 +264,7 @@ static void pages_of_everything_else(void)
   CHECK_INT(mo_store_controllers(store, NULL, controllers, PAGE), PAGE);
   CHECK_INT(mo_store_controllers(store, "default", controllers, PAGE), 0);
   cheap("controllers", -1, -1, 0, false);
-  query.after_score = 0.5; /* as of all others */
+  query.after_score = 0.5; /* like all others */
   for (int i = 0; i < 4; i++) {
     query.sort = i < 2 ? MO_DESIGNS_BY_ID : MO_DESIGNS_BY_SCORE;
     query.is_descending = i % 2 == 1;

@@ -1,5 +1,5 @@
-/* one_store.h: for programs whose cases each have a store of their own, with the weights "default":
- * it is made before the case and removed after it. */
+/* one_store.h: for programs in which each case has its own store with the weights "default". The
+ * store is created before the case and removed after it. */
 #ifndef MORPHO_TESTS_STORE_ONE_STORE_H
 #define MORPHO_TESTS_STORE_ONE_STORE_H
 
@@ -8,7 +8,7 @@
 #include "fixture.h"
 #include "store/fields.h"
 
-static struct mo_bits *forms, *genotypes; /* of draw_evaluation */
+static struct mo_bits *forms, *genotypes; /* for draw_evaluation */
 
 static inline void with_a_store(void (*run)(void))
 {
@@ -18,21 +18,21 @@ static inline void with_a_store(void (*run)(void))
   fixture_end();
 }
 
-/* Between damages that no store survives. */
+/* Recreates the store after damage that cannot be repaired. */
 static inline void start_over(void)
 {
   fixture_end();
   make_check(fixture_start(), "a store");
 }
 
-/* Draws n bodies, and asks for their evaluation. */
+/* Draws n bodies and submits an evaluation of them. */
 static inline struct mo_evaluation_request draw_evaluation(uint64_t seed, uint32_t n)
 {
   genotypes = make_bodies(seed, n, &forms);
   return fixture_submission(forms, genotypes, n);
 }
 
-/* Returns the id of the job, or an error. */
+/* Returns the job's id, or an error. */
 static inline int64_t submit_evaluation(const struct mo_evaluation_request *submission)
 {
   bool replayed;
@@ -46,7 +46,7 @@ static inline int change(int64_t id, enum mo_job_change kind)
   return mo_store_change_job(store, id, kind, NULL);
 }
 
-/* The newest event of a job. */
+/* Returns the newest event of a job. */
 static inline struct mo_event last_event(int64_t id)
 {
   struct mo_event events[200] = {{0}};
@@ -66,7 +66,8 @@ static inline enum mo_job_state state_of(int64_t id)
   return job_of(id).state;
 }
 
-/* Ends an attempt of a job that runs: with an error, or MO_OK. Returns its state, or an error. */
+/* Ends the current attempt of a running job, with an error or MO_OK. Returns the job's state, or an
+ * error. */
 static inline int park(int64_t id, int error)
 {
   enum mo_job_state after = MO_JOB_CANCELLED;
@@ -75,7 +76,7 @@ static inline int park(int64_t id, int error)
   return parked != MO_OK ? parked : (int)after;
 }
 
-/* The bodies that a job was given. */
+/* Returns the bodies in a job's request. */
 static inline struct mo_bits *designs_of(int64_t id, uint32_t *n)
 {
   struct mo_bits *found = NULL;
@@ -83,7 +84,7 @@ static inline struct mo_bits *designs_of(int64_t id, uint32_t *n)
   return check_keep(found, free);
 }
 
-/* The best of the designs that a job scored. */
+/* Returns the best of the designs that a job scored. */
 static inline struct mo_bits *best_of(int64_t id, uint32_t best, uint32_t *n)
 {
   struct mo_bits *found = NULL;
@@ -91,8 +92,7 @@ static inline struct mo_bits *best_of(int64_t id, uint32_t best, uint32_t *n)
   return check_keep(found, free);
 }
 
-/* Whether two records, of campaigns or trainings, have settings that are stored as the same text.
- */
+/* Returns whether the settings of two campaigns or trainings are stored as the same text. */
 static inline bool same_settings(enum mo_job_kind kind, const void *a, const void *b)
 {
   struct mo_text texts[2] = {{0}, {0}};
@@ -110,7 +110,7 @@ static inline bool same_bits(double a, double b)
   return SAME(&a, &b, 1);
 }
 
-/* So many files in a folder, but for hidden ones; −1: there is no such folder. */
+/* Returns the number of files in a folder, without hidden ones; −1 if the folder does not exist. */
 static inline int files_of(const char *kind, int64_t id)
 {
   DIR *folder = opendir(path_of("%s/%lld", kind, (long long)id));

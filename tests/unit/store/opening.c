@@ -1,4 +1,4 @@
-/* opening.c: which databases the store opens, and how it notices damage. */
+/* opening.c: which databases the store opens, and how it detects damage. */
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/internal.h"
@@ -27,7 +27,7 @@ static void opens_and_locks(void)
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_NOT_FOUND);
 }
 
-/* Writes noise over n bytes of the database from `at` on. */
+/* Writes noise over n bytes of the database, from offset `at`. */
 static void scribble(long at, size_t n)
 {
   void *noise = make_zeros(n, 1);
@@ -42,11 +42,11 @@ static void refuses_what_is_not_ours(void)
   CHECK_INT(reopen_after("PRAGMA user_version=15; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
-  scribble(0, 8192); /* no database, whatever its name says */
+  scribble(0, 8192); /* not a database, despite its name */
   CHECK_INT(reopen(), MO_ERR_FORMAT);
 }
 
-/* The folder is refused, says so, and is left as it was. */
+/* The folder is refused with a message, and left unchanged. */
 static void refuses_older_versions(void)
 {
   for (int version = 1; version <= 13; version++) {
@@ -64,7 +64,7 @@ static void refuses_older_versions(void)
   CHECK_OK(reopen_after("PRAGMA user_version=15"));
 }
 
-/* What a job of version 14 has is read as before; what nothing uses any more goes. */
+/* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
 static void opens_version_14(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(2, 3);
@@ -84,13 +84,13 @@ static void opens_version_14(void)
   CHECK_INT(outside_integer("SELECT count(*) FROM sqlite_schema WHERE name='outcasts'"), 0);
 }
 
-/* The root page of a table or an index becomes noise; the header and the schema stay. */
+/* Noise replaces the root page of a table or an index; the header and the schema stay. */
 static void names_damaged_pages(void)
 {
   static const char *const damaged[] = {"environments", "jobs_by_state"};
   for (size_t i = 0; i < COUNT(damaged); i++) {
     char sql[128];
-    CHECK_OK(reopen_after("UPDATE meta SET value=0 WHERE key='clean'")); /* unclean, but whole */
+    CHECK_OK(reopen_after("UPDATE meta SET value=0 WHERE key='clean'")); /* unclean, but intact */
     close_store();
     REQUIRE(outside("UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
             SQLITE_OK);
@@ -106,8 +106,9 @@ static void names_damaged_pages(void)
   }
 }
 
-/* Rows that the schema does not allow count as damage, too. */
-/* After each, the numbers of events jump; those that are kept stay, however often that happens. */
+/* Rows that violate the schema also count as damage. */
+/* After each unclean stop, event numbers jump. Recent events stay, no matter how often that
+ * happens. */
 static void keeps_events_after_unclean_stops(void)
 {
   static const char oldest_sql[] = "SELECT min(sequence) FROM events",
@@ -119,7 +120,8 @@ static void keeps_events_after_unclean_stops(void)
     const int64_t newest = outside_integer(newest_sql);
     REQUIRE_OK(outside("UPDATE meta SET value=0 WHERE key='clean'"));
     REQUIRE_OK(mo_store_open(&config, &store, &fixture.message));
-    for (int k = 0; k < (i < 9 ? 1 : 1001); k++) /* after so many, older ones are pruned */
+    for (int k = 0; k < (i < 9 ? 1 : 1001);
+         k++) /* older events are pruned once there are this many */
       CHECK_OK(mo_store_event(store, "test.started", "{}"));
     close_store();
     CHECK(outside_integer(newest_sql) > newest + 250);
@@ -136,7 +138,7 @@ static void checks_rows_after_an_unclean_stop(void)
   CHECK_SAYS(fixture.message, "CHECK constraint failed in environments");
 }
 
-/* A set of this name that the folder has already is left alone; one that is missing is made. */
+/* An existing set with this name is left unchanged; a missing one is created. */
 static void makes_the_paper_test_once(void)
 {
   static const char members[] = "SELECT count(*) FROM environment_set_members";
@@ -193,12 +195,12 @@ static void reports_what_contradicts_itself(void)
 static const struct check_case cases[] = {
     {"opens, counts its openings, and keeps others out", opens_and_locks},
     {"refuses newer schemas and files that are not its own", refuses_what_is_not_ours},
-    {"checks rows after one", checks_rows_after_an_unclean_stop},
+    {"checks rows after an unclean stop", checks_rows_after_an_unclean_stop},
     {"keeps events after many unclean stops", keeps_events_after_unclean_stops},
     {"makes the paper's test set once", makes_the_paper_test_once},
-    {"names damaged pages after an unclean stop", names_damaged_pages},
+    {"reports damaged pages after an unclean stop", names_damaged_pages},
     {"refuses folders of older versions", refuses_older_versions},
-    {"opens one of version 14", opens_version_14},
-    {"reports what contradicts itself", reports_what_contradicts_itself},
+    {"opens a folder of version 14", opens_version_14},
+    {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

@@ -1,9 +1,9 @@
-/* opening_faults.c: the store is opened, and works, while the disk or the memory fails or is short,
- * at every call in turn.
+/* opening_faults.c: the store opens and works while the disk or memory fails or is short, at each
+ * call in turn.
  *
- * Each time it does what it should, or says what was missing: never that the database is damaged,
- * for it is not. Nothing is left behind in memory (the address sanitizer looks), nor of what failed
- * in the folder; and what the folder holds is all there when it opens at last. */
+ * Each time the store either succeeds or reports the shortage. It must never report a damaged
+ * database, because the database is intact. Failed calls leave nothing in memory (checked by the
+ * address sanitizer) or in the folder. When the store finally opens, all data is there. */
 #include "../failing.h"
 #include "../make.h"
 #include "fixture.h"
@@ -11,7 +11,7 @@
 #include "store/internal.h"
 #include "store/worlds.h"
 
-/* SQLite's allocator, failing with ours. */
+/* SQLite's allocator, which fails together with the program's own. */
 static sqlite3_mem_methods plain;
 
 static void *sqlite_malloc(int size)
@@ -35,7 +35,7 @@ static int fail_in_sqlite(void)
   return sqlite3_config(SQLITE_CONFIG_MALLOC, &failing) == SQLITE_OK ? 0 : -1;
 }
 
-/* As a kill does: nothing is tidied up. */
+/* Stops like a kill: nothing is cleaned up. */
 static void leave(struct life *life)
 {
   if (life->store != NULL)
@@ -53,7 +53,7 @@ static void do_act(struct life *life, struct act act, int *error)
   life_apply(life, &act, life_do(life, life->store, &act, error));
 }
 
-/* A folder with something of everything, as a killed process leaves it. */
+/* Makes a folder with data of every kind, as a killed process leaves it. */
 static int fill(struct life *life)
 {
   struct mo_message message;
@@ -68,7 +68,7 @@ static int fill(struct life *life)
   return error;
 }
 
-/* It opens now, and holds what it held. */
+/* Opens the store without faults and compares it with what it held. */
 static void check_contents(struct life *life)
 {
   struct mo_message message;
@@ -85,7 +85,7 @@ static void check_contents(struct life *life)
   leave(life);
 }
 
-#ifdef __SANITIZE_ADDRESS__ /* slow there: fewer places */
+#ifdef __SANITIZE_ADDRESS__ /* slow there: test fewer calls */
 enum { SPARSE = 2, DENSE = 4, LAST_STRIDE = 4 };
 #else
 enum { SPARSE = 1, DENSE = 16, LAST_STRIDE = 1 };
@@ -119,14 +119,15 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
     tolerated += error == MO_OK && reached;
     leave(&life);
     if (!first_time &&
-        (n / stride) % 8 == 0) { /* each opening makes the log longer, and so the next one */
+        (n / stride) % 8 ==
+            0) { /* each opening makes the log longer, so the next opening makes more calls */
       check_contents(&life);
       life_end(&life);
       REQUIRE_OK(fill(&life));
     }
   }
-  printf("# %ld calls failed in turn: %ld openings failed, %ld did without\n", failed + tolerated,
-         failed, tolerated);
+  printf("# %ld calls failed in turn: %ld openings failed, %ld worked without\n",
+         failed + tolerated, failed, tolerated);
   CHECK(failed > 10);
   if (!first_time)
     check_contents(&life);
@@ -146,8 +147,8 @@ static void opens_in_spite_of_errors(int i)
 
 /* ---- memory ---- */
 
-/* The last ones are of the writer's first operation: none of those is left out, but with the
- * address sanitizer. */
+/* The last allocations belong to the writer's first operation: all of them are tested, except with
+ * the address sanitizer. */
 enum { PLENTY = 1000000, AT_THE_END = 160 };
 
 static void opens_without_memory(bool first_time, long stride)
@@ -159,12 +160,13 @@ static void opens_without_memory(bool first_time, long stride)
   REQUIRE_OK(fill(&life));
   for (; reached && n < PLENTY; n += n + AT_THE_END < all ? stride : LAST_STRIDE) {
     struct mo_store_config config = {.path = disk_folder(life.disk),
-                                     .n_readers = 1}; /* the disk's own memory stays */
+                                     .n_readers =
+                                         1}; /* the simulated disk's own allocations do not fail */
     if (first_time) {
       REQUIRE(fixture_folder() == 0);
       config.path = fixture.path;
     }
-    left = all == PLENTY ? PLENTY : n; /* first they are counted */
+    left = all == PLENTY ? PLENTY : n; /* first only count them */
     int error = mo_store_open(&config, &life.store, &message);
     reached = left < 0 || all == PLENTY;
     if (all == PLENTY)
@@ -186,7 +188,7 @@ static void opens_without_memory(bool first_time, long stride)
       REQUIRE_OK(fill(&life));
     }
   }
-  printf("# %ld allocations failed in turn: %ld openings failed, %ld did without\n",
+  printf("# %ld allocations failed in turn: %ld openings failed, %ld worked without\n",
          failed + tolerated, failed, tolerated);
   CHECK(failed > 10);
   check_contents(&life);
@@ -202,7 +204,7 @@ static void opens_when_memory_is_short(int first_time)
 
 enum shortage { ONE_ALLOCATION, ALLOCATIONS, ROOM_IN_THE_DATABASE, ROOM_FOR_FILES };
 
-/* There is something n times more; negative: always. */
+/* Makes n more units of the resource available; negative = unlimited. */
 static void shorten(struct life *life, enum shortage what, long n)
 {
   if (what == ROOM_IN_THE_DATABASE || what == ROOM_FOR_FILES)
@@ -218,8 +220,8 @@ static uint64_t digest(const struct life *life)
   return contents.sum;
 }
 
-/* Every act of a life, one part at a time, is tried with ever more of what is short, until that is
- * enough: the store says so each time, does not die of it, and keeps nothing. */
+/* Each act of a history is tried, one part at a time, with more and more of the scarce resource
+ * until that is enough. Each time the store must report the error, survive, and store nothing. */
 static void works_short_of(enum shortage what, bool is_long)
 {
   static struct life life;
@@ -270,7 +272,7 @@ static void works_when_short_of(int what)
   works_short_of((enum shortage)what, false);
 }
 
-/* Readers, too, say what is missing. */
+/* Readers must report the shortage as well. */
 static int read_all(const struct life *life)
 {
   struct mo_store *of = life->store;
@@ -322,7 +324,7 @@ static void reads_without_memory(void)
   int error = MO_ERR_NO_MEMORY, failed = 0;
   REQUIRE_OK(fill(&life));
   for (long n = 0; n < 100000 && error != MO_OK; n += 1 + n / 16) {
-    REQUIRE_OK(life_open(&life, 0, &message)); /* nothing is prepared yet */
+    REQUIRE_OK(life_open(&life, 0, &message)); /* no statement is prepared yet */
     shorten(&life, ALLOCATIONS, n);
     error = read_all(&life);
     shorten(&life, ALLOCATIONS, -1);
@@ -364,7 +366,7 @@ static const struct check_case cases[] = {
 
 int main(int argc, char **argv)
 {
-  if (fail_in_sqlite() != 0) { /* before anything else is asked of it */
+  if (fail_in_sqlite() != 0) { /* before any other call to SQLite */
     printf("Bail out! SQLite takes no other allocator\n");
     return 1;
   }

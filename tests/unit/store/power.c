@@ -1,10 +1,10 @@
-/* power.c: the power fails at any moment, again and again. What was acknowledged is there
- * afterwards, bit for bit; of what was in flight nothing or all.
+/* power.c: the power fails at any moment, over and over. Afterward everything that was acknowledged
+ * is there, bit for bit; what was in flight is either complete or absent.
  *
- * A folder lives through several cuts: in the middle of its work, while it is idle, while it is
- * opened, in a row. Between some of them the process alone is killed, and the next one goes on with
- * what the machine has in its memory. After each the store is opened, checked and compared with
- * what it had promised, and works on. A disk that only says that it has synced is found out. */
+ * A folder survives several cuts: during work, while idle, while being opened, several in a row.
+ * Between some cuts only the process is killed, and the next process continues with what the
+ * machine has in memory. After each stop the store is opened, checked and compared with its
+ * promises, and continues working. A disk that lies about syncing is detected. */
 #include "../check.h"
 #include "fixture.h"
 #include "life.h"
@@ -34,8 +34,8 @@ static void open_store(struct life *life, int *error, struct mo_message *message
     life->epoch = life->store->epoch;
 }
 
-/* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have
- * not. */
+/* Resolves what was in doubt as far as possible now: `doing` keeps the parts that were not
+ * stored. */
 static void resolve(struct life *life, struct outcome *outcome)
 {
   const uint32_t doubted = life->in_doubt ? life->doing.parts : 0;
@@ -65,7 +65,7 @@ static void close_life(struct life *life)
   life->store = NULL;
 }
 
-/* One act; false: everything stopped, or something is wrong. */
+/* Performs one act. Returns false if everything stopped or something is wrong. */
 static bool act_once(struct life *life, struct act act)
 {
   int error = MO_OK;
@@ -81,7 +81,7 @@ static bool act_once(struct life *life, struct act act)
   return error == MO_OK && !disk_has_stopped(life->disk) && life->findings == 0;
 }
 
-/* Until everything stops, or for some acts. goes_well: it does not stop. */
+/* Performs acts until everything stops, or a few. goes_well: no stop is planned. */
 static void work(struct life *life, bool goes_well)
 {
   const long changes = 1 + (long)(disk_random(life->disk) % 800);
@@ -96,7 +96,7 @@ static void work(struct life *life, bool goes_well)
     ;
 }
 
-/* Opens, checks, works, stops. Returns whether a cut (not a kill) came. */
+/* Opens, checks, works and stops. Returns whether a cut (not a kill) occurred. */
 static bool live_once(struct life *life, struct outcome *outcome)
 {
   struct mo_message message;
@@ -142,7 +142,7 @@ static void live(uint64_t seed, unsigned lies, struct outcome *outcome)
   REQUIRE_OK(life_start(&life, seed, lies, forms, genotypes));
   for (int n = 0; n < CUTS_OF_A_LIFE && life.findings == 0;)
     n += live_once(&life, outcome);
-  if (life.findings == 0) { /* the last one, too, left something that opens */
+  if (life.findings == 0) { /* the state after the last stop can be opened, too */
     open_store(&life, &error, &message);
     if (error == MO_OK)
       resolve(&life, outcome);
@@ -196,8 +196,8 @@ static void is_found_out(int lies)
 
 /* ---- at every change in turn ---- */
 
-/* What was requeued is started again; a training from its checkpoint, so that it has perhaps
- * nothing to write yet. */
+/* Restarts requeued jobs. A training restarts from its checkpoint, so it may have nothing to write
+ * yet. */
 static bool prepare(struct life *life, enum act_kind kind, int index)
 {
   const struct subject *training = &life->jobs[MO_JOB_TRAINING][0];
@@ -213,17 +213,18 @@ static bool prepare(struct life *life, enum act_kind kind, int index)
   return goes_on;
 }
 
-/* How the script is stopped, and where: at every `stride`th change of it, up to its act `end`. */
+/* How and where to stop the script: at every `stride`th change, up to act `end`. */
 struct stops {
   bool opening, kill;
-  bool fails; /* one call fails, and the store with it; the disk goes on */
+  bool fails; /* one call fails, and so does the store; the disk keeps working */
   enum disk_luck luck;
   long stride;
   int end;
 };
 enum { KILLS, WORST_CUTS, ANY_CUTS, OPENINGS, FAILURES };
 static const struct stops all_stops[] = {
-    /* A name that the killed process has made is not certain because the next one sees it. */
+    /* A name that the killed process created is not durable just because the next process sees
+     * it. */
     [KILLS] = {.kill = true, .stride = 1, .end = COUNTED_FROM + 2},
     [WORST_CUTS] = {.luck = DISK_WORST, .stride = 11, .end = SCRIPT},
     [ANY_CUTS] = {.luck = DISK_ANY, .stride = 11, .end = SCRIPT},
@@ -231,8 +232,8 @@ static const struct stops all_stops[] = {
     [FAILURES] = {.fails = true, .kill = true, .stride = 13, .end = SCRIPT},
 };
 
-/* The script from its act `from` on, up to `end`; returns the first that is not done. stops
- * (nullable): happens at change or call `n`. */
+/* Runs the script from act `from` up to `end`; returns the first act that was not done. stops
+ * (nullable): stops at change or call `n`. */
 static int play(struct life *life, int from, int end, const struct stops *stops, long n)
 {
   struct act act;
@@ -244,7 +245,7 @@ static int play(struct life *life, int from, int end, const struct stops *stops,
     else if (from == COUNTED_FROM && stops != NULL)
       disk_stop_after(life->disk, n);
     act = life_script[from];
-    if (act.kind == ACT_SAVE) /* the part of it that is not done */
+    if (act.kind == ACT_SAVE) /* the part of the act that was not done */
       act.n = act.parts = act.n - life->jobs[MO_JOB_EVALUATION][0].done;
     if (!prepare(life, act.kind, act.index) || !act_once(life, act))
       break;
@@ -270,8 +271,8 @@ static void stop_and_reopen(struct life *life, bool kill, enum disk_luck luck,
     resolve(life, outcome);
 }
 
-/* Stopped at change `n` of the script or of the first opening: by a kill or a cut; then what is
- * left of the script, and the worst cut. Returns whether there was such a change. */
+/* Stops at change `n` of the script or of the first opening, by a kill or a cut. Then runs the rest
+ * of the script, followed by the worst cut. Returns whether there was such a change. */
 static bool stop_at(long n, const struct stops *stops, int end, struct outcome *outcome)
 {
   static struct life life;
@@ -293,7 +294,7 @@ static bool stop_at(long n, const struct stops *stops, int end, struct outcome *
       life.doing.index == life_script[next].index && life.doing.parts == 0)
     next += !stops->opening;
   if (life.findings == 0 && play(&life, next, end, NULL, 0) < end)
-    life_found(&life, "the script does not go on after act %d", next);
+    life_found(&life, "the script does not continue after act %d", next);
   if (life.findings == 0)
     stop_and_reopen(&life, false, DISK_WORST, outcome);
   life_end(&life);
@@ -311,8 +312,10 @@ static void stops_everywhere(const struct stops *stops, long stride, int end)
   long n = 1, tried = 0;
   for (; stop_at(n, stops, end, &outcome); n += stride)
     tried++;
-  printf("# %ld of about %ld changes; of %u acts in doubt %u came through\n", tried, n - 1,
-         outcome.doubts, outcome.came_through);
+  printf("# %ld of about %ld changes; %u acts in doubt, of which %u were stored
+         ", tried, n - 1,
+         outcome.doubts,
+         outcome.came_through);
   CHECK(n > 30);
   CHECK_INT(outcome.findings, 0);
   if (outcome.findings > 0)
@@ -324,8 +327,8 @@ static void survives_stops(int which)
   stops_everywhere(&all_stops[which], all_stops[which].stride, all_stops[which].end);
 }
 
-/* An act that finds no descriptor for one of its files or folders is asked for again, and then
- * certain. */
+/* An act that finds no descriptor for one of its files or folders is repeated, and must then be
+ * durable. */
 static void certain_at_the_second_try(void)
 {
   static struct life life;
@@ -367,17 +370,17 @@ static void survives_all(void)
 
 static const struct check_case cases[] = {
     {"short: keeps its promises through 50 power cuts", WITH(keeps_promises, 50)},
-    {"short: a disk that does not sync the database is found out",
+    {"short: a disk that does not sync the database is detected",
      WITH(is_found_out, DISK_FORGETS_DATABASE)},
-    {"short: a disk that does not sync files is found out", WITH(is_found_out, DISK_FORGETS_FILES)},
-    {"short: a disk that does not sync folders is found out",
+    {"short: a disk that does not sync files is detected", WITH(is_found_out, DISK_FORGETS_FILES)},
+    {"short: a disk that does not sync folders is detected",
      WITH(is_found_out, DISK_FORGETS_FOLDERS)},
     {"short: a kill at every change of some acts, and a cut later", WITH(survives_stops, KILLS)},
-    {"short: a cut at many changes leaves only what is certain", WITH(survives_stops, WORST_CUTS)},
+    {"short: a cut at many changes leaves only durable data", WITH(survives_stops, WORST_CUTS)},
     {"short: a cut at many changes leaves anything", WITH(survives_stops, ANY_CUTS)},
     {"short: a cut at many changes of the first opening", WITH(survives_stops, OPENINGS)},
-    {"short: a call that fails leaves its act or nothing of it", WITH(survives_stops, FAILURES)},
-    {"short: what found no descriptor is certain at the second try", certain_at_the_second_try},
+    {"short: a failed call leaves its whole act or nothing", WITH(survives_stops, FAILURES)},
+    {"short: an act without a descriptor is durable at the second try", certain_at_the_second_try},
     {"long: keeps its promises through 500 power cuts", WITH(keeps_promises, 500)},
     {"long: a kill or cut at every change", survives_all},
 };

@@ -1,5 +1,5 @@
-/* reserve.c: on a file system that is full, what people need to get out of that goes on working,
- * whatever else wants its room. */
+/* reserve.c: on a full file system, everything that people need to free space keeps working, no
+ * matter what else competes for the space. */
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -16,9 +16,9 @@
 #define JOBS        60
 #define FRAME_BYTES (4096 + 24) /* of the log */
 
-/* ---- a file system of its own ---- */
+/* ---- a small file system ---- */
 
-static struct mo_evaluation_request submission, one; /* of 100 designs; of one */
+static struct mo_evaluation_request submission, one; /* payload of 100 designs; of one */
 static char filler[512], reserve[512];
 
 static bool mount_small(const char *path, const char *size)
@@ -46,7 +46,7 @@ static void in_a_small_one(void (*run)(void))
   fixture_end();
 }
 
-/* Appends to a file until nothing fits any more. */
+/* Appends to a file until the file system is full. */
 static void fill_up(const char *path)
 {
   static const char zeros[4096];
@@ -64,7 +64,7 @@ static int64_t size_of(const char *path)
   return stat(path, &status) == 0 ? status.st_size : -1;
 }
 
-/* Fills it, the last pages of the log included; returns the newest job. */
+/* Fills the file system, including the last pages of the log; returns the newest job. */
 static int64_t fill_all(void)
 {
   int64_t id = 0, last = 0;
@@ -78,7 +78,7 @@ static int64_t fill_all(void)
   return last;
 }
 
-/* Until there is room, which is noticed within a tenth of a second when somebody writes. */
+/* Waits until there is room. A write notices it within a tenth of a second. */
 static int64_t submit_soon(void)
 {
   int64_t id = submit_evaluation(&submission);
@@ -89,7 +89,7 @@ static int64_t submit_soon(void)
   return id;
 }
 
-/* As a kill leaves it: the log stays as it is. */
+/* Stops like a kill: the log stays as it is. */
 static void kill_store(void)
 {
   mo_store_declare_fatal(store, "the end of a test");
@@ -103,7 +103,7 @@ static struct mo_store_stats stats_of_store(void)
   return stats;
 }
 
-/* So many jobs of one design each, and a training that runs. */
+/* Submits n jobs of one design each, and a training that runs. */
 static int64_t submit_jobs(int n, int64_t *ids)
 {
   const struct mo_training_request training = submission_of(100);
@@ -126,7 +126,7 @@ static void survives_a_small_file_system(void)
   CHECK(last > 0 && whole > 0);
   if ((id = fill_all()) > last)
     last = id;
-  /* Full to the last byte: what is running can be cancelled all the same. */
+  /* Full to the last byte: a running job can still be cancelled. */
   CHECK_OK(change(last, MO_CHANGE_CANCEL));
   CHECK(size_of(reserve) < whole);
   fill_up(filler);
@@ -142,7 +142,7 @@ static void survives_a_small_file_system(void)
   CHECK_OK(check_whole());
 }
 
-/* A copy of a state folder may have holes where the room was. */
+/* A copy of a state folder may have holes in place of the reserve. */
 static void fills_the_holes_of_a_copy(void)
 {
   struct stat status = {.st_blocks = 0};
@@ -167,7 +167,7 @@ static void note(int64_t error)
   atomic_fetch_add(&retries.unexpected, error != MO_ERR_NO_SPACE);
 }
 
-/* Jobs that wait for room write again and again: rows of many sizes, ... */
+/* Jobs that wait for room keep writing rows of many sizes ... */
 static void *write_rows(void *context)
 {
   struct mo_evaluation_request many = submission;
@@ -186,7 +186,7 @@ static void *write_files(void *context)
   return context;
 }
 
-/* Every job is paused, resumed in vain and cancelled while others try their writes all the time. */
+/* Every job is paused, resumed in vain and cancelled while other threads keep trying to write. */
 static void keeps_it_for_people(void)
 {
   pthread_t threads[2];
@@ -228,8 +228,9 @@ static void keeps_it_for_people(void)
   CHECK(deleted.n_checkpoints == 1 && deleted.checkpoint_bytes == 5);
   CHECK_INT(files_of("trainings", trained), -1);
   CHECK_OK(mo_store_trajectories_remove(store, ids[0], &bytes));
-  CHECK_INT(bytes, 4800000); /* more than the reserve */
-  printf("# %d writes in vain\n", atomic_load(&retries.writes));
+  CHECK_INT(bytes, 4800000); /* more than the reserve holds */
+  printf("# %d failed writes
+", atomic_load(&retries.writes));
   atomic_store(&retries.stop, true);
   for (int i = 0; i < 2; i++)
     pthread_join(threads[i], NULL);
@@ -238,15 +239,15 @@ static void keeps_it_for_people(void)
   for (int i = 0; i < JOBS; i++)
     CHECK_INT(state_of(ids[i]), MO_JOB_CANCELLED);
   unlink(filler);
-  for (int i = 0; i < 100 && size_of(reserve) < whole; i++) /* nobody writes */
+  for (int i = 0; i < 100 && size_of(reserve) < whole; i++) /* nothing is written */
     usleep(20000);
   CHECK_INT(size_of(reserve), whole);
   CHECK_OK(check_whole());
   CHECK(submit_soon() > 0);
 }
 
-/* The log's index, a file too, grows by 32 KiB where the log passes its 4062nd frame: no room for
- * that is no room, and nothing worse. */
+/* The log's index is also a file. It grows by 32 KiB when the log passes its 4062nd frame; if there
+ * is no room for that, the error is no-space and nothing worse. */
 static void grows_the_index_of_the_log(void)
 {
   int64_t ids[JOBS];
@@ -261,7 +262,7 @@ static void grows_the_index_of_the_log(void)
     int error = MO_ERR_NO_SPACE;
     fill_up(filler);
     for (int pages = 0; pages < 40 && error == MO_ERR_NO_SPACE;
-         pages++) { /* at some time there is room for the log, but not for its index */
+         pages++) { /* at some point there is room for the log, but not for its index */
       error = change(ids[i], MO_CHANGE_CANCEL);
       if (error == MO_ERR_NO_SPACE)
         CHECK_INT(truncate(filler, size_of(filler) - 4096), 0);
@@ -276,7 +277,7 @@ static void grows_the_index_of_the_log(void)
   CHECK_OK(check_whole());
 }
 
-/* Killed on a full disk it starts again, as often as it may be, and the way out is open. */
+/* Killed on a full disk, the store restarts any number of times, and space can still be freed. */
 static void starts_when_it_is_full(void)
 {
   enum { STARTS = 40 };
@@ -286,7 +287,7 @@ static void starts_when_it_is_full(void)
   fill_all();
   for (int n = 1; n <= STARTS; n++) {
     kill_store();
-    if (n == STARTS) /* 32 KiB, made again */
+    if (n == STARTS) /* 32 KiB, created again */
       CHECK_INT(unlink(path_of("morphod.db-shm")), 0);
     if (n == 1)
       fill_up(filler);
@@ -310,20 +311,20 @@ static void starts_when_it_is_full(void)
   CHECK_OK(check_whole());
 }
 
-/* What there is of room after a restart is for people and for the reserve, until that is whole. */
+/* After a restart, free space is for people and for the reserve until the reserve is complete. */
 static void stays_short_over_a_restart(void)
 {
   const int64_t whole = size_of(reserve), first = submit_evaluation(&submission),
                 last = submit_evaluation(&submission);
   fill_all();
-  CHECK_OK(change(first, MO_CHANGE_CANCEL)); /* takes of the reserve */
+  CHECK_OK(change(first, MO_CHANGE_CANCEL)); /* uses part of the reserve */
   kill_store();
   REQUIRE_OK(reopen());
   CHECK(stats_of_store().no_space);
   CHECK_INT(submit_evaluation(&one), MO_ERR_NO_SPACE);
   CHECK_OK(change(last, MO_CHANGE_PAUSE));
   unlink(filler);
-  CHECK_OK(reopen()); /* with room: nothing of that is left */
+  CHECK_OK(reopen()); /* with enough room, everything works again */
   CHECK_INT(size_of(reserve), whole);
   CHECK(!stats_of_store().no_space);
   CHECK(submit_evaluation(&one) > 0);
@@ -338,7 +339,7 @@ static const struct check_case cases[] = {
     {"stays short over a restart", stays_short_over_a_restart},
 };
 
-/* Where nothing can be mounted, the whole program is skipped. */
+/* If nothing can be mounted, the whole program is skipped. */
 int main(int argc, char **argv)
 {
   const bool mounted = fixture_folder() == 0 && mount_small(fixture.path, "64k");

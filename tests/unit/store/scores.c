@@ -1,4 +1,4 @@
-/* scores.c: packed losses, classes, origins, and what happens to a bit that changes on the disk. */
+/* scores.c: packed losses, classes, origins, and what happens when a bit changes on the disk. */
 #include "store/scores.h"
 
 #include <sys/stat.h>
@@ -78,8 +78,8 @@ static uint32_t known_of(const struct mo_work *work, struct mo_score scores[MO_P
   return n;
 }
 
-/* Losses are found by environment, whatever was computed together with it; those of another class
- * are not found; those computed first stay. */
+/* Losses are found by environment, no matter what was computed along with them. Losses of another
+ * class are not found; the losses computed first stay. */
 static void finds_by_environment_and_class(void)
 {
   static const uint32_t first[] = {0, 2, 4}, second[] = {4, 3, 9};
@@ -93,8 +93,8 @@ static void finds_by_environment_and_class(void)
   struct mo_work *other = load(id, two);
   REQUIRE(work != NULL && other != NULL);
   CHECK_OK(save_one(work, first, 3, 0.5));
-  CHECK_OK(save_one(work, second, 3, 0.75)); /* 4 is known already */
-  CHECK_OK(save_one(work, first, 3, 0.25));  /* the same again */
+  CHECK_OK(save_one(work, second, 3, 0.75)); /* loss 4 is already known */
+  CHECK_OK(save_one(work, first, 3, 0.25));  /* the same losses */
   CHECK_INT(known_of(work, scores), 5);
   CHECK(scores[0].loss == 0.5 && scores[2].loss == 2.5 && scores[4].loss == 4.5);
   CHECK(scores[3].loss == 3.75 && scores[9].loss == 9.75 && !scores[1].known);
@@ -109,7 +109,7 @@ static void finds_by_environment_and_class(void)
   mo_work_free(other);
 }
 
-/* A recording job that goes on under other code begins again, and says so. */
+/* A recording job that continues with other code restarts from the beginning, and says so. */
 static void goes_on_in_a_new_class(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(3, 1);
@@ -126,7 +126,7 @@ static void goes_on_in_a_new_class(void)
   REQUIRE_OK(mo_store_fingerprint(store, "one", &classes[0]));
   REQUIRE_OK(mo_store_fingerprint(store, "two", &classes[1]));
   update.job = trajectory.job = id;
-  for (int round = 0; round < 3; round++) { /* in the second one nothing changes */
+  for (int round = 0; round < 3; round++) { /* nothing changes in the second one */
     const int64_t now = classes[round == 2];
     work = load(id, now);
     REQUIRE(work != NULL);
@@ -169,7 +169,7 @@ static uint8_t *read_file(const char *path, size_t *size)
   return bytes;
 }
 
-/* Returns whether the results are those that were stored. */
+/* Returns whether the results equal the stored losses. */
 static bool is_the_truth(const struct mo_evaluation_results *results)
 {
   bool same = results->n_designs == DESIGNS && results->n_environments == MO_PAPER_TEST_COUNT &&
@@ -182,7 +182,8 @@ static bool is_the_truth(const struct mo_evaluation_results *results)
   return same;
 }
 
-/* Returns where rows of scores and bodies are in the database's file: a byte in or beside one. */
+/* Returns where rows of scores and bodies are in the database file: an offset inside or next to
+ * one. */
 static size_t place_of(const uint8_t *bytes, size_t size, uint32_t n, uint64_t random)
 {
   uint8_t pattern[MO_BITS_BYTES];
@@ -196,8 +197,8 @@ static size_t place_of(const uint8_t *bytes, size_t size, uint32_t n, uint64_t r
   return at == NULL ? 4096 : (size_t)(at - bytes) - 12 + (size_t)(random >> 8) % (extent + 12);
 }
 
-/* A single bit of the database changes, mostly in or beside a score or a body. Results are the
- * truth, or none. What the results do not say, `store check` finds. */
+/* Flips a single bit of the database, mostly in or near a score or a body. Results must be correct
+ * or refused. `store check` must find the damage that results do not reveal. */
 static void serves_no_flipped_bit(void)
 {
   struct mo_evaluation_request submission = draw_evaluation(9, DESIGNS);
@@ -215,7 +216,7 @@ static void serves_no_flipped_bit(void)
     random = random * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
     size_t bit =
         i % 4 == 0
-            ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* not the schema */
+            ? 8 * 4096 + (size_t)(random >> 20) % (8 * (size - 4096)) /* outside the schema */
             : 8 * place_of(bytes, size, (uint32_t)i % DESIGNS, random >> 24) + (random >> 20) % 8;
     const uint8_t flipped = bytes[bit / 8] ^ (uint8_t)(1 << bit % 8);
     REQUIRE_OK(overwrite(path_of("morphod.db"), (long)(bit / 8), &flipped, 1));
@@ -244,12 +245,14 @@ static void serves_no_flipped_bit(void)
     REQUIRE(truncate(path_of("morphod.db"), (off_t)size) == 0);
     REQUIRE_OK(overwrite(path_of("morphod.db"), 0, bytes, size));
   }
-  printf("# %d bits: %d refused, %d found by the check, %d in nothing that is read\n", FLIPS,
-         refused, found, harmless);
+  printf("# %d bits: %d refused, %d found by the check, %d never read
+         ", FLIPS,
+         refused,
+         found, harmless);
   CHECK(refused + found > 10);
 }
 
-/* What the check reads of a sound store, and what it says of damage. */
+/* What the check counts in an intact store, and what it reports for damage. */
 static void checks_contents(void)
 {
   static const char *const damage[] = {
@@ -302,7 +305,7 @@ static void checks_contents(void)
 static const struct check_case cases[] = {
     {"packs losses with a checksum", packs_losses},
     {"finds losses by environment and class", finds_by_environment_and_class},
-    {"goes on in a new class", goes_on_in_a_new_class},
+    {"continues in a new class", goes_on_in_a_new_class},
     {"serves no flipped bit", serves_no_flipped_bit},
     {"checks contents", checks_contents},
 };

@@ -1,4 +1,4 @@
-/* training_fixture.h: a training as it is asked for, and rows of its curve. */
+/* training_fixture.h: a training request, and rows of its learning curve. */
 #ifndef MORPHO_TESTS_STORE_TRAINING_FIXTURE_H
 #define MORPHO_TESTS_STORE_TRAINING_FIXTURE_H
 

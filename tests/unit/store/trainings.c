@@ -1,12 +1,12 @@
-/* trainings.c: what the store keeps of trainings: settings, curves, code, states and results. That
- * a training comes back as it was asked for is tested over HTTP. */
+/* trainings.c: what the store records about trainings: settings, curves, code, states and results.
+ * Whether requests are read back unchanged is tested over HTTP. */
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
-/* What SQLite's machine has done so far for the readers' statements: the cost of a query, whatever
- * else the machine does. */
+/* Returns the number of steps that SQLite's virtual machine has executed for readers: the cost of a
+ * query, no matter how busy the computer is. */
 static int64_t steps_of_readers(void)
 {
   int64_t sum = 0;
@@ -75,7 +75,7 @@ static void keeps_the_curve(void)
   CHECK_INT(mo_store_run_start(store, id), MO_ERR_CONFLICT);
   CHECK_OK(mo_store_training_progress(store, id, rows, 10, NULL, "{\"id\":\"1\"}"));
   CHECK_OK(mo_store_training_progress(store, id, NULL, 0, &validation, NULL));
-  /* Steps 5 to 7 are run again: nothing changes but their times. */
+  /* Steps 5 to 7 are repeated: nothing changes except their times. */
   rows[4].seconds = 7;
   CHECK_OK(mo_store_training_progress(store, id, rows + 4, 3, NULL, NULL));
   CHECK_INT(mo_store_training_steps(store, id, 0, 1, found, 10), 10);
@@ -108,7 +108,7 @@ static void keeps_the_curve(void)
   CHECK_TEXT(events[n - 1].data,
              "{\"id\":\"1\",\"step\":5,\"mean_score\":0.75,\"standard_error\":0.01,"
              "\"rollouts\":80,\"diverged\":2}");
-  /* Paused: what was in flight is still accepted. Cancelled: nothing any more. */
+  /* While paused, steps in flight are still accepted; after a cancellation, they are not. */
   CHECK_OK(change(id, MO_CHANGE_PAUSE));
   CHECK_OK(mo_store_training_progress(store, id, rows, 1, NULL, NULL));
   CHECK_OK(mo_store_training_checkpoint(store, id, 10, (const uint8_t *)"ten", 3, 2));
@@ -118,7 +118,7 @@ static void keeps_the_curve(void)
             MO_ERR_CONFLICT);
 }
 
-/* A page of every nth step does not read the steps between. */
+/* A page of every nth step does not read the steps in between. */
 static void finds_steps_in_a_long_curve(void)
 {
   static const char fill[] =
@@ -154,8 +154,8 @@ static void finds_steps_in_a_long_curve(void)
   free(rows);
 }
 
-/* The lineage is that of the steps that count: what a run noted of steps that another one repeats
- * is forgotten. */
+/* The lineage covers only steps that count: the record of a run is dropped for steps that another
+ * run repeats. */
 static void names_the_code(void)
 {
   struct mo_training_request submission = submission_of(100);
@@ -166,7 +166,7 @@ static void names_the_code(void)
   int64_t id = submit_training(&submission);
   CHECK_INT(mo_store_training_code(store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
   REQUIRE_OK(mo_store_run_start(store, id));
-  CHECK_OK(mo_store_training_code(store, id, 0, "none", &lineage)); /* it came to no step */
+  CHECK_OK(mo_store_training_code(store, id, 0, "none", &lineage)); /* it completed no step */
   CHECK_OK(mo_store_training_code(store, id, 0, "one", &lineage));
   CHECK(lineage.n == 1 && lineage.codes[0].from_step == 0 &&
         strcmp(lineage.codes[0].fingerprint, "one") == 0);
@@ -174,8 +174,7 @@ static void names_the_code(void)
   CHECK_INT(lineage.n, 1);
   CHECK_OK(mo_store_training_code(store, id, 30, "two", &lineage));
   CHECK_INT(lineage.n, 2);
-  CHECK_OK(
-      mo_store_training_code(store, id, 30, "one", &lineage)); /* "two" came to no checkpoint */
+  CHECK_OK(mo_store_training_code(store, id, 30, "one", &lineage)); /* "two" stored no checkpoint */
   CHECK_INT(lineage.n, 1);
   CHECK_OK(mo_store_training_code(store, id, 30, "two", &lineage));
   CHECK_OK(
@@ -192,7 +191,7 @@ static void names_the_code(void)
   CHECK(n > 0 && strstr(events[n - 1].data,
                         "\"from_step\":25,\"before\":\"one\",\"fingerprint\":\"three\"") != NULL);
   CHECK_INT(mo_store_training_code(store, id, 40, "four", &lineage),
-            MO_ERR_CONFLICT); /* of an earlier life */
+            MO_ERR_CONFLICT); /* started by an earlier process */
   CHECK_OK(mo_store_requeue(store, 0, 3, ""));
   REQUIRE_OK(mo_store_run_start(store, id));
   for (uint32_t step = 40; step < 40 + MO_LINEAGE_MAX; step++) {
@@ -240,8 +239,8 @@ static void finishes_with_its_controller(void)
   CHECK_OK(check_whole());
 }
 
-/* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint
- * is written again. What all runs have is tested with campaigns. */
+/* Errors with progress in between are forgiven; repeated errors at one step are not, whichever
+ * checkpoint is rewritten. Behavior common to all runs is tested with campaigns. */
 static void forgives_progress(void)
 {
   const struct mo_training_request submission = submission_of(100);
@@ -261,7 +260,7 @@ static const struct check_case cases[] = {
     {"keeps the queues apart", keeps_the_queues_apart},
     {"keeps the learning curve", keeps_the_curve},
     {"finds steps in a long curve", finds_steps_in_a_long_curve},
-    {"names the code", names_the_code},
+    {"records the code", names_the_code},
     {"finishes with its controller", finishes_with_its_controller},
     {"forgives errors with progress between them", forgives_progress},
 };

@@ -1,5 +1,5 @@
-/* environments.c: random terrains, training environments and the paper test set against what they
- * are meant to be. */
+/* environments.c: random terrains, training environments and the paper's test set compared with
+ * their specifications. */
 #include "../make.h"
 
 static double lowest(const double heights_m[64])
@@ -73,7 +73,7 @@ static void training(void)
   CHECK_NEAR(chi_area, BINS - 1, 4.0 * sqrt(2.0 * (BINS - 1)));
   CHECK_NEAR(chi_angle, BINS - 1, 4.0 * sqrt(2.0 * (BINS - 1)));
   CHECK_NEAR(sigma_sum / N, 0.05 * (1.0 - 1.0 / 252),
-             0.001); /* the mean of σ, and of a sample's deviation about it */
+             0.001); /* the mean of σ, and the deviation of a sample's own value from it */
 }
 
 static void test_set(void)
@@ -115,6 +115,6 @@ static void test_set(void)
 static const struct check_case cases[] = {
     {"random terrains have their deviation and floor", terrains},
     {"training environments fill the ring evenly", training},
-    {"the paper test set has its rings and every difficulty on each", test_set},
+    {"the paper's test set has its rings, with every difficulty on each", test_set},
 };
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* golden.c: bits that must never change: stored scores and seeds refer to them. A new hash here is
- * a new file format. */
+/* golden.c: bits that must never change, because stored scores and seeds refer to them. A new hash
+ * here is a new file format. */
 #include "../make.h"
 
 static void expect(const char *what, uint64_t actual, uint64_t expected)

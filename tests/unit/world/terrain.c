@@ -1,4 +1,4 @@
-/* terrain.c: heights and gradients against corner values, differences and closed forms. */
+/* terrain.c: heights and gradients compared with corner values, differences and closed forms. */
 #include "../make.h"
 
 #define SPACING (5.0 / 7.0)
@@ -13,7 +13,7 @@ static void corners(void)
       CHECK_NEAR(mo_terrain_height(heights, i * SPACING, j * SPACING), heights[j * 8 + i], 1e-15);
 }
 
-/* A bilinear function is met exactly everywhere. */
+/* A bilinear function is reproduced exactly everywhere. */
 static void bilinear(void)
 {
   double heights[64];
