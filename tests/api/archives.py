@@ -1,4 +1,4 @@
-"""Archives of bundles and of scores: unpacked, altered, and packed again with correct sums."""
+"""Archives of bundles and of scores: unpacked, altered, and repacked with correct sums."""
 
 import hashlib
 import json
@@ -40,7 +40,7 @@ def pack(members, sums=True, **header):
 
 
 def altered(members, name, change, line=0):
-    """Returns the members with a changed line in the first member that has `name` in its name."""
+    """Returns the members with one line changed in the first member with `name` in its name."""
     for place, (own, body) in enumerate(members):
         if name in own:
             lines = body.split(b"\n")

@@ -1,5 +1,5 @@
-"""A fake daemon for tests of `morphod worker`: it issues leases and keeps the results. It has its
-own encoding of the messages that src/fleet/wire.h describes."""
+"""A fake daemon for tests of `morphod worker`: it issues leases and keeps the results. It has a
+separate implementation of the messages that src/fleet/wire.h describes."""
 
 import base64
 import hashlib
@@ -35,7 +35,7 @@ def message(kind, items):
 
 
 def physics_numbers(physics):
-    """Returns the numbers of a JSON object in the order of a lease."""
+    """Returns the numbers of a JSON object in the order that a lease uses."""
     names = ("dt_s", "stiffness_n_per_m", "mass_kg", "drag_per_s", "gravity_m_per_s2", "actuation",
              "friction", "friction_cap", "drop_height_m")
     return [physics[name] for name in names] + [physics["n_steps"], 0, 8, 0]
@@ -91,7 +91,7 @@ class FakeDaemon:
         self.sessions, self.offers, self.requests, self.answers = {}, [], [], {}
         self.server = http.server.ThreadingHTTPServer((host, port), self.handler())
         self.server.daemon_threads = True
-        self.server.handle_error = lambda *_: None  # workers that have left
+        self.server.handle_error = lambda *_: None  # workers that left
         self.connections = []
         if tls:
             context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -113,7 +113,7 @@ class FakeDaemon:
         with self.changed:
             self.changed.notify_all()
 
-    # Actions of tests. All take the lock.
+    # Actions of tests. All of them take the lock.
 
     def give(self, *leases):
         with self.changed:
@@ -140,7 +140,7 @@ class FakeDaemon:
     def until(self, holds, seconds=300):
         with self.changed:
             seen = self.changed.wait_for(holds, seconds)
-        assert seen, f"it never happens: {self.requests[-5:]}, {len(self.results)} results"
+        assert seen, f"it did not happen: {self.requests[-5:]}, {len(self.results)} results"
         return seen
 
     def done(self, i):

@@ -1,9 +1,9 @@
 """Hooks of schemathesis for test_generated.py: which refusals of a request that fits the schemas of
 the contract are correct.
 
-A schema describes one value. Rules about several values, bodies in one piece, and names of things
-that must exist are explained in the descriptions; a violation is refused with 400 or 422. Each such
-refusal is listed here by its words; any other refusal is a fault."""
+A schema describes one value. The descriptions explain rules about several values, bodies in one
+piece, and names of existing things; a violation is refused with 400 or 422. The messages of these
+refusals are listed here; any other refusal is a fault."""
 
 import re
 
@@ -70,8 +70,8 @@ RULES = [
 
 @schemathesis.hook
 def before_call(_, case, kwargs):
-    """Random cells are hardly ever in one piece, and random names hardly ever name a controller.
-    This replaces them; otherwise the rest of a request would never be processed."""
+    """Random cells are rarely in one piece, and random names rarely match a controller. Both are
+    replaced here; otherwise the rest of a request would never be processed."""
     body = kwargs.get("json", case.body)
     if not isinstance(body, dict) or not case.meta:
         return
@@ -97,4 +97,4 @@ def a_valid_request_is_accepted(ctx, response, case):
     unknown = [
         fault for fault in faults if not any(re.search(rule, fault["detail"]) for rule in RULES)
     ]
-    assert not unknown, f"refused, though it fits the contract: {unknown}"
+    assert not unknown, f"refused although it fits the contract: {unknown}"

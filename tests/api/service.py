@@ -25,11 +25,11 @@ BINARY = os.environ.get("MORPHOD", str(SOURCE / "build" / "src" / "daemon" / "mo
 BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
 DESIGN = {"cells": [[2, 2, 0], [3, 2, 0], [2, 3, 0], [2, 2, 1]]}
 SHORT = {"n_steps": 20}  # physics of evaluations that need no long rollout
-# Waits end with their condition. A test gives up after this limit. It is far above the usual time
-# of a wait, because the machine may be slow and have other work.
+# A wait ends when its condition holds; a test fails after this limit. The limit is far above the
+# usual time, because the machine may be slow and busy.
 PATIENCE_S = 300
-# An immediate reply arrives within this many seconds even on such a machine. Anything that it must
-# not wait for takes longer.
+# An immediate reply arrives within this many seconds even on such a machine. Anything that the
+# reply must not wait for takes longer.
 SOON_S = 20
 
 
@@ -76,7 +76,7 @@ class Service:
         command = [BINARY, f"--state-dir={self.state}", f"--port-file={port_file}", "--workers=1"]
         command += [f"--listen={address}" for address in listen]
         command += [f"--default-controller={BOOTSTRAP}", *flags]
-        # Tests use processors unless they say otherwise.
+        # Tests use the processors unless they say otherwise.
         if not any(flag.startswith("--devices") for flag in flags):
             command.append("--devices=none")
         inherited = {key: value for key, value in os.environ.items()
@@ -237,7 +237,7 @@ class Service:
 
 @contextlib.contextmanager
 def soon():
-    """Checks that the statements inside do not wait for anything else."""
+    """Checks that the statements inside need not wait for anything else."""
     begun = time.monotonic()
     yield
     took = time.monotonic() - begun
@@ -248,7 +248,7 @@ def until(holds, seconds=PATIENCE_S, every=0.02):
     """Waits until holds() is true, and returns its value."""
     deadline = time.monotonic() + seconds
     while not (seen := holds()):
-        assert time.monotonic() < deadline, "it never happens"
+        assert time.monotonic() < deadline, "it did not happen"
         time.sleep(every)
     return seen
 

@@ -1,4 +1,4 @@
-"""Bodies that are made on request, but not stored."""
+"""Bodies that are generated on request but not stored."""
 
 from service import DESIGN
 
@@ -17,7 +17,7 @@ def test_random_bodies(service):
     for item in items[:20]:
         assert item["voxels"] == len(voxels(item["genotype"])) and item["parents"] == []
         assert item["footprint"] == len({place // 4 for place in voxels(item["genotype"])})
-    # It describes a body as scoring it does.
+    # The reply describes a body exactly as scoring does.
     scored = service.evaluate({"designs": [{"voxels": item["genotype"]} for item in items[:9]],
                                "physics": {"n_steps": 1}}).json()["results"]
     for item, row in zip(items, scored):
@@ -34,7 +34,7 @@ def test_random_bodies_from_an_offset(service):
 
     items = draw(count=2000)
     assert draw(first=0, count=2000) == items
-    # Forwards, backwards, with a gap: whichever stream the previous request left.
+    # Forward, backward, and with a gap, whatever stream the previous request left.
     for first, count in ((0, 100), (100, 50), (150, 1), (1990, 10), (60, 90), (151, 3), (700, 300)):
         assert draw(first=first, count=count) == items[first:first + count]
     service.post("/v1/bodies/random", {"count": 3, "seed": 8})
@@ -50,7 +50,7 @@ def test_mutants(service):
     items = service.post("/v1/bodies/mutate", request)["items"]
     assert items == service.post("/v1/bodies/mutate", request)["items"]
     assert [item["parents"] for item in items] == [[place // 4] for place in range(80)]
-    assert len({item["id"] for item in items + parents}) == 100  # every one is new
+    assert len({item["id"] for item in items + parents}) == 100  # all of them are new
     wild = service.post("/v1/bodies/mutate", dict(request, rate=0.3))["items"]
     assert wild != items
     assert sum(item["voxels"] for item in wild) != sum(item["voxels"] for item in items)

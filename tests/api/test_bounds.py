@@ -58,7 +58,7 @@ def test_cursors(service, campaign, path):
                                     path.format(id=campaign, number=0) + f"?cursor={cursor}{query}")
             told = re.search(schema["pattern"], cursor) is not None and len(cursor) <= schema.get(
                 "maxLength", 520)
-            if path == "/v1/designs":  # one form for each sort
+            if path == "/v1/designs":  # one format for each kind
                 told = told and ("-" in cursor) == (query != "")
             assert (reply.status != 400) == told, (path, cursor, reply.status)
 
@@ -73,7 +73,7 @@ def test_places_of_learning(service, campaign):
 
 
 def test_keys_and_preferences(start):
-    service = start()  # with other keys than other tests
+    service = start()  # with different keys than other tests
     operation = CONTRACT.document["paths"]["/v1/evaluations"]["post"]
     for header, texts in (("Idempotency-Key", KEYS), ("Prefer", PREFER)):
         pattern = schema_of(operation, header).get("pattern", "")  # Prefer is never refused

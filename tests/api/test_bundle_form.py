@@ -22,7 +22,7 @@ def enter(service, bundle, mode="enter"):
 @pytest.fixture(scope="module")
 def bundles(service):
     """Returns the members of a bundle of two campaigns with scores and recordings, and of a bundle
-    of one that learned.
+    of a campaign that learned.
     """
     base = {"population": 16, "generations": 3, "physics": {"n_steps": 5}, "environments": HERE,
             "exclude_pretraining": False}
@@ -139,7 +139,7 @@ def test_a_frame_has_a_checksum(start, bundles):
 
 
 def test_parts_are_full(service, start):
-    """A part ends at a fixed place: the lines of two parts cannot be divided in another way."""
+    """A part ends at a fixed place: the lines of two parts cannot be split differently."""
     other = start()
     id = run(service, "campaigns", {"mode": "zero-shot", "population": 700, "generations": 1,
                                     "environments": HERE, "physics": {"n_steps": 1},
@@ -160,7 +160,7 @@ def test_parts_are_full(service, start):
     at = next(i for i, (own, _) in enumerate(members) if own == name)
     split = [(name, lines[0]), (second(name), b"".join(lines[1:]))]
     assert enter(other, pack(members[:at] + split + members[at + 1:])).status == 422
-    # Designs without scores leave a part out.
+    # Without scores of designs, a part is omitted.
     bare = [(own, body) for own, body in members if not own.endswith("scores/00000000.ndjson")]
     assert enter(other, pack(bare)).status == 201
 
@@ -187,7 +187,7 @@ def test_a_score_comes_once(start, bundles):
         assert enter(other, scores(forged)).status == 422
 
     def again(n):
-        """The first line, and the same losses again with other times, as from other blocks."""
+        """The first line, and the same losses again with other times, as if from other blocks."""
         return scores(lines[:1] + [put("computed_us", 5 + i)(lines[0][:-1]) + b"\n"
                                    for i in range(n)] + lines[1:])
     assert enter(other, again(65), "verify").status == 422, "too many"
@@ -195,7 +195,7 @@ def test_a_score_comes_once(start, bundles):
 
 
 def test_a_byte_does_not_unpack_to_thousands(start, bundles):
-    """63 MiB of one character are a few kilobytes as a file."""
+    """63 MiB of a single character compress to a few kilobytes."""
     other = start()
     body = bytes(63 * 2**20)
     members = bundles[0][:1] + [(f"controllers/{n:064x}.safetensors", body) for n in range(2)]
@@ -238,7 +238,7 @@ def post(service, body, mode="verify"):
 
 
 def is_idle(service):
-    """Returns whether the daemon uses no processor time for a moment."""
+    """Returns whether the daemon uses no processor time for a while."""
     before = cpu(service)
     time.sleep(0.5)
     return cpu(service) - before < 0.05

@@ -43,7 +43,7 @@ def recording(service, id):
 @pytest.fixture
 def restored(start, tmp_path):
     """A service from a restored backup, and what it lost: a campaign and an evaluation with
-    recordings. Other jobs have their numbers now."""
+    recordings. Other jobs have these numbers now."""
     state, backup = tmp_path / "state", tmp_path / "backup.db"
     state.mkdir(mode=0o700)
     service = start(state=state)
@@ -113,7 +113,7 @@ def test_an_earlier_state_is_another_campaign(start):
 
 
 def test_campaigns_without_a_generation_differ(start):
-    """They have no history that could distinguish them."""
+    """Campaigns without a history that could distinguish them."""
     service, other = start(), start()
     slow = {"mode": "zero-shot", "population": 512, "generations": 1, "environments": HERE}
     ids = [service.post("/v1/campaigns", slow | {"seed": seed})["id"] for seed in (1, 2)]

@@ -1,5 +1,4 @@
-"""Bundles: campaigns that are exported from one service and imported into another, and what is
-refused."""
+"""Bundles: campaigns exported from one service and imported into another, and refusals."""
 
 import random
 import tarfile
@@ -21,7 +20,7 @@ def enter(service, bundle, mode="enter"):
 
 @pytest.fixture(scope="module")
 def source(service):
-    """Ids of two replicates, of one that learned, and of one that was cancelled."""
+    """Ids of two replicates, of a campaign that learned, and of one that was cancelled."""
     base = {"population": 24, "generations": 4, "physics": {"n_steps": 5},
             "exclude_pretraining": False}
     first = service.post("/v1/campaigns", base | {
@@ -49,7 +48,7 @@ def bundle(service, source):
 
 
 def test_the_same_campaigns(service, start, source, bundle):
-    """Every list is the same in both services, and a bundle from the other one has the same
+    """Every list is the same in both services, and a bundle from the second service has the same
     history."""
     other = start()
     other.evaluate({"designs": [DESIGN], "physics": {"n_steps": 5}})  # ids differ
@@ -131,7 +130,7 @@ def test_what_cannot_leave(service, source):
                            headers={"Accept": "text/csv"}).status == 406
 
 
-# ---- what is refused ----
+# ---- refusals ----
 
 CHANGES = [
     ("bundle.json", lambda line: line.replace(b'"version":2', b'"version":1'), 0),
@@ -247,8 +246,8 @@ def recorded(service, source):
 
 
 def test_recordings(service, start, source, recorded):
-    """They are the same there, bit for bit, with experiment and note. Recordings of an evaluation
-    with another body are not exported."""
+    """Recordings are the same there, bit for bit, with experiment and note. Recordings of an
+    evaluation with another body are not exported."""
     id, bundle = recorded
     other = start()
     entered = enter(other, bundle).json()["items"][0]
@@ -317,7 +316,7 @@ def test_altered_learning_is_refused(service, start, source):
 
 
 def test_a_score_that_contradicts_a_stored_one(start, bundle):
-    """It comes from another store, and has a different loss of the same class."""
+    """The bundle comes from another store, and has a different loss of the same class."""
     other = start()
     enter(other, bundle)
     members = unpack(bundle)

@@ -46,7 +46,7 @@ def learned(service):
 
 
 def test_founders_that_cannot_be_are_skipped(service, evolved):
-    """The campaign has the remaining founders, and reports what happened to the others."""
+    """The campaign keeps the remaining founders, and reports what happened to the others."""
     apart = {"cells": BAR["cells"] + [[0, 0, 3]]}
     flat = SMALL | {"workspace": [4, 4, 1]}
     designs = [{"cells": [[9, 0, 0]]}, DESIGN, BAR, {"voxels": "1" * 144}, apart, BAR]
@@ -230,7 +230,7 @@ def test_founders_that_do_not_fit_are_counted(service):
     assert second["founders"] == reply["founders"]
     first = service.pages(second["links"]["population"] + "?generation=0")
     assert sorted(row["operator"] for row in first) == ["inherited"] + 3 * ["random"]
-    # None is turned to fit: it would be another robot than in its parent campaign.
+    # None is turned to fit, because it would be a different robot than in the parent campaign.
     bar = {"cells": [[x, 0, 0] for x in range(4)]}
     parent = run_campaign(service, SMALL | rules | {"initial": {"designs": [bar, DESIGN]}})
     narrow = asked | {"initial": {"campaign": parent["id"]}, "workspace": [3, 4, 2]}
@@ -286,7 +286,7 @@ def test_extend(service):
     whole = run_campaign(service, SMALL | {"generations": 5})
     hold = service.post("/v1/campaigns", LONG)["id"]
     reply = service.request("POST", f"/v1/campaigns/{hold}/extend", {"generations": 1})
-    assert reply.status == 422 and reply.pointers() == ["/generations"]  # the most
+    assert reply.status == 422 and reply.pointers() == ["/generations"]  # the maximum
     short = service.post("/v1/campaigns", SMALL | {"generations": 2})["id"]
     extended = service.post(f"/v1/campaigns/{short}/extend", {"generations": 1})
     assert extended["progress"]["generations"] == 3
@@ -329,7 +329,8 @@ def test_an_extension_that_would_change_the_past(service):
 
 
 def test_checkpoints_are_deleted(service):
-    """A campaign that has ended needs none. Any other keeps the one from which it continues."""
+    """A campaign that has ended needs no checkpoint. Any other keeps the one from which it
+    continues."""
     def delete(path):
         return service.request("DELETE", path).json()
 
@@ -349,7 +350,7 @@ def test_checkpoints_are_deleted(service):
     reply = service.request("POST", f"/v1/campaigns/{done['id']}/extend", {"generations": 1})
     assert reply.status == 409 and "was deleted" in reply.json()["detail"], reply.body
     assert service.get(f"/v1/campaigns/{done['id']}")["state"] == "succeeded"
-    # A running campaign keeps its own, even if its deletion is requested.
+    # A running campaign keeps its checkpoint, even if its deletion is requested.
     id = service.post("/v1/campaigns", simultaneous | {"generations": 100000})["id"]
     path = f"/v1/campaigns/{id}/checkpoints"
     awaited(service, path, lambda seen: seen["items"])
@@ -436,7 +437,7 @@ def test_a_training_on_a_population(service, evolved):
 
 
 def test_campaigns_without_a_population(service):
-    """Two that wait for others have no population yet, and say so."""
+    """Two campaigns that wait for others have no population yet, and say so."""
     hold = int(service.post("/v1/campaigns", LONG | {"replicates": 20})["id"])
     waits = service.post("/v1/campaigns", LONG)
     assert waits["state"] == "queued" and waits["progress"]["generation"] is None

@@ -52,7 +52,7 @@ def test_every_schema_has_a_name_and_types():
 
 
 def test_unions_tell_their_variants_apart():
-    """Either a discriminator names all variants, or no two have a member in common."""
+    """Either a discriminator names all variants, or no two variants share a member."""
     for name, schema in SCHEMAS.items():
         variants = [variant["$ref"] for variant in schema.get("oneOf", [])]
         if "discriminator" in schema:

@@ -125,7 +125,7 @@ def test_evaluations(start):
     assert taken["device"] == "cuda" and taken["results"] == expected
     score = service.get(f"/v1/designs/{expected[0]['id']}")["orientations"][0]["scores"][0]
     assert score["fingerprint"] == "fake float32 score-1 sm90"
-    # Another class is computed again, except for the body that the devices left to the processors.
+    # Another class is recomputed, except for the body that the devices left to the processors.
     for cached in (10, 1000):
         known = run(service, "evaluations", {**LARGE, "device": "cpu"})
         assert known["device"] == "cpu" and known["rollouts_cached"] == cached
@@ -231,7 +231,8 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
 
 
 def test_want_of_memory(start, undisturbed, tmp_path):
-    """Not enough for the smallest part: jobs wait, paused, and continue when there is more."""
+    """Not enough memory for the smallest part: jobs wait, paused, and continue when there is
+    more."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(rows=9, shards=0))
     jobs = []
@@ -249,7 +250,7 @@ def test_want_of_memory(start, undisturbed, tmp_path):
 
 
 def test_kill(start, undisturbed, tmp_path):
-    """kill -9 again and again, with another number of devices each time."""
+    """The service is killed repeatedly, with another number of devices each time."""
     state, jobs = tmp_path / "state", []
     for attempt in range(5):
         service = start(*FLAGS, state=state, environment=fake(devices=1 + attempt % 3, delay_ms=15))
@@ -259,7 +260,7 @@ def test_kill(start, undisturbed, tmp_path):
         time.sleep(0.1 + 0.07 * attempt)
         service.stop(signal.SIGKILL)
     service = start(*FLAGS, state=state, environment=fake(devices=2))
-    for _, job in jobs:  # three processes that saved nothing stop it: a user resumes it
+    for _, job in jobs:  # three processes that saved nothing stop the job: a user resumes it
         if service.get(f"/v1/jobs/{job}")["state"] == "failed":
             assert service.act(job, "resume").status in (200, 202)
     check_results(service, jobs, undisturbed)
@@ -274,7 +275,7 @@ def test_cancel(start):
 
 
 def test_interactive_evaluations_do_not_wait_for_devices(start):
-    """Not even for a rollout that is already assigned to a device."""
+    """A cancelled job does not wait even for a rollout that is already on a device."""
     service = start(*FLAGS, environment=fake(delay_ms=60000))
     large = service.post("/v1/evaluations", {**LARGE, "device": "cuda"})["id"]
     until(lambda: devices(service)["items"][0]["busy"])
@@ -320,8 +321,8 @@ def cluster(start, tmp_path):
 
 
 def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
-    """Their class is known once the first one joins. Jobs of this class wait for them, also after a
-    restart, and end with the bits of a service with a device."""
+    """Their class is known once the first one joins. Jobs of this class wait for them, even after a
+    restart, and end with the same bits as a service with a device."""
     service = cluster.service
     for kind, request in (("evaluations", LARGE), ("campaigns", CAMPAIGN)):
         reply = service.request("POST", f"/v1/{kind}", {**request, "device": "cuda"})
@@ -375,7 +376,7 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
 @pytest.mark.parametrize("kind", ["trainings", "campaigns"])
 def test_workers_alone_learn(cluster, start, kind):
     """Shards of gradients go to the devices of workers, and one worker is killed. The sums have the
-    bits of a service with a device."""
+    same bits as those of a service with a device."""
     requests = {"trainings": {**TRAINING, "batch": 1100, "validation": {"every_steps": 0}},
                 "campaigns": {**CAMPAIGN, "mode": "few-shot", "name": "learned", "learning": {
                     "parent_steps": 1, "child_steps": 1, "batch": 1100}, "generations": 1}}
@@ -383,7 +384,7 @@ def test_workers_alone_learn(cluster, start, kind):
     alone = run(start(*FLAGS, environment=fake()), kind, request)
     workers = [cluster.launch(delay_ms=delay_ms) for delay_ms in (0, 3000)]
     cluster.until_there(2)
-    # Workers accept no urgent work, so these jobs are like others there.
+    # Workers accept no urgent work, so these jobs run like any others there.
     job = cluster.service.post(f"/v1/{kind}", {**request, "priority": "interactive"})["id"]
     until(lambda: any(one["leases"] for one in cluster.fleet.status()["sessions"]
                       if one["name"] == "gpu-1"))

@@ -218,7 +218,7 @@ def test_designs(service):
 
 
 def test_the_first_thousand_rollouts(start):
-    """No score beyond them is shown in part, because that would look like a lower bound."""
+    """Designs beyond them do not show a partial score, because it would look like a lower bound."""
     service = start()
     design = {"cells": [[1, 1, 0]]}
     lights = [{"light_xy_m": [3 + 0.001 * k, 3], "terrain_sigma_m": 0, "seed": k}
@@ -238,7 +238,7 @@ def test_the_first_thousand_rollouts(start):
 
 @pytest.mark.parametrize("sort", ("id", "score"))
 def test_designs_from_the_other_end(service, sort):
-    """The pages equal the whole list: the newest first, or the worst."""
+    """The pages equal the whole list: newest first, or worst first."""
     bars = [{"cells": [[2, y, 0] for y in range(n)]} for n in range(2, 6)]
     assert service.evaluate({"designs": bars}).status == 200
     path = f"/v1/designs?sort={sort}&order="
@@ -311,7 +311,7 @@ MIXED = [
 
 
 def test_faulty_designs_are_skipped(service):
-    """Results are at the places of the request, also in a job that verifies or records."""
+    """Results are at the positions of the request, also in a job that verifies or records."""
     request = {"physics": SHORT, "on_fault": "skip", "repair": "largest", "designs": MIXED}
     plain = service.evaluate({"physics": SHORT, "designs": [DESIGN, {"cells": APART[:2]}]}).json()
     for more in ({}, {"verify": True}, {"record": ["com"]}):
@@ -346,7 +346,7 @@ def test_all_designs_are_skipped(service):
 
 
 def test_skipping_skips_no_other_fault(service):
-    """The rules also count when they follow the designs. Faults elsewhere are refused."""
+    """The rules count even if they follow the designs. Faults elsewhere are refused."""
     refused = service.request("POST", "/v1/evaluations",
                               {"designs": MIXED, "on_fault": "leave"})
     assert refused.status == 422 and "/on_fault" in refused.pointers()

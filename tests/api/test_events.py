@@ -197,8 +197,8 @@ def test_streams_end_with_the_service(start):
 
 
 def test_slow_reader_gets_everything_later(service):
-    """More than fits into the buffers of the sockets piles up while one reader sleeps. This does
-    not affect the others and the service."""
+    """More data than the sockets can buffer piles up while one reader sleeps. This does not affect
+    the others or the service."""
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     sock.connect((service.host, service.port))

@@ -116,7 +116,8 @@ def schema_of(method, path, status):
 
 
 def small(value, name=""):
-    """Shortens a reply to an example: the first item of each list, and little of recordings."""
+    """Shortens a reply to an example: the first item of each list, and a small part of
+    recordings."""
     if name == "origin":
         return "a-host"
     if isinstance(value, dict):

@@ -64,7 +64,7 @@ def test_a_drawing_is_told_and_handed_over(start):
     first = submit(service, controller="long", workspace=[3, 3, 2])
     drawn = awaited(service, f"/v1/campaigns/{first}",
                     lambda seen: seen["progress"]["seconds_left"] is not None)
-    second = submit(service, controller="long", workspace=[3, 3, 2])  # now: either may begin
+    second = submit(service, controller="long", workspace=[3, 3, 2])  # now either may begin
     waits = awaited(service, f"/v1/campaigns/{second}",
                     lambda seen: seen["progress"]["seconds_left"] is not None)
     for seen in (drawn, waits):
@@ -93,7 +93,7 @@ def pieces(events, kind):
 
 
 def test_the_first_campaign_shows_how_far_it_is(start):
-    """In events once per second, and in morphoctl without a terminal."""
+    """In events, once per second, and in morphoctl without a terminal."""
     service = start()
     put(service, "long", **pretrained(200000))
     id = submit(service, controller="long", workspace=[3, 3, 2])
@@ -122,8 +122,8 @@ def test_the_first_campaign_shows_how_far_it_is(start):
 
 
 def test_the_bodies_are_drawn_once(start, tmp_path):
-    """The second campaign finds them in the state folder, and has the bits of the first one, which
-    was killed while it was making the file."""
+    """The second campaign finds them in the state folder, and has the same bits as the first one,
+    which was killed while it was writing the file."""
     state = tmp_path / "state"
     service = start(state=str(state))
     put(service, "once", **pretrained(300))

@@ -1,6 +1,6 @@
 """Experiments that run their own daemon (experiments/*.py), at tiny sizes and with a module that
-computes on the processor: what they write, and that a run that was stopped and called again yields
-the same as an uninterrupted one."""
+computes on the processor: their output, which must be the same for an interrupted and an
+uninterrupted run."""
 
 import csv
 import json
@@ -28,7 +28,7 @@ PRETRAINING = ("--steps=6", "--batch=8", "--rollout-steps=30", "--validation-eve
 REPRODUCTION = ("--population=16", "--generations-zero-shot=3", "--generations-few-shot=1",
                 "--generations-simultaneous=3", "--few-shot-steps=2", "--rollout-steps=30",
                 "--champions=5", "--seeds=1,2", f"--controller={BOOTSTRAP}"
-                )  # which has no bodies to draw again
+                )  # a pretraining without bodies to redraw
 
 
 def command(name, *arguments):
@@ -125,7 +125,7 @@ def test_reproduction(tmp_path):
           f"--folder={parts}", "--modes", "simultaneous", "--limit-s=2", status=CUT_OFF,
           MORPHO_FAKE_DELAY_MS="400")
     assert len(rows(parts / "generations.csv")) < 4
-    # In another order: the interrupted campaign is paused meanwhile.
+    # In another order: the interrupted campaign is paused in the meantime.
     for modes in (("zero-shot", ), ("zero-shot", "few-shot", "simultaneous")):
         printed = bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'two'}",
                         f"--folder={parts}", "--modes", *modes).stdout

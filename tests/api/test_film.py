@@ -31,7 +31,7 @@ def test_a_picture(ctl, tmp_path):  # noqa: F811
 
 
 def test_films(ctl, tmp_path):  # noqa: F811
-    """0.24 s and one second of the last frame, at 25 frames a second."""
+    """0.24 s and one more second of the last frame, at 25 frames per second."""
     stream, folder = tmp_path / "film.y4m", tmp_path / "frames"
     assert ctl(f"film {SMALL} --output", str(stream), CELLS)[0] == 0
     head, *frames = stream.read_bytes().split(b"FRAME\n")

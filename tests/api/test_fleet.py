@@ -111,7 +111,7 @@ def test_loopback_needs_no_token_where_there_is_none(start, tokens):
     fleet = Workers(start("--fleet-listen=127.0.0.1:0"))
     fleet.refuses(403, "Host field", "GET", "/v1/whoami", Host="elsewhere.example")
     fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
-    # Once there is a token of a worker, it is required.
+    # Once a worker's token exists, it is required.
     write_tokens(tokens, ada=("admin", TOKENS["admin"]))
     service = start("--fleet-listen=127.0.0.1:0", f"--token-file={tokens}", token=TOKENS["admin"])
     fleet = Workers(service)
@@ -217,7 +217,7 @@ def test_hostile_exchanges_store_nothing(free):
     lease, rows = leases[0]
     assert rows > 0 and sum(n for _, n in leases) <= 6
     good = result(lease, [0.5] * rows)
-    # Malformed or false messages: nothing in them is accepted, not even the valid part.
+    # Malformed or false messages: nothing in them is accepted, not even valid parts.
     wrong = [b"x", results(good)[:-1], results(good) + b"x", results(good, size=1 << 60),
              results(good, n=2), results(good, n=0xFFFFFFFF), results(*[good] * 9),
              results(good, magic=b"MOFLEETL"), results(result(lease, [0.5], rows=0xFFFFFFFF)),
@@ -405,7 +405,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     n = len(truth)
     tag = service.request("GET", path).headers["ETag"]
 
-    # Page by page: the results of "odd", and those of them that differ.
+    # In pages: the results of "odd", and those of them that differ.
     pages, after = [], {}
     while not pages or pages[-1]["next"]:
         pages.append(ask(origin=origin, limit=1, **after))
@@ -444,7 +444,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
 
 
 def test_long_rollouts_make_short_pages(free):
-    """A request computes for at most seconds, however long the rollouts are."""
+    """A request computes for a few seconds at most, however long the rollouts are."""
     service, session, n_steps = free.service, free.join(), 60000
     job = service.post("/v1/evaluations", {
         "designs": [{"cells": [[0, 0, 0], [1, 0, 0]]}, {"cells": [[0, 0, 0], [0, 0, 1]]}],
@@ -461,7 +461,7 @@ def test_long_rollouts_make_short_pages(free):
 
 def test_idle_sessions_cost_little(free):
     """tools/bench fleet does this with ten times as many, for any time, and measures more. Here a
-    request may be late, as long as it does not wait for any session: their requests last 2 s or
+    request may be late, as long as it does not wait for a session's request, which lasts 2 s or
     longer. A slow machine needs more processor time."""
     p99_s, share, grown = asyncio.run(bench.measure(free, 100, 3))
     print(f"{1e3 * p99_s:.1f} ms, {share:.3f} of a core")

@@ -1,5 +1,5 @@
-"""Compressed replies: which ones are, and how tags, HEAD, ranges and clients without gzip are
-handled."""
+"""Compressed replies: which replies are compressed, and how tags, HEAD, ranges and clients without
+gzip are handled."""
 
 import gzip
 import zlib
@@ -117,7 +117,7 @@ def test_what_the_build_has_compressed(service):
 
 
 def test_what_stays_plain(service, campaign):
-    """Small replies, those of event loops, numbers that hardly shrink, problems, and all replies to
+    """Small replies, those of event loops, numbers that barely shrink, problems, and all replies to
     clients that do not accept gzip."""
     recorded = service.evaluate({"designs": [DESIGN], "record": ["masses"], "physics": SHORT})
     file = f"/v1/evaluations/{recorded.json()['id']}/trajectories/0/file"

@@ -11,7 +11,7 @@ import time
 from service import split_replies, until
 
 N_CONNECTIONS = int(os.environ.get("MORPHOD_TEST_HOSTILE",
-                                   "20000"))  # 100000 shows more, and takes minutes
+                                   "20000"))  # 100000 shows more, but takes minutes
 HOST = b"Host: 127.0.0.1\r\n"
 POST = b"POST /v1/evaluations HTTP/1.1\r\n" + HOST + b"Content-Type: application/json\r\n"
 
@@ -31,13 +31,14 @@ HOSTILE = {
 
 
 def memory(service):
-    """Returns resident bytes that belong to no file."""
+    """Returns the resident bytes that do not belong to a file."""
     text = pathlib.Path(f"/proc/{service.process.pid}/status").read_text()
     return 1024 * int(re.search(r"RssAnon:\s+(\d+) kB", text)[1])
 
 
 def attack(service, n, at_once=100):
-    """Opens connections in groups: each sends, some read the reply, and all leave."""
+    """Opens connections in groups: each sends a request, some read the reply, and all
+    disconnect."""
     kinds = list(HOSTILE.values())
     for first in range(0, n, at_once):
         with contextlib.ExitStack() as stack:

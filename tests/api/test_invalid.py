@@ -1,5 +1,5 @@
-"""Invalid jobs: each request with its status and, if there is a place, its JSON pointer.
-schema/openapi.yaml and the service agree on what a request is."""
+"""Invalid jobs: each request with its status and, if the fault has a position, its JSON pointer.
+schema/openapi.yaml and the service agree on what a valid request is."""
 
 import collections
 import json
@@ -16,10 +16,10 @@ PLACE = {"light_xy_m": [4.5, 2.5], "terrain_heights_m": FLAT}
 ROUGH = {"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.1, "seed": 1}
 BLOCK = {"voxels": "1" * 144}
 
-# The place of a fault (a JSON pointer), and values of the field that have a fault there.
+# The position of a fault (a JSON pointer), and values of the field that have a fault there.
 CELLS = {  # for a second design
     "": [[], [[0, 0, 0]] * 145],
-    "/1": [[[0, 0, 0], [1, 1, 0]]],  # they touch by an edge
+    "/1": [[[0, 0, 0], [1, 1, 0]]],  # they touch only along an edge
     "/2": [[[0, 0, 0], [1, 0, 0], [3, 0, 0]], [[0, 0, 0], [1, 0, 0], [0, 0, 0]]],
     "/0": [[[0, 0]], [[0, 0, 0, 0]], [None]],
     "/0/0": [[[6, 0, 0]], [["0", 0, 0]], [[0.5, 0, 0]], [[True, 0, 0]]],
@@ -274,7 +274,7 @@ def test_together(service, kind, value, pointers):
     refused(service, kind, value, pointers)
 
 
-# How many of these requests fit the schema, by the first place: their faults depend on several
+# How many of these requests fit the schema, by the first position: their faults depend on several
 # fields, or on the state of the service.
 BEYOND_SCHEMA = {
     "evaluations": {"": 1, "/designs/0/voxels": 2, "/designs/0/id": 2, "/designs/1/cells/1": 1,

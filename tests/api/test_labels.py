@@ -1,4 +1,4 @@
-"""Labels, experiments, notes, the archive, deletion, what jobs have used, rules of retention."""
+"""Labels, experiments, notes, the archive, deletion, the usage of jobs, retention rules."""
 
 import signal
 import sqlite3
@@ -76,7 +76,7 @@ def test_notes_and_the_archive(service):
 
 
 def test_deletion(service):
-    """What is deleted is gone at once. What others need stays, and so do designs, scores and
+    """Deleted jobs disappear at once. Jobs that others need stay, and so do designs, scores and
     controllers."""
     job = evaluate(service, record=["com"])["id"]
     reply = delete(service, job)

@@ -29,7 +29,7 @@ def results(service, id, query=""):
 
 
 def test_same_as_random(service, bodies):
-    """Designs in every form, in their order, with one `best`; the same scores as random ones."""
+    """Designs in every form, in order, with one `best`; the same scores as for random ones."""
     designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies]
     designs[5] = {"voxels": "g" + bodies[5]["genotype"]}
     designs[7] = designs[N - 1] = {"id": bodies[7]["id"] + "@3"}

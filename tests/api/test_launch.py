@@ -1,4 +1,5 @@
-"""The files that start workers, as morphoctl prints them: how the engines would read them."""
+"""The files that start workers, as morphoctl prints them, parsed the way the engines would read
+them."""
 
 import inspect
 import re

@@ -47,7 +47,7 @@ def half(sock, size, sent):
 
 
 def endless(service, **how):
-    """Submits a job that does not end by itself."""
+    """Submits a job that never ends."""
     value = EVALUATION | {"priority": "batch", "precision": "float64",
                           "physics": {"n_steps": 100000}}
     job = service.post("/v1/evaluations", value, **how)["id"]
@@ -56,7 +56,7 @@ def endless(service, **how):
 
 
 def status(sock):
-    """Returns the status of the next reply; 0: the connection ends without one."""
+    """Returns the status of the next reply; 0 if the connection closes without one."""
     with contextlib.suppress(ConnectionError):
         return int(sock.recv(65536)[9:12] or 0)
     return 0
@@ -117,7 +117,7 @@ def test_waiting_takes_no_place(start):
     waiting = [service.connection() for _ in range(20)]
     asking = service.connection()
     for n, connection in enumerate(waiting, 1):
-        seen = 0  # times in a row that this one, the ones before, and the one that asks are there
+        seen = 0  # times in a row that all these requests are present
         while seen < 3:
             if connection.sock is None or select.select([connection.sock], [], [], 0)[0]:
                 if connection.sock is not None:  # two others were not parked yet, or had just ended
@@ -128,7 +128,7 @@ def test_waiting_takes_no_place(start):
             seen = seen + 1 if service.metric(IN_FLIGHT, connection=asking) == n + 1 else 0
     asking.close()
     assert service.act(job, "cancel").status in (200, 202)
-    # All are answered, more than may be in flight.
+    # All get a reply, although they are more than may be in flight.
     for connection in waiting:
         reply = connection.getresponse()
         assert reply.status == 200 and b'"cancelled"' in reply.read()
@@ -174,8 +174,9 @@ def test_who_computes_much_keeps_nobody_waiting(start, tmp_path, flood, who):
 
 
 def until_in_flight(service, n):
-    """Waits for n requests in addition to this one. This one always uses the same connection: the
-    end of a request on another might be counted late, instead of one that has not arrived."""
+    """Waits for n requests in addition to this one. This one always uses the same connection:
+    otherwise, the end of an earlier request on another connection might be counted late, in place
+    of one that has not arrived."""
     asking = service.connection()
     until(lambda: service.metric(IN_FLIGHT, connection=asking) == n + 1)
     asking.close()
@@ -214,10 +215,10 @@ def is_quiet(sock):
 
 
 def test_idle_connections_give_way_oldest_first(start):
-    service = start("--max-connections=64", "--header-timeout=60s")  # of which 8 are kept
+    service = start("--max-connections=64", "--header-timeout=60s")  # 8 of them are kept
     time.sleep(0.5)  # the readiness checks have closed their connections
     used = service.connection(
-    )  # the first to arrive, but not the one that has been idle the longest
+    )  # not the connection that has been idle the longest, although it was first
     used.connect()
     working = streams(service, 20)
     waiting = service.connection()
@@ -226,7 +227,7 @@ def test_idle_connections_give_way_oldest_first(start):
     until(lambda: service.metric("morphod_http_connections", connection=used) == 1 + 20 + 1 + 34)
     for _ in range(30):
         assert service.request("GET", "/v1/jobs").status == 200
-    # At most one for each, and fewer if a connection of an earlier request is closed already.
+    # At most one for each, or fewer if the connection of an earlier request is already closed.
     gone = service.metric("morphod_http_connections_gave_way_total")
     closed = [not is_open(sock) for sock in idle]
     assert sum(closed) <= gone <= 40 and closed == sorted(closed, reverse=True), (gone, closed)
@@ -308,7 +309,7 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
 
 @as_root
 def test_unread_replies_take_half_of_the_memory(start):
-    """Clients that do not read large replies leave memory for uploads."""
+    """Clients that do not read large replies still leave memory for uploads."""
     # 24 MiB: 12 for one client, 21 for all large bodies and replies.
     service = start("--max-body=1M", "--max-controller=3M", "--max-bundle=1M")
     scene = json.dumps({  # of 4.8 MB

@@ -1,4 +1,4 @@
-"""The gauges of running jobs in /metrics, and their users in data/grafana."""
+"""The gauges of running jobs in /metrics, and what uses them in data/grafana."""
 
 import json
 import pathlib
@@ -31,7 +31,7 @@ LONG = {
 
 
 def gauges(service):
-    """The gauges of running jobs: {id: {name: value}}, and {id: (kind, label)}."""
+    """Returns the gauges of running jobs: {id: {name: value}}, and {id: (kind, label)}."""
     text = service.request("GET", "/metrics").body.decode()
     values, labels = {}, {}
     for name, id, kind, label, value in re.findall(
@@ -76,7 +76,7 @@ def test_running_jobs(start):
 
 
 def test_only_so_many(start):
-    """The jobs with the largest weight, and the newest of equal weight."""
+    """Shown are the jobs with the largest weight, and the newest of equal weight."""
     service = start("--max-campaigns=40")
     first = int(service.post("/v1/campaigns", LONG["campaign"] | {"replicates": 40})["id"])
     ids = [str(id) for id in range(first, first + 40)]
@@ -108,7 +108,7 @@ def promtool(tmp_path, *arguments, **files):
 def page():
     """/metrics of a service with a device and a running campaign."""
     service = Service(f"--compute-module={MODULE}", "--devices=auto")
-    # Its generations take more than the half second after which a rate is shown.
+    # Its generations take longer than the half second after which a rate is shown.
     service.post("/v1/campaigns", LONG["campaign"] | {"device": "cpu", "population": 256})
     text = until(lambda: all(
         f"\nmorphod_job_{name}{{" in (body := service.request("GET", "/metrics").body.decode())
@@ -129,8 +129,8 @@ def test_every_metric_that_is_read_exists(page):
 
 
 def test_dashboard():
-    """Every panel has its own place, queries the chosen source for the chosen services, and
-    describes what it shows."""
+    """Every panel has a separate position, queries the selected source for the selected services,
+    and describes what it shows."""
     panels, places = DASHBOARD["panels"], set()
     assert len({panel["id"] for panel in panels}) == len(panels)
     for panel in panels:

@@ -122,8 +122,8 @@ def test_bodies_of_other_programs_are_refused(ctl, text, said):
 
 
 def test_lists_of_cells_are_read(ctl):
-    """Cells in one piece, in any order. Named cells, and cells that cannot be a robot, may be in
-    several pieces."""
+    """Cells in one piece, in any order. Cells with a name, and cells that cannot be a robot, may be
+    in several pieces."""
     for text in ("[[2,2,0],[3,2,0]]", "[[3,3,1],[1,3,1],[2,3,1]]", "[[4,4,3]]",
                  '{"cells": [[0,3,3],[1,1,0],[4,0,0]]}', "[[0,0,0],[1,0,0],[4,0,0]]",
                  "[[5,3,3],[1,1,0]]"):
@@ -165,7 +165,7 @@ def test_designs(ctl):
 
 
 def test_made_bodies(ctl, tmp_path):
-    """All commands read the output of these commands."""
+    """All commands can read the output of these commands."""
     status, random, _ = ctl("design random --count 6 --seed 3")
     assert status == 0 and len(random.splitlines()) == 6
     assert ctl("design random -n 2 --seed 3")[1] == "".join(random.splitlines(True)[:2])
@@ -334,7 +334,7 @@ def test_wait_over_a_restart(start, ctl, tmp_path):
 
 
 def test_bundles(service, ctl, tmp_path):
-    """Exports by each option that names campaigns, but only by one at a time."""
+    """Exports by each option that selects campaigns, but only one of them at a time."""
     path = str(tmp_path / "one.tar.zst")
     id = run(service, "campaigns", {
         "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 20},
@@ -409,7 +409,7 @@ def test_unix_socket_and_token(start, ctl, tmp_path):
 
 
 def test_a_token_by_its_name(start, ctl, tmp_path):
-    """With a file of several tokens, it asks for a name, and shows no token."""
+    """With a file of several tokens, it asks for a name, and shows none of the tokens."""
     tokens = tmp_path / "tokens"
     tokens.write_text("# who\nanna\tread  the-token-of-anna-here\n\n"
                       "ben submit the-token-of-ben-here # new\n")

@@ -120,8 +120,8 @@ def test_training_pause_resume_cancel(ctl):
 
 
 def watch_on_a_terminal(service, command, job, until_seen, farewell):
-    """Returns the text on a terminal of 24 lines and 80 columns until all of `until_seen` has
-    appeared and Ctrl-C was pressed, without escapes."""
+    """Runs a command on a terminal of 24 lines and 80 columns, and presses Ctrl-C once all of
+    `until_seen` has appeared. Returns the text without escapes."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
     watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job],
@@ -259,7 +259,7 @@ def test_campaigns_that_learn_and_replicates(service, ctl):
 
 
 def test_campaigns_are_compared(service, ctl):
-    """The numbers follow the definition. Campaigns that ended early are left out and named."""
+    """The numbers follow the definition. Campaigns that ended early are left out and listed."""
     a, b = (ctl(f"campaign start zero-shot {SMALL} -n 2 --replicates 3 --seed {seed} -q")[1].split()
             for seed in (1, 11))
     assert ctl("wait", *a, *b)[0] == 0
@@ -277,13 +277,13 @@ def test_campaigns_are_compared(service, ctl):
     status, out, _ = ctl(f"campaign compare {a[0]} {b[0]}")
     assert status == 0 and f"campaign {b[2]}, a replicate of {b[0]}: it was cancelled" in out
     assert "left out" in ctl(f"campaign export {b[0]} --replicates -")[2]
-    out = ctl(f"campaign compare {a[0]} {a[1]}")[1]  # of one group: a campaign each
+    out = ctl(f"campaign compare {a[0]} {a[1]}")[1]  # of one group: one campaign each
     assert "at least two replicates" in out
     assert ctl(f"campaign compare {a[0]} 999999")[0] == 3
 
 
 def test_campaigns_that_do_not_compare(service, ctl):
-    """Different physics or worlds are refused; other differences are named."""
+    """Different physics or environments are refused; other differences are listed."""
     def start(more):
         job = ctl(f"campaign start zero-shot {SMALL} -n 1 {more} -q")[1].strip()
         assert ctl("wait", job)[0] == 0

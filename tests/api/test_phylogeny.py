@@ -33,7 +33,7 @@ def designs(service, evolved):
 
 @pytest.fixture(scope="module")
 def large(service):
-    """A campaign with more designs than one piece of a reply holds."""
+    """A campaign with more designs than fit in one piece of a reply."""
     return run_campaign(service, LARGE)
 
 
@@ -356,8 +356,8 @@ def test_readers_that_go_away(service, large):
 
 
 def test_exports_while_it_runs(service):
-    """Each is a snapshot: complete and consistent, however many generations are committed
-    meanwhile."""
+    """Each reply is a snapshot: complete and consistent, no matter how many generations are
+    committed at the same time."""
     id = service.post("/v1/campaigns", LARGE | {"population": 64, "generations": 100000,
                                                 "physics": {"n_steps": 20}})["id"]
     path = f"/v1/campaigns/{id}/phylogeny"

@@ -20,8 +20,8 @@ DELETE = b"DELETE /v1/controllers/tiny HTTP/1.1\r\n" + HOST + b"\r\n"
 LENGTH = b"Content-Length: %d" % len(DELETE)
 CHUNKED = b"Transfer-Encoding: chunked"
 
-# The last request of each would be executed if nginx and the service disagreed about the end of the
-# first one.
+# The last request of each would be executed if nginx and the service disagreed about where the
+# first one ends.
 HOSTILE = {
     "folded length": POST + LENGTH.replace(b": ", b":\r\n ") + b"\r\n\r\n" + DELETE,
     "folded coding": POST + b"Transfer-Encoding:\r\n chunked\r\n\r\n" + DELETE,
@@ -75,7 +75,7 @@ class Nginx:
                     received += piece
                     sock.settimeout(
                         0.5
-                    )  # nginx keeps the connection after some; what is hidden would be answered now
+                    )  # if nginx keeps the connection, a hidden request is answered now
             except (ConnectionResetError, socket.timeout):
                 pass
             return received

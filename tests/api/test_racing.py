@@ -11,7 +11,7 @@ from test_devices import FLAGS, fake
 from ctl import ctl  # noqa: F401
 from test_worlds import scene
 
-# Robots that walk: among random bodies, hardly any child is bad enough to be cut.
+# Robots that walk: random bodies are rarely bad enough to be cut short.
 FOUNDERS = """
     000800cceec00c8a000c4e20000000000000 0c4e200c8a00cceec0000000000000000000
     0219eb6fdd83fc9f9db8cc793ad1fb107f1a 0ae400c4680048ee00000000000000000000
@@ -54,7 +54,7 @@ def generations(service, id):
 
 def test_the_same_campaign(service, raced, whole, designs):
     """Populations, births, deaths and statistics are the same. A lower bound is below the score,
-    and no survivor has a bound for a score."""
+    and no survivor has a bound instead of a score."""
     other, id = whole
     full = other.pages(f"/v1/campaigns/{id}/phylogeny")
     assert service.get(f"/v1/campaigns/{raced}")["settings"]["racing"] == "lossless"
@@ -111,7 +111,7 @@ def test_every_form_says_so(service, raced, designs):
 
 
 def test_a_bundle_keeps_them(service, start, raced, designs):
-    """Losses in some of the environments are imported, have no effect the second time, and are
+    """Losses in only some of the environments are imported, have no effect the second time, and are
     exported again."""
     other = start()
     bundle = service.request("GET", f"/v1/bundles?campaigns={raced}").body
@@ -126,7 +126,7 @@ def test_a_bundle_keeps_them(service, start, raced, designs):
     assert again.status == 200 and again.json()["losses_stored"] == 0
     back = other.request("GET", f"/v1/bundles?campaigns={id}").body
     assert enter(service, back, "verify").json()["items"][0]["campaign"] == raced
-    # The losses of a cut child are used there as well.
+    # The losses of a child that was cut short are also used there.
     bound = next(row for row in designs if row["lower_bound"])
     assert evaluated(other, bound)["rollouts_cached"] in (2, 8)
 
@@ -207,15 +207,15 @@ def many(service):
 
 
 def best_of(results, k):
-    """Returns the results of the k best and their equals, by their places."""
+    """Returns the results of the k best designs and their ties, by position."""
     scores = sorted(row["score"] for row in results if row["score"] is not None)
     return {place: row for place, row in enumerate(results)
             if row["score"] is not None and row["score"] <= scores[k - 1]}
 
 
 def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
-    """They are the best of the evaluation of all, with their equals. Bounds of the others are valid
-    and do not change. Services with more workers, or with devices, reply the same."""
+    """They are the best designs of the full evaluation, including ties. Bounds of the others are
+    valid and do not change. Services with more workers, or with devices, send the same reply."""
     request = MANY | {"designs": many, "on_fault": "skip", "best": 5}
     raced = run(service, "evaluations", request)
     assert raced["best"] == 5 and raced["n_skipped"] == 1 and raced["rollouts_cut"] > 0
@@ -236,7 +236,7 @@ def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
         else:
             assert row == known
     assert service.get(f"/v1/evaluations/{raced['id']}") == raced
-    # Stored losses do not change the plan, and are not computed again.
+    # Stored losses do not change the plan, and are not recomputed.
     again = run(service, "evaluations", request | {"label": "again"})
     assert again["results"] == raced["results"] and again["rollouts_cut"] == raced["rollouts_cut"]
     assert again["rollouts_cached"] == again["rollouts_total"] - again["rollouts_cut"]
@@ -258,7 +258,7 @@ def test_what_goes_with_best(service, many):
     for more in ({"best": 0}, {"best": 1.5}, {"best": None}, {"best": 10001}):
         reply = service.request("POST", "/v1/evaluations", request | more)
         assert reply.status == 422 and reply.pointers() == ["/best"], more
-    # All of them are requested: nothing is cut.
+    # All of them are requested, so none is cut short.
     value = run(service, "evaluations", request | {"best": 4})
     assert value["rollouts_cut"] == 0 and not any(row["lower_bound"] for row in value["results"])
     skipped = run(service, "evaluations", MANY | {

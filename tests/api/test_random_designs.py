@@ -43,7 +43,7 @@ def test_same_as_listed(service):
 
 
 def test_more_than_a_list(service):
-    """One `best` over more designs than a request can list; results come in pages."""
+    """`best` for more designs than a request can list; results come in pages."""
     n = 10_400
     job = run(service, "evaluations", WORLD | {"random": {"count": n, "seed": 32}, "best": 7})
     assert job["state"] == "succeeded" and job["n_designs"] == n and "results" not in job
@@ -63,7 +63,7 @@ def test_more_than_a_list(service):
 
 
 def test_whole_scores_only(service):
-    """Only scores that are not lower bounds, with the numbers of their designs."""
+    """Only exact scores, not lower bounds, with the numbers of their designs."""
     far = [{"light_xy_m": [4.5 - 0.4 * k, 1.5], "terrain_sigma_m": 0.03, "seed": k}
            for k in range(8)]
     job = run(service, "evaluations", {"environments": far, "physics": {"n_steps": 800},
@@ -78,8 +78,8 @@ def test_whole_scores_only(service):
 
 
 def test_restart_while_they_are_drawn(start, tmp_path):
-    """Stored designs stay, and the others are the same as without a restart: after a pause, and
-    when the service stops while it draws."""
+    """After a pause, and after a stop of the service during a draw: stored designs stay, and the
+    others are the same as without an interruption."""
     n = 30_000
     request = WORLD | {"random": {"count": n, "seed": 33}}
     request["environments"] = request["environments"][:1]

@@ -18,7 +18,7 @@ SMUGGLED = b"GET /v1/threads HTTP/1.1\r\n" + HOST + b"\r\n"
 END = b"\r\n"
 HIDDEN = b"DELETE /v1/controllers/tiny HTTP/1.1\r\n" + HOST + b"\r\n"
 
-# name: (bytes, allowed statuses; 0: ended without a reply, must the connection end)
+# name: (bytes, allowed statuses; 0: closed without a reply, whether the connection must close)
 REFUSED = {
     "no host": (b"GET /healthz HTTP/1.1\r\n\r\n", {400}, True),
     "two hosts": (GET + HOST + END, {400}, True),
@@ -223,8 +223,8 @@ def test_early_ends(service):
 
 
 def test_endless_chunked_body_is_answered(service):
-    """It is longer than what the service reads and discards: the reply arrives in the middle of
-    it."""
+    """The body is longer than what the service reads and discards, so the reply arrives in the
+    middle of it."""
     chunk = b"100000\r\n" + bytes(1 << 20) + b"\r\n"
     with socket.create_connection((service.host, service.port), timeout=300) as sock:
         sock.sendall(b"POST /v1/jobs/1/pause HTTP/1.1\r\n" + HOST +

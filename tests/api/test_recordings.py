@@ -40,7 +40,7 @@ def test_recordings_are_deleted(service):
     event = service.get(f"/v1/events?format=json&job={evaluation['id']}")["items"][-1]
     assert event["type"] == "evaluation.recordings_removed"
     assert event["data"] == {"id": evaluation["id"], "bytes": BYTES, "reason": "request"}
-    # The same motion can be computed again, as the detail promises.
+    # The same motion can be recomputed, as the detail promises.
     again = service.request("POST", "/v1/rollouts",
                             RECORDED | {"designs": [{"voxels": evaluation["results"][0]["genotype"]}
                                                     ]},
@@ -63,7 +63,8 @@ def array_of(reply):
 
 
 def test_all_recordings_as_one_array(service):
-    """It holds each rollout, padded for the smaller design with values that no recording has."""
+    """The array has each rollout, padded for the smaller design with values that no recording
+    contains."""
     channels = {"com": None, "masses": 60, "actuation": 78, "contacts": 20}
     evaluation = service.evaluate({"designs": [DESIGN, VOXEL], "physics": SHORT,
                                    "record": list(channels), "record_stride": 5}).json()
@@ -91,7 +92,7 @@ def test_all_recordings_as_one_array(service):
 
 
 def test_what_cannot_be_deleted(service):
-    """Recordings from which an evaluation continues stay."""
+    """Recordings from which an evaluation will continue stay."""
     running = service.post("/v1/evaluations", RECORDED | {
         "priority": "batch", "precision": "float64", "physics": {"n_steps": 200000},
         "record_stride": 200000})
@@ -109,7 +110,7 @@ def test_what_cannot_be_deleted(service):
 
 
 def test_the_oldest_give_way(start, tmp_path):
-    """Three recordings fit into the budget, and after a restart with a smaller one two."""
+    """Three recordings fit into the budget, and two after a restart with a smaller one."""
     budget = ("--max-recorded=16K", "--max-recordings=32K")
     running = start(*budget, state=tmp_path)
     evaluations = [running.evaluate(RECORDED | {"label": str(n)}).json() for n in range(5)]
@@ -130,7 +131,8 @@ def test_the_oldest_give_way(start, tmp_path):
 
 
 def test_no_budget(start):
-    """0: nothing is removed. A smaller budget than one evaluation may record is raised to that."""
+    """With a budget of 0 nothing is removed. A budget smaller than the recordings of one evaluation
+    is raised."""
     for budget in ("0", "1K"):
         running = start("--max-recorded=32K", f"--max-recordings={budget}")
         evaluations = [running.evaluate(RECORDED).json() for _ in range(3)]

@@ -11,7 +11,7 @@ from service import DESIGN, awaited, run
 QUICK = {"n_steps": 30}
 SEARCH = {"mode": "zero-shot", "population": 12, "generations": 3, "physics": QUICK,
           "racing": "off"}
-# All four have 8 images, 4 images, 2 images and 1.
+# They have 8, 4, 2 and 1 different images.
 LEANING = {"cells": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1], [2, 1, 0]]}
 CORNER = {"cells": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]}
 ROW = {"cells": [[0, 0, 0], [1, 0, 0]]}
@@ -35,7 +35,7 @@ def scored(service, designs, **others):
 
 def test_every_image_of_random_bodies(service):
     """Each image is one robot: sending its notation back yields the same bits, for any image and
-    place in the workspace."""
+    any position in the workspace."""
     for body in service.post("/v1/bodies/random", {"count": 12, "seed": 3})["items"]:
         rows = scored(service, list(images(body["genotype"])))
         assert {row["id"] for row in rows} == {body["id"]}
@@ -70,24 +70,24 @@ def test_what_an_id_alone_means(service):
     design = {"id": scored(service, [rows[3]])[0]["id"]}
     [first] = scored(service, [design])
     assert first["robot"].endswith("@3") and first["orientation"] == "best"
-    # Other worlds, physics, precision: nothing is stored.
+    # Other environments, physics or precision: nothing is stored.
     for others in ({"environments": world}, {"physics": {"n_steps": 31}},
                    {"precision": "float64"}):
         [row] = scored(service, [design], **others)
         assert row["robot"].endswith("@0") and row["orientation"] == "canonical"
         [row] = scored(service, [design], **others)
         assert row["robot"].endswith("@0") and row["orientation"] == "best"  # now it is stored
-    # A rollout, a recording and a verification take the same robot.
+    # A rollout, a recording and a verification use the same robot.
     rolled = service.post("/v1/rollouts", {"designs": [design], "physics": QUICK})["designs"][0]
     assert (rolled["robot"], rolled["score"], rolled["orientation"]) == (
         first["robot"], first["score"], "best")
     for others in ({"verify": True}, {"record": ["com"]}):
         assert scored(service, [design], **others) == [first]
-    # A score in only some of the worlds does not count.
+    # A score in only some of the environments does not count.
     two = world + [{"light_xy_m": [0.5, 2.5], "terrain_sigma_m": 0, "seed": 4}]
     scored(service, [{"id": design["id"] + "@5"}], environments=[two[1]])
     assert scored(service, [design], environments=two)[0]["orientation"] == "canonical"
-    # Its place among others, skipped ones and repaired ones, does not matter.
+    # Its position among others, including skipped and repaired ones, does not matter.
     mixed = scored(service, [{"cells": [[0, 0, 9]]}, DESIGN, design, {"id": first["robot"]},
                              {"cells": [[0, 0, 0], [3, 3, 0]]}, design],
                    on_fault="skip", repair="largest")
@@ -118,8 +118,8 @@ def test_where_else_a_robot_is_taken(service):
 
 
 def test_campaigns(service):
-    """The robots that a campaign shows have the scores that it shows, in every form, and so do
-    those of the list of the best designs. An id without an orientation is the robot that the
+    """The robots that a campaign shows have the scores that it shows, in every format; the same
+    holds for the list of the best designs. An id without an orientation means the robot that the
     campaign scored."""
     campaign = run(service, "campaigns", SEARCH)
     path = f"/v1/campaigns/{campaign['id']}"
@@ -137,8 +137,8 @@ def test_campaigns(service):
     for line in service.table(f"{path}/population?format=csv"):
         assert line["robot"] == all_born[int(line["number"])]
         assert line["id"] == "d" + line["robot"][:-2]
-    # Founders that are given by an id without an orientation are the robots that were scored, and
-    # the campaign reports this.
+    # Founders given by an id without an orientation are the robots that were scored, and the
+    # campaign reports this.
     designs = [{"id": item["id"]} for item in born[:3]] + [{"id": born[3]["robot"]}, ROW]
     founded = run(service, "campaigns", dict(SEARCH, generations=1,
                                              initial={"designs": designs}, replicates=2))
@@ -179,7 +179,7 @@ def test_leaderboard(service):
 
 
 def test_trainings(service):
-    """A finetuning learns on the robots that were scored in the test set, and reports this."""
+    """A finetuning learns on the robots that were scored in the test set, and says so."""
     tuning = {"kind": "finetune", "steps": 1, "batch": 4, "physics": {"n_steps": 20}}
     rows = service.evaluate({"designs": list(images(service.post(
         "/v1/bodies/canonical", {"designs": [LEANING]})["items"][0]["genotype"])),
@@ -194,7 +194,7 @@ def test_trainings(service):
 
 
 def test_studies(service):
-    """A child that is given by an id without an orientation is the robot that was scored under the
+    """A child given by an id without an orientation is the robot that was scored under the
     conditions of the study."""
     study = service.post("/v1/campaigns", {"mode": "study", "population": 12, "physics": QUICK})
     path = f"/v1/campaigns/{study['id']}"

@@ -1,4 +1,4 @@
-"""Scores: exchange between services by content, and what is refused."""
+"""Scores: exchange between services by content, and refusals."""
 
 import json
 import random
@@ -65,7 +65,7 @@ def file(home):
 
 
 def test_the_same_scores(home, start, file):
-    """They are the same there, are used there, and are imported once."""
+    """The scores are the same there, are used there, and are imported only once."""
     other = start()
     other.evaluate({"designs": [{"voxels": "1" * 144}], "physics": {"n_steps": 3}})  # ids differ
     before = content(other)
@@ -105,7 +105,7 @@ def test_the_same_scores(home, start, file):
 
 @pytest.mark.parametrize("kind", ["campaign", "verify"])
 def test_an_environment_twice(start, kind):
-    """A row that has an environment twice is exported with it once, and used there."""
+    """A row that contains an environment twice is exported with it once, and used there."""
     here, other = start(), start()
     names = [HERE[0], HERE[1], HERE[0], HERE[0]]
     campaign = CAMPAIGN | {"population": 4, "generations": 1, "environments": names}
@@ -178,7 +178,7 @@ CHANGES = [
 
 
 def test_altered_files_leave_nothing(home, start, file):
-    """Every alteration, even with new hashes everywhere, is refused with an explanation, and
+    """Every alteration, even with recomputed hashes everywhere, is refused with an explanation, and
     nothing of a refused block is stored."""
     other = start()
     first, second = blocks(file)
@@ -234,8 +234,8 @@ def test_a_host_is_no_format(start, file):
 
 
 def test_other_bits_are_told_and_not_stored(home, start, file):
-    """Losses of a liar do not replace stored ones. If they arrive first, they are stored with their
-    origin, by which they are found and repaired."""
+    """Losses from a liar do not replace stored ones. If they arrive first, they are stored with
+    their origin, which makes it possible to find and repair them."""
     first = blocks(file)[0]
     lie = lies(first)
     total = sum(counts(enter(home, file[:12 + len(first)])))

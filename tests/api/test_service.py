@@ -255,8 +255,8 @@ def test_pages_of_other_sites(start, tmp_path, unix):
 
 
 def test_slow_clients_are_cut_off(start):
-    """Sending a byte now and then does not keep a connection: the limits count from the
-    beginning."""
+    """Sending a byte now and then does not keep a connection open: the limits count from its
+    start."""
     running = start("--header-timeout=1s", "--body-timeout=2s", "--idle-timeout=2s")
     beginnings = {
         "header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1),
@@ -295,7 +295,7 @@ def test_slow_clients_are_cut_off(start):
         thread.join()
     for name, (_, limit) in beginnings.items():
         assert limit * 0.8 < ended[name] < SOON_S, ended
-    # The same between requests of one connection.
+    # The same between requests on one connection.
     with socket.create_connection((running.host, running.port)) as sock:
         sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
         sock.settimeout(SOON_S)

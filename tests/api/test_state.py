@@ -1,4 +1,4 @@
-"""The state folder: what survives a start, and what is refused."""
+"""The state folder: what survives a restart, and what is refused."""
 
 import contextlib
 import hashlib
@@ -24,8 +24,8 @@ def morphod(state, *arguments, user=None, text=""):
 
 
 def test_tags_name_the_store(start, tmp_path):
-    """Content that a client cached from one store is not confused with that of another under the
-    same numbers."""
+    """Content that a client cached from one store is not mistaken for content of another store
+    under the same numbers."""
     etags = []
     for name in ("one", "other"):
         running = start(state=tmp_path / name)
@@ -60,7 +60,7 @@ def reset_of(service, last):
 
 @pytest.mark.parametrize("how", ["database", "folder"])
 def test_tags_and_events_name_the_history(start, tmp_path, how):
-    """Content from after a backup is not confused with newer content once the backup is restored. A
+    """Content newer than a backup is not mistaken for later content after the backup is restored. A
     restart changes nothing."""
     state, backup = tmp_path / "state", tmp_path / "backup"
     work = {"designs": [DESIGN], "physics": SHORT}
@@ -93,18 +93,18 @@ def test_tags_and_events_name_the_history(start, tmp_path, how):
         shutil.rmtree(state)
         shutil.copytree(backup, state)
     restored = start(state=state)
-    assert evaluate(restored, 23)[0] == path  # the number is used again
+    assert evaluate(restored, 23)[0] == path  # the number is reused
     assert restored.request("GET", path, headers={"If-None-Match": etag}).status == 200
     for steps in (24, 25, 26):  # more events than were lost
         evaluate(restored, steps)
     page = restored.request("GET", "/v1/events?format=json&after=0").json()
     assert int(page["newest"]) > int(events[-1]) + 2
-    assert not reset_of(restored, events[0])  # which the backup has
+    assert not reset_of(restored, events[0])  # an event that the backup has
     assert reset_of(restored, events[-1])
 
 
 def refused(path, *names, user=None):
-    """Checks that both a start on this folder and its check end with status 78 and show these
+    """Checks that both a start on this folder and its check exit with status 78 and mention these
     names."""
     for flags in (START, (*START, "--check-config")):
         ended = morphod(path, *flags, user=user)
@@ -123,7 +123,8 @@ def test_a_folder_that_others_may_write_to(tmp_path, mode):
 
 
 def test_a_database_that_is_cut_short(start, tmp_path):
-    """Cut by less than a page, which SQLite would fill up; and one without its schema number."""
+    """A file truncated by less than a page, which SQLite would fill up; and one without its schema
+    number."""
     running = start(state=tmp_path / "state")
     running.evaluate({"designs": [DESIGN], "physics": SHORT})
     assert running.stop() == 0
@@ -194,7 +195,7 @@ def test_a_folder_of_somebody_else(start, tmp_path):
 
 
 def test_one_folder_has_one_process(start, tmp_path):
-    """Also when the file of the lock is deleted."""
+    """Also if the lock file is deleted."""
     first = start(state=tmp_path / "state")
     for is_there in (True, False):
         if not is_there:
@@ -283,7 +284,7 @@ def test_a_folder_of_another_version(start, tmp_path, version, words):
 
 
 def test_a_new_folder_starts(start, tmp_path):
-    """Also one in which a first start was killed before the database had its first page."""
+    """Also a folder in which a first start was killed before the database had its first page."""
     state = tmp_path / "state"
     for name in ("controllers", "trainings/3", "campaigns"):
         (state / name).mkdir(parents=True)
@@ -372,7 +373,7 @@ def test_files_of_unused_controllers(start, tmp_path):
 
 
 def test_store_check(start, tmp_path):
-    """A sound store, a damaged one, and one with a different loss and a correct checksum."""
+    """An intact store, a damaged one, and one with a different loss and a correct checksum."""
     state = tmp_path / "state"
 
     def check(*flags):
@@ -398,7 +399,7 @@ def test_store_check(start, tmp_path):
 
 def test_a_clock_that_is_not_credible(start, tmp_path):
     """The stored times are moved back by 400 days, as if the clock were wrong: nothing is deleted
-    by age, and the service reports this, until a user confirms the clock."""
+    by age, and the service reports this until a user confirms the clock."""
     state = tmp_path / "state"
     flags = ["--keep-evaluations=90d"]
     service = start(*flags, state=state)

@@ -1,5 +1,5 @@
-"""Settings far outside the range of the physics: no number that is not finite gets into a reply,
-the database or a controller; divergence is reported."""
+"""Settings far outside the range of the physics: non-finite numbers never appear in a reply, the
+database or a controller; divergence is reported."""
 
 import json
 import math
@@ -55,7 +55,7 @@ def learn(service, controller, physics):
     if training["state"] == "succeeded":
         result = service.request("GET", training["links"]["controller"]).body
         assert all_finite(parts(result)[1])
-        # A checkpoint with a moment that is not finite would not be read.
+        # A checkpoint with a non-finite moment would not be read.
         assert all_finite(
             parts(service.request("GET",
                                   training["links"]["controller"] + f"?step={STEPS - 1}").body)[1])

@@ -168,7 +168,7 @@ def test_a_study(service):
         assert reply.status == 409 and words in reply.json()["detail"], reply.body
         assert reply.headers["Morphod-Next-Batch"] == "1"
 
-    # The client selects; parents are any that were born.
+    # The client selects; parents can be any designs that were born.
     told = tell(service, id, 1, [{"body": COLUMN, "parents": [3, 1], "operator": "crossover"}],
                 survivors=[2, 0])
     assert told["children"][0]["parents"] == [3, 1] and told["children"][0]["number"] == 4
@@ -176,7 +176,7 @@ def test_a_study(service):
     assert {row["number"] for row in living} == {0, 2, 4}
     assert [row["score"] for row in living] == sorted(row["score"] for row in living)
     reply = service.request("GET", path + "/sampler")
-    assert reply.status == 404  # this batch came without it
+    assert reply.status == 404  # this batch was sent without it
     tell(service, id, 2, [{"body": BAR, "parents": [1]}], survivors=[], sampler_state=packed(b"2"))
     assert [row["number"] for row in service.pages(path + "/population")] == [5]
     reply = service.tagged(path + "/sampler")
@@ -212,7 +212,7 @@ def test_a_study(service):
 
 
 def test_ask(service):
-    """The service varies and selects; it makes only unseen bodies."""
+    """The service varies and selects; it produces only unseen bodies."""
     id = new(service, population=12, seed=5)
     path = f"/v1/campaigns/{id}"
     seen, sizes = set(), []
@@ -336,7 +336,7 @@ def test_pause_and_a_batch_that_waits(service):
 
 
 class Elites:
-    """Seeded MAP-Elites over the number of voxels and the height. Its kept state is complete: it
+    """Seeded MAP-Elites over the number of voxels and the height. Its saved state is complete: it
     continues with the scores of the bodies that it asked for."""
 
     def __init__(self, kept=None):

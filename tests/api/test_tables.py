@@ -1,4 +1,4 @@
-"""Lists and curves as CSV, NDJSON and columns: the same values as in the pages of JSON."""
+"""Lists and curves as CSV, NDJSON and columns: the same values as in the JSON pages."""
 
 import csv
 import io
@@ -104,7 +104,7 @@ def test_the_same_in_every_form(service, campaign, path):
 
 
 def test_long_lists_are_whole(service, campaign):
-    """More items than a page; `limit` and `cursor` cut them as they cut pages."""
+    """More items than fit on a page; `limit` and `cursor` work as for pages."""
     service.evaluate({"designs": [{"cells": [[x, y, z] for x in range(a) for y in range(b)
                                              for z in range(c)]}
                                   for a in range(1, 7) for b in range(1, 7) for c in range(1, 5)],
@@ -134,7 +134,7 @@ def test_no_cell_is_taken_for_a_number(service, campaign):
 
 
 def test_refusals_are_problems(service, campaign):
-    """A list that cannot be read, and an unknown form, are refused as in JSON."""
+    """A list that cannot be read, and an unknown format, are refused as in JSON."""
     for query in ("?format=tsv", "?format=csv&limit=0", "?format=csv&limit=-1",
                   f"?format=ndjson&limit={2**64}", "?format=ndjson&cursor=x",
                   "?format=columns&state=odd"):

@@ -92,7 +92,7 @@ def test_a_missing_or_wrong_token(service):
                          ("DELETE", "/v1/controllers/default")):
         body = b"{}" if method == "POST" else None
         assert service.request(method, path, body=body).status == 401
-        # Too long, too short, the beginning of another one, and one in another form.
+        # Too long, too short, the beginning of another one, and one in another format.
         for token in (TOKENS["read"] + "x", TOKENS["read"][:-1], "", "x" * 600):
             headers = {"Authorization": "Bearer " + token}
             assert service.request(method, path, body=body, headers=headers).status == 401
@@ -179,8 +179,8 @@ def test_errors_of_the_file(start, tmp_path, text, words):
 
 
 def test_no_token_in_the_log(service, tokens):
-    """It contains names but no tokens: whether sent correctly, incorrectly, in a query, or read
-    again."""
+    """The log contains names but no tokens, no matter if a token is sent correctly, incorrectly, in
+    a query, or reloaded."""
     wrong = "an-unknown-token-of-some-length"
     service.request("GET", "/v1/jobs", headers=as_("read"))
     service.request("DELETE", "/v1/controllers/x", headers=as_("read"))
@@ -194,7 +194,7 @@ def test_no_token_in_the_log(service, tokens):
     assert all(secret not in log for secret in (*TOKENS.values(), wrong))
     assert f'user="{NAMES["read"]}"' in log or f"user={NAMES['read']}" in log
     assert "line 2" in log
-    # What was refused changed nothing.
+    # The refused file changed nothing.
     assert service.get("/v1/whoami", headers=as_("read"))["name"] == NAMES["read"]
 
 
@@ -208,7 +208,7 @@ def test_rights_are_read_again(service, tokens):
 
 
 def test_a_token_on_loopback_and_on_the_unix_socket(start, tokens, tmp_path):
-    """If no token is needed, one that is sent still counts. A user of the unix socket needs
+    """Even if no token is needed, a token that is sent counts. A user of the unix socket needs
     none."""
     service = start(f"--token-file={tokens}", listen=("127.0.0.1:0", f"unix:{tmp_path}/socket"))
     for unix in (False, True):
@@ -308,7 +308,7 @@ class Forwarder:
             relay(near, far)
 
     def status(self, method, path, **headers):
-        """The status of a request with these header fields, and no others."""
+        """Returns the status of a request with only these header fields."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=300)
         connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
         for name, value in headers.items():
@@ -328,14 +328,14 @@ def forwarded(start, tmp_path):
 
 
 def test_no_page_reaches_a_forwarded_socket(forwarded):
-    """A browser sends the host of the page's address; only loopback names are answered."""
+    """A browser sends the host of the page's address; only loopback names are accepted."""
     own = f"localhost:{forwarded.port}"
     for host in (own, f"127.0.0.1:{forwarded.port}", f"[::1]:{forwarded.port}"):
         for path in ("/", "/v1/jobs", "/v1/whoami"):
             assert forwarded.status("GET", path, Host=host) == 200, host
             assert forwarded.status("GET", path, Host=host, Origin=f"http://{host}",
                                     Sec_Fetch_Site="same-origin") == 200
-    # A name that resolves to 127.0.0.1 when the page asks again: DNS rebinding.
+    # A name that resolves to 127.0.0.1 at the second request of the page: DNS rebinding.
     for host in ("rebound.example", f"rebound.example:{forwarded.port}", "localhost.example",
                  f"127.0.0.1.example:{forwarded.port}", "192.0.2.7", "[2001:db8::1]"):
         for method, path in (("GET", "/"), ("GET", "/v1/jobs"), ("POST", "/v1/evaluations")):

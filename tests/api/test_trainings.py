@@ -185,7 +185,7 @@ def test_curve(service, trained):
 
 
 def test_validations(service, trained):
-    """The last one equals an evaluation of the held-out set with the result."""
+    """The last validation equals an evaluation of the held-out set with the result."""
     path = trained["links"]["validations"]
     rows = service.pages(path)
     assert [row["step"] for row in rows] == [0, 3, 6] and trained["validation"] == rows[-1]
@@ -263,7 +263,7 @@ def test_checkpoints_are_deleted(service):
     assert service.get(itself)["checkpoint_step"] is None
     gone = service.request("GET", running["links"]["controller"])
     assert gone.status == 404 and "ended" in gone.json()["detail"]
-    # One that has succeeded has a controller of its own.
+    # A training that has succeeded has a resulting controller.
     links = train(service, TUNE | {"name": "pruned"})["links"]
     assert delete(links["checkpoints"])["items"] == [{"step": 6}, {"step": 4}]
     service.refuses(links["controller"], "?step=6", status=200)

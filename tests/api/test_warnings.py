@@ -119,7 +119,8 @@ def test_an_evaluation_in_which_some_diverge(service):
 
 @pytest.mark.parametrize("steps, least", [(1, 1), (6, 6), (300, 10)])
 def test_a_training_in_which_all_diverge_fails(service, steps, least):
-    """Early, with its curve, and without a controller that has learned nothing."""
+    """The warning comes early; the training keeps its curve, and a controller that has learned
+    nothing is not stored."""
     job = service.post("/v1/trainings", TUNE | {"steps": steps, "name": f"stiff-{steps}"})
     failed = await_end(service, f"/v1/trainings/{job['id']}").json()
     assert failed["state"] == "failed" and failed["attempts"] == 1, failed

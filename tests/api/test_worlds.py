@@ -1,4 +1,5 @@
-"""Worlds, bodies, scenes and rollouts: what a viewer needs, and that it agrees with evaluations."""
+"""Environments, bodies, scenes and rollouts: what a viewer needs, and that it agrees with
+evaluations."""
 
 import hashlib
 import json

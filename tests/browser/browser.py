@@ -1,4 +1,4 @@
-"""A headless Chromium on a running morphod, and what every page must satisfy."""
+"""A headless Chromium with a running morphod, and requirements of every page."""
 
 import base64
 import pathlib

@@ -1,4 +1,4 @@
-"""Links lead to what they name, in its world, and back to where the user was."""
+"""Links lead to what they name, in its environment, and back to where the user was."""
 
 import json
 import re
@@ -30,14 +30,14 @@ BROKEN = {
 
 @pytest.fixture(scope="module")
 def own(service):
-    """An evaluation in its own world."""
+    """An evaluation in a custom environment."""
     return run(service, "evaluations", {
         "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 150},
         "environments": [{"light_xy_m": [0.5, 1.0], "terrain_sigma_m": 0.02, "seed": 4}]})
 
 
 def test_broken_links_say_what_is_wrong(service, browser, own):
-    """They show nothing else."""
+    """The pages show nothing else."""
     browser.open("designs")
     for view, text in BROKEN.items():
         view = view.format(evaluation=own["id"], campaign=service.campaign,
@@ -53,7 +53,7 @@ def test_broken_links_say_what_is_wrong(service, browser, own):
 
 
 def test_the_stage_has_the_world_of_a_score(service, browser, own):
-    """It has the environments, physics and controller, and shows them; so do the commands to
+    """The stage has the environments, physics and controller, and shows them; so do the commands to
     copy."""
     best = min(own["results"], key=lambda row: row["score"])
     browser.open(f"designs?evaluation={own['id']}")
@@ -91,7 +91,7 @@ def test_the_stage_has_the_world_of_a_score(service, browser, own):
 
 
 def test_back_leads_to_where_one_was(service, browser):
-    """The place on the page and the choices are restored; an open dialog is closed."""
+    """The position on the page and the choices are restored; an open dialog is closed."""
     service.evaluate({"designs": [{"cells": [[x, 0, 0] for x in range(n)]} for n in (1, 2, 3)]})
     browser.open("designs")
     browser.until("document.querySelectorAll('.card').length > 2")
@@ -135,7 +135,7 @@ def test_the_shelf_of_the_editor_stays(browser):
     browser.click("Undo")
     assert browser.run(f"return {voxels}") == "1" + "0" * 143
     browser.click("Keep")
-    browser.click("Keep")  # the same body again
+    browser.click("Keep")  # the same body
     browser.until(TOAST + "?.innerText.includes('kept already')")
 
 
@@ -190,7 +190,7 @@ def fill(browser, values):
 
 
 def test_a_finetuning_from_the_form(service, browser):
-    """On random bodies and on a population. The form of a pretraining does not request bodies."""
+    """Tests random bodies and a population. The form of a pretraining does not request bodies."""
     browser.open("trainings")
     browser.click("New training")
     browser.until("document.querySelector('dialog[open] form')")
@@ -242,7 +242,7 @@ def test_forms_say_what_they_leave_open(service, browser):
 
 
 def test_dialogs_are_forms(service, browser):
-    """Enter sends them, and the browser checks their bounds."""
+    """Enter submits the form, and the browser checks the bounds."""
     from selenium.webdriver.common.keys import Keys
     browser.open("campaigns/" + service.campaign)
     browser.click("Extend")

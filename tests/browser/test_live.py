@@ -63,7 +63,8 @@ def test_a_refresh_leaves_what_is_typed_and_has_the_focus(browser, busy):
 
 
 def test_lists_are_patched_around_what_is_in_use(browser):
-    """Elements are kept by key. The one with the focus stays in its place, for any order."""
+    """Elements are kept by key. The one with the focus stays in the document, whatever the new
+    order."""
     browser.open("nowhere")
     orders = module(browser, "dom", """({ patch, h }) => {
         const list = h('div');
@@ -86,7 +87,7 @@ def test_lists_are_patched_around_what_is_in_use(browser):
 
 
 def test_styles_are_classes(service, browser):
-    """The attribute is forbidden by the policy; a note keeps its lines without it."""
+    """The policy forbids the attribute; a note keeps its lines without it."""
     browser.open("campaigns/" + service.campaign)
     browser.until("document.querySelector('.remark').innerText")
     assert browser.texts(".remark") == ["in first steps – It falls.\nIt gets up."]
@@ -114,7 +115,7 @@ def test_refusals_and_news_are_seen(browser, busy):
 
 
 def test_the_phase_before_the_first_generation_is_named(browser, service, busy):
-    """There are no events in this phase: the page polls."""
+    """There are no events during this phase, so the page polls."""
     browser.open("campaigns")
     browser.run("""
         const { fetch } = window;
@@ -147,7 +148,7 @@ def test_a_study_waits_for_its_client(service, browser):
 
 
 def test_axes_and_single_values_of_charts(browser):
-    """An axis with a range keeps it. A single value is drawn completely, also at the edge."""
+    """An axis with a fixed range keeps it. A single value is drawn completely, even at the edge."""
     browser.open("nowhere")
     scale, n, whole = module(browser, "chart", """({ Chart }) => {
         const made = (xRange) => {
@@ -167,7 +168,7 @@ def test_axes_and_single_values_of_charts(browser):
         return [[x0, x1], n, made()[1]];
     }""")
     assert scale == [-60, 0]
-    assert n == pytest.approx(whole, abs=3) and whole > 18  # of 28, less the softened rim
+    assert n == pytest.approx(whole, abs=3) and whole > 18  # of 28, minus the antialiased rim
 
 
 def test_champions_begin_with_the_best(service, browser):

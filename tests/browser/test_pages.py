@@ -41,8 +41,8 @@ def test_page(service, browser, view, theme):
     assert not re.search(r"\b(null|undefined|NaN)\b", text), text
 
 
-# Requirements of users who cannot see the page or have no mouse: names for all controls, a label
-# for each picture, one main heading, and text with enough contrast.
+# Requirements of users who cannot see the page or use a mouse: names for all controls, a label for
+# each picture, one main heading, and text with enough contrast.
 ACCESSIBILITY = """
 const faults = [];
 const shown = (e) => e.offsetParent !== null || getComputedStyle(e).position === 'fixed';
@@ -173,7 +173,7 @@ def test_what_the_editor_does(service, browser):
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.click("Keep")  # the same form, and so the same founder
     assert browser.run("return document.querySelectorAll('.card').length") == 1
-    browser.click("Cross")  # campaigns place the parents first, which makes these equal
+    browser.click("Cross")  # campaigns place the parents first, which makes these two equal
     browser.until("/equal, so no voxel is left/.test(document.getElementById('toast').innerText)")
     assert browser.run(f"return {voxels}") == moved
     browser.click("Undo")
@@ -290,7 +290,7 @@ def test_links_carry_the_orientation(service, browser):
     selected = "[...document.querySelectorAll('[aria-selected=true]')]"
     browser.until(f"{selected}.map((e) => e.dataset.cell).sort().join(' ') === "
                   f"{' '.join(sorted(cells))!r}")
-    # An id without an orientation becomes the robot that walks, and stays it.
+    # An id without an orientation becomes the robot that walks, and stays that robot.
     browser.open("stage?designs=" + robot[:-2])
     browser.until(f"decodeURIComponent(location.hash).includes('designs={robot}')")
     assert browser.faults() == []
@@ -388,7 +388,7 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
 
 
 def test_lower_bounds_are_no_scores(service, browser):
-    """They are faint, outside the color scale, and marked as bounds."""
+    """Lower bounds are faint, outside the color scale, and marked."""
     id = run(service, "campaigns", RACED | {"generations": 2})["id"]
     rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
     bound = next(row for row in rows if row["lower_bound"])
@@ -431,7 +431,7 @@ COPIED = [
 
 
 def test_an_evaluation_too_large_for_a_list(service, browser):
-    """Its best designs are read from pages of results."""
+    """The best designs of a large evaluation are read from pages of results."""
     value = run(service, "evaluations", {
         "random": {"count": 10_200, "seed": 3}, "best": 4, "physics": {"n_steps": 5},
         "environments": [{"light_xy_m": [4, 3], "terrain_sigma_m": 0, "seed": 1}]})
@@ -554,7 +554,7 @@ def test_two_controllers_are_compared(service, browser):
     assert browser.faults() == []
 
 
-STATES = {  # what a page shows if there is nothing, or not what the address names
+STATES = {  # what a page shows if there is no data, or the address has another name
     "campaigns": "No campaign yet", "trainings": "No training yet",
     "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
     "": "No job yet", "campaigns/99": "There is no such campaign",
@@ -568,10 +568,10 @@ STATES = {  # what a page shows if there is nothing, or not what the address nam
 
 
 def test_machines_are_shown_and_changed(start):
-    """Which machines compute, which were lost, and an operator's actions on a worker."""
+    """Which machines compute, which ones were lost, and an operator's actions on a worker."""
     workers = Workers(start("--fleet-listen=127.0.0.1:0"))
     service = workers.service
-    page = Browser(service)  # before the workers join: they are lost if they are silent for long
+    page = Browser(service)  # before the workers join, because they are lost if they are silent for long
     try:
         names = ["<b>one</b>", "two", "gone"]
         sessions = [workers.join(name=name, version="0.0.1") for name in names]
@@ -628,8 +628,8 @@ def test_the_page_says_that_the_service_is_down_and_comes_back(start, browser):
 
 
 def test_jobs_in_order(service, browser):
-    """A job gets a note, is archived, is found again, and is deleted after a confirmation that
-    names the loss."""
+    """A job gets a note, is archived, is found again, and is deleted after a confirmation that says
+    what will be lost."""
     job = run(service, "evaluations", {"designs": [DESIGN], "physics": {"n_steps": 20},
                                        "label": "in order"})["id"]
     rows = "document.querySelectorAll('table.jobs tbody tr').length"

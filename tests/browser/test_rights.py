@@ -1,4 +1,4 @@
-"""What pages offer to users who may only read, and links with another token."""
+"""What pages offer to users who may only read; links with another token."""
 
 
 import pytest
@@ -94,7 +94,7 @@ def whose(page):
 
 
 def test_a_link_asks_before_it_replaces_a_token(guarded, page):
-    """Only if the other one works. In any case, the token is removed from the address
+    """The other token is used only if it works. In any case, it is removed from the address
     immediately."""
     shown(page, "", SUBMIT)
     page.until("document.querySelector('.caller').innerText.includes('sam')")

@@ -64,7 +64,7 @@ def test_masses_are_where_the_recording_has_them(service, browser):
 
 
 def test_what_springs_do_and_what_touches_the_ground(service, browser):
-    """The stage has the channels of the recording, and they change what it draws."""
+    """The stage has the channels of the recording, and they affect the drawing."""
     browser.open("stage?environment=2")
     browser.until_walking()
     shapes = browser.run("""
@@ -145,7 +145,7 @@ class Glb:
 
 
 def test_a_model_for_other_programs(model):
-    """GLB: at least 25 frames a second, and every mass within 1 mm at every frame."""
+    """GLB: at least 25 frames per second, and every mass within 1 mm at every frame."""
     file, n, frame_s, track = model
     glb = Glb(file)
     sampler = glb.header["animations"][0]["samplers"][0]
@@ -159,8 +159,8 @@ def test_a_model_for_other_programs(model):
 
 
 def test_assimp_loads_the_model(model):
-    """It finds one mesh with every mass, a target per frame, and the animation. The file that it
-    saves also has every mass within 1 mm."""
+    """Blender finds one mesh with every mass, a target per frame, and the animation. The file that
+    it saves also has every mass within 1 mm."""
     file, n, frame_s, track = model
     info = subprocess.run(["assimp", "info", file], capture_output=True, text=True, check=True)
     told = dict(re.findall(r"^(\w+): +(\d+)$", info.stdout, re.M))
@@ -179,7 +179,7 @@ def test_assimp_loads_the_model(model):
 
 
 def test_a_page_of_its_own(service, browser, tmp_path):
-    """The saved page needs no service: it walks from a file."""
+    """The saved page needs no service: the robot walks from a file."""
     browser.open("stage")
     browser.until_walking()
     text = browser.driver.execute_async_script("""
