@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""What ninja has to build for some of a build folder's tests: `targets.py FOLDER --suite NAME…` or
-`--no-suite NAME…`, as meson test."""
+"""Prints what ninja has to build for some of the tests of a build folder: `targets.py FOLDER
+--suite NAME…` or `--no-suite NAME…`, as for meson test."""
 import argparse
 import json
 import os

@@ -218,7 +218,7 @@ def test_idle_connections_give_way_oldest_first(start):
     service = start("--max-connections=64", "--header-timeout=60s")  # 8 of them are kept
     time.sleep(0.5)  # the readiness checks have closed their connections
     used = service.connection(
-    )  # not the connection that has been idle the longest, although it was first
+    )  # first, but not idle the longest
     used.connect()
     working = streams(service, 20)
     waiting = service.connection()

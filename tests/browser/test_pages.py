@@ -571,7 +571,7 @@ def test_machines_are_shown_and_changed(start):
     """Which machines compute, which ones were lost, and an operator's actions on a worker."""
     workers = Workers(start("--fleet-listen=127.0.0.1:0"))
     service = workers.service
-    page = Browser(service)  # before the workers join, because they are lost if they are silent for long
+    page = Browser(service)  # before the workers join: long silence loses them
     try:
         names = ["<b>one</b>", "two", "gone"]
         sessions = [workers.join(name=name, version="0.0.1") for name in names]

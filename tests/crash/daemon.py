@@ -20,15 +20,15 @@ MORPHOCTL = BUILD / "clients" / "morphoctl" / "morphoctl"
 ACCEPTED = (200, 202)
 ENDED = ("succeeded", "failed", "cancelled")
 # Time limit of a wait for something that must happen. It is far above the usual time, because the
-# machine may be slow and have other work.
+# machine may be slow and busy.
 PATIENCE_S = 300
-# The service stops at most 9 s after the signal. The rest is for such a machine.
+# The service stops within 9 s of the signal. The rest is for such a machine.
 STOP_S = 40
 CONTROLLER = REPOSITORY / "data" / "controllers" / "bootstrap.safetensors"
 
 
 def grow(generator):
-    """Returns a random contiguous body as a text of 144 digits."""
+    """Returns a random contiguous body as 144 digits."""
     cells = {(generator.randrange(6), generator.randrange(6), generator.randrange(4))}
     size = generator.randint(1, 40)
     while len(cells) < size:
@@ -113,7 +113,7 @@ class Daemon:
         return status, time.monotonic() - begin
 
     def end(self):
-        """Stops in order, and checks that the database is sound."""
+        """Stops in order, and checks that the database is intact."""
         assert self.stop()[0] == 0, self.tail()
         check_database(self.state)
 
@@ -234,7 +234,7 @@ def stored_scores(state):
 
 
 def check_database(state):
-    """Checks the conditions for every database that no process uses."""
+    """Checks requirements of every database that no process uses."""
     database = open_database(state)
     assert database.execute("PRAGMA integrity_check").fetchall() == [("ok", )]
     assert database.execute("PRAGMA foreign_key_check").fetchall() == []
@@ -242,7 +242,7 @@ def check_database(state):
                        ("controllers", "sha256")):
         total, distinct = database.execute(
             f"SELECT count(*), count(DISTINCT {key}) FROM {table}").fetchone()
-        assert total == distinct, f"{table}: {total - distinct} rows are there twice"
+        assert total == distinct, f"{table}: {total - distinct} rows are duplicates"
     stored_scores(state)
     for (row, ) in database.execute(
             "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND "

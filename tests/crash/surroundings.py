@@ -29,7 +29,8 @@ def pytest_report_header(config):
 
 @pytest.fixture
 def folder():
-    """A folder for one test, outside the working tree: a unix path in it stays short."""
+    """A folder for one test, outside the working tree so that the path of a unix socket in it stays
+    short."""
     path = tempfile.mkdtemp(prefix="morphod-crash-")
     yield path
     shutil.rmtree(path, ignore_errors=True)
@@ -37,7 +38,7 @@ def folder():
 
 @pytest.fixture
 def daemon(folder):
-    """daemon(**settings) makes one; all are closed at the end."""
+    """daemon(**settings) makes one; all are closed at the end of the test."""
     made = []
 
     def make(name="one", **settings):

@@ -1,5 +1,5 @@
 """Campaigns end with the same designs, scores, phylogeny, populations and controller, bit for bit,
-whatever kills them and with any number of workers. A kill costs a block of work."""
+regardless of kills and of the number of workers. A kill costs a block of work."""
 import random
 
 import pytest
@@ -62,7 +62,7 @@ def test_kill_at_random_moments(daemon, soak, seed, mode):
         done = kill_one_campaign(daemon, generator, value, f"{mode}-{rounds}", n_kills - kills)
         kills, kills_while_running = kills + done[0], kills_while_running + done[1]
         rounds += 1
-        assert rounds <= n_kills, "campaigns end before anything kills them"
+        assert rounds <= n_kills, "campaigns end before they can be killed"
     print(f"{mode}: {kills} kills of {rounds} campaigns, {kills_while_running} while they ran")
     assert 2 * kills_while_running >= kills
 

@@ -1,5 +1,5 @@
 """Deletion of a campaign with many designs, killed at any moment: the job is gone permanently, the
-next start continues the deletion, and the database stays sound. Other writes happen between its
+next start continues the deletion, and the database stays intact. Other writes happen between its
 steps."""
 import random
 import sqlite3

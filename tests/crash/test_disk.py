@@ -25,7 +25,7 @@ def rows_of(daemon, job):
 
 @pytest.fixture(name="one")
 def daemon_on_small_disk(small_disk):
-    """Its state is on the small disk, but not its log. Tests start it."""
+    """A daemon with its state, but not its log, on the small disk. Tests start it."""
     one = Daemon(small_disk / "d", small_disk.parent)
     yield one
     one.close()
@@ -43,7 +43,7 @@ def test_full_disk(one, small_disk, seed):
                          key=f"full {k}")
         if reply.status_code in (200, 202):
             accepted.append(
-                reply.json()["id"])  # the write-ahead log had a few pages of its own left
+                reply.json()["id"])  # the write-ahead log still had a few free pages
             continue
         assert reply.status_code in FULL, reply.text
         assert reply.headers["Content-Type"].startswith("application/problem+json")
@@ -113,8 +113,8 @@ def test_full_disk_while_designs_are_stored(one, small_disk):
 
 
 def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
-    """Whatever waits for room, and however often it retries, users can pause, cancel and read. The
-    reserved room is restored first."""
+    """No matter which jobs wait for room and how often they retry, users can pause, cancel and
+    read. The reserved room is restored first."""
     reserve = one.state / "reserve"
 
     def held():
@@ -143,7 +143,7 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     whole = held()
     filler = fill(small_disk)
     one.until(lambda: all("no space" in (campaign(job)["reason"] or "") for job in jobs))
-    for k in range(30):  # the log may have a few pages of its own left
+    for k in range(30):  # the log may still have a few free pages
         one.act(first, "pause")
         time.sleep(0.3)
         ask("resume", first, 200, 202, 507)
@@ -184,7 +184,7 @@ def test_killed_on_a_full_disk(one, small_disk, seed):
     ]
     whole = reserve.stat().st_size
     filler = fill(small_disk)
-    for _ in range(200):  # the log may have a few pages of its own left
+    for _ in range(200):  # the log may still have a few free pages
         if submit() in FULL:
             break
     one.act(jobs[0], "cancel")
@@ -206,7 +206,7 @@ def test_killed_on_a_full_disk(one, small_disk, seed):
         try:
             status = one.process.wait(3)
             break
-        except subprocess.TimeoutExpired:  # the log had a few pages of its own left
+        except subprocess.TimeoutExpired:  # the log still had a few free pages
             one.kill()
     assert status == 74, one.tail()
     assert "no space" in one.tail() and "make room" in one.tail(), one.tail()
@@ -235,14 +235,14 @@ def test_start_on_a_full_disk(one, small_disk, seed):
 
 
 def test_start_on_a_full_disk_of_small_blocks(small_blocks):
-    """However little room is left, the start succeeds or is refused, but is never killed while it
-    writes to mapped memory."""
+    """However little room is left, the start either succeeds or is refused. The process is never
+    killed while it writes to mapped memory."""
     one = Daemon(small_blocks / "d", small_blocks.parent, workers=1)
     with one:
-        pass  # killed: the next start makes a new index of the log
+        pass  # killed: the next start creates a new index of the log
     statuses = []
     for free in range(0, 80, 4):
-        for name in ("reserve", "morphod.db-shm"):  # made again
+        for name in ("reserve", "morphod.db-shm"):  # created again
             (one.state / name).unlink(missing_ok=True)
         filler = fill(small_blocks)
         with open(filler, "r+b") as file:
@@ -275,7 +275,7 @@ def refuses(state, user=None, words=()):
 
 def test_unwritable_state_folder(folder):
     if os.geteuid() == 0 and shutil.which("setpriv") is None:
-        pytest.skip("root can write everywhere, and there is no setpriv to become somebody else")
+        pytest.skip("root can write everywhere, and setpriv is missing")
     user = 65534 if os.geteuid() == 0 else None
     os.chmod(folder, 0o755)
     state = pathlib.Path(folder) / "state"

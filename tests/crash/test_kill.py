@@ -1,5 +1,5 @@
 """kill -9 at random moments: no acknowledged work is lost, nothing is duplicated, and every bit is
-as without a crash."""
+the same as without a crash."""
 import pathlib
 import random
 
@@ -54,8 +54,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
     for kill in range(n_kills):
         victim.start()
         try:
-            # New work every few kills, with new environments, so that the store has nothing of it
-            # yet.
+            # New work every few kills, with new environments, so that the store has none of its
+            # scores.
             if kill % 4 == 0:
                 round_of += 1
                 for k, request in enumerate(batches(seed)):
@@ -69,8 +69,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
                     reply = victim.evaluate(own, key=key)
                     assert reply.status_code == 202, reply.text
                     acknowledged[key] = (own, reply.json()["id"])
-            # A request with a reply that may be lost: acknowledged or not, repeating it with its
-            # key must be safe.
+            # A request with a reply that may be lost: whether it was acknowledged or not, repeating
+            # it with its key must be safe.
             key = f"cut {kill}"
             own = {"designs": bodies(seed + kill, 3), "physics": PHYSICS}
             acknowledged.setdefault(key, (own, None))
@@ -108,7 +108,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
     for key, value in undisturbed.items():
         assert after.get(key) == value
 
-    # Work that was computed between kills has the bits of a run without kills.
+    # Work that was computed between kills has the same bits as in a run without kills.
     replay = daemon("replay")
     with replay:
         for job in [replay.submit(request) for request, _ in acknowledged.values()]:
@@ -143,7 +143,7 @@ def test_kill_in_a_race(daemon, soak, seed):
                      victim.json(f"/v1/jobs/{job}")["state"] == "succeeded", 120)
         victim.kill()
     saved = len(stored_scores(victim.state))
-    print(f"{saved} of {needed} rollouts were saved before the last life")
+    print(f"{saved} of {needed} rollouts were saved before the last start")
     with victim:
         result = victim.succeed(victim.submit(request, key="race"))
         assert victim.counted("morphod_rollouts_total") == needed - saved

@@ -75,8 +75,8 @@ def saying(content, **said):
 
 
 def test_small_memory(folder, cgroup):
-    """A matrix of jobs, one by one and all at once, where a default campaign would need more memory
-    than there is."""
+    """A matrix of jobs, one by one and all at once, where a default campaign would need more than
+    the available memory."""
     with Small(f"{folder}/one", cgroup, workers=2) as one:
         def end(job):
             now = one.awaited(job, lambda now: now["state"] in ENDED, 300, 0.1)
@@ -143,7 +143,7 @@ def test_killed_again_and_again(daemon):
     (one.state / "crash-marker").write_text("boot 00000000-0000-0000-0000-000000000000\n")
     one.start()
     assert one.json(path)["attempts"] == 0
-    # A fault outside any job, in the main thread, counts against no job.
+    # A fault outside any job, in the main thread, is not counted against a job.
     await_running()
     ctypes.CDLL(None).tgkill(one.process.pid, one.process.pid, signal.SIGSEGV)
     one.process.wait(PATIENCE_S)

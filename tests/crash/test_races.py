@@ -1,6 +1,6 @@
-"""Campaigns with races equal those without, bit for bit, except for children that were cut short;
-also when kills disturb them, and for any number of workers. Power cuts: tests/unit/jobs/races.c;
-workers on other machines: tests/fleet/test_same_bits.py."""
+"""Campaigns with races equal those without, bit for bit, except for children that were cut short,
+even after kills, and for any number of workers. Power cuts: tests/unit/jobs/races.c; workers on
+other machines: tests/fleet/test_same_bits.py."""
 import random
 
 import pytest
@@ -16,7 +16,7 @@ def values(mode, soak):
         value = {"mode": mode, "seed": seed, "exclude_pretraining": False}
         few = {} if mode == "zero-shot" else {"controller": "default"}
         learning = {"parent_steps": 1, "child_steps": 1, "checkpoint_every_s": 1}
-        longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut
+        longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut short
         yield value | few | RACE | longer | ({"learning": learning | {"batch": 4}} if few else {})
         if soak:
             yield value | few | {"preset": "demo"}

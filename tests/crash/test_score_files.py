@@ -68,7 +68,7 @@ def test_kill_while_scores_enter(daemon, soak, seed, tmp_path):
     known = sum(one["known"] for one in told)
     assert known + sum(one["new"] for one in told) == 4 * 9 * CAMPAIGN["population"]
     assert known >= acknowledged, "acknowledged is durable"
-    print(f"{known} rollouts were entered by the last kill")
+    print(f"{known} rollouts were stored before the last kill")
     victim.succeed(victim.submit(CAMPAIGN, "campaigns"), "campaigns")
     assert computed(victim) == 0
     victim.end()

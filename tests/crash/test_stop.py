@@ -1,4 +1,4 @@
-"""Orderly ends and reloads."""
+"""Orderly stops and reloads."""
 import ctypes
 import json
 import os
@@ -63,7 +63,7 @@ def test_idle_stop_is_immediate(daemon, number):
 
 
 def test_logs(daemon, seed):
-    """Every line is a record; requests, job transitions and the end are there."""
+    """Every line is a record; requests, job transitions and the stop are logged."""
     one = daemon("logs", log_format="json", log_level="debug").start()
     job = one.score(
         {"designs": bodies(seed, 2), "physics": {"n_steps": 50},
@@ -116,7 +116,7 @@ def test_sighup_reloads_tokens_and_level(daemon):
     log = one.log.read_text()
     assert "setting=log_level" in log
     assert "needs a restart" in log and "setting=workers" in log
-    # A fault keeps everything as it was.
+    # A reload with a fault changes nothing.
     config.write_text(f"token_file = {tokens}\nlog_level = loud\n")
     reload("reload refused")
     assert status("second-token-0123456789") == 200

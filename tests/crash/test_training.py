@@ -1,5 +1,5 @@
-"""Trainings end with the same weights, bit for bit, whatever kills them, with any number of
-workers, and when the disk fills up."""
+"""Trainings end with the same weights, bit for bit, regardless of kills, the number of workers, and
+a full disk."""
 import hashlib
 import pathlib
 import random
@@ -27,7 +27,8 @@ def pretraining(seed, steps, **more):
 
 
 def work(daemon):
-    """Returns the blocks that this process has computed: of gradients and of validations."""
+    """Returns the number of blocks that this process has computed for gradients and for
+    validations."""
     return daemon.counted("morphod_blocks_total")
 
 
@@ -83,7 +84,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
             assert quiet.stop()[0] == 0
         learned = curve(quiet.state, job)
         assert len(learned[0]) == steps
-        assert expected in (None, (result, learned)), f"{workers} workers give another result"
+        assert expected in (None, (result, learned)), f"{workers} workers produce another result"
         expected = result, learned
 
     # Each process does so much work that a training ends after most of the kills, including the
@@ -108,7 +109,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
             ("queued", "running"), timeout_s=600)["state"]
         if state == "succeeded":
             done.append(job)
-            assert len(done) <= n_kills, "trainings end before anything kills them"
+            assert len(done) <= n_kills, "trainings end before they can be killed"
             continue
         kills_while_running += state == "running"
         victim.kill()
@@ -179,8 +180,8 @@ FULL_DISK = {"every_steps": 10, "every_s": 0, "keep": 1}
 
 @pytest.mark.parametrize("device", WHERE)
 def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
-    """No room for a checkpoint: the training waits, reports this, can be cancelled, and continues
-    by itself with the same result."""
+    """There is no room for a checkpoint: the training waits, reports this, can be cancelled, and
+    continues automatically with the same result."""
     request = pretraining(seed, 30, checkpoint=FULL_DISK, device=device)
     quiet = daemon("roomy", **WHERE[device])
     with quiet:
@@ -195,7 +196,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
         waiting = one.awaited(f"/v1/trainings/{first}", lambda now: now["state"] == "paused")
         assert "no space" in waiting["reason"] and "will continue" in waiting["reason"], waiting
         assert waiting["progress"]["step"] == 10
-        for path in ("/v1/jobs", "/v1/trainings"):  # it is found by the state that it shows
+        for path in ("/v1/jobs", "/v1/trainings"):  # it can be recognized by its state
             found = {
                 state: [item["id"] for item in one.json(f"{path}?state={state}")["items"]]
                 for state in ("running", "paused")

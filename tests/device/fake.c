@@ -1,21 +1,21 @@
-/* fake.c: a module of devices that computes on the processor, for tests on machines without any:
- * scores by the fast path, gradients by blocks of the CPU. The environment controls it when it is
- * loaded or opens a device:
- *   MORPHO_FAKE_DEVICES   how many devices there are (1)
- *   MORPHO_FAKE_ROWS      most rows of a call to `score`; more is a lack of memory
- *   MORPHO_FAKE_SHARDS    most shards of a call to `gradient`; more is a lack of memory
- *   MORPHO_FAKE_SPRINGS   a body with more is not supported
+/* fake.c: a module of devices that computes on the processor, for tests on machines without
+ * devices: scores with the fast path, gradients with blocks of the CPU. Environment variables
+ * control it when it is loaded or opens a device:
+ *   MORPHO_FAKE_DEVICES   number of devices (1)
+ *   MORPHO_FAKE_ROWS      maximum rows of a call to `score`; more fail for lack of memory
+ *   MORPHO_FAKE_SHARDS    maximum shards of a call to `gradient`; more fail for lack of memory
+ *   MORPHO_FAKE_SPRINGS   a body with more springs is not supported
  *   MORPHO_FAKE_DELAY_MS  additional time of every call
  *   MORPHO_FAKE_LOSE      "1:5": device 1 is lost in its fifth call
  *   MORPHO_FAKE_LOSE_IF   every device is lost as soon as a file of this name exists
  *   MORPHO_FAKE_SHUT      this device cannot be opened
- *   MORPHO_FAKE_FULL      this device has no memory to be opened
+ *   MORPHO_FAKE_FULL      this device lacks the memory to be opened
  *   MORPHO_FAKE_HASTE     a gradient whose robots were not laid out ahead is invalid
- *   MORPHO_FAKE_FAULT     laying out robots is a fault of memory
- *   MORPHO_FAKE_MEET      so many layouts run at a time: one that waits 20 s for the others fails
- *   MORPHO_FAKE_BESIDE    the same of calls to `score`, until they have met once
+ *   MORPHO_FAKE_FAULT     laying out robots is a memory fault
+ *   MORPHO_FAKE_MEET      this many layouts must run in parallel: one that waits 20 s fails
+ *   MORPHO_FAKE_BESIDE    the same for calls to `score`, until it has happened once
  *   MORPHO_FAKE_OLDER     this device has compute capability 8.0, the others have 9.0
- *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE  what it reports of itself */
+ *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE  the interface and code versions that it reports */
 #include "compute/device.h"
 
 #include <pthread.h>
@@ -37,18 +37,18 @@ struct mo_device {
   struct mo_workspace_memory *memory;
   struct mo_gradient_memory *gradient;
   struct mo_pack *passive;
-  const volatile int *cancel; /* of the call in flight */
+  const volatile int *cancel; /* inside a call */
 };
 
 struct mo_device_controller {
   struct mo_pack *pack;
 };
 
-/* Remembers of which robots it is: a call that is given another's would be a mistake. */
+/* The robots that were laid out: a call that gets other robots' layout would be a mistake. */
 struct mo_device_layout {
   const struct mo_robot *robots;
   uint32_t n;
-  uint64_t springs; /* of all of them */
+  uint64_t springs; /* of all robots */
 };
 
 static uint32_t number(const char *name, uint32_t otherwise)
@@ -101,7 +101,7 @@ static void fake_close(struct mo_device *device)
   if (device == NULL)
     return;
   if (device->n_controllers > 0)
-    abort(); /* they were to be freed before */
+    abort(); /* they should have been freed before */
   mo_pack_free(device->passive);
   mo_workspace_memory_free(device->memory);
   mo_gradient_memory_free(device->gradient);
@@ -150,7 +150,7 @@ struct meeting {
     .mutex = PTHREAD_MUTEX_INITIALIZER, .came = PTHREAD_COND_INITIALIZER                           \
   }
 
-/* false: the others did not come. */
+/* Returns false if the others did not arrive. */
 static bool meet(struct meeting *meeting, uint32_t n, bool once)
 {
   struct timespec end;
@@ -174,14 +174,14 @@ static int look(void *context)
   return device->cancel != NULL && __atomic_load_n(device->cancel, __ATOMIC_RELAXED) != 0;
 }
 
-/* What every call begins with. */
+/* Every call starts with this. */
 static int begin(struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                  const volatile int *cancel)
 {
   const struct timespec millisecond = {.tv_nsec = 1000000};
   device->cancel = cancel;
   device->calls++;
-  if (device->is_lost) /* nothing may be asked of it any more */
+  if (device->is_lost) /* a lost device must not be used any more */
     abort();
   for (uint32_t i = 0; i < n; i++)
     if (robots[i].body->n_springs > device->springs)

@@ -1,4 +1,4 @@
-"""Fixtures of the tests of a fleet: those of the crash tests, and workers."""
+"""Fixtures of the fleet tests: those of the crash tests, and workers."""
 import os
 import pathlib
 import sys
@@ -15,7 +15,7 @@ from surroundings import (  # noqa: E402, F401
 
 @pytest.fixture
 def worker(folder):  # noqa: F811
-    """worker(address, name, …) starts one; all are gone at the end."""
+    """worker(address, name, …) starts one; all of them are stopped at the end of the test."""
     started = []
 
     def start(*arguments, **how):

@@ -1,6 +1,6 @@
-"""Proxies between a worker and its daemon that change what it is: a liar flips the lowest bit of
-some losses, a victim is killed by a body. Messages stay well formed, with the digest of what they
-became."""
+"""Proxies between a worker and its daemon that alter the worker's behavior: a liar flips the lowest
+bit of some losses, a victim is killed by a body. Messages stay well formed, with the digest of the
+altered content."""
 import contextlib
 import http.client
 import http.server
@@ -15,22 +15,22 @@ from workers import HEADER, RESULT, digest
 
 class Proxy:
     def __init__(self, address):
-        """address: host:port of the workers' server."""
+        """address: host:port of the server for workers."""
         self.address, self.lock, self.connections = address, threading.Lock(), []
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), self.handler())
-        self.server.handle_error = lambda *_: None  # workers that have left
+        self.server.handle_error = lambda *_: None  # workers that left
         self.url = f"http://127.0.0.1:{self.server.server_port}"
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
 
     def up(self, results):
-        """What becomes of a message of results."""
+        """Returns the altered message of results."""
         return results
 
     def down(self, leases):
-        """Looks at a message of leases."""
+        """Inspects a message of leases."""
 
     def cut(self):
-        """Ends the connections to the daemon, as those of a worker that is killed."""
+        """Closes the connections to the daemon, like those of a killed worker."""
         for connection in self.connections:
             with contextlib.suppress(AttributeError, OSError):
                 connection.sock.shutdown(socket.SHUT_RDWR)
@@ -90,7 +90,7 @@ class Proxy:
 
 class Liar(Proxy):
     def __init__(self, address, seed, share=0.001):
-        """share: of the rows."""
+        """share: fraction of the rows that are falsified."""
         self.share, self.random = share, random.Random(seed)
         self.rows = self.flipped = 0
         super().__init__(address)
@@ -112,10 +112,10 @@ class Liar(Proxy):
 
 
 class Victim(Proxy):
-    """Its worker is killed as soon as it gets a body, and started again."""
+    """A proxy that kills its worker as soon as it gets a certain body, and restarts it."""
 
     def __init__(self, address, body, start):
-        """body: a genotype's text. start(url): a new worker."""
+        """body: the text of a genotype. start(url): starts a worker."""
         self.body, self.start, self.deaths = genotype_bytes(body), start, 0
         super().__init__(address)
         self.worker = start(self.url)

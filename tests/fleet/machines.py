@@ -1,4 +1,4 @@
-"""Workers as processes, on this machine or on one of a network of their own."""
+"""Workers as processes, on this machine or on a separate one of a network."""
 import os
 import pathlib
 import signal
@@ -9,7 +9,7 @@ from daemon import ENDED, MORPHOD, PATIENCE_S
 
 class Worker:
     def __init__(self, folder, address, name, *flags, binary=MORPHOD, before=()):
-        """before: a command that runs it."""
+        """before: a command that runs the worker's command."""
         self.name = name
         self.log = pathlib.Path(folder) / f"worker-{name}.log"
         inherited = {k: v for k, v in os.environ.items() if not k.startswith(("MORPHOD", "SLURM"))}
@@ -23,12 +23,12 @@ class Worker:
         self.process.wait()
 
     def stop(self):
-        """SIGTERM; the exit status."""
+        """Sends SIGTERM and returns the exit status."""
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(PATIENCE_S)
 
     def ended(self, timeout_s=PATIENCE_S):
-        """The exit status of one that ends by itself, and its log."""
+        """Returns the exit status of a worker that ends without a signal, and its log."""
         status = self.process.wait(timeout_s)
         return status, self.log.read_text(errors="replace")
 
@@ -38,12 +38,13 @@ class Worker:
 
 
 def fleet_address(daemon):
-    """Of the workers' server: the last line of the port file."""
+    """Returns the address of the server for workers: the last line of the port file."""
     return daemon.port_file.read_text().split()[-1]
 
 
 def generation(daemon, job):
-    """The newest generation of a campaign; one more than all of them when it has ended."""
+    """Returns the newest generation of a campaign, or the number of all generations plus one once
+    it has ended."""
     now = daemon.json(f"/v1/campaigns/{job}")
     done = now["progress"]["generation"]
     return now["settings"]["generations"] + 1 if now["state"] in ENDED else \
@@ -52,6 +53,6 @@ def generation(daemon, job):
 
 
 def events(daemon, *kinds):
-    """Those of a kind, oldest first."""
+    """Returns the events of a kind, oldest first."""
     items = daemon.json("/v1/events?format=json&after=0&limit=1000")["items"]
     return [one for one in items if one["type"] in kinds]

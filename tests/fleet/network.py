@@ -1,5 +1,5 @@
-"""Machines in network namespaces: a bridge, of which each machine has a link that can be cut or
-slowed, and a proxy that delays. All of it is gone with the processes."""
+"""Machines in network namespaces: a bridge with a link to each machine, which can be disconnected
+or slowed down, and a proxy that delays. All of it disappears with the processes."""
 import ctypes
 import os
 import queue
@@ -19,8 +19,8 @@ def run(*words):
 
 
 class Network:
-    """This process and what it starts are in the hub. Only a process with one thread that is root
-    can go there."""
+    """Moves this process and those that it starts into the hub's namespace. Only a single-threaded
+    process of root can do this."""
 
     def __init__(self):
         self.machines = []
@@ -42,7 +42,7 @@ class Network:
             run("ip", *words.split())
 
     def add(self):
-        """A machine; returns its number."""
+        """Adds a machine; returns its number."""
         holder = subprocess.Popen(["unshare", "--net", "sh", "-c", "echo; exec sleep 86400"],
                                   stdout=subprocess.PIPE)
         holder.stdout.readline()
@@ -56,14 +56,14 @@ class Network:
         return i
 
     def inside(self, i):
-        """What runs a command on a machine."""
+        """Returns the command that runs a command on a machine."""
         return "nsenter", f"--net=/proc/{self.machines[i].pid}/ns/net"
 
     def link(self, i, state):
         run("ip", "link", "set", f"v{i}", state)
 
     def slow(self, i, is_slow):
-        """1 Mbit/s both ways."""
+        """Limits a link to 1 Mbit/s in both directions."""
         rate = "rate 1mbit burst 16kb latency 200ms".split() if is_slow else ()
         verb = "add" if is_slow else "del"
         run("tc", "qdisc", verb, "dev", f"v{i}", "root", *(("tbf", *rate) if rate else ()))
@@ -71,7 +71,7 @@ class Network:
             *(("tbf", *rate) if rate else ()))
 
     def delayed(self, port, delay_s):
-        """The port of a proxy to the hub's."""
+        """Returns the port of a proxy to a port of the hub."""
         self.proxies.append(Delay(port, delay_s))
         return self.proxies[-1].port
 
@@ -86,7 +86,7 @@ class Network:
 
 
 class Delay:
-    """A proxy in which every byte takes delay_s, each way half."""
+    """A proxy in which every byte takes delay_s, half of it in each direction."""
 
     def __init__(self, port, delay_s, host=HUB):
         self.address, self.half_s = (host, port), delay_s / 2

@@ -1,5 +1,5 @@
-"""A daemon and three workers, each on a machine of its own, and what can happen to them: a campaign
-ends with the history and the scores of an undisturbed one."""
+"""A daemon and three workers, each on a separate machine, and the faults that can hit them: a
+campaign ends with the history and the scores of an undisturbed one."""
 import pathlib
 import random
 import shutil
@@ -16,7 +16,7 @@ from surroundings import fill
 
 PORT = 8766
 VALUE = request("zero-shot", 22, 7) | {"population": 48, "physics": {"n_steps": 300}}
-FAULTS = 8  # of a round, at most
+FAULTS = 8  # the maximum of a round
 
 
 @pytest.fixture
@@ -28,7 +28,8 @@ def network():
 
 @pytest.fixture
 def secured(folder):
-    """The settings of a daemon and the flags of its workers: beyond loopback nothing is open."""
+    """Returns the settings of a daemon and the flags of its workers: beyond loopback everything is
+    encrypted."""
     subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",
                     "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1", "-subj", "/CN=hub",
                     "-out", "certificate", "-keyout", "key"], cwd=folder, check=True,
@@ -45,7 +46,8 @@ def secured(folder):
 
 
 class Round:
-    """Each fault returns how it ends, None: it has ended. Of one kind there is one at a time."""
+    """Each fault returns a function that ends it, or None if it has ended. There is at most one of
+    each kind at a time."""
 
     def __init__(self, network, secured, disk, number, generator):
         self.network, self.disk, self.generator = network, disk, generator
@@ -108,7 +110,7 @@ class Round:
         self.lives += 1
         self.daemon.start()
         self.submit()
-        if self.state() == "failed":  # killed in three lives without a generation
+        if self.state() == "failed":  # three processes in a row were killed without a generation
             self.daemon.act(self.job, "resume")
 
     def fill(self, _):
@@ -117,7 +119,7 @@ class Round:
     # ---- the round ----
 
     def disturb(self):
-        """Faults at random moments, which overlap."""
+        """Causes faults at random moments, which overlap."""
         kinds = [self.kill, self.stop, self.cut, self.flap, self.slow, self.delay, self.crash,
                  self.fill]
         n = self.generator.randint(3, FAULTS)
@@ -148,7 +150,7 @@ class Round:
         result = history(daemon, self.job)
         for part, what in expected.items():
             assert result[part] == what, f"{part} differ from those of an undisturbed run"
-        if self.lives == 1:  # nothing was stored twice, nothing lost
+        if self.lives == 1:  # nothing is stored twice, and nothing is lost
             assert rollouts(daemon) == needed
         assert events(daemon, "fleet.differs", "fleet.refused") == []
         for worker in self.workers:

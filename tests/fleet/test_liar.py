@@ -1,5 +1,5 @@
-"""A worker that flips a bit in one of 1,000 rows is found; the honest ones beside it are not
-suspected. What one spoiled that had nobody beside it is found again."""
+"""A worker that flips a bit in one of 1,000 rows is found; honest workers next to it are not
+suspected. Wrong scores that it computed while it was alone are found as well."""
 import contextlib
 import os
 
@@ -9,7 +9,7 @@ from machines import events, fleet_address
 # Short rollouts, so that a lease has many: thousands in each generation.
 VALUE = {"mode": "zero-shot", "population": 1500, "generations": 10000, "physics": {"n_steps": 20},
          "exclude_pretraining": False}
-LEASES = 500  # within so many of its own a liar must be found
+LEASES = 500  # a liar must be found within this many of its leases
 REFUSED = 76
 
 
@@ -39,14 +39,14 @@ def test_a_liar_is_refused(daemon, worker, seed):
         (event, ) = one.until(lambda: events(one, "fleet.refused"))
         assert event["data"]["name"] == "liar" and "where this machine computed" in session["why"]
         assert len(events(one, "fleet.differs")) >= 1
-        # The others go on.
+        # The others continue.
         before = one.json("/v1/fleet")["leases_done"]
         one.until(lambda: one.json("/v1/fleet")["leases_done"] > before + 20)
         for each in honest:
             session = session_of(one, each.name)
             assert session["state"] == "active" and session["audits_failed"] == 0
             assert session["audits"] > 0 and each.process.poll() is None
-        # With the bits of the others it may join again.
+        # If it computes the same bits as the others, it may join again.
         again = worker(address, "liar")
         one.until(lambda: "active" in [s["state"] for s in sessions_of(one, "liar")])
         assert again.stop() == 0
@@ -54,7 +54,8 @@ def test_a_liar_is_refused(daemon, worker, seed):
 
 
 def verified(daemon, **request):
-    """The pages of POST /v1/fleet/verify as one: losses computed again, and those that differ."""
+    """Returns the pages of POST /v1/fleet/verify as one list: the recomputed losses, and those that
+    differ."""
     checked, different, page = 0, [], {}
     while page.get("next", "") is not None:
         page = daemon.post("/v1/fleet/verify", request | {"limit": 64})

@@ -1,4 +1,4 @@
-"""How soon the leases of a worker that is gone are with another."""
+"""How soon the leases of a lost worker go to another worker."""
 import contextlib
 import datetime
 import http.client
@@ -11,14 +11,15 @@ import pytest
 from machines import events, fleet_address
 from workers import Workers
 
-# Three bodies, half a second or more each: two leases for a worker, one for the witness.
+# Three bodies that take at least half a second each: two leases for the worker, one for the
+# witness.
 VALUE = {"mode": "zero-shot", "population": 3, "generations": 1, "physics": {"n_steps": 10000},
          "exclude_pretraining": False}
 SILENCE_S = 6
 
 
 class Witness(threading.Thread):
-    """A session that waits for a lease and notes when it comes. It gives signs of life."""
+    """A session that waits for a lease and records when it arrives. It sends heartbeats."""
 
     def __init__(self, daemon):
         super().__init__(daemon=True)
@@ -26,10 +27,10 @@ class Witness(threading.Thread):
         self.fleet = Workers(service)
         self.session = self.fleet.join(name="witness")
         self.first = self.moment = None
-        self.asked = 0  # how often for the next one
+        self.asked = 0  # number of requests for the next lease
 
     def take(self):
-        """Its first lease; the thread waits for the next."""
+        """Returns its first lease; the thread waits for the next one."""
         self.first = self.fleet.take(self.session, wait=30)
         assert len(self.first) == 1
         self.start()
@@ -48,9 +49,9 @@ class Witness(threading.Thread):
 
 
 def lease_of(one, witness):
-    """Waits until the witness has a lease of the victim; how the victim's session ended."""
+    """Waits until the witness has a lease of the victim; returns how the victim's session ended."""
     one.until(lambda: witness.moment is not None, every_s=0.001)
-    assert witness.asked == 1  # the request that waited got it
+    assert witness.asked == 1  # the waiting request got it
     (session, ) = [s for s in one.json("/v1/fleet")["sessions"] if s["name"] == "victim"]
     assert session["state"] == "lost"
     return session
@@ -58,7 +59,8 @@ def lease_of(one, witness):
 
 @pytest.fixture
 def scene(daemon, worker):
-    """A daemon, a worker that was stopped with two leases, and a session that waits for them."""
+    """A daemon, a worker that was stopped while it had two leases, and a session that waits for
+    them."""
     one = daemon("one", workers=1, compute="fleet", fleet_listen="127.0.0.1:0").start()
     victim = worker(fleet_address(one), "victim")
     one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
@@ -78,7 +80,7 @@ def test_of_a_dead_worker(scene):
     one, victim, witness, _ = scene
     killed = time.monotonic()
     victim.process.kill()
-    assert lease_of(one, witness)["why"] == "its connection ended"  # and not its silence
+    assert lease_of(one, witness)["why"] == "its connection ended"  # not because of its silence
     print(f"leases of a dead worker: {1000 * (witness.moment - killed):.1f} ms")
     one.until(lambda: events(one, "fleet.lost"))
 

@@ -1,4 +1,5 @@
-"""A body that ends every worker: it is found, and its job fails with its name, no other."""
+"""A body that kills every worker is identified; its job fails with the body's name, and no other
+job does."""
 from liar import Victim
 from machines import fleet_address
 
@@ -21,8 +22,8 @@ def test_a_body_that_ends_workers(daemon, worker, seed):
         deaths = sum(victim.deaths for victim in victims)
         print(f"found after {deaths} deaths")
         assert failed["state"] == "failed" and poison["id"] in failed["error"]["detail"], failed
-        # Three may be chance, then leases are halved, then three workers have nothing else; and
-        # two more attempts of the job, in leases that are small by then.
+        # Three losses may be chance. Then leases are halved, and then three workers have only this
+        # body. Two more attempts of the job follow, with leases that are small by then.
         assert all(victim.deaths > 0 for victim in victims) and deaths <= 3 + 7 + 3 + 2 * 8
         one.succeed(submit(others), timeout_s=240)
         for victim in victims:

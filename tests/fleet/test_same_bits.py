@@ -1,11 +1,12 @@
-"""Campaigns whose scores other machines compute end with the same designs, scores, phylogeny,
-populations and controller, bit for bit, while workers come and go; and as without races."""
+"""Campaigns that other machines compute end with the same designs, scores, phylogeny, populations
+and controller, bit for bit, while workers come and go, and with the same survivors as without
+races."""
 import pytest
 from campaigns import MODES, RACE, check_same_lives, history, request, rollouts, undisturbed
 from daemon import CONTROLLER, bodies
 from machines import events, fleet_address, generation
 
-NUMBERS = (1, 7, 2, 1)  # of workers, one after the other
+NUMBERS = (1, 7, 2, 1)  # number of workers, one after the other
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -37,8 +38,8 @@ def test_same_bits(daemon, worker, seed, mode):
         assert check_same_lives(result, whole) > 0 or not is_quick
         assert rollouts(one) == needed
         status = one.json("/v1/fleet")
-        # All were computed by workers, none was taken twice. Robots of gradients count, too; the
-        # daemon computes those of a moment without a worker.
+        # Workers computed everything, and nothing was counted twice. Robots of gradients count as
+        # well; the daemon computes what is due while there is no worker.
         steps = one.counted("morphod_campaign_learning_steps_total")
         assert needed <= status["rollouts_done"] <= needed + value["population"] * steps
         assert status["audits_failed"] == 0
@@ -48,8 +49,8 @@ def test_same_bits(daemon, worker, seed, mode):
 
 
 def test_the_best_of_many(daemon, worker, seed):
-    """A race whose rounds other machines compute ends with the same result, though one of them is
-    lost in the middle."""
+    """A race with rounds that other machines compute ends with the same result, although one of
+    them is lost in the middle."""
     walker = CONTROLLER.with_name("phototaxis.safetensors")  # some bodies are far better
     value = {"designs": bodies(seed, 150), "best": 5}
     with daemon("alone", workers=2, default_controller=walker) as one:

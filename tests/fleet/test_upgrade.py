@@ -1,5 +1,5 @@
-"""The daemon and its workers are upgraded while a campaign runs: what joins, who is told to go, and
-the same bits."""
+"""The daemon and its workers are upgraded while a campaign runs: which workers may join, which are
+asked to leave, and the same bits."""
 import contextlib
 import re
 import socket
@@ -20,7 +20,7 @@ def version_of(binary):
 
 
 class Supervisor(threading.Thread):
-    """Starts a worker again that ends because another version is wanted, as its unit does."""
+    """Restarts a worker that ends because another version is required, as its systemd unit does."""
 
     def __init__(self, worker, address, name):
         super().__init__(daemon=True)
@@ -66,7 +66,7 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
     await_sessions((old, False), (old, False))
     job = one.submit(value, "campaigns")
     one.until(lambda: generation(one, job) >= 1)
-    # The daemon is upgraded: its workers are older now, and go on.
+    # The daemon is upgraded: its workers now have an older version, and continue.
     assert one.stop()[0] == 0
     one.binary = MORPHOD
     one.start()
@@ -75,7 +75,7 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
     assert event["data"]["version"] == old and event["data"]["wanted"] == new
     begun = one.json("/v1/fleet")["leases_done"]
     one.until(lambda: one.json("/v1/fleet")["leases_done"] > begun + 3)
-    # Without the new package it is no use to drain them, which the first one shows.
+    # Without the new package, draining them is useless, as the first one shows.
     done = drain(one, "--older")
     assert done.returncode == 3 and f"is back with version {old}: install {new}" in done.stderr
     assert sorted(map(len, (node.statuses for node in nodes))) == [0, 1]
@@ -100,7 +100,8 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
 
 
 def test_the_other_way_round(daemon, worker):
-    """Workers may be upgraded first. Who has other bits is told what is wanted."""
+    """Workers may be upgraded first. A worker with other bits is informed of the required
+    version."""
     one = daemon("one", workers=1, fleet_listen="127.0.0.1:0")
     one.binary = OLDER
     with one:

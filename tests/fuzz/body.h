@@ -1,11 +1,11 @@
-/* body.h: feeds bytes to a reader of request bodies. What is accepted must be valid, what is not
- * must have a fault, and what is JSON is jansson's to say. Included after the target's own
+/* body.h: feeds bytes to a reader of request bodies. An accepted body must be valid, a refused one
+ * must have a fault, and jansson decides what is JSON. Included after the target's definitions of
  * READER_PARSED, READER_PARSE and check_accepted. */
 #include <jansson.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* The rest of the body was not looked at. */
+/* The rest of the body was not checked. */
 static bool ended_early(const struct mo_faults *faults)
 {
   return strstr(faults->items[0].detail, "more than 64") != NULL ||

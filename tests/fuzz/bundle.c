@@ -1,7 +1,7 @@
-/* bundle.c: bundles of campaigns. The input is the content of an archive (members.h). A second
- * reading takes the input as the file itself, a third one as the line of an evaluation that
- * recorded. What is accepted must be whole: as many designs and generations as the campaign says.
- */
+/* bundle.c: bundles of campaigns. The input is the content of an archive (members.h). A second pass
+ * reads the input as the file itself, a third one as the line of an evaluation with recordings.
+ * What is accepted must be complete: it must have as many designs and generations as the campaign
+ * says. */
 #include "members.h"
 #include "target.h"
 

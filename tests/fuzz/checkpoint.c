@@ -1,10 +1,10 @@
 /* checkpoint.c: the reader of a training's checkpoints.
  *
  * Byte 0 even: the rest is a file. Odd: the rest is the counters of a header, then its settings,
- * then designs; the file is made whole with as many weights and moments as a checkpoint has, zeros
- * but for the first of each kind, which bits 1 to 3 choose, and a right checksum. What the reader
- * refuses it must explain; what it accepts must be sound, and what the writer makes of it is read
- * as the same. */
+ * then designs. The file is completed with the weights and moments of a checkpoint, which are zero
+ * except for the first of each kind (bits 1 to 3 choose it), and a correct checksum. The reader
+ * must explain a refusal. Whatever it accepts must be valid, and must be the same after it was
+ * written and read back. */
 #include "target.h"
 
 #include "learning/internal.h"

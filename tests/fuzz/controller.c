@@ -1,9 +1,8 @@
 /* controller.c: the reader of controller files (safetensors).
  *
- * Byte 0 even: the rest is a file. Odd: the rest is the header of a file whose data is as long as a
- * 1x1x1 controller's, zeros but for its first value, which bits 1 and 2 choose. What the reader
- * refuses it must explain; what it accepts must be finite and come back the same from the writer.
- */
+ * Byte 0 even: the rest is a file. Odd: the rest is the header of a file with the data of a 1x1x1
+ * controller, which is zero except for its first value (bits 1 and 2 choose it). The reader must
+ * explain a refusal. Whatever it accepts must be finite, and must be written back unchanged. /
 #include "target.h"
 
 #include <math.h>

@@ -1,8 +1,8 @@
 /* evaluation.c: the body of POST /v1/evaluations.
  *
- * What is accepted must be complete and valid; what is not must have a fault; and what we take for
- * JSON, jansson must take for JSON too (and the reverse), but for the numbers that are out of
- * jansson's range and our bounds on depth and keys. */
+ * An accepted body must be complete and valid, and a refused one must have a fault. jansson and our
+ * reader must agree on what is JSON, except for numbers outside jansson's range and our bounds on
+ * depth and keys. */
 #include "target.h"
 
 #include <jansson.h>

@@ -1,8 +1,8 @@
 /* exchange.c: the messages between the daemon and a worker, both ways.
  *
- * Byte 0: bit 0 chooses leases or results, bit 1 makes the header whole (magic, version, size), the
- * other bits choose the workspace. The rest is the message. What is refused must be explained; what
- * is accepted must keep every bound, and be encoded as the same bytes. */
+ * Byte 0: bit 0 chooses leases or results, bit 1 completes the header (magic, version, size), and
+ * the other bits choose the workspace. The rest is the message. A refusal must be explained; an
+ * accepted message must respect every bound, and must encode to the same bytes. */
 #include "target.h"
 
 #include "fleet/wire.h"

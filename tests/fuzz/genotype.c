@@ -1,8 +1,8 @@
 /* genotype.c: the readers of genotypes: text, id, bytes, cells.
  *
- * Byte 0 chooses the reader, byte 1 the workspace, the rest is the input. What a reader accepts
- * must be valid, come back unchanged from the matching writer, and keep its id under placement and
- * all images that fit. */
+ * Byte 0 chooses the reader, byte 1 the workspace, the rest is the input. An accepted genotype must
+ * be valid, must be written back unchanged by the matching writer, and must keep its id under
+ * placement and in all images that fit. */
 #include "../unit/image.h"
 #include "target.h"
 
@@ -94,7 +94,8 @@ static void read_bytes(struct mo_workspace workspace, const uint8_t *data, size_
   }
 }
 
-/* Three bytes a cell, signed, so that near misses are common; the top values stand for far ones. */
+/* Three bytes per cell, signed, so that near misses are common; the highest values stand for far
+ * ones. */
 static void read_cells(struct mo_workspace workspace, const uint8_t *data, size_t size)
 {
   int64_t cells[512][3];

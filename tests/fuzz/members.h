@@ -1,6 +1,6 @@
-/* members.h: the content of an archive as an input: each member a line with its name and size, then
- * its bytes. Targets pack it, since the hashes and the compression would refuse nearly all other
- * inputs. */
+/* members.h: the content of an archive as an input: for each member a line with its name and size,
+ * then its bytes. Targets pack it into an archive; otherwise, the hashes and the compression would
+ * reject almost all inputs. */
 #ifndef MORPHO_TESTS_FUZZ_MEMBERS_H
 #define MORPHO_TESTS_FUZZ_MEMBERS_H
 
@@ -11,7 +11,7 @@
 
 #define MEMBERS_MAX 64
 
-/* Packs the members that the input names: "<name> <size>\n<bytes>" each. */
+/* Packs the members in the input: "<name> <size>\n<bytes>" each. */
 static inline void pack(const uint8_t *data, size_t size, struct mo_text *archive)
 {
   struct mo_archive_writer *writer = mo_archive_create();

@@ -1,6 +1,6 @@
-/* replay.c: feeds every file of the folders named on the command line to a fuzz target, in the
- * order of their names, and each file also cut short at every length up to 64 bytes. Fails if a
- * folder holds no file. */
+/* replay.c: feeds every file in the folders on the command line to a fuzz target, in order of their
+ * names, and each file also truncated at every length up to 64 bytes. Fails if a folder is
+ * empty. */
 #include "target.h"
 
 #include <dirent.h>
@@ -9,7 +9,8 @@
 #define INPUT_BYTES_MAX (1 << 20)
 #define PREFIXES        64
 
-/* An input in memory of exactly its size, so that a sanitizer sees the first byte read too far. */
+/* An input in an allocation of exactly its size, so that a sanitizer notices a read beyond its
+ * end. */
 static int feed(const uint8_t *data, size_t size)
 {
   uint8_t *exact = malloc(size > 0 ? size : 1);

@@ -1,5 +1,5 @@
-/* scores.c: blocks of scores. The input is the content of an archive (members.h); a second reading
- * takes it as the bytes of a file. What is accepted must fit together. */
+/* scores.c: blocks of scores. The input is the content of an archive (members.h); a second pass
+ * reads it as the bytes of a file. What is accepted must be consistent. */
 #include "members.h"
 #include "target.h"
 

@@ -1,5 +1,5 @@
-/* study.c: the body of POST …/tell. What is accepted must be complete and valid, what is not must
- * have a fault, and what is JSON is jansson's to say, as in evaluation.c. */
+/* study.c: the body of POST …/tell. An accepted body must be complete and valid, a refused one must
+ * have a fault, and jansson decides what is JSON, as in evaluation.c. */
 #include "target.h"
 
 #include <math.h>
@@ -36,7 +36,7 @@ static void check_telling(const struct mo_study_telling *telling)
   }
 }
 
-/* As body.h reads requests; all of it is checked and freed by `parse`. */
+/* Declared as body.h reads requests; `parse` checks and frees everything. */
 struct parsed {
   int request;
   struct mo_parts parts;

@@ -1,6 +1,6 @@
-/* target.h: what fuzz targets share. A target reads hostile bytes; it may refuse them, but must not
- * crash, leak, or accept what breaks a promise: FUZZ_PROMISE(condition) ends the run with the
- * promise's text. */
+/* target.h: shared by the fuzz targets. A target reads hostile bytes. It may refuse them, but must
+ * not crash, leak, or accept anything that breaks a promise: FUZZ_PROMISE(condition) aborts the run
+ * and prints the promise. */
 #ifndef MORPHO_TESTS_FUZZ_TARGET_H
 #define MORPHO_TESTS_FUZZ_TARGET_H
 

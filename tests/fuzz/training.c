@@ -1,5 +1,5 @@
-/* training.c: the body of POST /v1/trainings. What is accepted must be complete and valid, what is
- * not must have a fault, and what is JSON is jansson's to say, as in evaluation.c. */
+/* training.c: the body of POST /v1/trainings. An accepted body must be complete and valid, a
+ * refused one must have a fault, and jansson decides what is JSON, as in evaluation.c. */
 #include "target.h"
 
 #include <jansson.h>

@@ -1,7 +1,7 @@
-"""Files of a folder that use each other in a circle, by the functions and data that they name.
+"""Finds files of a folder that use each other in a circle, by function or by data.
 
-universal-ctags finds what a file defines. A header belongs to the source of its name; fragments
-(.inc, .cuh) are files like others."""
+universal-ctags finds what a file defines. A header belongs to the source file with the same name;
+fragments (.inc, .cuh) are separate files."""
 import re
 import subprocess
 import tempfile
@@ -18,7 +18,7 @@ INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.M)
 DIRECTIVE = re.compile(r"^[ \t]*#(?:[^\n\\]|\\.|\\\n)*", re.M)
 MACRO = re.compile(r"^[ \t]*#[ \t]*define[ \t]+\w+((?:[^\n\\]|\\\n|\\.)*)", re.M)
 OPENED = re.compile(r"extern\s+\{|namespace\s*\w*\s*\{")
-# A word that may name a function or data: not a type, nor a member of a value.
+# A word that may refer to a function or data: not a type, and not a member of a value.
 WORD = re.compile(r"\b(?:struct|enum|union)\s+\w+|(?<![.\w])(?<!->)([A-Za-z_]\w*)(\s*\()?")
 
 
@@ -27,7 +27,7 @@ def code_files(folder):
 
 
 def code_of(text):
-    """Bodies and values of a text: without comments, and without declarations."""
+    """Returns the bodies and values of a text, without comments and declarations."""
     text = COMMENT.sub(" ", text)
     macros = " ".join(MACRO.findall(text))
     kept, statement, depth = "", "", 0
@@ -41,7 +41,7 @@ def code_of(text):
 
 
 class Names:
-    """What the files of a folder define, declare, and have inside of functions and types."""
+    """Returns what the files of a folder define, declare, and have inside functions and types."""
 
     def __init__(self, files):
         self.owners, self.kind, self.declared, self.inner = {}, {}, set(), {}
@@ -60,14 +60,14 @@ class Names:
                 self.declared.add(name)
 
     def used(self, path, text, beside):
-        """Pairs of a name that a file uses and the file that defines it. beside: the files that are
-        compiled together with it."""
+        """Yields pairs of a name that a file uses and the file that defines it. beside: the files
+        that are compiled together with it."""
         for word in WORD.finditer(text):
             name = word[1]
             if name not in self.owners or path in self.owners[name]:
                 continue
             if name in self.inner.get(path, ()) and not (self.kind[name] == "f" and word[2]):
-                continue  # of its own: a parameter, for example
+                continue  # a local name, such as a parameter
             for owner in self.owners[name]:
                 shared = name.startswith("mo_") or name in self.declared
                 if shared if owner.suffix in SOURCES else owner in beside:
@@ -75,7 +75,7 @@ class Names:
 
 
 def compiled_together(files, roots):
-    """For each file, those that some source includes with it."""
+    """Returns for each file the files that some source includes with it."""
     included = {
         p: {q for name in INCLUDE.findall(p.read_text())
             for q in (p.parent / name, *(root / name for root in roots)) if q.exists()}
@@ -125,7 +125,7 @@ def circles_of(folder, top):
         for q, name in sorted(uses[p].items()) if q in circle) for circle in circles)
 
 
-# Circles of two files, as pairs of a name and a text, and what only looks like one.
+# Circles of two files, as pairs of a name and a text, and files that only look like circles.
 CIRCLES = {
     "functions": ("a.c", "int mo_a(void) { return mo_b(); }", "b.c", "int mo_b(void) { mo_a(); }"),
     "types on lines of their own":
@@ -167,7 +167,7 @@ SOUND = {
 
 
 def self_test():
-    """Returns circles that were not noticed, and sound files that were refused."""
+    """Returns circles that were not noticed, and valid files that were refused."""
     wrong = []
     for what, files in (CIRCLES | SOUND).items():
         with tempfile.TemporaryDirectory() as top:

@@ -3,8 +3,8 @@
 of the sources, compiles the rooms that they touch, and runs the unit tests that they extend.
 
 Usage: contributing.py CC LIBMORPHO. Prints TAP: one line for each example. A room of the library is
-linked with the test; a room of the service is only checked by the compiler, and its routes against
-the contract."""
+linked with the test; a room of the service is only compiled, and its routes are compared with the
+contract."""
 import re
 import shutil
 import subprocess
@@ -22,7 +22,7 @@ ADDED_CASE = re.compile(r'^\+    \{"([^"]+)", \w+\},$', re.M)
 
 
 def examples():
-    """Titles of the sections that have diffs, each with its diffs as one text."""
+    """Returns the titles of the sections with diffs, each with its diffs as one text."""
     text = (TOP / "docs/contributing.md").read_text()
     for section in re.split(r"^## ", text, flags=re.M)[1:]:
         diffs = re.findall(r"^```diff\n(.*?)^```$", section, re.M | re.S)
@@ -37,8 +37,8 @@ def run(command, folder, **options):
 
 
 def service_faults(rooms, compiler, built, copy):
-    """Checks rooms of the service: their sources compile, with headers that are generated in the
-    folder `built`, and the contract has their routes."""
+    """Checks rooms of the service: their sources must compile, with headers that are generated in
+    the folder `built`, and the contract must have their routes."""
     faults = []
     for room in rooms:
         error, output = run([compiler, *FLAGS, "-Wmissing-prototypes", "-fsyntax-only", "-Iinclude",
@@ -54,7 +54,7 @@ def service_faults(rooms, compiler, built, copy):
 
 
 def follow(diff, compiler, library, copy):
-    """What is wrong with an example: a list of lines, empty if it works."""
+    """Returns the faults of an example as a list of lines, empty if it works."""
     for name in ("include", "src", "schema", "tests/unit", "docs"):
         shutil.copytree(TOP / name, copy / name)
     error, output = run(["git", "apply", "-"], copy, input=diff)

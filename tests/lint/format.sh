@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Names the C files that clang-format would change. Exit status 1 if there is one, or if it would
-# not keep tables in comments (CommentPragmas in .clang-format) and break other text.
+# Lists the C files that clang-format would change. The exit status is 1 if there are any, or if
+# clang-format would reflow tables in comments (see CommentPragmas in .clang-format) or leave other
+# text alone.
 set -u
 cd "$(dirname "$0")/../.." || exit 2
 words=$(printf '%0.sword ' {1..30})end
@@ -13,7 +14,7 @@ table="/* A table:
  * | other | value | */"
 format() { clang-format --assume-filename=a.c <<<"$1"; }
 [ "$(format "$table")" = "$table" ] || { echo "# clang-format breaks tables in comments"; exit 1; }
-[ "$(format "$text")" != "$text" ] || { echo "# clang-format keeps any comment"; exit 1; }
+[ "$(format "$text")" != "$text" ] || { echo "# clang-format does not reflow comments"; exit 1; }
 found=$(git ls-files -z '*.c' '*.h' '*.inc' '*.cu' '*.cuh' |
   xargs -0 -P "$(nproc)" -n 50 clang-format --dry-run -Werror 2>&1)
 [ -z "$found" ] && exit 0

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
-"""Checks the stored notebooks (docs/notebooks): executed once from the first cell to the last,
-without errors, warnings, paths or host names, small, and in the words and widths of text.py.
+"""Checks the stored notebooks (docs/notebooks): they must be executed once from the first cell to
+the last, without errors, warnings, paths or host names, be small, and follow the rules of text.py
+for words and width.
 
 Prints TAP: one line for each rule, and one that shows that each rule can fail."""
 import json
@@ -12,7 +13,7 @@ from text import TOP, WIDTH, worse_words
 import tap
 
 FOLDER = TOP / "docs" / "notebooks"
-BYTES_MAX = 1_000_000  # of all together
+BYTES_MAX = 1_000_000  # of all notebooks together
 PLACE = re.compile(r"/(home|root|tmp|usr|var|work|mnt)/|"
                    r"https?://(?!127\.0\.0\.1:8765)[^/\s\"]+:\d+")
 
@@ -35,7 +36,7 @@ def faulty(notebook):
 
 
 def empty(notebook):
-    """A figure that is drawn is there, and there is one at least."""
+    """If a figure is drawn, its output must be stored; there must be at least one."""
     kinds = {kind for cell in code(notebook) for output in cell["outputs"]
              for kind in output.get("data", ())}
     for kind in {"image/png", "image/jpeg"} - kinds:
@@ -52,7 +53,7 @@ def places(notebook):
 
 def untidy(notebook):
     if not "".join(notebook["cells"][0]["source"]).startswith("# "):
-        yield "the first cell is no title"
+        yield "the first cell is not a title"
     for cell in notebook["cells"]:
         lines = "".join(cell["source"]).splitlines()
         for line in lines:
@@ -64,13 +65,13 @@ def untidy(notebook):
 
 RULES = {
     "cells were executed once, in order": not_in_order, "no errors and no warnings": faulty,
-    "figures and a player are stored": empty, "no places of a machine": places,
+    "figures and a player are stored": empty, "no paths or host names": places,
     "a title, 100 columns, words": untidy,
 }
 
 
 def self_test():
-    """Breaks each rule; returns those that did not notice."""
+    """Breaks each rule; returns the rules that did not notice."""
     fine = {"cell_type": "code", "execution_count": 1, "source": ["m"], "outputs": [
         {"output_type": "execute_result", "data": {"image/png": "", "image/jpeg": "/tmp/"}}]}
     title = {"cell_type": "markdown", "source": ["# A title"]}

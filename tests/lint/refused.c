@@ -1,5 +1,5 @@
-/* Faults that clang-tidy must find: tidy.sh. It is not compiled. A comment names the check of its
- * line. */
+/* Faults that clang-tidy must find, for tidy.sh. This file is not compiled. The comment at the end
+ * of a line is the name of the check. */
 #include <stdlib.h>
 #include <string.h>
 

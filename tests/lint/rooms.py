@@ -1,10 +1,10 @@
 #!/usr/bin/python3
 """Enforces the order of the rooms: a room includes only itself, rooms above it, and the libraries
-that it is given.
+listed for it.
 
-Prints TAP: one line per room, that no files of a room or a client use each other in a circle
-(circles.py), then the rules that hold for all code, among them the size of private headers, and
-that each rule can fail."""
+Prints TAP: one line per room; one per room or client without circles of files (circles.py); then
+the rules for all code, including the size of private headers; and one line to show that each rule
+can fail."""
 import re
 import sys
 import tempfile
@@ -14,7 +14,8 @@ import circles
 import tap
 from circles import COMMENT, INCLUDE, circles_of, code_files
 
-# Rooms in order of dependence, with the foreign headers that each may use beside the C library's.
+# Rooms in order of dependence, with the external headers that each may use in addition to the C
+# library's.
 ROOMS = {
     "base": ["nettle/"],
     "morphospace": [],
@@ -33,9 +34,10 @@ ROOMS = {
     "api": [],
     "daemon": ["systemd/"],
 }
-# A room that includes only these others, although more come before it: the protocol knows no job.
+# A room that includes only these others, although more come before it: the protocol does not depend
+# on jobs.
 ONLY = {"http": ["base"]}
-CLIENTS = ["base/base64.h", "base/text.h", "base/words.h"]  # what clients share with the service
+CLIENTS = ["base/base64.h", "base/text.h", "base/words.h"]  # shared with clients
 LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
 FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnutls/", "systemd/",
            "curl/", "zstd.h"]
@@ -50,7 +52,8 @@ HEADER_LINES = 150
 
 
 def room_of(include, path, top):
-    """The room that an include names, or None for the C library's and foreign headers."""
+    """Returns the room of an included header, or None for headers of the C library and external
+    ones."""
     if include.startswith("morpho/"):
         return PUBLIC.get(include[len("morpho/"):], "an unknown public header")
     first = include.split("/")[0]
@@ -84,7 +87,7 @@ def faults_of(room, top):
                     f"{name} includes {include}, of room {other}, which comes after {room}")
             only = ONLY.get(room)
             if only is not None and other not in (None, room, *only) and include not in only:
-                faults.append(f"{name} includes {include}: room {room} has no use for {other}")
+                faults.append(f"{name} includes {include}: room {room} must not use {other}")
             for foreign in FOREIGN:
                 if include.startswith(foreign) and foreign not in ROOMS[room]:
                     faults.append(f"{name} includes {include}, which room {room} may not use")
@@ -102,7 +105,7 @@ def faults_of(room, top):
 
 
 def headers_of(top):
-    """Private headers that are too long."""
+    """Returns private headers that are too long."""
     return [
         f"{path.relative_to(top)} has {length} lines, more than {HEADER_LINES}"
         for folder in ("src", "clients") for path in code_files(top / folder)
@@ -119,7 +122,7 @@ def client_faults(top):
                 continue
             if include.split("/")[0] in ROOMS or include.startswith("morpho/"):
                 faults.append(
-                    f"{path.relative_to(top)} includes {include}: clients use the HTTP API alone")
+                    f"{path.relative_to(top)} includes {include}: clients use only the HTTP API")
     return faults
 
 
@@ -140,7 +143,7 @@ def report(top):
                 for folder in folders if code_files(folder)]
     results.append(("every folder of src is a room", strangers + unlisted))
     results.append(("private headers are short", headers_of(top)))
-    results.append(("clients use the HTTP API alone", client_faults(top)))
+    results.append(("clients use only the HTTP API", client_faults(top)))
     return results
 
 

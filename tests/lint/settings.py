@@ -1,7 +1,8 @@
-"""settings.py PROGRAM DOCUMENT: every setting of the tables stands in a table of the document.
+"""settings.py PROGRAM DOCUMENT: every setting of the tables must be in a table of the document.
 
-PROGRAM is tools/settings.c, which lists the settings. The document has a row with `name` for each,
-and with its default where that is one number; members of an object stand in the object.
+PROGRAM is tools/settings.c, which lists the settings. The document needs a row with `name` for each
+setting, and with its default if that is a single number. Members of an object are inside the
+object.
 """
 
 import re
@@ -10,7 +11,7 @@ import sys
 
 
 def names(row, name, default):
-    """Whether a row names a setting and, if the default is a number, the default."""
+    """Returns whether a row contains a setting and, if the default is a number, the default."""
     if f"`{name}`" not in row and f'"{name}"' not in row:
         return False
     try:
@@ -30,7 +31,7 @@ def main():
     failed = 0
     for number, line in enumerate(listed, 1):
         kind, place, default, _ = line.split("\t")
-        # Campaigns that learn have the defaults of trainings where the row gives none.
+        # Campaigns that learn have the defaults of trainings if the row has no default.
         shown = "" if place.startswith("learning.") else default
         good = any(names(row, place.split(".")[-1], shown) for row in table)
         failed += not good

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Adds up JUnit reports: `summary.py REPORT…` names each failure and ends with `N passed, N
+"""Adds up JUnit reports: `summary.py REPORT…` lists each failure and ends with `N passed, N
 failed`. `summary.py --write REPORT NAME STATUS` writes the report of one step that is not a test
 runner."""
 import sys

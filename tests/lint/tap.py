@@ -2,7 +2,7 @@
 
 
 def report(results):
-    """results: pairs of a name and its faults. Returns whether there are any."""
+    """results: pairs of a name and its faults. Returns whether there are any faults."""
     print(f"1..{len(results)}")
     for number, (name, faults) in enumerate(results, 1):
         for fault in faults:

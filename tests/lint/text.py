@@ -1,9 +1,9 @@
 #!/usr/bin/python3
-"""Checks what docs/style.md says of text and a program can see: lines of at most 100 columns, and
-words, also in identifiers, for which there is a better one.
+"""Checks the rules of docs/style.md that a program can check: lines of at most 100 columns, and
+words with a better alternative, also in identifiers.
 
 Prints TAP: one line for each rule, and one that shows that each rule can fail. `text.py PATH…`
-checks these files and folders only."""
+checks only these files and folders."""
 import re
 import sys
 import tempfile
@@ -20,12 +20,12 @@ SUFFIXES = {
     "", ".1", ".8", ".build", ".c", ".css", ".cu", ".cuh", ".h", ".html", ".in", ".inc", ".js",
     ".md", ".py", ".sh", ".socket", ".sql", ".txt"
 }
-# Inputs of tests, built files, and the page that names the words.
+# Inputs of tests, built files, and the page that lists the words.
 SKIPPED = re.compile(r"(^|/)(__pycache__|\.pytest_cache|corpus|golden|build[^/]*|_sync)/|"
                      r"^docs/style.md$|^tests/lint/text.py$")
 WIDTH = 100
 
-# Word by word, what to write in its place. Parts of a name (`wish_flags`) are not words.
+# Words, each with what to write in its place. Parts of a name (`wish_flags`) are not words.
 WORDS = {
     r"anew": "again, new",
     r"whoever": "the name of the program, thread or person",
@@ -43,8 +43,8 @@ WORDS = {
     r"is(e|ed|es|ing|ation)": "the American spelling, -ize",
 }
 
-# Not yet everywhere: STRICT lists where. Python's None is no word; `tell` is a verb of studies
-# (ask, tell), and code in a call, a path or quotes.
+# These rules hold only in the folders of STRICT. Python's None is not a word; `tell` is a verb of
+# studies (ask, tell), and code in a call, a path or quotes.
 STRICT_WORDS = {
     r"(?-i:is none)": "invalid, absent, there is no X",
     r"no success": "failure, does not succeed",
@@ -53,7 +53,7 @@ STRICT_WORDS = {
     r"way back": "backward pass",
     r"out of turn": "out of order",
 }
-# Left: bench, docs, experiments, schema, src, tests.
+# Not yet: bench, docs, experiments, schema, src, tests.
 STRICT = (".ci", "clients", "data", "include", "systemd", "tools")
 
 # Parts of identifiers, such as reckon_rows or comeInCrowds.
@@ -77,23 +77,24 @@ def text_files(paths):
 
 
 def may_be_wide(line, in_code):
-    """Tables, code in a document, and what has no blank at which to break it."""
+    """Returns whether a line may be wide: a table, code in a document, or a line without a blank
+    where it could be broken."""
     return in_code or line.startswith(("|", "    ")) or " " not in line.strip()[:WIDTH]
 
 
 def wide_lines(path):
-    """Lines of more than 100 columns, but for tables and code in Markdown."""
+    """Yields lines of more than 100 columns, except for tables and code in Markdown."""
     markdown, in_code = path.suffix == ".md", False
     for number, line in enumerate(path.read_text().splitlines(), 1):
         if markdown and line.startswith("```"):
             in_code = not in_code
         if (len(line) > WIDTH and not (markdown and may_be_wide(line, in_code)) and
-                not line.startswith(("ROUTE(", "TABLE("))):  # a table, too
+                not line.startswith(("ROUTE(", "TABLE("))):  # also a table
             yield number, f"{len(line)} columns"
 
 
 def worse(words, begin=r"\b", end=r"\b"):
-    """Returns the check of a rule: it finds these words in lines of text."""
+    """Returns the check of a rule, which finds these words in lines of text."""
     form = re.compile("|".join(rf"(?P<w{i}>{begin}(?:{word}){end})"
                                for i, word in enumerate(words)), re.I)
     advice = list(words.values())
@@ -113,7 +114,7 @@ def in_file(check):
     return lambda path: check(path.read_text().splitlines())
 
 
-# For each rule its check, and the folders that it holds in; None: everywhere.
+# Each rule with its check and the folders that it holds in (None: all folders).
 RULES = {
     "lines have at most 100 columns": (wide_lines, None),
     "words": (in_file(worse_words), None),
@@ -123,7 +124,8 @@ RULES = {
 
 
 def holds_in(path, folders):
-    """Whether a rule with these folders is for a file. All rules are for one outside of TOP."""
+    """Returns whether a rule with these folders applies to a file. All rules apply to files outside
+    TOP."""
     return (folders is None or not path.is_relative_to(TOP) or
             path.relative_to(TOP).parts[0] in folders)
 
@@ -136,7 +138,8 @@ def report(paths):
 
 
 def self_test():
-    """Breaks each rule in a scratch folder; returns what was not noticed, and what was by mistake."""
+    """Breaks each rule in a scratch folder; returns faults that were not noticed, and faults that
+    were reported by mistake."""
     long = "word " * 21
     wrong = {
         "a.c": [long, "/* Starts anew. */", "int wish;", "// a grey line"],

@@ -4,7 +4,7 @@
 # function that the analyzer visits (default: 30000, a fifth of the processor time of clang's own
 # 225000).
 # Sources that are compiled several times (kernels) are checked once. One file per call: with
-# several, clang-tidy 14 takes the va_list of later ones for uninitialized.
+# several, clang-tidy 14 mistakes the va_list of later ones for uninitialized.
 set -u
 cd "$(dirname "$0")/../.." || exit 2
 build=${1:-build}
@@ -15,7 +15,8 @@ options=(--quiet --extra-arg=-Wno-unknown-warning-option --extra-arg=-Wno-unknow
   --extra-arg=-Wno-ignored-optimization-argument --extra-arg=-Xclang
   --extra-arg=-analyzer-config --extra-arg=-Xclang "--extra-arg=max-nodes=$nodes")
 
-# Each function of tests/lint/refused.c has one fault, named in the comment that ends its line.
+# Each function of tests/lint/refused.c has one fault; the comment at the end of its line is the
+# name of the check.
 refused=$(clang-tidy "${options[@]}" tests/lint/refused.c -- 2>/dev/null)
 status=0
 while IFS=: read -r line text; do

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The first minutes of a researcher on a bare Debian 12: the daemon from its package, the Python
-# package in an environment of its own, and the first notebook. The whole must take at most three
+# package in a separate environment, and the first notebook. All of it must take at most three
 # minutes. Exit status 77: the Python package index cannot be reached.
 set -euo pipefail
 cd /root

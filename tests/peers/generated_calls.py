@@ -1,9 +1,10 @@
-"""Calls a running service with a client that a generator made of the contract.
+"""Calls a running service with a client that was generated from the contract.
 
 usage: generated_calls.py openapi-python-client|openapi-generator FOLDER SERVER
 
-FOLDER holds the package `made`. Each call must give what the contract tells, as an object of the
-class that the generator made of the reply's schema. tests/peers/generators makes the clients."""
+FOLDER contains the package `made`. Each call must return what the contract says, as an object of
+the class that the generator made for the reply's schema. tests/peers/generators makes the
+clients."""
 
 import importlib
 import io
@@ -17,8 +18,8 @@ SHORT = {"n_steps": 20}
 WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 APART = {"cells": [[0, 0, 0], [5, 5, 0]]}
 
-# Tag, operation, class and value of the body, parameters, what must be true of the reply. A
-# parameter or value that is a function gets the replies so far, by operation.
+# Tag, operation, class and value of the body, parameters, and a condition for the reply. If a
+# parameter or value is a function, it gets the replies so far, by operation.
 CALLS = [
     ("service", "get_health", None, None, {}, lambda r: r["status"] == "ok"),
     ("service", "who_am_i", None, None, {}, lambda r: r["right"] == "admin"),
@@ -89,7 +90,7 @@ CALLS = [
 
 
 def plain(value):
-    """A reply as JSON has it."""
+    """Returns a reply as it is in JSON."""
     if hasattr(value, "payload"):
         return value.payload.read()
     if isinstance(value, (bytes, bytearray, str, type(None))):
@@ -130,7 +131,7 @@ class ByGenerator:
         elif model is not None:
             name = re.sub(r"(?<!^)(?=[A-Z])", "_", model).lower()
             body = getattr(self.made, model).from_dict(value)
-            # As if made by keywords: from_dict also sets what is not given, to null.
+            # As if made with keywords: from_dict also sets missing values, to null.
             body.__pydantic_fields_set__.intersection_update(value)
             parameters[name] = body
         try:
@@ -158,7 +159,7 @@ def main():
             verdict = f"{type(error).__name__}: {error}; {reply}"
         failed += verdict != "ok"
         print(f"{operation:32} {type(reply).__name__ if verdict == 'ok' else verdict}")
-    print(f"{kind}: {len(CALLS) - failed} of {len(CALLS)} calls are right")
+    print(f"{kind}: {len(CALLS) - failed} of {len(CALLS)} calls succeeded")
     return 1 if failed else 0
 
 

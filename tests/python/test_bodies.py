@@ -1,4 +1,4 @@
-"""Bodies from the forms in which people keep them."""
+"""Bodies in the formats that users have them in."""
 
 import numpy as np
 import pandas

@@ -78,8 +78,8 @@ def test_repair_is_told(m):
 
 
 def test_faults_are_told_per_design(m):
-    """Whether found here or by the service, faults keep their places, also in recordings and
-    tables."""
+    """Whether a fault is found by the package or by the service, designs keep their positions, also
+    in recordings and tables."""
     bodies = [np.ones((7, 1, 1)), [[0, 0, 0]], [[0, 0, 0], [4, 0, 0]], np.zeros((6, 6, 4)),
               "0" * 36]
     evaluation = m.evaluate(bodies, physics=SHORT, on_fault="skip", record=["com", "masses"])
@@ -125,7 +125,8 @@ def test_what_a_result_does_not_show_is_a_warning(m):
 
 
 def test_what_is_lost_is_a_warning(m):
-    """A warning only if the result has no place for it; a `Body` has reported it already."""
+    """There is a warning only if the result has no place for the message; a `Body` has already
+    reported it."""
     materials = np.zeros((2, 6, 6, 4), dtype=int)
     materials[:, 2:4, 2, 0] = [1, 3]
     for use in (m.canonical, m.mutate, lambda bodies: m.cross(bodies, [[[0, 0, 0]]] * 2),
@@ -155,7 +156,7 @@ def test_bodies_of_the_service(m):
     assert len(m.canonical(children)) == 39 and not m.cross(random[:1], random[:1]).any()
     torn = np.random.default_rng(2).random((50, 6, 6, 4)) > 0.6
     scored = m.evaluate(torn, physics={"n_steps": 1}, repair="largest")
-    assert scored.ids == m.canonical(largest_pieces(torn))  # the same piece here and there
+    assert scored.ids == m.canonical(largest_pieces(torn))  # the same piece as in the service
 
 
 def test_random_designs(m):
@@ -210,7 +211,7 @@ def test_rollouts_are_stored_nowhere(m, service):
     assert (scene[0].masses_m == stored.recording(0)).all() and len(scene[0].com_m) == 3
     assert scene.frame_s == pytest.approx(0.04) and len(scene) == 1
     with pytest.raises(ValueError):
-        scene[0].masses_m[:] = 0  # a view of the reply
+        scene[0].masses_m[:] = 0  # a view into the reply
 
 
 def test_players_are_one_file(m, tmp_path):
@@ -218,7 +219,7 @@ def test_players_are_one_file(m, tmp_path):
     player.save(tmp_path / "player.html")
     page = (tmp_path / "player.html").read_text()
     assert "const DATA=" in page and "class Stage" in page and "bodyOf(" in page
-    # It loads nothing from anywhere else.
+    # The page loads nothing from elsewhere.
     assert not re.search(r"\bimport\b[^(\n]*from|https?://|src=|fetch\(", page)
     data = json.loads(re.search(r"const DATA=(.*);\n", page)[1])
     assert data["robots"][0]["frames"] == 6 and len(data["worlds"][0]["heights"]) == 64

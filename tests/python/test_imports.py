@@ -54,7 +54,7 @@ def test_voxcraft(tmp_path, compression):
 
 
 def test_evogym(tmp_path):
-    """Rows go upwards in the file; an array of EvoGym begins with the top."""
+    """Rows go upward in the file; an EvoGym array starts at the top."""
     file = tmp_path / "world.json"
     file.write_text(json.dumps({"grid_width": 10, "grid_height": 5, "objects": {
         "robot": {"indices": [12, 13, 14, 24], "types": [3, 3, 4, 4], "neighbors": {}},
@@ -104,7 +104,7 @@ def test_evogym_objects_by_name(tmp_path):
 
 
 def test_evogym_voxels_that_are_apart(tmp_path):
-    """41 and 42 touch 61 and each other; the file connects 41 and 61 only."""
+    """41 and 42 touch 61 and each other; the file connects only 41 and 61."""
     file = tmp_path / "world.json"
     file.write_text(world(robot=([41, 42, 61], [3, 3, 3], {"41": [61], "61": [41]})))
     assert read_bodies(file)[0].lost[1:] == (

@@ -1,4 +1,4 @@
-"""The life of a client: forks, copies, event loops, interrupts, and its own services."""
+"""The lifetime of a client: forks, copies, event loops, interrupts, and its own services."""
 
 import asyncio
 import copy
@@ -70,7 +70,7 @@ def test_forked_processes_get_their_own_replies(m):
 
 
 def test_a_forked_process_opens_its_own_stream_of_events(m):
-    """Both see every event, in order."""
+    """Both processes see every event, in order."""
     for n in range(3):
         m.evaluate([[[0, 0, 0]]], WORLD, physics={"n_steps": 5 + n})
     numbers = [int(event["id"]) for event, _ in zip(m.events(after=0), range(9))]
@@ -228,7 +228,8 @@ def test_an_interrupt_of_the_process_group_leaves_the_service(tmp_path):
 
 
 def test_a_service_ends_with_its_process_not_with_a_thread(tmp_path):
-    """However the process ends. A forked child neither ends the service nor keeps it running."""
+    """However the process ends, so does its service. A forked child neither ends the service nor
+    keeps it running."""
     process = script(tmp_path, """
         import morphod, os, sys, threading, time
         found = []
@@ -311,7 +312,7 @@ def test_progress_names_the_phase(monkeypatch, capsys):
     assert capsys.readouterr().err == (
         "campaign 7: 0 of 9, drawing the pretraining's bodies, 2 %, 2:20 left\n"
         "campaign 7: 9 of 9, best 0.5\n")
-    # On a terminal tqdm draws, where it is installed.
+    # On a terminal, tqdm draws the progress if it is installed.
     made = []
 
     class Tqdm:

@@ -1,8 +1,8 @@
-"""Any object that is passed as a body becomes the body of its picture, or a `BodyError` that says
-what to do; never anything else.
+"""Any object that is passed as a body becomes the body that it depicts, or raises a `BodyError`
+that says what to do; never anything else.
 
 Each object is made from a picture, a set of cells that is drawn first, so that the tests know what
-the object shows without using the package.
+the object depicts without using the package.
 """
 
 import json
@@ -20,7 +20,7 @@ UNREADABLE = ["U1", "S1", "O", "c8", "c16", "m8[s]", "M8[s]", "V4"]
 
 
 class Refused:
-    """The message has these words."""
+    """Checks that the message contains these words."""
 
     def __init__(self, *words):
         self.words = words
@@ -35,7 +35,7 @@ def draw(rng):
 
 
 def shape_of(picture):
-    """Returns cells from the origin: the place of a body in the workspace does not matter."""
+    """Moves cells to the origin: the position of a body in the workspace does not matter."""
     cells = np.argwhere(picture)
     return {tuple(cell) for cell in (cells - cells.min(axis=0)).tolist()}
 
@@ -66,7 +66,7 @@ def cut(picture):
     return picture[tuple(slice(a, b + 1) for a, b in zip(low, high))]
 
 
-# ---- what is read ----
+# ---- accepted objects ----
 
 
 def zeros_and_ones(picture, rng):
@@ -126,7 +126,7 @@ def connections(robot):
     return np.array(pairs).T if pairs else np.empty((0, 2)).T
 
 
-# ---- what is refused ----
+# ---- refused objects ----
 
 
 def densities(picture, rng):
@@ -319,7 +319,7 @@ def test_files_are_their_picture_or_refused(tmp_path):
 
 
 def test_a_solution_has_a_voxel_above_one_half():
-    """Whatever its shape and kind: a vector, an array, a list, a table."""
+    """Whatever its shape and type: a vector, an array, a list, a table."""
     rng = np.random.default_rng(23)
     plan = Plan(None, None, 10.0, False)
     for turn in range(108):
@@ -371,8 +371,8 @@ def test_objectives_with_measures_take_many_solutions(one):
 
 
 def test_the_service_scores_what_is_shown(m):
-    """With `evaluate`, each body that is sent is the one of the picture, or is refused before
-    anything is sent."""
+    """With `evaluate`, each body that is sent is the depicted one, or is refused before anything is
+    sent."""
     rng = np.random.default_rng(24)
     pictures = [picture for picture in (draw(rng) for _ in range(120))
                 if len(pieces(picture)) == 1][:24]

@@ -1,4 +1,5 @@
-"""The package itself: documentation, and the client that is generated from the other one."""
+"""The package itself: documentation, and the synchronous client, which is generated from the
+asynchronous one."""
 
 import inspect
 import pathlib

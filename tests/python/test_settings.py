@@ -12,7 +12,7 @@ HEIGHTS = np.linspace(0, 1.75, 64, dtype=np.float32).reshape(8, 8)
 
 
 def test_settings_of_numpy(m):
-    """Scalars and arrays of NumPy count as the numbers that they hold."""
+    """NumPy scalars and arrays count as the numbers that they contain."""
     plain = m.evaluate([DESIGN], [{"light_xy_m": [4.5, 2.5],
                                    "terrain_heights_m": HEIGHTS.ravel().tolist()}],
                        physics={"n_steps": 20, "friction": 0.5}, best=1, weight=2.0)

@@ -38,8 +38,8 @@ class Climber:
 
 
 def climb(m, name, batches, dies):
-    """Climbs to the end of a study. Raises an exception where it crashes, and continues when it is
-    called again."""
+    """Climbs to the end of a study. Raises an exception where it is supposed to crash, and
+    continues when it is called again."""
     with m.study(name, seed=9, **SHORT) as study:
         objective = study.objective()
         climber, known = Climber(), study.restore()

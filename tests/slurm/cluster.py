@@ -1,5 +1,6 @@
-"""A Slurm of one controller and two nodes on this machine, for tests: each in a network namespace
-of its own, joined by a bridge. Needs root and the packages slurmctld, slurmd and munge."""
+"""A Slurm cluster with one controller and two nodes on this machine, for tests. Each is in a
+separate network namespace; a bridge joins them. Needs root and the packages slurmctld, slurmd and
+munge."""
 
 import os
 import pathlib
@@ -11,7 +12,7 @@ import time
 
 NODES = ("n1", "n2")
 BRIDGE = "mo-slurm"
-ADDRESS = "10.213.7.1"  # of the controller and of the daemon
+ADDRESS = "10.213.7.1"  # address of the controller and of the daemon
 CONFIGURATION = """
 ClusterName=test
 SlurmctldHost=ctl({address})
@@ -39,7 +40,7 @@ PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE
 
 
 def missing():
-    """What this machine lacks; None: nothing."""
+    """Returns what this machine lacks, or None."""
     if os.geteuid() != 0:
         return "namespaces need root"
     lacking = [name for name in ("slurmctld", "slurmd", "munged", "ip", "nsenter")
@@ -101,8 +102,8 @@ class Cluster:
             run("ip", "-n", f"mo-{node}", *command)
 
     def launch(self, name, namespace, *command):
-        """Starts a program with a host's name, in a namespace. Not `ip netns exec`: that mounts
-        /sys again, without the cgroups that slurmd looks for."""
+        """Starts a program with a host's name, in a namespace. It does not use `ip netns exec`,
+        because that remounts /sys without the cgroups that slurmd looks for."""
         inside = ["nsenter", f"--net=/run/netns/{namespace}"] if namespace else []
         self.processes[name] = subprocess.Popen(
             [*inside, "unshare", "--uts", "sh", "-c", f"hostname {name}; exec \"$@\"", "sh",
@@ -113,7 +114,7 @@ class Cluster:
         self.launch(node, f"mo-{node}", "slurmd", "-D", "-N", node)
 
     def crash(self, node):
-        """The node vanishes with all that runs on it, and no packet says so."""
+        """The node disappears with everything that runs on it, without sending a packet."""
         run("ip", "link", "set", f"mo-{node}", "down")
         for process in run("ip", "netns", "pids", f"mo-{node}").split():
             os.kill(int(process), signal.SIGKILL)
@@ -130,7 +131,7 @@ class Cluster:
         return done.stdout.strip()
 
     def jobs(self, state):
-        """What scontrol says of the jobs in a state."""
+        """Returns scontrol's description of the jobs in a state."""
         return "\n".join(line for line in self.slurm("scontrol", "-o", "show", "job").splitlines()
                          if f" JobState={state} " in line)
 

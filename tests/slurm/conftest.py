@@ -1,4 +1,4 @@
-"""Fixtures: a Slurm on this machine, and the services of the API's tests."""
+"""Fixtures: a Slurm cluster on this machine, and the services of the API tests."""
 
 import pathlib
 import sys

@@ -1,5 +1,6 @@
-"""The shipped file on a real Slurm: its workers compute a campaign for a daemon while a node
-crashes, jobs are cancelled, and a time limit comes. The campaign is that of one machine alone."""
+"""The shipped job file on a real Slurm cluster: its workers compute a campaign for a daemon while a
+node crashes, jobs are cancelled, and a job reaches its time limit. The campaign equals that of a
+single machine."""
 
 import os
 import pathlib
@@ -17,7 +18,7 @@ CAMPAIGN = {"mode": "zero-shot", "population": 24, "generations": 100, "seed": 5
 
 
 def rows_of(service, campaign):
-    """What a campaign found, without how long it took."""
+    """Returns the results of a campaign, without durations."""
     lists = [service.pages(f"/v1/campaigns/{campaign}/{what}")
              for what in ("generations", "population")]
     return [{name: value for name, value in row.items() if name != "seconds"}
@@ -25,7 +26,8 @@ def rows_of(service, campaign):
 
 
 def a_daemon(start, folder, *flags):
-    """A daemon that is reached from the nodes, and what a user types to start workers for it."""
+    """Returns a daemon that the nodes can reach, and the command with which a user starts workers
+    for it."""
     files = [str(folder / name) for name in ("fleet.pem", "fleet.key", "tokens", "token")]
     subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt",
                     "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1", "-subj", "/CN=lab",
@@ -59,7 +61,7 @@ def submit_job(slurm, command, *options):
 
 
 def sessions(service):
-    """Names of the hosts that compute."""
+    """Returns the names of the hosts that compute."""
     return sorted(session["host"] for session in service.get("/v1/fleet")["sessions"]
                   if session["ended_at"] is None)
 
@@ -85,17 +87,17 @@ def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
     first = submit("--workers=2")
     until(lambda: sessions(service) == ["n1", "n2"])
     goes_on()
-    # A node vanishes: its leases go to the other one after 6 s of silence. Slurm notices later.
+    # A node disappears: its leases go to the other one after 6 s of silence. Slurm notices later.
     slurm.crash("n1")
     until(lambda: sessions(service) == ["n2"])
     assert [one["why"] for one in service.get("/v1/fleet")["sessions"]
             if one["state"] == "lost"] == ["it was silent"]
     goes_on()
-    # scancel: the worker leaves in order, which costs no silence: it is not lost.
+    # scancel: the worker leaves in order and without a silence, so it is not lost.
     slurm.slurm("scancel", first)
     until(lambda: sessions(service) == [])
     assert service.get("/v1/fleet")["lost"] == 1
-    # A job that reaches its limit of two minutes has left before it, as done.
+    # A job that reaches its limit of two minutes has left before, and counts as completed.
     slurm.revive("n1")
     slurm.until(lambda: slurm.states() == ["idle", "idle"])
     short = submit("--workers=1", "--time=2")
