@@ -17,7 +17,7 @@ const VIEWS = {
   machines: { name: 'Machines', module: './views/machines.js' },
 };
 
-/** Loads a view and all its imports at once; the page has the list. */
+/** Loads a view and all its imports at once; index.html has the list. */
 function load(module) {
   /** @type {HTMLMetaElement} */
   const names = document.querySelector(`meta[name="${module}"]`);
@@ -26,14 +26,14 @@ function load(module) {
     document.head.append(h('link', { rel: 'modulepreload', href }));
   }
   return import(module).catch(async () => {
-    await getJson('healthz'); // fails with what is the matter where the service is down
+    await getJson('healthz'); // if the service is down, this fails with the reason
     throw new ApiError(404, {
       detail: 'The service has a newer version of this page: reload it.',
     });
   });
 }
 
-/** The services of the page that views use. */
+/** Services of the page for views. */
 export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */
@@ -71,13 +71,14 @@ export const app = {
   remember(things) {
     history.replaceState({ ...history.state, ...things }, '');
   },
-  /** Names the tab, as the history and bookmarks have it. */
+  /** Sets the title of the tab, which the history and bookmarks show. */
   setTitle(text) {
     document.title = `${text} · morphod`;
   },
 };
 
-/** Save the scroll position after this pause: browsers limit how often it may be saved. */
+/** The scroll position is saved after this pause, because browsers limit how often it may be
+ * saved. */
 const SCROLL_MS = 150;
 const THEME_KEY = 'morphod-theme';
 
@@ -143,7 +144,7 @@ function askForToken(retry) {
   dialog.showModal();
 }
 
-/** Whether the page's token is still valid, as far as is known. */
+/** Returns whether the page's token is still valid, as far as is known. */
 async function works() {
   try {
     return Boolean((await whoAmI()).name);
@@ -192,7 +193,7 @@ class Frame {
       this.main.focus();
     });
     this.view = null;
-    history.scrollRestoration = 'manual'; // pages fill up after the browser would have scrolled
+    history.scrollRestoration = 'manual'; // the page fills up after the browser would have scrolled
     addEventListener('scroll', () => {
       clearTimeout(this.scrolled);
       if (this.view) this.scrolled = setTimeout(() => app.remember({ scrollY }), SCROLL_MS);
@@ -204,7 +205,7 @@ class Frame {
     this.banner.hidden = up;
     if (up) {
       if (this.wasDown && this.view) this.view.update?.({ type: 'reset' });
-      else if (this.wasDown) this.start(); // it failed to load, or had only begun to
+      else if (this.wasDown) this.start(); // it failed to load, or had only just started loading
       this.wasDown = false;
       clearInterval(this.probe);
       return;
@@ -262,7 +263,7 @@ class Frame {
       }
       scrollTo(0, place);
       if (isMove) this.#arrive();
-      // What happened while the view loaded may be newer than what it shows.
+      // Something that happened while the view loaded may be newer than what it shows.
       if (app.events.last !== last) view?.update?.({ type: 'reset' });
     } catch (error) {
       if (turn !== this.turn) return;
@@ -285,7 +286,7 @@ class Frame {
     }
   }
 
-  /** Shows a heading with a few words in place of a view. */
+  /** Shows a heading with a few words instead of a view. */
   #say(title, ...children) {
     app.setTitle(title);
     this.main.classList.remove('full');
@@ -310,17 +311,17 @@ class Frame {
     return this.following;
   }
 
-  /** Asks the service once who the caller is, and says what the page leaves out. */
+  /** Asks the service once who the caller is, and says what the page omits. */
   #identify() {
     this.identified ??= whoAmI().then(() => {
       this.caller.textContent = callerName();
       this.note.textContent = whyNot();
       this.note.hidden = !this.note.textContent;
-    }, () => { this.identified = null; }); // the view says what is the matter
+    }, () => { this.identified = null; }); // the view reports the error
     return this.identified;
   }
 
-  /** Starts over: with another token, or after the service was away. */
+  /** Starts over with another token, or when the service is back. */
   start() {
     this.identified = null;
     return this.route();

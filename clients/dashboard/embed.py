@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Embeds the dashboard's files in a C source, each as it is and compressed.
+"""Embeds the dashboard's files in a C source, both unchanged and compressed.
 
 usage: embed.py OUTPUT FOLDER FILE...
 
-FILE is relative to FOLDER. One hash over all files names the folder that they are served from,
-assets/HASH/…, so that the modules import each other by relative names, and clients may keep them.
-index.html is the page itself; @assets@ in it becomes that folder. In place of @preload@ the page
-names the modules that app.js imports, and for each view those that the view imports besides: the
-browser then loads them all at once, not import by import.
+FILE is relative to FOLDER. They are served from assets/HASH/…, with one hash over all files.
+Modules can therefore import each other by relative names, and clients may cache them. index.html is
+the page itself; @assets@ in it becomes that folder. @preload@ becomes the list of modules that
+app.js imports, and for each view the additional modules that it imports. The browser then loads all
+of them at once instead of import by import.
 """
 import gzip
 import hashlib
@@ -30,7 +30,7 @@ def array(name: str, data: bytes) -> list[str]:
 
 
 def modules_of(files: dict[str, bytes], name: str) -> set[str]:
-    """A module and all that it imports."""
+    """Returns a module and everything that it imports."""
     found, new = set(), [name]
     while new:
         module = new.pop()

@@ -69,7 +69,7 @@ def test_the_stage_has_the_world_of_a_score(service, browser, own):
     assert loss == pytest.approx(best["losses"][0], abs=1e-6)
     assert seconds == pytest.approx(150 * 0.004) and light == [0.5, 1.0]
     assert browser.texts(".world") == [
-        f"World of evaluation {own['id']}: 1 environment of its own, 150 steps of 0.004 s, "
+        f"World of evaluation {own['id']}: 1 custom environment, 150 steps of 0.004 s, "
         "controller default"]
     browser.until(f"location.hash.includes('world=evaluation-{own['id']}')")
     browser.click("Commands")
@@ -136,7 +136,7 @@ def test_the_shelf_of_the_editor_stays(browser):
     assert browser.run(f"return {voxels}") == "1" + "0" * 143
     browser.click("Keep")
     browser.click("Keep")  # the same body
-    browser.until(TOAST + "?.innerText.includes('kept already')")
+    browser.until(TOAST + "?.innerText.includes('already been kept')")
 
 
 def test_the_editor_scores_again_when_the_service_is_back(browser):

@@ -2,7 +2,7 @@
  *
  * Byte 0 even: the rest is a file. Odd: the rest is the header of a file with the data of a 1x1x1
  * controller, which is zero except for its first value (bits 1 and 2 choose it). The reader must
- * explain a refusal. Whatever it accepts must be finite, and must be written back unchanged. /
+ * explain a refusal. Whatever it accepts must be finite, and must be written back unchanged. */
 #include "target.h"
 
 #include <math.h>

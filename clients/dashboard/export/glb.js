@@ -1,6 +1,6 @@
 /**
  * A robot that walks, as GLB (glTF 2.0 in one file): its skin, and one morph target per frame whose
- * weight is 1 at the frame's time. Blender, three.js and assimp read it.
+ * weight is 1 at the frame's time. Blender, three.js and assimp can read it.
  */
 
 import { FACE_CORNERS } from '../lib/body.js';
@@ -19,7 +19,7 @@ class Arrays {
   }
 
   /**
-   * @param {{bounds?: boolean, target?: number}} [options] bounds: add the least and the largest
+   * @param {{bounds?: boolean, target?: number}} [options] bounds: add the minimum and the maximum
    */
   add(data, componentType, type, count, options = {}) {
     const { bounds = false, target } = options;
@@ -43,7 +43,7 @@ class Arrays {
   }
 }
 
-/** Frames of a film: at least so many a second, and no more than needed. */
+/** The frames of a film: at least `rate` per second, and no more than needed. */
 function chooseFrames(robot, rate) {
   const every = Math.max(1, Math.floor(1 / (rate * robot.frameS) + 1e-6));
   const frames = [];
@@ -53,7 +53,7 @@ function chooseFrames(robot, rate) {
 
 /**
  * @param {import('../stage/stage.js').Robot} robot
- * @param {{rate?: number, name?: string}} [options] rate: frames a second, at least
+ * @param {{rate?: number, name?: string}} [options] rate: minimum frames per second
  * @returns {Uint8Array}
  */
 export function toGlb(robot, options = {}) {
@@ -87,7 +87,7 @@ export function toGlb(robot, options = {}) {
     asset: { version: '2.0', generator: 'morphod' },
     scene: 0,
     scenes: [{ nodes: [0] }],
-    // The world of the robots is z up, that of glTF y up.
+    // In the robots' world z is up, in glTF y.
     nodes: [{ name, mesh: 0, rotation: [-Math.SQRT1_2, 0, 0, Math.SQRT1_2] }],
     materials: [{ name: 'skin', doubleSided: true,
       pbrMetallicRoughness: { baseColorFactor: [0.42, 0.6, 0.9, 1], metallicFactor: 0,

@@ -70,7 +70,7 @@ function base64(bytes) {
   return btoa(text);
 }
 
-/** A module's source as part of one script, which already has its imports. */
+/** Returns a module's source as part of one script, which already has its imports. */
 export function inline(source) {
   return source.replace(/^import [^;]*;$/gm, '')
     .replace(/^export (?=(const|function|class|async))/gm, '');

@@ -81,7 +81,7 @@ export function toWebm(frames, { width, height, rate, codec }) {
     { type: 'video/webm' });
 }
 
-// Debian's TypeScript does not know WebCodecs yet.
+// Debian's TypeScript does not have types for WebCodecs yet.
 const { VideoEncoder, VideoFrame } = /** @type {any} */ (window);
 
 const CODECS = [['vp09.00.40.08', 'V_VP9'], ['vp8', 'V_VP8']];

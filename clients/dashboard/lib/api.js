@@ -8,7 +8,7 @@ const TOKEN_KEY = 'morphod-token';
 /** The daemon refused a request, or the connection failed (status 0). */
 export class ApiError extends Error {
   constructor(status, problem, retryAfterS) {
-    super(problem.detail ?? problem.title ?? `The service answered with ${status}.`);
+    super(problem.detail ?? problem.title ?? `The service replied with status ${status}.`);
     this.status = status;
     /**
      * Faults of the request, each with a JSON pointer.
@@ -25,8 +25,8 @@ export class LinkError extends Error {}
 let memoryToken = null;
 
 /**
- * Uses the storage of the browser. Where that is forbidden, returns undefined, and values last as
- * long as the page.
+ * Accesses the browser's storage. If that is forbidden, returns undefined, and values last as long
+ * as the page.
  */
 export function storing(use) {
   try {
@@ -46,7 +46,7 @@ export function decoded(text) {
 }
 
 /**
- * Takes a token out of the address (#token=…), so that it is neither kept nor sent there. Returns
+ * Removes a token from the address (#token=…), so that it is neither kept nor sent there. Returns
  * the token, or null.
  */
 export function tokenOfAddress() {
@@ -67,7 +67,7 @@ export function getToken() {
   return memoryToken;
 }
 
-/** The connection's state, for the banner: true, false, or null before the first answer. */
+/** The connection's state, for the banner: true, false, or null before the first reply. */
 export const connection = { up: null, listeners: new Set() };
 
 function setConnection(up) {
@@ -100,7 +100,7 @@ export async function request(path, options = {}) {
     setConnection(false);
     throw new ApiError(0, { detail: 'The service cannot be reached.' });
   }
-  // Replies by a proxy for a daemon that is down.
+  // A proxy's replies for a daemon that is down.
   setConnection(![502, 504].includes(response.status));
   if (response.ok) return response;
   const problem = await response.json().catch(() => ({}));
@@ -117,7 +117,7 @@ export async function post(path, body, options = {}) {
   return response.status === 204 ? null : response.json();
 }
 
-/** Waits as long as Retry-After says and sends again, at most `limit` times. */
+/** Waits as long as Retry-After says and retries, at most `limit` times. */
 export async function patient(send, limit = 5) {
   for (let i = 0; ; i++) {
     try {
@@ -131,7 +131,7 @@ export async function patient(send, limit = 5) {
   }
 }
 
-/** A path with a query; parameters that are undefined, null or '' are left out. */
+/** Returns a path with a query, without parameters that are undefined, null or ''. */
 export function withQuery(path, parameters) {
   const query = new URLSearchParams(
     Object.entries(parameters)
@@ -147,7 +147,7 @@ export function shared(work) {
 }
 
 /**
- * A growing curve: keeps its rows and fetches the new ones. The number of the newest row is the
+ * A growing curve that keeps its rows and fetches new ones. The number of the newest row is the
  * cursor of the next page.
  */
 export class Curve {
@@ -155,7 +155,7 @@ export class Curve {
     this.path = path;
     this.rows = [];
     this.cursor = undefined;
-    /** Fetches new rows; true if there were any. */
+    /** Fetches new rows; returns true if there were any. */
     this.refresh = shared((signal) => this.#refresh(signal));
   }
 

@@ -49,7 +49,7 @@ export function hasVoxel(genotype, x, y, z) {
   return genotype[(x * NY + y) * NZ + z] === '1';
 }
 
-/** The cells [x, y, z] of a genotype, in voxel order. */
+/** Returns the cells [x, y, z] of a genotype, in voxel order. */
 export function cellsOf(genotype) {
   const cells = [];
   for (let v = 0; v < NX * NY * NZ; v++) {
@@ -59,7 +59,7 @@ export function cellsOf(genotype) {
   return cells;
 }
 
-/** The genotype with voxels at the given cells. */
+/** Returns the genotype with voxels at the given cells. */
 export function genotypeOf(cells) {
   const voxels = new Array(NX * NY * NZ).fill('0');
   for (const [x, y, z] of cells) voxels[(x * NY + y) * NZ + z] = '1';
@@ -67,9 +67,9 @@ export function genotypeOf(cells) {
 }
 
 /**
- * The genotype of a robot, ID@K: image K of the canonical form that the id (36 hexadecimal digits)
- * spells; of an id alone that form. The bits of K: 4, the first, swaps x and y; 1 mirrors in x, 2
- * in y.
+ * Returns the genotype of a robot, ID@K: image K of the canonical form that the id (36 hexadecimal
+ * digits) spells. For an id without K it is that form. The bits of K: 4, the first, swaps x and y;
+ * 1 mirrors in x, 2 in y.
  */
 export function genotypeOfId(robot) {
   const [id, k] = robot.split('@');

@@ -1,7 +1,7 @@
 /**
- * Charts of curves that grow: bands, lines and points on a canvas, with axes, a cursor that shows
- * the values, and a text for screen readers. 100,000 points with a band are drawn at once: what
- * falls on one column of pixels is drawn as its range.
+ * Charts of growing curves: bands, lines and points on a canvas, with axes, a cursor that shows the
+ * values, and a text for screen readers. 100,000 points with a band are drawn at once: all points
+ * in one column of pixels are drawn as their range.
  */
 
 import { h, paint, swatch } from './dom.js';
@@ -12,9 +12,9 @@ import { number } from './format.js';
  * @property {string} name
  * @property {'line'|'band'|'points'} [kind] default: line
  * @property {ArrayLike<number>} x ascending
- * @property {ArrayLike<number>} y NaN: no value
- * @property {ArrayLike<number>} [low] of a band
- * @property {ArrayLike<number>} [high] of a band
+ * @property {ArrayLike<number>} y NaN if there is no value
+ * @property {ArrayLike<number>} [low] for a band
+ * @property {ArrayLike<number>} [high] for a band
  * @property {string} color name of a custom property of CSS, or a color
  * @property {number[]} [dash]
  * @property {number} [opacity]
@@ -25,10 +25,10 @@ const MARGIN = { left: 52, right: 12, top: 10, bottom: 26 };
 const LINE_PX = 1.8;
 /** Radius of an isolated value. */
 const POINT_PX = 3;
-/** A line with more points in a pixel than these is drawn as the range of each column of pixels. */
+/** A line with more points per pixel than this is drawn as the range of each column of pixels. */
 const DENSE = 2;
 
-/** Round steps of an axis: about `n` of them between two values. */
+/** Returns round steps of an axis: about `n` of them between two values. */
 export function ticks(from, to, n) {
   const span = to - from;
   if (!(span > 0)) return [from];
@@ -53,10 +53,10 @@ function logTicks(from, to) {
   return all.length >= 2 ? all : ticks(from, to, 4);
 }
 
-/** Rows as a list of numbers; NaN: no value. */
+/** Returns rows as a list of numbers, with NaN where there is no value. */
 export const column = (rows, take) => Float64Array.from(rows, (row) => take(row) ?? NaN);
 
-/** Index of the last value of an ascending list that is at most `value`, or -1. */
+/** Returns the index of the last value of an ascending list that is at most `value`, or -1. */
 export function lastAtMost(list, value) {
   let low = 0;
   let high = list.length;
@@ -73,8 +73,8 @@ export class Chart {
    * @param {{title: string, unit?: string, xName?: string, log?: boolean, height?: number,
    *          minimum?: number, maximum?: number, empty?: string, note?: string, isWhole?: boolean,
    *          xRange?: [number, number], xText?: function(number): string,
-   *          yText?: function(number): string}} options isWhole: false where the axis has values
-   *          between whole numbers; xRange: of the axis, for any values
+   *          yText?: function(number): string}} options isWhole: false if the axis has values
+   *          between whole numbers; xRange: fixes the axis, whatever the values
    */
   constructor(options) {
     this.options = { xName: 'generation', height: 220, empty: 'No values yet.',
@@ -100,7 +100,7 @@ export class Chart {
     this.observer.observe(this.canvas);
   }
 
-  /** Takes what there is to draw. @param {Series[]} series */
+  /** Sets what to draw. @param {Series[]} series */
   set(series) {
     this.series = series;
     this.range = this.#range();
@@ -178,7 +178,7 @@ export class Chart {
     this.#axes(context, scale, width, height, color);
     context.save();
     context.beginPath();
-    // A single value at the edge is a whole point.
+    // A single value at the edge is drawn as a whole point.
     context.rect(MARGIN.left - POINT_PX, 0, width - MARGIN.left - MARGIN.right + 2 * POINT_PX + 1,
       height - MARGIN.bottom + POINT_PX);
     context.clip();
@@ -237,7 +237,7 @@ export class Chart {
     context.lineJoin = 'round';
     context.beginPath();
     if (s.x.length > DENSE * context.canvas.width) {
-      // A stroke up and down in every column would take most of the drawing time.
+      // Going up and down in every column would take most of the drawing time.
       context.fillStyle = color;
       this.#envelope(context, s.x, s.y, s.y, scale);
       context.fill();

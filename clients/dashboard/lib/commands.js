@@ -8,7 +8,7 @@ const DEFAULT_SERVER = 'http://127.0.0.1:8765';
 const address = (path = '') => new URL(path, document.baseURI).href;
 const server = () => address('.').replace(/\/$/, '');
 
-/** A value as Python writes it. */
+/** Returns a value as Python writes it. */
 export function pythonOf(value) {
   if (value === null || value === undefined) return 'None';
   if (typeof value === 'boolean') return value ? 'True' : 'False';
@@ -22,17 +22,17 @@ export function pythonOf(value) {
 }
 
 /**
- * Commands of curl, morphoctl and Python for one request.
+ * Returns curl, morphoctl and Python commands for one request.
  * @param {{path: string, body?: any, headers?: string[], output?: string, morphoctl: string,
  *          python?: string, input?: string}} request
  *   path: relative, like "v1/jobs"; body: sent by POST; morphoctl: arguments, each line a command;
  *   input: what each line of morphoctl reads from its standard input;
- *   python: what is done with the client m, instead of the request itself
+ *   python: calls of the client m, instead of the request itself
  * @returns {[string, string][]}
  */
 export function commandsOf({ path, body, headers = [], output, morphoctl, python, input }) {
   const curl = ['curl -s', shellWord(address(path))];
-  // The token itself is not written down: commands are kept in histories and pasted in chats.
+  // The token itself is never shown: commands are kept in histories and pasted into chats.
   if (getToken()) curl.push('-H "Authorization: Bearer $MORPHOD_TOKEN"');
   if (body !== undefined) curl.push("-H 'Content-Type: application/json'");
   curl.push(...headers.map((header) => `-H ${shellWord(header)}`));

@@ -5,8 +5,8 @@ const SVG = 'http://www.w3.org/2000/svg';
 function setAttributes(element, attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === undefined || value === null || value === false) continue;
-    // The page's policy forbids the attribute, and the browser drops it: use a class.
-    if (name === 'style') throw new Error('The policy of the page forbids the attribute style.');
+    // The page's policy forbids the attribute, and the browser drops it: use a class instead.
+    if (name === 'style') throw new Error('The policy of this page forbids the attribute style.');
     if (name.startsWith('on')) element.addEventListener(name.slice(2), value);
     else if (name === 'value' || name === 'checked') element[name] = value;
     else element.setAttribute(name, value === true ? '' : String(value));
@@ -27,7 +27,7 @@ function appendAll(element, children) {
  * @param {string} tag "div", or "div.panel.wide" with classes
  * @param {Object<string, any>} [attributes]
  * @param {...any} children nodes, texts, numbers, or arrays of them
- * @returns {any} the element; any: so that its own members are known without a cast
+ * @returns {any} the element; any, so that its own members can be used without a cast
  */
 export function h(tag, attributes = {}, ...children) {
   const [name, ...classes] = tag.split('.');
@@ -38,7 +38,7 @@ export function h(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Creates an element of SVG. */
+/** Creates an SVG element. */
 export function svg(tag, attributes = {}, ...children) {
   const element = document.createElementNS(SVG, tag);
   setAttributes(element, attributes);
@@ -53,12 +53,12 @@ export function fill(element, ...children) {
   return element;
 }
 
-/** Sets a text in place; an equal text stays untouched, and with it the selection. */
+/** Sets a text in place. An equal text stays untouched, and so does the selection. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Whether an element is in use: it has the focus, or is being pressed. */
+/** Returns whether an element is in use: it has the focus, or is being pressed. */
 export const isInUse = (element) => element.matches(':focus-within, :active');
 
 /**
@@ -66,11 +66,11 @@ export const isInUse = (element) => element.matches(':focus-within, :active');
  * refresh takes away neither focus, nor input, nor a press. An element in use does not even move:
  * the others move around it.
  * @template T
- * @param {Element} parent has the elements of the list only
+ * @param {Element} parent has only the elements of the list
  * @param {T[]} list
  * @param {function(T): string|number} key
  * @param {function(T): Element} make
- * @param {function(any, T): void} [update] brings an element to its item, also a new one
+ * @param {function(any, T): void} [update] updates an element from its item, including a new one
  */
 export function patch(parent, list, key, make, update = () => {}) {
   /** @type {Map<string, Element>} */
@@ -111,12 +111,12 @@ export function patchRow(row, cells) {
   });
 }
 
-/** A button with a text that names what it does. */
+/** Returns a button with a text that describes its action. */
 export function button(text, onclick, attributes = {}) {
   return h('button', { type: 'button', onclick, ...attributes }, text);
 }
 
-/** A button that stays pressed: aria-pressed has its state. */
+/** Returns a button that stays pressed: aria-pressed has its state. */
 export function toggle(text, pressed, onchange, attributes = {}) {
   const element = button(text, () => {
     const now = element.getAttribute('aria-pressed') !== 'true';
@@ -126,7 +126,7 @@ export function toggle(text, pressed, onchange, attributes = {}) {
   return element;
 }
 
-/** A list to choose one of: choices are texts or [value, text]. */
+/** Returns a list of choices, which are texts or [value, text]. */
 export function select(label, choices, value, onchange) {
   const options = choices.map((choice) => {
     const [key, text] = Array.isArray(choice) ? choice : [choice, choice];
@@ -136,19 +136,20 @@ export function select(label, choices, value, onchange) {
     h('select', { onchange: (event) => onchange(event.target.value) }, options));
 }
 
-/** A table with its head. isRight: of a name and its place; numbers are aligned to the right. */
+/** Returns a table with its head. isRight: gets a name and its position; numbers are
+ * right-aligned. */
 export function table(names, body, isRight = (name, i) => false, tag = 'table.cards') {
   return h(tag, {}, h('thead', {}, h('tr', {}, names.map((name, i) =>
     h(isRight(name, i) ? 'th.right' : 'th', { scope: 'col' }, name)))), body);
 }
 
-/** A value with its name above it, and words below. */
+/** Returns a value with its name above it and words below. */
 export function tile(name, value, words) {
   return h('div.panel.tile', {}, h('div.muted', {}, name), h('div.value', {}, value),
     h('div.muted', {}, words));
 }
 
-/** What a color means, in a legend. color: the name of a custom property of CSS, or a color. */
+/** Explains a color in a legend. color: the name of a CSS custom property, or a color. */
 export function swatch(color, kind = '') {
   const element = h(`i.swatch${kind}`);
   element.style.color = color.startsWith('--') ? `var(${color})` : color;
@@ -156,8 +157,8 @@ export function swatch(color, kind = '') {
 }
 
 /**
- * Prepares a canvas to be redrawn at its current size, or returns null if it has none. color: of a
- * name as above.
+ * Prepares a canvas to be redrawn at its current size, or returns null if it has none. color:
+ * returns the color of such a name.
  */
 export function paint(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
@@ -172,12 +173,12 @@ export function paint(canvas) {
   return { context, width, height, color };
 }
 
-/** A note stays for this time; a refusal stays until it is closed, or until the next page. */
+/** A note stays this long; a refusal stays until it is closed, or until the next page. */
 const TOAST_MS = 6000;
 let toastEnds;
 
 /**
- * Shows what happened or was refused in one line, above any dialog; screen readers read it.
+ * Shows in one line what happened or was refused, above any dialog; screen readers read it.
  */
 export function announce(text, { isRefusal = false } = {}) {
   /** @type {any} */ // popovers are newer than the types

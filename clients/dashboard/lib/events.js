@@ -1,19 +1,19 @@
 /**
- * The daemon's events. One stream serves all pages of a browser: a lock chooses the page that keeps
- * the stream, and it passes the events on. Hidden pages do not stream; later they continue after
- * the last event they saw, so none is lost.
+ * The daemon's events. One stream serves all pages of a browser: a lock selects the page that keeps
+ * the stream, and that page passes the events on. Hidden pages do not stream; later they continue
+ * after the last event they saw, so none is lost.
  */
 
 import { ApiError, getJson, request, withQuery } from './api.js';
 
 const CHANNEL = 'morphod-events';
 
-/** Whether an event is more than a step of a job's progress. */
+/** Returns whether an event is more than a step of a job's progress. */
 export const isNews = ({ type }) => type !== 'reset' && !type.endsWith('progress');
 
 /**
- * Runs work soon after a request, and again if another request came meanwhile: never twice at once,
- * and the last run starts after the last request. Failures wait for the next event.
+ * Runs work soon after a request, and again if another request arrived in the meantime: never twice
+ * at once, and the last run starts after the last request. After a failure, the next event retries.
  * @param {() => Promise<any>} work
  * @param {AbortSignal} signal ends it
  */
@@ -58,7 +58,7 @@ export class Events {
     return this.last;
   }
 
-  /** The notable ones of the `n` events up to a number, oldest first. */
+  /** Returns the notable ones of the `n` events up to a number, oldest first. */
   async upTo(last, n = 300) {
     const query = { format: 'json', after: Math.max(0, last - n), limit: n };
     const page = await getJson(withQuery('v1/events', query));

@@ -1,6 +1,6 @@
 /** Numbers and times in a readable form. */
 
-/** A number with so many significant digits, without trailing noise: 0.0136, 1.5e-5, 12,400. */
+/** Formats a number with `n` significant digits, without trailing noise: 0.0136, 1.5e-5, 12,400. */
 export function number(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return '–';
   if (value === 0) return '0';
@@ -10,17 +10,17 @@ export function number(value, digits = 3) {
   return String(Number(value.toPrecision(digits)));
 }
 
-/** A score: four decimals, since differences of 1e-4 matter. */
+/** Formats a score: four decimals, because differences of 1e-4 matter. */
 export function score(value) {
   return value === null || value === undefined ? 'diverged' : value.toFixed(4);
 }
 
-/** The score of a design of a campaign, which may be a lower bound. */
+/** Formats the score of a campaign's design, which may be a lower bound. */
 export function scoreOf(design) {
   return `${design.lower_bound ? '≥ ' : ''}${score(design.score)}`;
 }
 
-/** A difference of scores, with its sign. */
+/** Formats a difference of scores, with its sign. */
 export function signed(value) {
   return `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;
 }
@@ -29,7 +29,7 @@ export function count(value) {
   return value === null || value === undefined ? '–' : value.toLocaleString('en-US');
 }
 
-/** How many of a thing: "1 environment", "64 environments". */
+/** Counts things: "1 environment", "64 environments". */
 export function countOf(n, thing, things = `${thing}s`) {
   return `${count(n)} ${n === 1 ? thing : things}`;
 }
@@ -40,7 +40,7 @@ export function percent(share) {
   return `${(100 * share).toFixed(share > 0 && share < 0.1 ? 1 : 0)} %`;
 }
 
-/** A span of time in its two largest units: "3 h 12 min". */
+/** Formats a span of time in its two largest units: "3 h 12 min". */
 export function duration(seconds) {
   if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return '–';
   if (seconds < 1) return `${Math.round(seconds * 1000)} ms`;
@@ -53,14 +53,14 @@ export function duration(seconds) {
   return `${Math.floor(hours / 24)} d ${hours % 24} h`;
 }
 
-/** How long ago a time was. */
+/** Formats how long ago a time was. */
 export function ago(time) {
   if (!time) return '–';
   const seconds = (Date.now() - Date.parse(time)) / 1000;
   return seconds < 5 ? 'just now' : `${duration(seconds)} ago`;
 }
 
-/** Any text, quoted as one word of a shell. */
+/** Quotes any text as one word of a shell. */
 export function shellWord(text) {
   return /^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }

@@ -4,7 +4,7 @@
  * lower.
  */
 
-/** In a column of parents: none. */
+/** In a column of parents: no parent. */
 export const NO_PARENT = 0xffffffff;
 
 /** Colors of operators: random, listed, inherited, mutation, crossover, and those of a study. */
@@ -13,20 +13,21 @@ export const OPERATOR_HUES = ['--gray', '--gray', '--green', '--orange', '--blue
 
 /**
  * @typedef {Object} Columns
- * @property {Uint32Array} number ascending; not each number need be there
+ * @property {Uint32Array} number ascending; numbers may be missing
  * @property {Uint32Array} parent numbers of the first parents
  * @property {Uint32Array} other_parent numbers of the second parents
  * @property {Uint16Array|Uint32Array} born generations
- * @property {Uint16Array|Uint32Array} died generations; the largest value: it lives
+ * @property {Uint16Array|Uint32Array} died generations; the largest value means alive
  * @property {Uint8Array} operator
- * @property {string[]} [operators] what their numbers mean
- * @property {Float32Array} score NaN: a rollout diverged
- * @property {Uint8Array} lower_bound 1: the score is one, because the design could not survive
+ * @property {string[]} [operators] names by number
+ * @property {Float32Array} score NaN if a rollout diverged
+ * @property {Uint8Array} lower_bound 1 if the score is a lower bound, because the design could not
+ * survive
  * @property {Uint8Array} voxels
- * @property {Uint8Array} footprint columns of the body that hold a voxel
+ * @property {Uint8Array} footprint columns of the body with a voxel
  */
 
-/** Place of each number among the rows; -1 where it is missing. */
+/** Returns the position of each number among the rows, or -1 if it is missing. */
 function placesOf(numbers) {
   const n = numbers.length;
   const last = n ? numbers[n - 1] : -1;
@@ -37,8 +38,8 @@ function placesOf(numbers) {
 }
 
 /**
- * Lays out rows: y from 0 to 1 so that each design lies in the middle of its descendants, and which
- * designs are ancestors of the living.
+ * Lays out rows: y from 0 to 1 so that each design lies in the middle of its descendants. Also
+ * finds the ancestors of the living.
  * @param {Columns} columns
  * @returns {{y: Float32Array, parentRow: Int32Array, lineage: Uint8Array, order: Uint32Array,
  *            size: Uint32Array, nLineage: number, alive: number}}
@@ -91,7 +92,8 @@ export function layout(columns) {
   return { y, parentRow, lineage, size, order, nLineage: n - high, alive };
 }
 
-/** The row whose life passes nearest to a point, in units of the view; -1 if none is near. */
+/** Returns the row whose life passes nearest to a point, in units of the view; -1 if none is
+ * near. */
 export function nearest({ born, died }, { y, alive }, x, at, perX, perY, reach) {
   let best = -1;
   let bestDistance = reach * reach;

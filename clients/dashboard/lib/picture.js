@@ -6,10 +6,11 @@ import { svg } from './dom.js';
 const COS = Math.cos(Math.PI / 6);
 const SIN = 0.5;
 
-/** Where the lattice point (x, y, z) is drawn, one unit a voxel; x runs to the lower right. */
+/** Returns where the lattice point (x, y, z) is drawn, one unit per voxel; x runs to the lower
+ * right. */
 const at = (x, y, z) => [(x - y) * COS, (x + y) * SIN - z];
 
-/** The three sides of a voxel that the view shows, and their corners. */
+/** The three visible sides of a voxel, and their corners. */
 const SIDES = [
   { step: [0, 0, 1], name: 'voxel-top', corners: [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]] },
   { step: [0, 1, 0], name: 'voxel-left', corners: [[0, 1, 0], [1, 1, 0], [1, 1, 1], [0, 1, 1]] },
@@ -18,7 +19,7 @@ const SIDES = [
 
 /**
  * @param {string} genotype
- * @param {string} [label] read by screen readers; without one the drawing is decoration
+ * @param {string} [label] read by screen readers; without a label the drawing is decoration
  */
 export function picture(genotype, label) {
   // Painter's algorithm: back to front.

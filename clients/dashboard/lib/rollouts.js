@@ -8,7 +8,8 @@ import { decodeScene, robotsOf } from './scene.js';
 
 const lists = new Map();
 
-/** The environments at a path, which never change: [{sha256, light_xy_m, terrain_heights_m}]. */
+/** Loads the environments at a path, which never change: [{sha256, light_xy_m,
+ * terrain_heights_m}]. */
 async function environmentsAt(path) {
   if (!lists.has(path)) {
     const load = getJson(path);
@@ -18,19 +19,20 @@ async function environmentsAt(path) {
   return (await lists.get(path)).items;
 }
 
-/** The environments of a named set. */
+/** Loads the environments of a named set. */
 export const environmentSet = (name) =>
   environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
 
-/** An environment in the form of a request. */
+/** Returns an environment in the format of a request. */
 export const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
 
-/** What an evaluation recorded of one of its designs in one of its environments, as a scene. */
+/** Loads an evaluation's recording of one of its designs in one of its environments, as a scene. */
 export const recordingPath = (evaluation, row, environment) =>
   withQuery(`v1/evaluations/${encodeURIComponent(evaluation)}/trajectories/${row}`,
     { environment, format: 'scene' });
 
-/** The robots of recordings. @param {number[]} rows places of the designs in the evaluation */
+/** Returns the robots of recordings. @param {number[]} rows positions of designs in the
+ * evaluation */
 export async function recorded(evaluation, rows, environment, signal) {
   const robots = [];
   for (const row of rows) {
@@ -41,14 +43,14 @@ export async function recorded(evaluation, rows, environment, signal) {
   return robots;
 }
 
-/** What the stage shows. */
+/** The channels that the stage shows. */
 export const CHANNELS = ['masses', 'actuation', 'contacts'];
 
-/** Rollouts per request, at most. */
+/** Maximum of rollouts per request. */
 const ROLLOUTS_AT_ONCE = 16;
 
 /**
- * Rolls designs out in one environment, and returns them for the stage in the same order.
+ * Simulates designs in one environment, and returns them for the stage in the same order.
  * @param {Object[]} designs {voxels} or {id}, as in any request
  * @param {Object} environment
  * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal}}
@@ -71,10 +73,10 @@ export async function roll(designs, environment, options = {}) {
   return robots;
 }
 
-/** The controller of rollouts, unless one is named. */
+/** The default controller of rollouts. */
 const DEFAULT_CONTROLLER = 'default';
 
-/** A named set of environments, with default physics and a controller. */
+/** Returns a named set of environments, with default physics and a controller. */
 export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
   return {
     set, environments: await environmentSet(set), controller, physics: undefined,
@@ -84,8 +86,8 @@ export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
 }
 
 /**
- * The world in which a campaign or an evaluation scored its designs: environments, physics and
- * controller; for a campaign, its newest controller.
+ * Returns the world in which a campaign or an evaluation scored its designs: environments, physics
+ * and controller. For a campaign, it is the newest controller.
  */
 export async function worldOfJob(kind, job) {
   const physics = job.settings?.physics ?? job.physics;
@@ -98,14 +100,14 @@ export async function worldOfJob(kind, job) {
     set, environments, physics, precision: job.precision,
     controller: file?.sha256 ? `sha256:${file.sha256}` : DEFAULT_CONTROLLER,
     words: `World of ${kind} ${job.id}: ` +
-      `${set ?? `${countOf(environments.length, 'environment')} of its own`}, ` +
+      `${set ?? `${countOf(environments.length, 'custom environment')}`}, ` +
       `${physics.n_steps} steps of ${physics.dt_s} s, ` +
       `${job.precision === 'float64' ? 'float64, ' : ''}` +
       `controller ${file?.name ?? file?.sha256?.slice(0, 12) ?? DEFAULT_CONTROLLER}`,
   };
 }
 
-/** Rolls designs of a campaign out in the first environment of its world. */
+/** Simulates designs of a campaign in the first environment of its world. */
 export async function rollOfCampaign(campaign, designs, signal) {
   const { environments, controller, physics } = await worldOfJob('campaign', campaign);
   const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), environments[0],

@@ -32,7 +32,7 @@ export function decodeScene(buffer) {
   return { header, array };
 }
 
-/** The robots of a scene, as the stage takes them. */
+/** Returns the robots of a scene, in the format of the stage. */
 export function robotsOf({ header, array }) {
   const bodies = new Map();
   return header.rollouts.map((rollout) => {

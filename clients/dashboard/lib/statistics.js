@@ -4,7 +4,7 @@
 
 export const CONFIDENCE = 0.95;
 
-/** Natural logarithm of the gamma function, for x > 0: Lanczos's sum. */
+/** Natural logarithm of the gamma function, for x > 0: Lanczos approximation. */
 function logGamma(x) {
   const terms = [76.18009172947146, -86.50532032941677, 24.01409824083091, -1.231739572450155,
     0.1208650973866179e-2, -0.5395239384953e-5];
@@ -45,7 +45,7 @@ function incompleteBeta(a, b, x, y) {
   return 1 - (front * betaFraction(b, a, y)) / b;
 }
 
-/** P(T ≤ t) with so many degrees of freedom. */
+/** Returns P(T ≤ t) with `n` degrees of freedom. */
 function studentProbability(t, freedom) {
   const square = t * t;
   const tails = incompleteBeta(freedom / 2, 0.5, freedom / (freedom + square),
@@ -53,7 +53,7 @@ function studentProbability(t, freedom) {
   return t > 0 ? 1 - tails / 2 : tails / 2;
 }
 
-/** t with P(T ≤ t) = p, for p above one half. */
+/** Returns t with P(T ≤ t) = p, for p above one half. */
 export function studentQuantile(p, freedom) {
   let [low, high] = [0, 1];
   while (studentProbability(high, freedom) < p && high < 1e300) high *= 2;
@@ -70,9 +70,10 @@ const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.leng
 const squares = (values, middle) => values.reduce((sum, one) => sum + (one - middle) ** 2, 0);
 
 /**
- * The mean of b − a over designs with a finite loss in every world, and its interval, which holds
- * for other designs in other worlds (compare_crossed in stats.h). NaN: fewer than two designs.
- * @param {number[][]} a losses by design and world @param {number[][]} b
+ * Returns the mean of b − a over designs with a finite loss in every environment, and its interval,
+ * which holds for other designs in other environments (compare_crossed in stats.h). NaN with fewer
+ * than two designs.
+ * @param {number[][]} a losses by design and environment @param {number[][]} b
  */
 export function compareCrossed(a, b) {
   const off = a.map((row, i) => row.map((one, w) => b[i][w] - one))
@@ -98,7 +99,8 @@ export function compareCrossed(a, b) {
   return { n, difference, low: difference - half, high: difference + half, improved };
 }
 
-/** The mean of b minus the mean of a, with Welch's interval: two sets that are not paired. */
+/** Returns the mean of b minus the mean of a, with Welch's interval: two sets that are not
+ * paired. */
 export function compareMeans(a, b) {
   const [ma, mb] = [mean(a), mean(b)];
   const difference = mb - ma;

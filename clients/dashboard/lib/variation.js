@@ -6,7 +6,7 @@ import { WORKSPACE, cellsOf, genotypeOf } from './body.js';
 const key = (cell) => cell.join(',');
 const STEPS = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]];
 
-/** The connected parts of a list of cells, largest first. */
+/** Returns the connected components of a list of cells, largest first. */
 export function components(cells) {
   const left = new Map(cells.map((cell) => [key(cell), cell]));
   const parts = [];
@@ -39,7 +39,7 @@ export function flip(genotype, [x, y, z]) {
   return genotype.slice(0, at) + (genotype[at] === '1' ? '0' : '1') + genotype.slice(at + 1);
 }
 
-/** The union of a body with its mirror image along x (0) or y (1). */
+/** Returns the union of a body with its mirror image along x (0) or y (1). */
 export function mirror(genotype, axis) {
   const cells = cellsOf(genotype);
   const images =
@@ -47,7 +47,7 @@ export function mirror(genotype, axis) {
   return genotypeOf([...cells, ...images]);
 }
 
-/** Moves the body by one voxel; null where it would leave the workspace. */
+/** Moves the body by one voxel; returns null if it would leave the workspace. */
 export function shift(genotype, [dx, dy, dz]) {
   const cells = cellsOf(genotype).map(([x, y, z]) => [x + dx, y + dy, z + dz]);
   const inside = cells.every((cell) => cell.every((v, axis) => v >= 0 && v < WORKSPACE[axis]));
@@ -58,7 +58,7 @@ export function shift(genotype, [dx, dy, dz]) {
  * Reads a body from a text: a robot (ID@K) or an id, 144 digits of voxels, a list of cells, or an
  * EvoGym array (rows of materials, 0 is empty), which is given a depth of two voxels.
  * @returns {{id?: string, genotype?: string, lost?: string}} an id or a genotype, and what the
- *   conversion lost; throws with what is wrong
+ * conversion lost; throws an explanation
  */
 export function readBody(text) {
   const trimmed = text.trim();
@@ -75,7 +75,7 @@ export function readBody(text) {
   if (!Array.isArray(rows) || !rows.length ||
     !rows.every((row) => Array.isArray(row) && row.every(Number.isFinite))) {
     throw new Error(
-      'This is neither an id, nor 144 digits, nor a list of cells, nor an EvoGym array.');
+      'This is not an id, 144 digits, a list of cells, or an EvoGym array.');
   }
   const isList = trimmed.startsWith('[') && trimmed.includes(',');
   const isCells = isList && rows.every((row) => row.length === 3);

@@ -1,4 +1,5 @@
-/** A camera that circles a point; it follows a robot, or the user turns, moves and zooms it. */
+/** A camera that circles around a point. It follows a robot, or the user turns, moves and zooms
+ * it. */
 
 import { lookAt, multiply, orthographic, perspective } from './math.js';
 
@@ -10,12 +11,12 @@ export class Camera {
   constructor() {
     /** The point that the camera looks at, in meters. */
     this.target = [2.5, 2.5, 0.3];
-    /** Turn about the vertical axis, in radians; 0 looks along +y. */
+    /** Rotation about the vertical axis, in radians; 0 looks along +y. */
     this.yaw = 0.6;
-    /** Height of the view above the horizon, in radians. */
+    /** Angle of the view above the horizon, in radians. */
     this.pitch = 0.4;
     this.distanceM = 2.2;
-    /** Width and height of the view in pixels per meter, without perspective; 0: perspective. */
+    /** Scale of a view without perspective, in pixels per meter; 0 means perspective. */
     this.pixelsPerM = 0;
   }
 
@@ -28,7 +29,7 @@ export class Camera {
     ];
   }
 
-  /** The matrix from the world to a view of so many pixels. */
+  /** Returns the matrix from the world to a view of this size in pixels. */
   matrix(width, height) {
     const eye = this.eye();
     // Straight down, "up" on the screen is the direction of the yaw.
@@ -57,7 +58,7 @@ export class Camera {
     this.target[1] += -right * s + forward * c;
   }
 
-  /** The view as a short text for a link, and back. */
+  /** Writes the view as a short text for a link; the next function reads it. */
   toText() {
     const { target, yaw, pitch, distanceM } = this;
     return [...target, yaw, pitch, distanceM].map((x) => x.toFixed(3)).join('_');
@@ -77,8 +78,8 @@ export class Camera {
 }
 
 /**
- * Reports pointers on a canvas: drag(dx, dy, event) of one, pinch(factor, x, y) of two, and
- * click(x, y) of one that hardly moved.
+ * Reports pointers on a canvas: drag(dx, dy, event) for one, pinch(factor, x, y) for two, and
+ * click(x, y) for one that barely moved.
  */
 export function onPointers(canvas, { drag, pinch, click = (x, y) => {} }) {
   const pointers = new Map();

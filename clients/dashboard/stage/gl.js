@@ -1,8 +1,8 @@
-/** The few things of WebGL 2 that the stage and the phylogeny need. */
+/** The few features of WebGL 2 that the stage and the phylogeny need. */
 
 /**
- * A program with uniforms that are found by name. It compiles in the background; only its first use
- * waits for that, and throws with the compiler's message.
+ * A program with uniforms that are found by name. It compiles in the background. Only its first use
+ * waits for that, and throws the compiler's message if it fails.
  */
 export class Program {
   /**
@@ -16,7 +16,7 @@ export class Program {
     this.places = null;
   }
 
-  /** Starts to compile, and does not wait. */
+  /** Starts to compile, without waiting. */
   prepare() {
     const { gl, sources: [vertexSource, fragmentSource] } = this;
     this.handle = gl.createProgram();
@@ -103,7 +103,7 @@ export function dataTexture(gl, internal, width, height, format, type, data) {
 }
 
 /**
- * A vertex array of one interleaved or packed buffer.
+ * Creates a vertex array for one interleaved or packed buffer.
  * @param {{at: number, size: number, type: number, integer?: boolean, stride: number,
  *          offset?: number, divisor?: number}[]} attributes
  */
@@ -123,7 +123,7 @@ export function vertexArray(gl, data, attributes) {
   return { array, buffer, free: () => { gl.deleteVertexArray(array); gl.deleteBuffer(buffer); } };
 }
 
-/** A map of depths that the sun sees. */
+/** A map of depths as seen from the sun. */
 export function shadowTarget(gl, size) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);

@@ -1,4 +1,4 @@
-/** 4 × 4 matrices, column-major as WebGL takes them, and 3-vectors as arrays. */
+/** 4 × 4 matrices, column-major as WebGL expects them, and 3-vectors as arrays. */
 
 export function perspective(fovY, aspect, near, far) {
   const f = 1 / Math.tan(fovY / 2);
@@ -45,7 +45,7 @@ export function multiply(a, b) {
 }
 
 /**
- * Where a point of the world appears: [x, y, depth], each from -1 to 1.
+ * Returns where a point of the world appears: [x, y, depth], each from -1 to 1.
  * @param {ArrayLike<number>} matrix
  * @param {Iterable<number>} point
  */

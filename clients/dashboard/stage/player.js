@@ -1,4 +1,4 @@
-/** A stage with its controls: play, scrub, slow motion, what is shown, who is followed. */
+/** A stage with its controls: play, scrub, slow motion, display options, and the followed robot. */
 
 import { button, fill, h, select, swatch, toggle } from '../lib/dom.js';
 import { score } from '../lib/format.js';
@@ -14,7 +14,7 @@ const SLOW_FRAME_S = 0.028;
  * it delays them.
  */
 const PATIENCE_MS = 1000;
-/** A picture that stands still is drawn in full after this pause. */
+/** A still picture is drawn at full quality after this pause. */
 const STILL_MS = 250;
 /** More names would hide the robots; more views would be too small. */
 const NAMES_MAX = 40;
@@ -24,7 +24,7 @@ export class Player {
   /**
    * @param {import('../app.js').app} app
    * @param {{compact?: boolean, height?: number, onchange?: function(): void}} [options]
-   *   compact: fewer controls, for a stage beside other things
+   *   compact: fewer controls, for a stage next to other things
    */
   constructor(app, options = {}) {
     const { compact = false, height, onchange = () => {} } = options;
@@ -63,7 +63,7 @@ export class Player {
       this.stage = null;
       return;
     }
-    // For tests, and for people who use the console.
+    // For tests, and for users of the console.
     Object.assign(this.element, { player: this });
     this.#addToggles(compact);
     driveCamera(this.canvas, this.stage.camera, (how) => {
@@ -80,7 +80,7 @@ export class Player {
     app.themeListeners.add(this.onTheme);
     this.resize = new ResizeObserver(() => this.#wake());
     this.resize.observe(this.canvas);
-    // A hidden canvas is not throttled: without a GPU, frames would queue for minutes.
+    // A hidden canvas is not throttled: without a GPU, frames would queue up for minutes.
     this.isSeen = true;
     this.sight = new IntersectionObserver((entries) => {
       this.isSeen = entries.at(-1).isIntersecting;
@@ -96,7 +96,7 @@ export class Player {
     const { stage } = this;
     const flag = (text, name) => toggle(text, stage.show[name], (on) => {
       stage.show[name] = on;
-      // Actuation is a color of the springs.
+      // Actuation colors the springs.
       if (name === 'actuation' && on && !stage.show.springs) this.springsToggle.click();
       this.#wake();
       this.onchange();
@@ -145,7 +145,7 @@ export class Player {
       .map(([name]) => name);
   }
 
-  /** A view for each robot, or all on one terrain. */
+  /** Shows a view for each robot, or all of them on one terrain. */
   setSide(on) {
     this.stage.sideBySide = on;
     this.sideToggle.setAttribute('aria-pressed', String(on));
@@ -156,8 +156,8 @@ export class Player {
   }
 
   /**
-   * The view as a link holds it: camera, who is followed, moment (where it stands still), speed and
-   * what is shown.
+   * Returns the view for a link: camera, followed robot, time (if paused), speed and display
+   * options.
    */
   view() {
     const { stage } = this;
@@ -168,7 +168,8 @@ export class Player {
     };
   }
 
-  /** Takes the view of a link, once the robots are there. @param {URLSearchParams} parameters */
+  /** Applies the view of a link, once the robots have loaded. @param {URLSearchParams}
+   * parameters */
   setView(parameters) {
     const { stage } = this;
     const [show, view, follow, time, speed] = ['show', 'view', 'follow', 'time', 'speed']
@@ -220,15 +221,15 @@ export class Player {
   setRobots(robots, { keepTime = false } = {}) {
     if (!this.stage) return;
     this.stage.setRobots(robots);
-    // Until the user turns the camera, the robots walk away from it, towards their light.
+    // Until the user turns the camera, the robots walk away from it, toward their light.
     if (robots.length && !this.aimed) this.stage.aim();
     this.held = false;
     const duration = this.stage.durationS();
     this.slider.max = String(duration || 1);
     if (!keepTime || this.stage.timeS > duration) this.stage.timeS = 0;
     this.sideToggle.parentElement.hidden = robots.length < 2;
-    // All robots start at the same place, so they are first shown apart, unless there are very
-    // many.
+    // All robots start at the same position, so they are first shown separately, unless there are
+    // very many.
     const apart = robots.length > 1 && robots.length <= APART_MAX;
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
@@ -244,7 +245,7 @@ export class Player {
     this.#wake();
   }
 
-  /** The list of robots; side by side, the tags in the views show the same. */
+  /** The list of robots. Side by side, the tags in the views show the same. */
   #showNames() {
     const { robots, sideBySide } = this.stage;
     this.names.hidden = robots.length === 0 || robots.length > NAMES_MAX ||
@@ -270,8 +271,8 @@ export class Player {
   }
 
   /**
-   * Stops drawing until new robots arrive or it is released: where frames take long, drawing the
-   * old robots would delay the new ones.
+   * Stops drawing until new robots arrive or it is released: if frames take long, drawing the old
+   * robots would delay the new ones.
    */
   hold(on) {
     this.held = on && this.meanFrameS > SLOW_FRAME_S;
@@ -323,7 +324,7 @@ export class Player {
     if (!moving) this.stillTimer = setTimeout(() => this.#drawStill(), STILL_MS);
   }
 
-  /** Draws a still picture in full, however slow the frames before were. */
+  /** Draws a still picture at full quality, however slow the previous frames were. */
   #drawStill() {
     const { scale, shadows } = this.stage;
     const isFull = scale === 1 && shadows;
@@ -332,7 +333,7 @@ export class Player {
     }
   }
 
-  /** Does work, such as saving a picture, with the full resolution and the shadow. */
+  /** Does work, such as saving a picture, at full resolution and with the shadow. */
   async inFull(work) {
     const { stage } = this;
     const { scale, shadows } = stage;
@@ -345,8 +346,8 @@ export class Player {
   }
 
   /**
-   * Lowers the resolution, then leaves out the shadow, where frames take long: no GPU, or a small
-   * one.
+   * Lowers the resolution, then omits the shadow, if frames take long: without a GPU, or with a
+   * small one.
    */
   #adapt(elapsed) {
     this.meanFrameS = 0.9 * (this.meanFrameS ?? 0.016) + 0.1 * elapsed;

@@ -1,13 +1,14 @@
 /**
  * The shaders of the stage. Tracks are textures of the daemon's own float32 numbers, (frames,
- * masses) of (x, y, z) in meters, read without conversion: a vertex shader takes two frames and
- * interpolates.
+ * masses) of (x, y, z) in meters, read without conversion: a vertex shader interpolates between two
+ * frames.
  */
 
 const VERSION = '#version 300 es\nprecision highp float;\nprecision highp int;\n';
 
 /**
- * Position of a mass at the present time: `frame` is the number of the earlier frame and a share.
+ * Position of a mass at the current time: the integer part of `frame` is the earlier frame, and the
+ * fraction interpolates.
  */
 const TRACK = `
 uniform highp sampler2D track;
@@ -36,7 +37,8 @@ float heightAt(vec2 at) {
 }
 `;
 
-/** How much light of the sun reaches a point: a map of depths seen from the sun, four samples. */
+/** The fraction of sunlight that reaches a point: a map of depths seen from the sun, four
+ * samples. */
 const SHADOW = `
 uniform highp sampler2DShadow shadowMap;
 uniform mat4 sunMatrix;
@@ -55,7 +57,7 @@ float sunlight(vec3 at) {
 }
 `;
 
-/** The colors that the theme sets; all in linear values of the screen. */
+/** Colors that the theme sets; all are linear values of the screen. */
 const LOOK = `
 uniform vec3 sun;
 uniform vec3 eye;
@@ -68,7 +70,7 @@ vec3 lamp(vec3 at, vec3 normal) {
   float facing = max(dot(normal, normalize(to)), 0.0) * 0.7 + 0.3;
   return glow * facing * 0.16 / (d2 + 0.12);
 }
-// Bright values approach white slowly, so that faces beside the light keep their shape.
+// Bright values approach white slowly, so that faces near the light keep their shape.
 vec3 exposed(vec3 lit) {
   vec3 above = max(lit - 0.8, 0.0);
   return min(lit, 0.8) + 0.2 * (1.0 - exp(-above / 0.4));
@@ -98,7 +100,7 @@ float lines(float value, float width) {
   return (1.0 - smoothstep(w * 0.5, w * 1.5, d)) * clamp(0.35 / max(w, 0.001) - 0.35, 0.0, 1.0);
 }
 void main() {
-  // The exact slope of the bilinear patch, not that of the mesh.
+  // The exact slope of the bilinear patch, not the mesh's slope.
   float e = 0.02;
   vec2 slope = vec2(heightAt(at.xy + vec2(e, 0.0)) - heightAt(at.xy - vec2(e, 0.0)),
                     heightAt(at.xy + vec2(0.0, e)) - heightAt(at.xy - vec2(0.0, e))) / (2.0 * e);
@@ -124,7 +126,7 @@ void main() {
 }`,
 ];
 
-/** The skin: one instance a face; six vertices are two triangles of its four corners. */
+/** The skin: one instance per face; six vertices form two triangles from its four corners. */
 const SKIN_VERTEX = `${VERSION}${TRACK}
 layout(location = 0) in uvec4 low;
 layout(location = 1) in uvec4 high;
@@ -182,7 +184,7 @@ void main() {
 }`,
 ];
 
-/** The same faces as seen from the sun: only depth. */
+/** The same faces seen from the sun, with only their depth. */
 export const DEPTH_SHADERS = [
   `${SKIN_VERTEX}
 void main() {
@@ -191,7 +193,8 @@ void main() {
   `${VERSION}void main() {}`,
 ];
 
-/** Springs: a ribbon each that faces the eye, thick and colored where it is strained or driven. */
+/** Springs: each is a ribbon that faces the eye, thick and colored where it is strained or
+ * actuated. */
 export const SPRING_SHADERS = [
   `${VERSION}${TRACK}
 layout(location = 0) in uvec2 ends;
@@ -236,7 +239,7 @@ void main() {
 }`,
 ];
 
-/** The path of a center of mass over the ground, up to the present frame. */
+/** The path of a center of mass over the ground, up to the current frame. */
 export const TRAIL_SHADERS = [
   `${VERSION}${TERRAIN}
 layout(location = 0) in vec4 point;
@@ -266,8 +269,8 @@ void main() {
 ];
 
 /**
- * Masses that touch the ground: a ring under each. Without a record of contacts, those that lie on
- * it.
+ * A ring under each mass that touches the ground. Without recorded contacts, masses that lie on the
+ * ground count.
  */
 export const CONTACT_SHADERS = [
   `${VERSION}${TRACK}${TERRAIN}

@@ -1,8 +1,8 @@
 /**
- * The stage: robots that walk on their terrain towards their light, drawn with WebGL 2.
+ * The stage: robots that walk on their terrain toward their light, drawn with WebGL 2.
  *
- * The recordings of the daemon go to the graphics processor as they are; each frame of the screen
- * sets one number, the time. Therefore scrubbing and slow motion cost the processor nothing.
+ * The daemon's recordings go to the graphics processor unchanged, and each frame on the screen sets
+ * only one number, the time. Therefore scrubbing and slow motion cost the CPU nothing.
  */
 
 import { Camera } from './camera.js';
@@ -10,10 +10,10 @@ import { Program, dataTexture, shadowTarget, vertexArray } from './gl.js';
 import { lookAt, multiply, normalize, orthographic } from './math.js';
 import * as shaders from './shaders.js';
 
-/** Cells of the ground's mesh along each side, and of that in small views. */
+/** Cells of the ground's mesh along each side, and the same for small views. */
 const GRID = 160;
 const COARSE_GRID = 56;
-/** Views that are lower than this, in pixels of the page, are small: the camera moves closer. */
+/** Views lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
 
 /** Colors of robots in the order of the legend: color-blind people can distinguish them. */
@@ -42,16 +42,17 @@ const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)
 
 const MIDDLE_M = 2.5;
 
-/** The direction that looks from the middle of the map to the light, as a turn of the camera. */
+/** Returns the direction from the middle of the map to the light, as a rotation of the camera. */
 const towardsLight = ({ light }) => Math.atan2(light[0] - MIDDLE_M, light[1] - MIDDLE_M);
 
-/** The sun of a world: behind those who look towards the light, so that they see lit sides. */
+/** Returns the direction of the sun: behind a viewer who looks toward the light, so that the
+ * visible sides are lit. */
 function sunOf(world) {
   const turn = towardsLight(world) + 0.75;
   return normalize([-0.7 * Math.sin(turn), -0.7 * Math.cos(turn), 1]);
 }
 
-/** Mean position of the masses in one frame of a track. */
+/** Returns the mean position of the masses in one frame of a track. */
 export function centerOfMass(robot, frame) {
   const { track, body, frames } = robot;
   const n = body.nMasses;
@@ -69,7 +70,7 @@ export function centerOfMass(robot, frame) {
   return sum.map((x) => x / n);
 }
 
-/** What one robot needs on the graphics processor. */
+/** What the graphics processor needs for one robot. */
 function upload(gl, robot) {
   const { body, track, frames, actuation, contacts } = robot;
   const faces = new Uint16Array(body.nFaces * 9);
@@ -107,7 +108,7 @@ function upload(gl, robot) {
   };
 }
 
-/** A ribbon along the path of the center of mass: two vertices a frame. */
+/** A ribbon along the path of the center of mass: two vertices per frame. */
 function trailOf(gl, robot) {
   const every = Math.max(1, Math.floor(robot.frames / 250));
   const points = [];
@@ -127,7 +128,7 @@ function trailOf(gl, robot) {
   return { ...ribbon, n: points.length * 2 };
 }
 
-/** A square of so many cells along each side, from -1 to 1. */
+/** A square with n cells along each side, from -1 to 1. */
 function groundMesh(gl, cells) {
   const corners = new Float32Array((cells + 1) * (cells + 1) * 2);
   const triangles = new Uint32Array(cells * cells * 6);
@@ -153,16 +154,16 @@ function groundMesh(gl, cells) {
  * @property {ReturnType<import('../lib/body.js').bodyOf>} body
  * @property {Float32Array} track (frames, masses, 3) in meters
  * @property {number} frames
- * @property {number} frameS seconds between two frames
+ * @property {number} frameS seconds per frame
  * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and
  *   the 64 heights of the terrain
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
- * @property {Uint8Array} [contacts] (frames, masses), 1 where a mass touches the ground
+ * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend
  * @property {string} [label]
- * @property {number|null} [loss] null: diverged
+ * @property {number|null} [loss] null if it diverged
  * @property {string} [genotype]
- * @property {any} [gpu] what the stage keeps for it
+ * @property {any} [gpu] internal data of the stage
  */
 
 export class Stage {
@@ -170,7 +171,7 @@ export class Stage {
   constructor(canvas, { theme = 'dark' } = {}) {
     const gl = canvas.getContext('webgl2',
       { antialias: true, alpha: false, preserveDrawingBuffer: true });
-    if (!gl) throw new Error('This browser does not offer WebGL 2, which the stage is drawn with.');
+    if (!gl) throw new Error('This browser does not support WebGL 2, which the stage needs.');
     this.canvas = canvas;
     this.gl = gl;
     this.theme = theme;
@@ -180,7 +181,7 @@ export class Stage {
     this.show = { skin: true, springs: false, actuation: false, trails: true, contacts: false };
     this.sideBySide = false;
     this.follow = true;
-    /** Index of the robot that the camera follows where all share one view. */
+    /** Index of the robot that the camera follows if all robots share one view. */
     this.followed = 0;
     this.scale = 1;
     this.shadows = true;
@@ -253,13 +254,13 @@ export class Stage {
     return Math.min(this.timeS / robot.frameS, robot.frames - 1);
   }
 
-  /** The views of the stage: all robots in one, or a view each. */
+  /** Returns the views of the stage: one for all robots, or one for each. */
   views() {
     const { width, height } = this.canvas;
     const n = this.sideBySide ? this.robots.length : 1;
     if (n <= 1) return [{ robots: this.robots, x: 0, y: 0, width, height }];
     let columns = 1;
-    // The split whose views come nearest to a picture of 4 by 3.
+    // The split with views closest to the ratio 4 : 3.
     let best = Infinity;
     for (let c = 1; c <= n; c++) {
       const shape = width / c / (height / Math.ceil(n / c));
@@ -297,13 +298,13 @@ export class Stage {
     gl.flush();
   }
 
-  /** Whether the graphics processor is still drawing the previous picture. */
+  /** Returns whether the graphics processor is still drawing the previous picture. */
   isBusy() {
     return Boolean(this.drawn) &&
       this.gl.getSyncParameter(this.drawn, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;
   }
 
-  /** Turns the camera so that the light of the followed robot lies ahead, a little to the left. */
+  /** Turns the camera so that the light of the followed robot is ahead, a little to the left. */
   aim() {
     this.camera.yaw = towardsLight(this.robots[this.followed].world) + 0.35;
   }
@@ -424,7 +425,8 @@ export class Stage {
   }
 }
 
-/** Height of a terrain at (x, y), as the daemon computes it: bilinear, clamped at the edge. */
+/** Returns the height of a terrain at (x, y), as the daemon computes it: bilinear, clamped at the
+ * edge. */
 export function heightAt(heights, x, y) {
   const [cx, cy] = [x, y].map((v) => Math.min(7, Math.max(0, v * 1.4)));
   const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));

@@ -1,5 +1,6 @@
 /**
- * Names beside the robots on the stage: above each in a race, in the corner of its view otherwise.
+ * Names of the robots on the stage: above each robot in a race, otherwise in the corner of its
+ * view.
  */
 
 import { fill, h } from '../lib/dom.js';
@@ -40,7 +41,7 @@ export class Tags {
         x = ((px + 1) / 2) * clientWidth - WIDTH_PX / 2;
         y = ((1 - py) / 2) * clientHeight - HEIGHT_PX;
         tag.hidden = depth > 1 || Math.abs(px) > 1 || Math.abs(py) > 1;
-        // All start at one place: names that would cover each other are stacked.
+        // All start at the same position: names that would cover each other are stacked.
         const overlaps = (at) =>
           Math.abs(at[0] - x) < WIDTH_PX && Math.abs(at[1] - y) < HEIGHT_PX;
         while (placed.some(overlaps)) y -= HEIGHT_PX;

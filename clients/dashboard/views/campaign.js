@@ -19,7 +19,7 @@ import { Scatter } from './scatter.js';
 import { copyButton, formDialog, saveLink, showDialog } from './share.js';
 
 const CHAMPIONS = 8;
-/** A running campaign is polled, since not every phase has events. */
+/** A running campaign is polled, because not every phase has events. */
 const POLL_MS = 2000;
 const DASH_NAMES = ['dashed', 'dotted', 'dash and dot'];
 
@@ -41,10 +41,10 @@ async function mountList(main, app) {
   const none = h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs ' +
     `over generations${start}.`);
   const { compare, box } = comparing(app, 'campaigns', 'Compare');
-  const opened = new Set(); // groups whose replicates are shown
+  const opened = new Set(); // groups with visible replicates
   let items = [];
 
-  /** A row of cells for a campaign, or for the replicates of one request. */
+  /** Returns a row of cells for a campaign, or for the replicates of one request. */
   function cellsOf({ job, members, isMember }) {
     const all = members ?? [job];
     const bests = all.map((one) => one.newest?.score.quantiles.p0 ?? Infinity);
@@ -67,7 +67,7 @@ async function mountList(main, app) {
         : stateChip(same[0])))),
       h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
       h('td.wide', {}, progressBar(slowest),
-        isSpread ? h('div.muted', {}, 'the slowest of them') : null),
+        isSpread ? h('div.muted', {}, 'the slowest one') : null),
       h('td.right', { 'data-name': 'Best score' }, best === Infinity ? '–' : score(best)),
       h('td', {}, ago(job.created_at)),
     ];
@@ -189,7 +189,7 @@ async function mountOne(main, id, parameters, app) {
         'aria-label': `Leave out campaign ${other}` }, '×'));
   }
 
-  /** Links to the other replicates of the request. */
+  /** Returns links to the other replicates of the request. */
   async function showSiblings() {
     const { items } = await get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
     fill(siblings, items.filter((one) => one.id !== id).reverse().map((one) =>
@@ -296,7 +296,7 @@ async function mountOne(main, id, parameters, app) {
     if (!nothing.hidden) return;
     const { items } = await get(`v1/campaigns/${id}/champions?count=${CHAMPIONS}`);
     const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
-    // The best come first; a chosen design stays even when it is no longer a champion.
+    // The best come first; a selected design stays even when it is no longer a champion.
     const shown = [best, ...items.filter((one) => one !== best)];
     for (const design of chosen.values()) {
       if (!shown.some((one) => one.number === design.number)) shown.push(design);
@@ -318,7 +318,8 @@ async function mountOne(main, id, parameters, app) {
     }
   }
 
-  /** The card of a champion: it walks here, or is chosen for the stage or as a founder. */
+  /** Returns the card of a champion: it walks here, or is selected for the stage or as a
+   * founder. */
   function champion(design) {
     const { number, genotype, operator } = design;
     const card = h('button.card', {
@@ -334,7 +335,7 @@ async function mountOne(main, id, parameters, app) {
     return h('div.pick', {}, card, h('label.row', {}, box, 'choose'));
   }
 
-  /** Lets designs walk, by their numbers. */
+  /** Shows designs walking, by their numbers. */
   async function walk(numbers, known = population) {
     const designs = numbers.map((one) => known.find((design) => design.number === one))
       .filter(Boolean).slice(0, 64);
@@ -366,12 +367,12 @@ async function mountOne(main, id, parameters, app) {
   }
 
   showHead();
-  if (isGroup) showSiblings().catch(() => {}); // they are links only
+  if (isGroup) showSiblings().catch(() => {}); // they are only links
   showCharts();
   await refreshCurves();
   showChampions().catch((error) => { if (!stop.signal.aborted) fill(nothing, error.message); });
 
-  // New generations are drawn together, at most twice a second.
+  // New generations are drawn together, at most twice per second.
   const later = coalesced(async () => {
     await refreshJob();
     if (await refreshCurves()) await showChampions();

@@ -1,4 +1,5 @@
-/** Campaigns compared: their scores at the newest generation that all have, with an interval. */
+/** Compares campaigns: their scores at the newest generation that all of them have, with an
+ * interval. */
 
 import { Chart } from '../lib/chart.js';
 import { fill, h, table } from '../lib/dom.js';
@@ -7,13 +8,13 @@ import { replicateOf, titleOf } from './jobs.js';
 import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
 import { Curve } from '../lib/api.js';
 
-/** Of this campaign and of those that are compared with it, in every chart. */
+/** The colors of this campaign and of those compared with it, in every chart. */
 export const HUES = ['--blue', '--green', '--pink', '--gray'];
 export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 
 /**
- * The setting in which two sides differ so that their scores cannot be compared, as for morphoctl
- * campaign compare; '' if they can.
+ * Returns the setting whose difference makes the scores of two sides incomparable, as in morphoctl
+ * campaign compare; '' if they can be compared.
  */
 function differenceOf(one, other) {
   const [a, b] = [one, other].map(({ campaign }) => campaign.settings.physics);
@@ -22,7 +23,7 @@ function differenceOf(one, other) {
   return one.worlds.join() === other.worlds.join() ? '' : 'their environments';
 }
 
-/** Replicates of a campaign are one side: their mean, and the spread that gives the interval. */
+/** Replicates of a campaign form one side: their mean, and the spread that gives the interval. */
 export class Comparison {
   /** @param {string[]} ids @param {function(string): Promise<any>} get */
   constructor(ids, get) {
@@ -43,13 +44,13 @@ export class Comparison {
         this.body, (name, i) => i > 0, 'table'))));
   }
 
-  /** The campaigns of a side, with their curves. */
+  /** Loads the campaigns of a side, with their curves. */
   async #load() {
     const sides = await Promise.all(this.ids.map(async (id) => {
       const campaign = await this.get(`v1/campaigns/${id}`);
       const { items } = await this.get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
       const worlds = await this.get(`v1/campaigns/${id}/environments`);
-      // Replicates that ended early are only named, unless all did.
+      // Replicates that ended early are only listed, unless all did.
       const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed')
         .map((one) => one.id);
       const counted = items.map((one) => one.id).filter((one) => !early.includes(one));

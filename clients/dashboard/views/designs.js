@@ -16,7 +16,7 @@ import { JobParts, shortProgress, titleOf } from './jobs.js';
 import { announced, copyButton } from './share.js';
 
 const PAGE = 48;
-/** How many pages of 1,000 results are read of an evaluation that is too large to have a list. */
+/** How many pages of 1,000 results are read from an evaluation that is too large to have a list. */
 const PAGES_MAX = 10;
 /** Orders of the leaderboard, as parameters of the list of designs. */
 const ORDERS = {
@@ -30,7 +30,7 @@ export async function mount(main, [id], parameters, app) {
   return mountBoard(main, parameters, app);
 }
 
-/** Cards of designs that can be chosen for the stage. What is chosen is kept with the history. */
+/** Cards of designs that can be selected for the stage. The selection is kept with the history. */
 class Wall {
   constructor(app) {
     this.app = app;
@@ -72,7 +72,7 @@ class Wall {
     return h('div.pick', {}, card, h('a', link, `${id.slice(0, 10)}…${robot.slice(36)}`));
   }
 
-  /** The chosen, each form once: a design may be here in several orientations. */
+  /** The selected designs, each form once: a design may be here in several orientations. */
   #founders() {
     const byId = new Map([...this.chosen].reverse().map(([voxels, { id }]) => [id, { voxels }]));
     return [...byId.values()].reverse();
@@ -146,7 +146,8 @@ async function mountBoard(main, parameters, app) {
   return {};
 }
 
-/** The results with their places; of a large evaluation, the first that are whole scores. */
+/** Returns the results with their positions; for a large evaluation, the first that are full
+ * scores. */
 async function resultsOf(job, signal) {
   if (job.results) return { rows: job.results.map((result, row) => ({ ...result, row })) };
   const rows = [];
@@ -172,7 +173,7 @@ async function mountEvaluation(main, id, app) {
   let done = false, isLarge = false;
   let best = []; // rows, best first
 
-  /** Shows what was recorded: of the chosen designs, or of the best. */
+  /** Shows the recordings of the selected designs, or of the best. */
   const recordings = button('Show recordings', () => {
     const rows = wall.chosen.size ? [...wall.chosen.values()].map(({ row }) => row)
       : best.slice(0, 4);
@@ -199,7 +200,7 @@ async function mountEvaluation(main, id, app) {
     if ((job.results || isLarge) && !done) {
       done = true;
       const { rows, isCut } = await resultsOf(job, stop.signal).catch((error) => {
-        done = false; // the next event asks again
+        done = false; // the next event retries
         throw error;
       });
       const order = rows.filter((result) => !result.fault)
@@ -247,19 +248,19 @@ async function mountEvaluation(main, id, app) {
   };
 }
 
-/** Whether a design is one of the requested best, which have no mere lower bounds. */
+/** Returns whether a design is one of the requested best, which have full scores. */
 const isAmong = ({ score: own, lower_bound: isBound }, last) =>
   !isBound && own !== null && own <= last;
 
-/** Where designs are scored, in words. */
+/** Describes in words where designs are scored. */
 const placesOf = (environments) => (typeof environments === 'string'
   ? `in the environments of ${environments}`
-  : `in ${countOf(environments.count ?? environments.length, 'environment')} of its own`);
+  : `in ${countOf(environments.count ?? environments.length, 'custom environment')}`);
 
 async function mountDesign(main, id, app) {
   const stop = new AbortController();
   const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
-  const name = design.id + (/@[0-7]$/.exec(id)?.[0] ?? ''); // of the link: a robot, or an id alone
+  const name = design.id + (/@[0-7]$/.exec(id)?.[0] ?? ''); // from the link: a robot, or an id
   const player = new Player(app, { height: 420 });
   const scored = design.orientations.flatMap((orientation) =>
     orientation.scores.map((one) => ({ ...one, robot: orientation.robot })));

@@ -1,4 +1,4 @@
-/** The editor: a body, voxel by voxel, that walks and is scored at every click. */
+/** The editor: a body, voxel by voxel, that walks and is scored after every click. */
 
 import { LinkError, getJson, patient, post, storing } from '../lib/api.js';
 import { WORKSPACE, bodyOf, cellsOf, genotypeOf, genotypeOfId, hasVoxel } from '../lib/body.js';
@@ -19,7 +19,7 @@ const FIRST = [
 /** Storage key of the kept bodies, the undo steps and the body, while the tab is open. */
 const SHELF_KEY = 'morphod-editor';
 const PAST_MAX = 100;
-/** Use the first random body of at least this size: smaller ones hardly walk. */
+/** The first random body of at least this size is used: smaller ones barely walk. */
 const RANDOM_VOXELS_MIN = 6;
 const isBody = (text) => /^[01]{144}$/.test(text) && text.includes('1');
 
@@ -67,7 +67,8 @@ export async function mount(main, path, parameters, app) {
   }
 
   /**
-   * Shows a body that the service makes as in campaigns, unless the user changes the body first.
+   * Shows a body that the service makes as it does for campaigns, unless the user changes the body
+   * first.
    */
   const make = (operator, request, whyNone = '') => announced(async () => {
     const before = genotype;
@@ -157,7 +158,7 @@ export async function mount(main, path, parameters, app) {
     const body = bodyOf(genotype);
     const size = `${voxels(body.nVoxels)}, ${count(body.nSprings)} springs`;
     if (!isConnected(genotype)) {
-      result.textContent = `${size}; not connected: every voxel must touch another with a face`;
+      result.textContent = `${size}; not connected: every voxel must share a face with another`;
       return;
     }
     const design = { voxels: genotype };
@@ -170,7 +171,7 @@ export async function mount(main, path, parameters, app) {
       known.set(genotype, robot.id);
       for (const one of kept) if (one.genotype === genotype) one.id = robot.id;
       player.setRobots([robot]);
-      // It walks first: ten rollouts would delay its first frame.
+      // It walks first, because ten rollouts would delay its first frame.
       await new Promise(requestAnimationFrame);
       if (signal.aborted) return;
       const shownMs = Math.round(performance.now() - started);
@@ -207,7 +208,7 @@ export async function mount(main, path, parameters, app) {
     // A campaign accepts each form once, in any position and orientation.
     const id = known.get(genotype) ?? genotype;
     if (kept.some((one) => one.id === id || one.genotype === genotype)) {
-      announce('This body is kept already.');
+      announce('This body has already been kept.');
       return;
     }
     kept.push({ id, genotype,
@@ -265,7 +266,7 @@ export async function mount(main, path, parameters, app) {
   walk();
   return {
     update({ type }) {
-      if (type === 'reset') walk(); // the service was away, and with it the score
+      if (type === 'reset') walk(); // the service was unavailable, so there is no score
     },
     unmount() {
       isClosed = true;
@@ -275,7 +276,7 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** The body that the link names, or the last one here, or a small walker. */
+/** The body in the link, or the last one here, or a small walker. */
 async function startBody(parameters, last) {
   const voxels = parameters.get('voxels');
   if (voxels !== null) {

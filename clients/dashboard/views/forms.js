@@ -10,7 +10,8 @@ import { may } from '../lib/rights.js';
 import { announced, copyDialog } from './share.js';
 
 /**
- * What each form asks for, in the order shown: first, and under More. The contract knows all else.
+ * The fields of each form in order: those shown first, and those under More. Everything else comes
+ * from the contract.
  */
 const FIRST = {
   evaluation: ['controller', 'label'],
@@ -27,7 +28,7 @@ const MORE = {
 const NAMES = { name: 'Name of the new controller', label: 'Label of the job' };
 /** Studies need a client that makes the children, so there is no form for them. */
 const LEFT_OUT = { mode: ['study'] };
-/** What the presets say of a campaign, by mode: the contract has it in words. */
+/** The settings of the presets of a campaign, by mode: the contract has them in words. */
 const PRESETS = {
   paper: { population: '8192', 'zero-shot': '100', 'few-shot': '7', simultaneous: '180' },
   workstation: { population: '512', 'zero-shot': '100', 'few-shot': '10', simultaneous: '180' },
@@ -37,7 +38,7 @@ const SCHEMAS = {
   evaluation: 'EvaluationRequest', training: 'TrainingRequest', campaign: 'CampaignRequest',
 };
 
-/** A schema with its references followed, and its alternatives reduced to the plain one. */
+/** Returns a schema with its references followed, and its alternatives reduced to the plain one. */
 export function resolve(contract, schema) {
   let result = { ...schema };
   for (let i = 0; i < 8 && result.$ref; i++) {
@@ -54,7 +55,7 @@ export function resolve(contract, schema) {
   return result;
 }
 
-/** The value of an empty field. */
+/** Returns what an empty field stands for. */
 function unsaid(kind, name, schema) {
   if (schema.default !== undefined) return String(schema.default);
   if (name === 'priority') return 'interactive up to 64 rollouts';
@@ -93,7 +94,8 @@ function hintOf(schema) {
   return parts.join('. ');
 }
 
-/** The arguments of morphoctl that send a request; its options are named like the fields. */
+/** Returns the arguments of morphoctl that send a request; its options have the names of the
+ * fields. */
 function morphoctlOf(kind, request, learnedOn) {
   const words = {
     evaluation: () => ['eval'], training: () => ['train', 'start', request.kind],
@@ -108,19 +110,19 @@ function morphoctlOf(kind, request, learnedOn) {
   return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
 }
 
-/** The button that begins a job of a kind; null where the caller may not. */
+/** Returns the button that starts a kind of job, or null if the caller may not. */
 export function startButton(app, kind, attributes = {}) {
   return may('submit')
     ? button(`New ${kind}`, () => announced(() => startDialog(app, kind)), attributes) : null;
 }
 
-/** Designs of a text, one a line. */
+/** Reads designs from a text, one per line. */
 const designsIn = (text) => text.split('\n').map((line) => line.trim()).filter(Boolean)
   .map((line) => (line.length === 144 ? { voxels: line } : { id: line }));
-const DESIGNS_HINT = 'one design a line: a robot (ID@K), an id of 36 digits, or 144 digits of ' +
+const DESIGNS_HINT = 'one design per line: a robot (ID@K), an id of 36 digits, or 144 digits of ' +
   'voxels';
 
-/** What a finetuning learns on: fields, what the request has of them, and what morphoctl has. */
+/** The designs of a finetuning: fields, their part of the request, and morphoctl's arguments. */
 class LearnedOn {
   constructor() {
     const number = (name, value, max) => h('input', { type: 'number', name, min: 1, max, value });
@@ -145,7 +147,7 @@ class LearnedOn {
     this.show(false);
   }
 
-  /** Shows the fields of the choice; hidden fields are not sent. */
+  /** Shows the fields of the current choice; hidden fields are not sent. */
   show(isAsked) {
     this.isAsked = isAsked;
     this.head.hidden = !isAsked;
@@ -167,13 +169,13 @@ class LearnedOn {
     }
     const { kind } = await getJson(`v1/jobs/${Number(this.job.value)}`);
     if (!['campaign', 'evaluation'].includes(kind)) {
-      throw new Error(`Job ${this.job.value} is a ${kind}: it has no population.`);
+      throw new Error(`Job ${this.job.value} is of kind ${kind}, which has no population.`);
     }
     const best = this.best.value ? { best: Number(this.best.value) } : {};
     return { population: { [kind]: String(Number(this.job.value)), ...best } };
   }
 
-  /** The same as arguments; null: the request has no such fields. */
+  /** Returns the same as arguments, or null if the request has no such fields. */
   words() {
     if (!this.isAsked) return null;
     if (this.choice.value === 'random') return ['--random', this.random.value];
@@ -185,7 +187,7 @@ class LearnedOn {
   }
 }
 
-/** The fields of a form, from the contract, with the service's objections to each. */
+/** The fields of a form, from the contract, each with the service's errors. */
 function fieldsOf(kind, names, contract, controllers, proposed) {
   const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
   return names.map((name) => {
@@ -206,8 +208,8 @@ function fieldsOf(kind, names, contract, controllers, proposed) {
  * Opens the form of a kind of job.
  * @param {import('../app.js').app} app
  * @param {string} kind evaluation, training or campaign
- * @param {Object<string, any>} [fixed] sent as it is, like the designs of an evaluation
- * @param {Object<string, any>} [proposed] what the fields begin with
+ * @param {Object<string, any>} [fixed] sent unchanged, such as the designs of an evaluation
+ * @param {Object<string, any>} [proposed] initial values of fields
  */
 export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const [contract, { items }] = await Promise.all([app.contract(),
@@ -223,7 +225,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const message = h('p.error.wide', { role: 'alert' });
   const more = h('details.wide', {}, h('summary', {}, 'More'),
     h('div.fields', {}, others.map(({ element }) => element)));
-  /** What the field in focus means; screen readers have it with the field. */
+  /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
   async function body() {
@@ -238,7 +240,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
     return result;
   }
 
-  /** Sends the request; shows objections at their fields, or below all fields. */
+  /** Sends the request; shows errors at their fields, or below all fields. */
   async function attempt(work) {
     message.textContent = '';
     for (const field of fields) field.fault.textContent = '';
@@ -271,7 +273,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
     morphoctl: morphoctlOf(kind, request, learnedOn?.words()),
   }));
 
-  /** Says what empty fields stand for under the present choices. */
+  /** Shows what empty fields stand for with the current choices. */
   function adapt() {
     if (kind === 'training') {
       const isFinetune = inputOf('kind').value === 'finetune';
@@ -315,8 +317,8 @@ const founders = (n) =>
   'random bodies fill up the rest of the population.';
 
 /**
- * The button that opens the form of a campaign whose first population are the given designs; hidden
- * where the caller may not start one. @param {() => object[]} designsOf {id} or {voxels} each
+ * Returns the button that opens the form of a campaign with the given designs as founders; hidden
+ * if the caller may not start one. @param {() => object[]} designsOf {id} or {voxels} each
  */
 export function breedButton(app, text, designsOf, attributes = {}) {
   return button(text, () => {

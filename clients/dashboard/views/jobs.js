@@ -1,4 +1,4 @@
-/** What views of jobs share: their state, progress, and the buttons that change them. */
+/** What views of jobs share: state, progress, and the buttons that change a job. */
 
 import { LinkError, post, request } from '../lib/api.js';
 import { announce, button, h, isInUse, patch, say, table } from '../lib/dom.js';
@@ -6,27 +6,27 @@ import { ago, count, countOf, duration, number } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { announced, confirmDialog, formDialog } from './share.js';
 
-/** Jobs beside the first on one page: as many as have colors of their own. */
+/** Jobs besides the first on one page: as many as there are distinct colors. */
 const COMPARED_MAX = 3;
 
-/** The page of a job. */
+/** Returns the address of a job's page. */
 export function linkOf(job) {
   if (job.kind === 'campaign') return `#/campaigns/${job.id}`;
   if (job.kind === 'training') return `#/trainings/${job.id}`;
   return `#/designs?evaluation=${job.id}`;
 }
 
-/** What a job is, in a few words. */
+/** Describes a job in a few words. */
 export function titleOf(job) {
   return job.label ?? `${job.kind[0].toUpperCase()}${job.kind.slice(1)} ${job.id}`;
 }
 
-/** Who submitted a job, where that is known: ", by anna". */
+/** Returns who submitted a job, if known: ", by anna". */
 export function submitter(job) {
   return job.submitted_by ? `, by ${job.submitted_by}` : '';
 }
 
-/** Which of several replicates a campaign is: ", replicate 1 of 3". */
+/** Returns which of several replicates a campaign is: ", replicate 1 of 3". */
 export function replicateOf({ group }) {
   return group?.replicates > 1 ? `, replicate ${group.replicate + 1} of ${group.replicates}` : '';
 }
@@ -39,24 +39,24 @@ const WARNED = {
   exhausted: 'no unseen body is left', light_near_start: 'a light is near the start',
 };
 
-/** The state in words, with what its result does not show. */
+/** Describes the state, and warnings that the result does not show. */
 export function stateOf(job) {
   if (isStudy(job) && job.state === 'queued' && job.reason) return 'waits for its client';
   const warned = job.warnings.map(({ code }) => WARNED[code] ?? code);
   return job.state + (warned.length ? `, but ${warned.join(', ')}` : '');
 }
 
-/** The text of a chart without values. It says why, if all robots diverged. */
+/** Returns the text of a chart without values. It gives the reason if all robots diverged. */
 export function emptyText(n, diverged, otherwise) {
   return n > 0 && diverged === n ? `No value: all ${countOf(n, 'robot')} diverged.` : otherwise;
 }
 
-/** What a campaign does within a generation, by its phase, with what is counted. */
+/** What a campaign does within a generation, by its phase, and what is counted. */
 const WITHIN = { learning: 'steps learned', scoring: 'designs scored' };
 
 /**
- * Progress of a job: {share, text, secondsLeft}. share: null if unknown, undefined if the job has
- * no planned end.
+ * Returns the progress of a job: {share, text, secondsLeft}. share: null if unknown, undefined if
+ * the job has no planned end.
  */
 export function progressOf(job) {
   if (job.kind === 'evaluation' && job.n_waiting > 0) {
@@ -73,7 +73,7 @@ export function progressOf(job) {
       secondsLeft: job.progress?.seconds_left,
     };
   }
-  // A list of jobs says less than the job itself.
+  // A list of jobs has fewer members than the job itself.
   const progress = job.progress ?? { under_way: null, total: 0, ...job[job.kind] };
   const secondsLeft = progress.seconds_left;
   if (job.kind === 'training') {
@@ -111,13 +111,13 @@ export function progressOf(job) {
   };
 }
 
-/** Progress in a few words, as the title of a tab has it. */
+/** Describes progress in a few words, for the title of a tab. */
 export function shortProgress(job) {
   const moves = job.state === 'running' || (job.state === 'queued' && job.n_waiting > 0);
   return moves ? progressOf(job).text.split(/[;:]/)[0] : stateOf(job);
 }
 
-/** A chip with the state, for a row that is made again when it differs. */
+/** Returns a chip with the state, for a row that is rebuilt when it differs. */
 export const stateChip = (job) => h(`span.state.${job.state}`, {}, stateOf(job));
 
 /** A progress bar with its text, updated in place. */
@@ -138,7 +138,7 @@ function progressMeter() {
   };
 }
 
-/** The same, for a row that is made again when it differs. */
+/** Returns the same for a row that is rebuilt when it differs. */
 export function progressBar(job) {
   const { element, update } = progressMeter();
   update(job);
@@ -146,12 +146,12 @@ export function progressBar(job) {
 }
 
 /**
- * What pages show of a job, and the buttons that change it as its state and the caller's right
- * allow. Each part is made once and brought up to date in place: what is typed, pressed or has the
- * focus stays.
+ * The parts of a job that pages show, and the buttons that its state and the caller's right allow.
+ * Each part is created once and updated in place, so typed text, pressed buttons and the focus
+ * stay.
  */
 export class JobParts {
-  /** @param {function(): any} changed called after each change that a person made */
+  /** @param {function(): any} changed called after each change that a user made */
   constructor(changed) {
     this.changed = changed;
     this.job = null;
@@ -171,7 +171,7 @@ export class JobParts {
     this.weight = h('input', {
       type: 'number', min: 0.001, max: 1000, step: 'any', size: 6, onchange: () => this.#weigh(),
     });
-    // Null where the caller may change nothing: the page leaves them out.
+    // Null if the caller may not change anything: the page then omits the buttons.
     const mayChange = may('submit');
     this.weightField = mayChange
       ? h('label.field.inline', {}, h('span', {}, 'Weight'), this.weight) : null;
@@ -189,7 +189,7 @@ export class JobParts {
     this.changed();
   }
 
-  /** The weight of a job among others: twice the weight gets twice the time. */
+  /** The weight of a job compared with others: twice the weight gets twice the time. */
   async #weigh() {
     const weight = Number(this.weight.value);
     const isDone = await announced(() => post(`v1/jobs/${this.job.id}/weight`, { weight }),
@@ -239,7 +239,7 @@ function rateOf(job) {
   return `${number(rate)} ${job.kind === 'training' ? 'bodies' : 'rollouts'} a second`;
 }
 
-/** Boxes that choose jobs of a list, and the button that shows the chosen on one page. */
+/** Checkboxes that select jobs of a list, and the button that shows them on one page. */
 export function comparing(app, path, text) {
   const chosen = new Set();
   const compare = button(text, () => {
@@ -258,7 +258,7 @@ export function comparing(app, path, text) {
   return { compare, box, chosen };
 }
 
-/** The jobs that a link compares with the first: at most three. */
+/** Returns the jobs that a link compares with the first: at most three. */
 export function comparedIn(parameters, id) {
   const ids = (parameters.get('compare') ?? '').split(',').filter(Boolean);
   const wrong = ids.find((one) => !/^\d+$/.test(one));
@@ -272,7 +272,7 @@ export function comparedIn(parameters, id) {
   return ids;
 }
 
-/** Asks, naming what will be lost, and deletes a job that has ended. */
+/** Asks for confirmation, says what will be lost, and deletes a job that has ended. */
 async function remove(job) {
   const what = {
     evaluation: 'its results and recordings', training: 'its curve and checkpoints',
@@ -316,7 +316,7 @@ function editDialog(job, changed) {
 }
 
 /**
- * A table of jobs, drawn only in rows that are seen, so that a thousand scroll like ten.
+ * A table of jobs that draws only visible rows, so that a thousand scroll like ten.
  */
 export class JobTable {
   constructor(changed) {
@@ -344,7 +344,7 @@ export class JobTable {
     this.#drawSeen();
   }
 
-  /** Draws the rows that are seen, and those a few pictures of the screen above and below. */
+  /** Draws the visible rows, and those within a few screens above and below. */
   #drawSeen() {
     const rows = [...this.body.children];
     const at = (y) => {

@@ -1,4 +1,4 @@
-/** Machines: who computes what, since when, how fast, and what was lost. */
+/** Machines: which ones compute what, since when, how fast, and which ones were lost. */
 
 import { getJson, post, shared } from '../lib/api.js';
 import { button, h, patch, patchRow, say, table, tile } from '../lib/dom.js';
@@ -8,7 +8,7 @@ import { may } from '../lib/rights.js';
 import { announced, copyButton } from './share.js';
 
 const REFRESH_MS = 2000;
-/** The colors of states, as jobs have them. */
+/** The colors of states, as for jobs. */
 const COLORS = { active: 'running', draining: 'paused', refused: 'failed', left: 'succeeded',
   lost: 'failed' };
 
@@ -48,7 +48,7 @@ export async function mount(main, path, parameters, app) {
     .filter(Boolean).join(', ');
   const numberCell = (name, text) => h('td.right', { 'data-name': name }, text);
 
-  /** This machine, which computes beside the others. */
+  /** This machine, which computes along with the others. */
   function ownRow(threads, devices, fleet) {
     const only = fleet.compute === 'fleet';
     return h('tr', {},
@@ -82,7 +82,7 @@ export async function mount(main, path, parameters, app) {
       h('td', {}, ago(session.ended_at)));
   }
 
-  /** Does something about a worker, and says what the service says against it. */
+  /** Performs an action on a worker, and shows why the service refused it. */
   async function act(send, done) {
     await announced(send, done);
     refresh();
@@ -93,14 +93,14 @@ export async function mount(main, path, parameters, app) {
     const at = `v1/fleet/sessions/${session.id}`;
     return h('div.row', {}, button('Drain',
       () => act(() => post(`${at}/drain`), `${session.name} gets no more work`),
-      { 'aria-label': `Drain ${session.name}`, title: 'It finishes what it has, and leaves' }));
+      { 'aria-label': `Drain ${session.name}`, title: 'It finishes its work, and leaves' }));
   }
 
   function show(fleet, threads, devices) {
     const open = fleet.sessions.filter((session) => !session.ended_at)
       .sort((a, b) => a.state.localeCompare(b.state) || a.name.localeCompare(b.name));
     const gone = fleet.sessions.filter((session) => session.ended_at);
-    const again = `${countOf(fleet.leases_again, 'lease')} given out again`;
+    const again = `${countOf(fleet.leases_again, 'lease')} reissued`;
     const all = [
       ['Workers', count(fleet.n_sessions),
         powerOf(fleet.n_threads, fleet.n_devices) || 'of other machines'],
@@ -109,7 +109,7 @@ export async function mount(main, path, parameters, app) {
       ['Lost', count(fleet.lost), `of ${countOf(fleet.joined, 'session')}; ${again}`],
       ['Compared', count(fleet.audits), fleet.audits_failed
         ? `${count(fleet.audits_failed)} with other bits`
-        : fleet.audits ? 'leases, all with the same bits' : 'leases that two workers compute'],
+        : fleet.audits ? 'leases, all with the same bits' : 'leases computed by two workers'],
     ];
     patch(tiles, all, ([name]) => name, (one) => tile(...one), (element, values) =>
       values.forEach((text, i) => say(element.children[i], text)));

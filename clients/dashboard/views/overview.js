@@ -1,4 +1,4 @@
-/** The overview: whether the service is well, what it does, its progress, and recent events. */
+/** The overview: the health of the service, its work, its progress, and recent events. */
 
 import { LinkError, getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
@@ -27,7 +27,7 @@ export async function mount(main, path, parameters, app) {
   });
   let state = choiceIn(parameters, 'state', STATES);
   const table = new JobTable(() => refresh());
-  /** A choice without a visible name. */
+  /** Returns a selection without a visible name. */
   const choice = (label, choices, value, chosen) =>
     h('select', { 'aria-label': label, onchange: (event) => chosen(event.target.value) },
       choices.map(([key, text]) => h('option', { value: key, selected: key === value }, text)));
@@ -52,10 +52,10 @@ export async function mount(main, path, parameters, app) {
     app.keep({ archived });
     refresh();
   });
-  /** What the list is filtered by, as the contract names it. */
+  /** The filters of the list, with the names in the contract. */
   const filters = () => ({ state, label: search && `${search}*`, archived });
   const given = () => Object.entries(filters()).filter(([, value]) => value);
-  const titles = new Map(); // of the jobs of the list, by id
+  const titles = new Map(); // of the listed jobs, by id
   let by = 'experiment';
   const usage = h('tbody');
   const groupings = ['experiment', 'label', 'submitted_by', 'kind']
@@ -148,7 +148,7 @@ export async function mount(main, path, parameters, app) {
     } });
   }
 
-  /** The job with its phase, rate and time left, which the list leaves out. */
+  /** Loads the job with its phase, rate and time left, which the list omits. */
   async function whole(job) {
     const full = await get(`v1/${job.kind}s/${job.id}`);
     return { ...full, kind: job.kind };
@@ -208,7 +208,7 @@ export async function mount(main, path, parameters, app) {
   };
 }
 
-/** A choice that the link holds. @param {string[]} choices */
+/** A choice that the link contains. @param {string[]} choices */
 function choiceIn(parameters, name, choices) {
   const value = parameters.get(name) ?? '';
   if (choices.includes(value)) return value;
@@ -216,15 +216,15 @@ function choiceIn(parameters, name, choices) {
   throw new LinkError(`${name}=${value}: one of ${names} is expected.`);
 }
 
-/** Shows rows by their keys; the cells that differ are replaced. */
+/** Shows rows by their keys; cells that differ are replaced. */
 function showRows(body, rows) {
   patch(body, rows, ({ key }) => key, () => h('tr'), (row, { cells }) => patchRow(row, cells));
 }
 
-/** What kind of event it is, in words. */
+/** Describes the kind of an event. */
 const nameOf = ({ type }) => type.replace('.', ': ').replaceAll('_', ' ');
 
-/** A link to the job of an event: its kind is in the event, or in the name of its type. */
+/** Returns a link to the job of an event: its kind is in the event, or in the name of its type. */
 function linkTo({ type, job, data }, titles) {
   if (type.startsWith('fleet.')) return h('a', { href: '#/machines' }, data.name ?? 'machines');
   if (!job) return '';

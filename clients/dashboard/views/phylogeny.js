@@ -16,7 +16,7 @@ import { copyButton } from './share.js';
 const SHADERS = [
   `#version 300 es
 precision highp float;
-uniform highp sampler2D lives;   // a texel a design: born, end, y, y of the parent
+uniform highp sampler2D lives;   // one texel per design: born, end, y, y of the parent
 // value for the color, or operator / 255; 1: ancestor of the living, 1/4: a lower bound
 uniform highp sampler2D looks;
 uniform vec2 shift;
@@ -28,8 +28,8 @@ uniform vec3 kinds[8];
 uniform float dim;
 out vec4 color;
 void main() {
-  // Two lines: from the parent's life to the birth, and the life itself. An instance a design would
-  // be simpler, but without a GPU a million instances take many times as long.
+  // Two lines: from the parent's life to the birth, and the life itself. One instance per design
+  // would be simpler, but without a GPU a million instances take many times as long.
   ivec2 texel = ivec2((gl_VertexID >> 2) & 2047, gl_VertexID >> 13);
   vec4 life = texelFetch(lives, texel, 0);
   vec2 look = texelFetch(looks, texel, 0).xy;
@@ -50,7 +50,7 @@ out vec4 result;
 void main() { result = color; }`,
 ];
 
-/** Designs in a row of a texture: the shader takes its low bits for the column. */
+/** Designs per row of a texture: the shader uses the low bits as the column. */
 const TEXELS = 2048;
 const MANY = 100000;
 const COLOR_BY = ['score', 'age', 'descendants', 'operator', 'voxels', 'footprint'];
@@ -59,24 +59,26 @@ const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)
 /** A canvas with the lives of designs; it does not depend on the rest of the page. */
 export class PhylogenyCanvas {
   /**
-   * @param {number} n about so many designs: where lines lie closer than pixels, edges need no care
+   * @param {number} n approximate number of designs: lines that are closer than pixels need no
+   * smooth edges
    */
   constructor(canvas, n = 0) {
     const gl = canvas.getContext('webgl2',
       { antialias: n < MANY, alpha: false, preserveDrawingBuffer: true });
-    if (!gl) throw new Error('The phylogeny needs WebGL 2, which this browser does not offer.');
+    if (!gl) throw new Error('The phylogeny needs WebGL 2, which this browser does not support.');
     this.canvas = canvas;
     this.gl = gl;
     this.colorBy = 'score';
     this.columns = null;
-    /** Waits for the graphics processor after each draw, so that its time is measured. */
+    /** Waits for the graphics processor after each draw, so that the drawing time can be
+     * measured. */
     this.measure = false;
     this.program = new Program(gl, SHADERS);
     this.textures = [];
     this.times = {};
-    /** Best and worst score on the scale of colors. */
+    /** Best and worst score on the color scale. */
     this.scores = [0, 2];
-    /** Least and largest value of another column that gives the colors. */
+    /** Smallest and largest value of another column that determines the colors. */
     this.ends = [0, 1];
     this.drawn = () => {};
     this.reset();
@@ -116,8 +118,8 @@ export class PhylogenyCanvas {
     const rows = Math.max(1, Math.ceil(n / TEXELS));
     const lives = new Float32Array(rows * TEXELS * 4);
     const looks = new Uint8Array(rows * TEXELS * 2);
-    // Scores are ranked on a scale of logarithms, since they crowd near the best. The scale ignores
-    // lower bounds.
+    // Scores are ranked on a logarithmic scale, because they are dense near the best. The scale
+    // ignores lower bounds.
     let [best, worst] = [Infinity, 0];
     for (let i = 0; i < n; i++) {
       if (isBound[i]) continue;
@@ -126,7 +128,7 @@ export class PhylogenyCanvas {
     }
     const span = Math.log(worst / best) || 1;
     this.scores = [best, worst];
-    // Any other column, on a straight scale from its least to its largest value.
+    // Any other column, on a linear scale from its smallest to its largest value.
     const measure = columns[this.colorBy] && !['score', 'operator'].includes(this.colorBy)
       ? columns[this.colorBy] : null;
     let [least, most] = [Infinity, -Infinity];
@@ -159,7 +161,7 @@ export class PhylogenyCanvas {
       dataTexture(gl, gl.RG8, TEXELS, rows, gl.RG, gl.UNSIGNED_BYTE, looks)];
   }
 
-  /** Generation and y of a place on the canvas. */
+  /** Returns generation and y of a point on the canvas. */
   at(px, py) {
     const { clientWidth: w, clientHeight: hgt } = this.canvas;
     return [
@@ -168,7 +170,7 @@ export class PhylogenyCanvas {
     ];
   }
 
-  /** The place of a generation and a y on the canvas. */
+  /** Returns the point on the canvas for a generation and a y. */
   placeOf(generation, y) {
     const { clientWidth: w, clientHeight: hgt } = this.canvas;
     return [
@@ -187,7 +189,7 @@ export class PhylogenyCanvas {
     this.draw();
   }
 
-  /** The row under a place; -1 if none is near. */
+  /** Returns the row at a point, or -1 if none is near. */
   pick(px, py) {
     const [x, y] = this.at(px, py);
     const { clientWidth: w, clientHeight: hgt } = this.canvas;
@@ -250,7 +252,7 @@ export async function loadColumns(id, keep, signal) {
   const { header, array } = decodeScene(await response.arrayBuffer());
   const columns = Object.fromEntries(Object.entries(header.columns)
     .map(([name, where]) => [name, array(where)]));
-  // Of all designs, the place is the number.
+  // If all designs are loaded, the position is the number.
   columns.operators = header.operators;
   columns.lower_bound = Uint8Array.from(columns.score, (value) => (value < 0 ? 1 : 0));
   columns.score = columns.score.map(Math.abs);
@@ -432,7 +434,7 @@ export async function mount(main, id, parameters, app) {
   };
 }
 
-/** Drag moves, wheel and pinch zoom, a click chooses. */
+/** Dragging moves, wheel and pinch zoom, and a click selects. */
 function drive(canvas, view, choose) {
   const redraw = () => requestAnimationFrame(() => view.draw());
   onPointers(canvas, {

@@ -1,6 +1,5 @@
 /**
- * What lies over the picture of a phylogeny: generations, the chosen design and its line of
- * descent.
+ * The overlay of a phylogeny: generations, the selected design and its line of descent.
  */
 
 import { ticks } from '../lib/chart.js';
@@ -21,7 +20,7 @@ export class PhylogenyMarks {
     view.drawn = () => this.draw();
   }
 
-  /** Shows for a moment where the chosen design is. */
+  /** Highlights for a moment where the selected design is. */
   pulse() {
     if (matchMedia('(prefers-reduced-motion: reduce)').matches) return;
     this.pulseStart = performance.now();
@@ -32,7 +31,7 @@ export class PhylogenyMarks {
     frame();
   }
 
-  /** Says what the colors mean. */
+  /** Explains the colors. */
   showColors() {
     const { colorBy, scores, ends, columns } = this.view;
     const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
@@ -41,7 +40,7 @@ export class PhylogenyMarks {
         columns.lower_bound.includes(1)
           ? h('span', {}, 'faint: lower bounds (children that could not survive)') : null],
       age: () => ramp('short life', 'long life'),
-      descendants: () => ramp('no descendants', 'most, on a scale of logarithms'),
+      descendants: () => ramp('no descendants', 'most, on a logarithmic scale'),
       operator: () => [...new Set(columns.operator)].sort().map((operator) =>
         h('span', {}, swatch(OPERATOR_HUES[Math.min(operator, OPERATOR_HUES.length - 1)]),
           columns.operators[operator])),
@@ -77,7 +76,7 @@ export class PhylogenyMarks {
     if (this.selected >= 0) this.#descent(context, color('--text'));
   }
 
-  /** The chosen design and the lives of its first parents, each from its birth to its child's. */
+  /** The selected design and the lives of its first parents, each from its birth to its child's. */
   #descent(context, color) {
     const { columns, layout: { y, parentRow } } = this.view;
     const place = (generation, row) => this.view.placeOf(generation, y[row]);

@@ -1,17 +1,17 @@
-/** A population as points: any two traits, and a brush that chooses designs. */
+/** A population as points: any two traits, and a brush that selects designs. */
 
 import { ticks } from '../lib/chart.js';
 import { announce, button, fill, h, paint, select, swatch } from '../lib/dom.js';
 import { number } from '../lib/format.js';
 
-/** What a design is measured by, besides the measures of a study: names by key. */
+/** Traits of a design, in addition to the measures of a study: names by key. */
 const TRAITS = { score: 'score', voxels: 'voxels', footprint: 'footprint', springs: 'springs',
   born: 'born in generation' };
 const valueOf = (design, key) =>
   (key in TRAITS ? design[key] : design.measures?.[key.slice('measures.'.length)]) ?? null;
 const OPERATOR_COLORS = { mutation: '--orange', crossover: '--blue', random: '--gray',
   listed: '--green', inherited: '--gray' };
-const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink'; // a study's own
+const colorOf = (operator) => OPERATOR_COLORS[operator] ?? '--pink'; // a study's custom measure
 const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 
 export class Scatter {
@@ -155,7 +155,7 @@ export class Scatter {
     const { x0, y0, x1, y1 } = this.brush;
     this.brush = null;
     const [x, y] = this.#place();
-    // A click takes what lies near it.
+    // A click selects points near it.
     const room = Math.hypot(x1 - x0, y1 - y0) < 5 ? 7 : 0;
     const between = (v, a, b) => v >= Math.min(a, b) - room && v <= Math.max(a, b) + room;
     this.selected = this.designs.filter((design) => x.of(design) !== null &&

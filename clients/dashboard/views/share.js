@@ -6,10 +6,11 @@ import { commandsOf } from '../lib/commands.js';
 import { requested } from '../lib/rollouts.js';
 import { percent, shellWord } from '../lib/format.js';
 
-/** Why something failed, with the page's name for a field of the request. */
+/** Returns why something failed, with the page's name for a field of the request. */
 const reasonOf = ({ message }) => message.replace(/^\/(\w)/, (_, first) => first.toUpperCase());
 
-/** Does something, and announces success or the reason of a failure; true on success. */
+/** Performs an action, and announces success or the reason of a failure; returns true on
+ * success. */
 export async function announced(work, done = '') {
   try {
     await work();
@@ -22,7 +23,7 @@ export async function announced(work, done = '') {
   }
 }
 
-/** Opens a dialog that goes away when it is closed. */
+/** Opens a dialog that is removed when it is closed. */
 function open(title, attributes, ...children) {
   const dialog = h('dialog', { 'aria-label': title, ...attributes }, children);
   dialog.addEventListener('close', () => dialog.remove());
@@ -39,12 +40,12 @@ export function showDialog(title, ...children) {
 }
 
 /**
- * A dialog with a form that does something and closes: Enter sends it, the browser checks the
+ * A dialog with a form that performs an action and closes. Enter submits it, the browser checks the
  * bounds of its fields, and the dialog shows errors.
  * @param {string} title
- * @param {string} action name of the button
+ * @param {string} action text of the button
  * @param {() => any} work
- * @param {...any} children fields; those of class wide take a row
+ * @param {...any} children fields; those of class wide fill a row
  */
 export function formDialog(title, action, work, ...children) {
   const fault = h('p.error.wide', { role: 'alert' });
@@ -64,7 +65,7 @@ export function formDialog(title, action, work, ...children) {
   return dialog;
 }
 
-/** Asks for confirmation; true if confirmed. */
+/** Asks for confirmation; returns true if confirmed. */
 export function confirmDialog(title, text, action) {
   return new Promise((resolve) => {
     const keep = button('Keep', () => dialog.close('no'));
@@ -77,15 +78,16 @@ export function confirmDialog(title, text, action) {
 }
 
 /**
- * A button that shows how a shell or a program does the same.
- * @param {function(): any} request as of commandsOf
+ * Returns a button that shows how to do the same from a shell or a program.
+ * @param {function(): any} request as for commandsOf
  */
 export function copyButton(request) {
   return button('Commands', () => copyDialog(commandsOf(request())),
     { title: 'The same with curl, morphoctl or Python' });
 }
 
-/** Commands that do the same from a shell. @param {[string, string][]} commands tool and text */
+/** Shows commands that do the same from a shell. @param {[string, string][]} commands tool and
+ * text */
 export function copyDialog(commands) {
   showDialog('The same from a shell or a program',
     ...commands.map(([tool, text]) => h('section.stack', {},
@@ -100,8 +102,8 @@ export function copyDialog(commands) {
 }
 
 /**
- * The arguments of morphoctl that make a film of what the stage shows, and what goes to its
- * standard input: environments without a name.
+ * Returns the arguments of morphoctl that make a film of what the stage shows, and its standard
+ * input: environments without a name.
  */
 export function filmOf(ids, { world, environment, controller, output }) {
   const words = ['film', ...ids, '--environments', world.set ?? '-'];
@@ -116,14 +118,15 @@ export function filmOf(ids, { world, environment, controller, output }) {
   };
 }
 
-/** The command that makes a film of what the stage shows. */
+/** Returns the command that makes a film of what the stage shows. */
 export function filmCommand(ids, how) {
   const { words, input } = filmOf(ids, how);
   return `${input && `echo ${shellWord(input)} | `}morphoctl ${words}`;
 }
 
 /**
- * A link that saves a reply of the service. It sends the token, which a plain link would not.
+ * Returns a link that saves a reply of the service. It sends the token, which a plain link would
+ * not.
  */
 export function saveLink(path, name, text, attributes = {}) {
   return h('a', { href: path, download: name, ...attributes, onclick: (event) => {

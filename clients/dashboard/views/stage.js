@@ -12,9 +12,9 @@ import { breedButton } from './forms.js';
 import { titleOf } from './jobs.js';
 import { copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
 
-/** Robots that walk at once, at most. */
+/** Maximum number of robots that walk at once. */
 const ROBOTS_MAX = 256;
-/** The link follows the view after this pause: browsers limit how often it may change. */
+/** The link is updated after this pause, because browsers limit how often it may change. */
 const KEEP_MS = 300;
 
 export async function mount(main, path, parameters, app) {
@@ -25,12 +25,12 @@ export async function mount(main, path, parameters, app) {
   const stop = new AbortController();
   let known = false;
   let pending;
-  // The daemon computes while the stage is made.
+  // The daemon computes while the stage is set up.
   const first = source.walk(environment, stop.signal);
   const player = new Player(app, { onchange: () => keepView() });
 
   function keepView() {
-    if (!known) return; // the link's own view is still to come
+    if (!known) return; // the link's own view is still to be applied
     clearTimeout(pending);
     pending = setTimeout(() => app.keep({
       ...source.link(), environment, ...(player.stage ? player.view() : {}),
@@ -101,7 +101,7 @@ function checkView(parameters, { n, nRobots }) {
     'a camera as six numbers');
 }
 
-/** The world that a link names: that of a job, or a set of environments. */
+/** The world in a link: that of a job, or a set of environments. */
 async function worldIn(parameters) {
   const name = parameters.get('world');
   if (!name) {
@@ -115,14 +115,14 @@ async function worldIn(parameters) {
   return worldOfJob(kind, await getJson(`v1/${kind}s/${id}`));
 }
 
-/** Designs that the daemon rolls out for the stage: those of the link, or the best. */
+/** Designs that the daemon simulates for the stage: those in the link, or the best. */
 async function rollouts(parameters) {
   let ids = designsOf(parameters.get('designs') ?? '');
   const [world, best] = await Promise.all([worldIn(parameters),
     ids.length ? null : getJson(withQuery('v1/designs', { sort: 'score', limit: 4 }))]);
   if (best) ids = best.items.map((design) => design.robot);
   const { environments, physics, precision } = world;
-  /** The same robots under each of them. */
+  /** The same robots with each controller. */
   const controllers = parameters.get('controller')?.split(',') ?? [world.controller];
 
   async function walk(environment, signal) {
@@ -130,7 +130,7 @@ async function rollouts(parameters) {
     for (const controller of controllers) {
       const more = await roll(ids.map(designOf), environments[environment],
         { controller, physics, precision, signal });
-      // An id alone is a robot now, which stays the same in other environments.
+      // An id without an orientation becomes a robot, which stays the same in other environments.
       ids = ids.map((id, i) => (id.length === 36 ? more[i].robot : id));
       more.forEach((robot, i) => {
         robot.label = controllers.length > 1 ? controller : labelOf(ids, i);
@@ -148,7 +148,7 @@ async function rollouts(parameters) {
       if (!lines) throw new Error('Name a design.');
       ids = designsOf(lines);
       changed();
-    }, h('p.wide', {}, 'One design a line: a robot (ID@K), an id of 36 digits, or 144 ' +
+    }, h('p.wide', {}, 'One design per line: a robot (ID@K), an id of 36 digits, or 144 ' +
       `digits of voxels; at most ${ROBOTS_MAX}.`), h('div.stack.wide', {}, text));
   }
 
@@ -171,7 +171,7 @@ async function rollouts(parameters) {
   };
 }
 
-/** What an evaluation recorded of some of its designs. */
+/** The recordings of some designs of an evaluation. */
 async function recordings(parameters) {
   const id = parameters.get('evaluation');
   const path = `v1/evaluations/${encodeURIComponent(id)}`;
@@ -214,7 +214,7 @@ function checkCount(n) {
   }
 }
 
-/** The designs of a list; others are refused. */
+/** Reads a list of designs; refuses anything else. */
 function designsOf(text) {
   const all = text.split(',').filter(Boolean);
   const wrong = all.find((one) => !isDesign(one));
@@ -230,14 +230,15 @@ function designsOf(text) {
 const designOf = (text) => (text.length === 144 ? { voxels: text } : { id: text });
 const shortOf = (id) => `${id.slice(0, 36).replace(/0+$/, '').slice(0, 8)}…${id.slice(36)}`;
 
-/** The name of a robot: the first digits of its id, with its place where another begins alike. */
+/** Returns the name of a robot: the first digits of its id, with its position if another begins the
+ * same. */
 function labelOf(ids, i) {
   if (ids[i].length === 144) return `drawn ${i + 1}`;
   const isAlone = ids.every((id, j) => i === j || shortOf(id) !== shortOf(ids[i]));
   return isAlone ? shortOf(ids[i]) : `${i + 1}: ${shortOf(ids[i])}`;
 }
 
-/** How a shell or a program rolls out the same. */
+/** How to simulate the same from a shell or a program. */
 function sameCommands(ids, how) {
   const { world: { set, environments, physics }, environment, controller } = how;
   const { words, input } = filmOf(ids, how);

@@ -1,6 +1,6 @@
 /**
- * Trainings and controllers: curves over each other, validations, lineage, and two controllers
- * compared.
+ * Trainings and controllers: overlaid curves, validations, lineage, and a comparison of two
+ * controllers.
  */
 
 import { Curve, getJson, patient, post } from '../lib/api.js';
@@ -19,7 +19,7 @@ import {
 import { copyButton, saveLink } from './share.js';
 
 const HUES = ['--blue', '--orange', '--green', '--pink'];
-/** A training that runs is asked about itself: not each phase has events. */
+/** A running training is polled, because not every phase has events. */
 const POLL_MS = 2000;
 
 export async function mount(main, [id], parameters, app) {
@@ -61,7 +61,7 @@ async function mountList(main, app) {
     ];
   }
 
-  /** Brings the two lists up to date; the comparison below them stays. */
+  /** Updates the two lists; the comparison below them stays. */
   async function refresh() {
     const [trainings, controllers] = await Promise.all(['trainings', 'controllers'].map((name) =>
       getJson(`v1/${name}?limit=200`, { signal: stop.signal })));
@@ -95,10 +95,11 @@ async function mountList(main, app) {
   };
 }
 
-/** A training as all jobs are: its kind is that of the job, its own the kind of training. */
+/** A training with the members that all jobs have: its kind is that of the job; trainingKind is its
+ * own. */
 const asJob = (item) => ({ ...item, trainingKind: item.kind, kind: 'training' });
 
-/** Where a controller comes from: the training that made it, and what that began with. */
+/** Returns where a controller comes from: the training that made it, and what that started from. */
 function lineageOf(controller, trainings) {
   const training = trainings.find((one) => one.controller?.sha256 === controller.sha256);
   if (!training) return [h('td.muted', { 'data-name': 'Made by' }, 'no training here'),
@@ -111,11 +112,11 @@ function lineageOf(controller, trainings) {
 }
 
 /**
- * Two controllers on the same held-out bodies: the difference with its interval, and both side by
- * side.
+ * Compares two controllers on the same held-out bodies: the difference with its interval, and both
+ * side by side.
  */
 function comparison(app, controllers) {
-  // The newest file that a training made, against the default: two names of one file are the same.
+  // The newest file of a training, compared with the default: two names of one file are the same.
   const names = controllers.map(({ name }) => name);
   const first = controllers.find(({ name }) => name === 'default') ?? controllers[0];
   const other = [...controllers].sort((x, y) => y.stored_at.localeCompare(x.stored_at))
@@ -156,7 +157,7 @@ function comparison(app, controllers) {
       const better = high < 0 ? `${b} is better on such bodies`
         : low > 0 ? `${b} is worse on such bodies`
         : 'this does not show which is better: ' +
-          'more bodies and environments make the interval narrower';
+          'more bodies and environments would make the interval narrower';
       const left = designs.length - n;
       result.textContent = n < 2
         ? 'Too few bodies have a score with both controllers to say which is better.'
@@ -247,7 +248,7 @@ async function mountOne(main, id, parameters, app) {
     batch = job.settings.batch;
   }
 
-  /** Trainings that differ in their seeds alone are replicates: a band of them is one curve. */
+  /** Trainings that differ only in their seeds are replicates: one band shows a group of them. */
   let groups =
     ids.map((one, i) => ({ name: ids.length > 1 ? `training ${one}` : '', members: [i] }));
 
@@ -259,7 +260,7 @@ async function mountOne(main, id, parameters, app) {
     groups = [...new Set(keys)].flatMap((key) => {
       const members = keys.flatMap((one, i) => (one === key ? [i] : []));
       const seeds = new Set(members.map((i) => items[i].settings.seed));
-      // Equal trainings of one seed are no replicates.
+      // Equal trainings with the same seed are not replicates.
       return members.length > 1 && seeds.size === members.length
         ? [{ members, name: `mean of ${members.length} replicates` }]
         : members.map((i) => ({ name: `training ${ids[i]}`, members: [i] }));
@@ -267,8 +268,8 @@ async function mountOne(main, id, parameters, app) {
   }
 
   /**
-   * The curve of a group: its rows, or the mean, least and most over its replicates where all have
-   * a row.
+   * Returns the curve of a group: its rows, or the mean, minimum and maximum of its replicates
+   * where all have a row.
    */
   function curveOf({ members }, curves, name) {
     const lists =

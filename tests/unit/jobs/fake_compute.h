@@ -3,7 +3,7 @@
  * Linked instead of the real one. Like a real loss, a fake loss depends only on its inputs:
  * genotype, environment, physics, precision and the controller's first weights. About one in 30
  * "diverges", with any weights. Some genotypes are a hundred times as good as others, so that races
- * cut children short. /
+ * cut children short. */
 #ifndef MORPHO_TESTS_FAKE_COMPUTE_H
 #define MORPHO_TESTS_FAKE_COMPUTE_H
 
@@ -13,18 +13,17 @@
 struct fake_plan {
   atomic_int delay_us;            /* duration of one block, which checks its cancel flag every 200
 µs */
-atomic_int fail_status;         /* 0, or the error of blocks with the genotype below */
-atomic_uint_fast64_t fail_word; /* first word of that genotype; 0 = any */
-atomic_int fail_times;          /* number of blocks that will fail */
-atomic_bool poison;             /* losses are NaN */
-atomic_int skew;                /* added to losses, as if the code had changed */
-atomic_int gradient_delay_us; /* duration of one batch, which checks its cancel flag every 200 µs */
-atomic_int gradient_status;   /* 0, or the error of the next `gradient_fails` batches */
-atomic_int gradient_fails;
-_Atomic(const char *) gradient_fingerprint; /* NULL means "fake gradient" */
-atomic_bool gradient_crash;                 /* raises SIGSEGV in the calling thread */
-}
-;
+  atomic_int fail_status;         /* 0, or the error of blocks with the genotype below */
+  atomic_uint_fast64_t fail_word; /* first word of that genotype; 0 = any */
+  atomic_int fail_times;          /* number of blocks that will fail */
+  atomic_bool poison;             /* losses are NaN */
+  atomic_int skew;                /* added to losses, as if the code had changed */
+  atomic_int gradient_delay_us;   /* the same for one batch */
+  atomic_int gradient_status;     /* 0, or the error of the next `gradient_fails` batches */
+  atomic_int gradient_fails;
+  _Atomic(const char *) gradient_fingerprint; /* NULL means "fake gradient" */
+  atomic_bool gradient_crash;                 /* raises SIGSEGV in the calling thread */
+};
 extern struct fake_plan fake_plan;
 /* Resets the plan and the history. NULL in programs with the real back end. */
 __attribute__((weak)) void fake_reset(void);
