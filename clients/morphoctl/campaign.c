@@ -1,8 +1,8 @@
 /* campaign.c: campaign show and watch: a campaign with its curves.
  *
- * On a terminal campaign watch draws sparklines of the curves and a table of the newest
- * generations; elsewhere it prints a line per generation. Each event about a generation makes it
- * fetch the generation, so the view always agrees with the API. */
+ * On a terminal, campaign watch draws sparklines of the curves and a table of the newest
+ * generations; elsewhere it prints a line per generation. After each event about a generation it
+ * fetches the generation, so the view always agrees with the API. */
 #include "campaign.h"
 
 #include <inttypes.h>
@@ -19,11 +19,11 @@
 
 /* The numbers shown for a generation. */
 static const struct measure {
-  const char *place;      /* in a row of the API; of shares of survivors, the counts */
-  const char *name;       /* of its curve; NULL: no curve */
-  const char *head, *tag; /* in the table, and in a line */
+  const char *place;      /* name in a row of the API; the counts for fractions that survived */
+  const char *name;       /* index of its curve; NULL if it has no curve */
+  const char *head, *tag; /* headings in the table and in a line */
   int width, digits;
-  const char *unit; /* " %": a share */
+  const char *unit; /* " %" for a fraction */
 } measures[CAMPAIGN_VALUES] = {
     {"score.mean", "mean score", "mean", "mean", 10, 4, ""},
     {"score.quantiles.p50", NULL, "median", NULL, 10, 4, ""},
@@ -154,7 +154,7 @@ static void draw_curves(const struct campaign *campaign, int columns, FILE *file
   free(curve);
 }
 
-/* Draws a row of the table of generations; row NULL: its heads. */
+/* Draws a row of the table of generations; with row NULL, the headings. */
 static void draw_row(const struct campaign_row *row, FILE *file)
 {
   if (row != NULL)
@@ -176,7 +176,7 @@ char *campaign_draw(const struct campaign *campaign, int columns, int table_rows
   size_t size = 0, rows = table_rows > 0 ? (size_t)table_rows : 0;
   FILE *file = need(open_memstream(&text, &size));
   if (campaign->n == 0)
-    fputs("no generation yet\n", file);
+    fputs("no generations yet\n", file);
   else
     draw_curves(campaign, columns, file);
   if (campaign->n > 0 && rows > 0) {
@@ -243,8 +243,8 @@ static void write_view(const struct live *live, FILE *file, int columns, int row
              ended ? "{reason}" : "[{reason}|Ctrl-C leaves; the campaign continues.]");
 }
 
-/* Prints a line for each generation up to `until` that was not printed yet. at: time of the last
- * one, from its event (nullable); the times of the others are not known. */
+/* Prints a line for each generation up to `until` that has not been printed yet. at: time of the
+ * last one, from its event (nullable); the times of the others are unknown. */
 static void print_generations(struct campaign *campaign, int64_t until, const json_t *at)
 {
   char line[400], words[256], count[32];
@@ -294,7 +294,7 @@ static bool take_event(struct live *live, const char *type, json_t *event, bool 
   live_load(live);
   if (strcmp(type, "campaign.generation") == 0) {
     print_generations((struct campaign *)live, number_of(data, "generation"), at);
-    return false; /* more generations may be reported before the end is */
+    return false; /* more generations may be reported before the end is reached */
   }
   json_object_set(event, "state", json_object_get(live->job, "state"));
   char line[512] = "{type:.64}";

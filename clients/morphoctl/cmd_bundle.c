@@ -1,5 +1,5 @@
-/* cmd_bundle.c: bundle export, verify and import: campaigns as files. export: any list, curve or
- * phylogeny as a file. */
+/* cmd_bundle.c: bundle export, verify and import: campaigns as files. export: saves any list, curve
+ * or phylogeny as a file. */
 #include <inttypes.h>
 #include <string.h>
 
@@ -23,7 +23,7 @@ void run_bundle_export(struct ctl *ctl)
   for (size_t i = 0; filters[i] != NULL; i++)
     ways += option_is_set(ctl, filters[i]);
   if (option_is_set(ctl, "recordings"))
-    path = path_to("%s&recordings=true", path); /* after the choice of campaigns */
+    path = path_to("%s&recordings=true", path); /* after the selection of campaigns */
   if (ways == 0)
     fail(STATUS_USAGE, "give campaign ids, --label, --experiment or "
                        "--group");
@@ -34,8 +34,8 @@ void run_bundle_export(struct ctl *ctl)
 
 /* ---- import ---- */
 
-/* Makes the request that recomputes the stored scores of the best designs. NULL: the campaign
- * learns. */
+/* Makes the request that recomputes the stored scores of the best designs. Returns NULL if the
+ * campaign learns. */
 static json_t *recompute_request(struct ctl *ctl, const char *id, int64_t n)
 {
   const json_t *campaign = get_json(ctl, "/v1/campaigns/%s", id), *item;
@@ -68,7 +68,7 @@ static void recompute(struct ctl *ctl, const char *id, int64_t n)
   int64_t agree = 0, differ = 0, unknown = 0;
   size_t i;
   if (request == NULL) {
-    print_plain_line(stderr, "campaign %s learns: its scores cannot be computed again", id);
+    print_plain_line(stderr, "campaign %s learns: its scores cannot be recomputed", id);
     return;
   }
   const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
@@ -115,8 +115,8 @@ static void tell_entered(const struct ctl *ctl, const json_t *entered)
     if (!ctl->quiet)
       print_from(stdout, item,
                  "campaign {source.campaign} of store {source.store}: {designs} designs, {losses} "
-                 "losses, {recordings} recorded evaluations; [{entered=true}entered as campaign "
-                 "{campaign}|is here as campaign {campaign}|whole; not here yet]");
+                 "losses, {recordings} recorded evaluations; [{entered=true}imported as campaign "
+                 "{campaign}|already stored as campaign {campaign}|intact, not imported]");
   }
 }
 
@@ -170,7 +170,8 @@ void run_export(struct ctl *ctl)
     list += 4;
   for (const char *c = list; *c != '\0'; c++)
     if (*c <= ' ' || *c > '~' || *c == '#')
-      fail(STATUS_USAGE, "\"%s\" is not a list: write other characters as %%20", list);
+      fail(STATUS_USAGE, "\"%s\" is not a list: escape special characters, such as a blank as %%20",
+           list);
   const char between = strchr(list, '?') != NULL ? '&' : '?';
   save_reply(ctl, path_to("/v1/%s%cformat=%s", list, between, form), "*/*", output);
 }

@@ -20,7 +20,7 @@ static void fill_workspace(const struct ctl *ctl, json_t *request)
   json_object_set_new(request, "workspace", json_pack("[i, i, i]", x, y, z));
 }
 
-/* Adds the initial population: the operands, or that of another campaign. */
+/* Adds the initial population: the operands, or the population of another campaign. */
 static void fill_initial(struct ctl *ctl, json_t *request)
 {
   const char *from = option_text(ctl, "from", NULL);
@@ -67,8 +67,8 @@ void run_campaign_extend(struct ctl *ctl)
 
 /* ---- champions ---- */
 
-/* Evaluates the champions again with recording; saves their trajectories into a folder (nullable),
- * and films them with --film. */
+/* Re-evaluates the champions with recording; saves their trajectories in a folder (nullable), and
+ * films them with --film. */
 static void record_champions(struct ctl *ctl, const char *id, int64_t count, const char *folder)
 {
   const int64_t stride = option_number(ctl, "record-stride", 1, 1000000, 10);
@@ -127,7 +127,7 @@ static void export_population(struct ctl *ctl, const char *id, const char *outpu
     print_plain_line(stderr, "%s: %zu designs", output, json_array_size(items));
 }
 
-/* Names the replicates that no row of the exported table counts. */
+/* Lists the replicates that are not counted in any row of the exported table. */
 static void name_left_out(struct ctl *ctl, const char *id)
 {
   const json_t *page = get_json(ctl, "/v1/campaigns/%s/replicates?limit=1", id), *one;

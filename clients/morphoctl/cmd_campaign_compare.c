@@ -1,7 +1,7 @@
 /* cmd_campaign_compare.c: campaign compare: compares campaigns by their best scores at the newest
- * generation that all have reached. A campaign with its replicates is one side; their spread gives
- * the interval. Scores of different physics or environments are not comparable, so these are
- * refused; other settings that differ are named. */
+ * generation that all of them have reached. A campaign and its replicates form one side; their
+ * spread gives the interval. Scores under different physics or environments are not comparable, so
+ * these are refused; other different settings are listed. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -12,7 +12,7 @@
 enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };
 
 struct side {
-  json_t *json;          /* what is printed about it */
+  json_t *json;          /* printed description */
   const json_t *members; /* the campaigns that are compared */
   double scores[REPLICATES_MAX];
   size_t n;
@@ -24,7 +24,7 @@ static bool ended_early(const json_t *campaign)
   return strcmp(state, "cancelled") == 0 || strcmp(state, "failed") == 0;
 }
 
-/* Returns whether another side has the same group. Then each side is only the named campaign. */
+/* Returns whether another side has the same group. If so, each side is only the named campaign. */
 static bool shares_group(const struct ctl *ctl, const json_t *const campaigns[], size_t n)
 {
   for (size_t i = 0; i < ctl->n_operands; i++)
@@ -34,8 +34,8 @@ static bool shares_group(const struct ctl *ctl, const json_t *const campaigns[],
   return false;
 }
 
-/* Fills a side with the replicates of a campaign. Those that ended early are only named, unless all
- * did. */
+/* Fills a side with the replicates of a campaign. Replicates that ended early are only listed,
+ * unless all did. */
 static void choose_members(struct ctl *ctl, const json_t *campaign, bool alone, struct side *side)
 {
   json_t *early = json_array(), *names = json_array(), *members = keep(json_array());
@@ -64,10 +64,10 @@ static void choose_members(struct ctl *ctl, const json_t *campaign, bool alone, 
                      json_object_get(campaign, "label"), "replicates", names, "left_out", early));
 }
 
-/* ---- what differs ---- */
+/* ---- differences of settings ---- */
 
-/* Appends {"setting", "values": [of a, of b]} for each member of two objects that differs. place:
- * of the objects, "" or with a dot at its end. */
+/* Appends {"setting", "values": [of a, of b]} for each member that differs between two objects.
+ * place: path of the objects, "" or ending with a dot. */
 static void find_differences(json_t *found, const char *place, const json_t *a, const json_t *b)
 {
   json_t *all = keep(json_copy((json_t *)a));
@@ -112,7 +112,7 @@ static const char *short_text(const json_t *value)
   return strlen(text) <= 40 ? text : keep(format_text("%.37s...", text));
 }
 
-/* Adds to a side the settings in which it differs from the first. Ends the program if their scores
+/* Adds to a side the settings that differ from the first side. Ends the program if their scores
  * cannot be compared. */
 static void add_differences(struct side *side, const json_t *first, const json_t *own,
                             const char *a, const char *b)
@@ -127,7 +127,7 @@ static void add_differences(struct side *side, const json_t *first, const json_t
     if (strcmp(setting, "settings.environments") == 0)
       fail(STATUS_NEGATIVE,
            "campaigns %s and %s are in different environments: their scores are not comparable. "
-           "Score their champions in the same ones: campaign champions, eval",
+           "Score their champions in the same environments: campaign champions, eval",
            a, b);
     if (strncmp(setting, "settings.physics.", 17) == 0)
       fail(
@@ -180,7 +180,7 @@ static void read_scores(struct ctl *ctl, struct side *side, int64_t generation)
   }
 }
 
-/* Adds to a side its comparison with the first. */
+/* Adds its comparison with the first side to a side. */
 static void compare(const struct side *first, struct side *side)
 {
   const struct interval found = compare_means(first->scores, first->n, side->scores, side->n);
@@ -228,7 +228,7 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
     return;
   }
   print_fact(ctl, "generation",
-             "%" PRId64 ", the newest that all have; best scores, lower is "
+             "%" PRId64 ", the newest that all have reached; best scores, lower is "
              "better",
              generation);
   print_table(stdout, ctl, rows,
@@ -255,7 +255,7 @@ void run_campaign_compare(struct ctl *ctl)
   const json_t *campaigns[SIDES_MAX] = {0};
   const size_t n = ctl->n_operands;
   if (n > SIDES_MAX)
-    fail(STATUS_USAGE, "at most %d campaigns are compared, not %zu", SIDES_MAX, n);
+    fail(STATUS_USAGE, "at most %d campaigns can be compared, got %zu", SIDES_MAX, n);
   int64_t generation = INT64_MAX;
   for (size_t i = 0; i < n; i++)
     campaigns[i] = get_json(ctl, "/v1/campaigns/%s", job_id(ctl->operands[i]));

@@ -6,7 +6,7 @@
 
 #define CONTROLLER_BYTES_MAX ((size_t)4 << 30)
 
-/* Makes the path of the controller that the first operand names. below: "" or "/file". */
+/* Makes the path of the controller in the first operand. below: "" or "/file". */
 static const char *controller_path(const struct ctl *ctl, const char *below)
 {
   return path_to("/v1/controllers/%s%s", escape(ctl->operands[0]), below);

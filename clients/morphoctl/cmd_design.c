@@ -81,8 +81,7 @@ void run_design_draw(struct ctl *ctl)
 
 /* ---- bodies that the server makes ---- */
 
-/* Prints the bodies; missing ones are reported on standard error. as: "voxels" or
- * "id". */
+/* Prints the bodies, and reports missing ones on standard error. as: "voxels" or "id". */
 static void print_bodies(const struct ctl *ctl, const json_t *reply, const char *as)
 {
   const json_t *items = json_object_get(reply, "items"), *item;

@@ -91,7 +91,8 @@ static void print_evaluation(const struct ctl *ctl, const json_t *evaluation,
     print_results(ctl, evaluation, designs, by_score, top);
 }
 
-/* Adds the complete scores to an evaluation that is too large to come with its results. */
+/* Adds the complete scores to an evaluation that is too large for its results to be in the
+ * reply. */
 static void add_whole_results(struct ctl *ctl, json_t *evaluation)
 {
   if (strcmp(text_of(evaluation, "state"), "succeeded") == 0)
@@ -111,7 +112,7 @@ void run_eval(struct ctl *ctl)
   const json_t *random = random_of(ctl, "seed", RANDOM_BODIES_MAX);
   const bool is_drawn = random != NULL && number_of(random, "count") > DESIGNS_MAX;
   if (is_drawn && ctl->n_operands > 0)
-    fail(STATUS_USAGE, "besides given designs, --random takes at most %d", DESIGNS_MAX);
+    fail(STATUS_USAGE, "with given designs, --random must be at most %d", DESIGNS_MAX);
   struct designs designs = is_drawn ? no_designs() : given_designs(ctl, 0, random);
   const bool is_large = is_drawn || json_array_size(designs.list) > DESIGNS_MAX;
   if (is_large)
@@ -216,5 +217,5 @@ void run_verify(struct ctl *ctl)
   if (differ > 0)
     fail(STATUS_NEGATIVE, "%zu stored scores differ from the recomputed ones", differ);
   if (agree == 0)
-    fail(STATUS_NEGATIVE, "nothing is stored to compare with");
+    fail(STATUS_NEGATIVE, "there are no stored scores to compare with");
 }

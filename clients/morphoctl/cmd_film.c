@@ -1,4 +1,4 @@
-/* cmd_film.c: "film" and "picture", and --film of other commands: robots drawn without a display.
+/* cmd_film.c: "film" and "picture", and --film of other commands: draws robots without a display.
  *
  * The rollouts come from the server as scenes: computed for the request and not stored, or recorded
  * by an evaluation. A film is a folder of PNG files, a Y4M stream, or any format into which ffmpeg,
@@ -41,7 +41,7 @@ static int64_t option_environment(const struct ctl *ctl)
   return option_number(ctl, "environment", 0, 63, 0);
 }
 
-/* Chooses one environment of the set or file that --environments names. */
+/* Selects one environment of the set or file in --environments. */
 static void choose_environment(struct ctl *ctl, json_t *request)
 {
   const json_t *listed = json_object_get(request, "environments");
@@ -62,7 +62,7 @@ static void load_scene(struct ctl *ctl, struct film *film)
   const struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", ROBOTS_MAX));
   const size_t n = json_array_size(designs.list);
   if (n < 1 || n > ROBOTS_MAX)
-    fail(STATUS_USAGE, "a film has 1 to %d robots, not %zu", ROBOTS_MAX, n);
+    fail(STATUS_USAGE, "a film has 1 to %d robots, got %zu", ROBOTS_MAX, n);
   json_t *request = keep(json_pack("{s:O,s:[s]}", "designs", designs.list, "record", "masses"));
   request_fill(ctl, request);
   const json_t *n_steps = json_object_get(json_object_get(request, "physics"), "n_steps");
@@ -89,8 +89,7 @@ static double option_real(const struct ctl *ctl, const char *name, double low, d
     return otherwise;
   const double value = strtod(text, &end);
   if (end == text || *end != '\0' || !(value >= low && value <= high))
-    fail(STATUS_USAGE, "--%s: a number from %g to %g is expected, not \"%s\"", name, low, high,
-         text);
+    fail(STATUS_USAGE, "--%s must be a number from %g to %g, got \"%s\"", name, low, high, text);
   return value;
 }
 
@@ -115,7 +114,7 @@ static void read_look(struct ctl *ctl, struct film *film)
   /* NOLINTNEXTLINE(cert-err34-c): 5 digits fit */
   if (sscanf(size, "%5ux%5u%n", &film->width, &film->height, &end) != 2 || size[end] != 0 ||
       !is_side(film->width) || !is_side(film->height))
-    fail(STATUS_USAGE, "--size: WIDTHxHEIGHT of 64 to %d pixels is expected, not \"%s\"",
+    fail(STATUS_USAGE, "--size must be WIDTHxHEIGHT with 64 to %d pixels each, got \"%s\"",
          RASTER_SIDE_MAX, size);
   film->light = option_is_set(ctl, "light");
   film->rate = option_real(ctl, "rate", 1, 120, 25);
@@ -223,7 +222,7 @@ static bool needs_ffmpeg(const char *output)
 static FILE *open_stream(const char *output, pid_t *ffmpeg)
 {
   int ends[2];
-  signal(SIGPIPE, SIG_IGN); /* a reader that ends early is an error like any other */
+  signal(SIGPIPE, SIG_IGN); /* a reader that exits early is an error like any other */
   *ffmpeg = 0;
   if (strcmp(output, "-") == 0)
     return stdout;
@@ -338,14 +337,15 @@ void film_check(struct ctl *ctl)
   if (output == NULL)
     return;
   if (output[0] == '\0' || strcmp(output, "-") == 0)
-    fail(STATUS_USAGE, "--film: film.mp4, film.y4m or a folder that ends with / is expected");
+    fail(STATUS_USAGE, "--film must be film.mp4, film.y4m, or a folder that ends with /");
   option_environment(ctl);
   read_look(ctl, &film);
   if (needs_ffmpeg(output) && !has_ffmpeg())
     fail(STATUS_ERROR, no_ffmpeg, "--film");
 }
 
-/* Chooses the designs that a film shows: all, or the best, best first. Returns their number. */
+/* Selects the designs that a film shows: all, or the best ones, best first. Returns their
+ * number. */
 static size_t choose_designs(const json_t *results, size_t places[ROBOTS_MAX])
 {
   const size_t n = json_array_size(results);

@@ -1,4 +1,4 @@
-/* cmd_fleet.c: fleet, fleet drain, verify: workers of other machines. */
+/* cmd_fleet.c: fleet, fleet drain, verify: workers on other machines. */
 #include <string.h>
 
 #include "commands.h"
@@ -8,7 +8,7 @@ static bool is_open(const json_t *session)
   return json_is_null(json_object_get(session, "ended_at"));
 }
 
-/* Returns the open sessions, or with --all all of them. */
+/* Returns the open sessions; with --all, all sessions. */
 static json_t *shown_of(const struct ctl *ctl, const json_t *sessions)
 {
   json_t *shown = keep(json_array()), *session;
@@ -29,8 +29,9 @@ static void print_fleet(const struct ctl *ctl, const json_t *fleet)
       {"workers", "[{classes.device.sessions:,} of class {classes.device.scores}]"},
       {"older", "[{n_older>0:,} than version {version}]"},
       {"threads", "{n_threads:,}[, {n_devices>0:,} GPUs]"},
-      {"rollouts", "{rollouts_done:,} done, {rollouts_out:,} out, {rollouts_per_s:.0f} a second"},
-      {"leases", "{leases_done:,} done, {leases:,} out, {leases_again:,} given out again"},
+      {"rollouts",
+       "{rollouts_done:,} done, {rollouts_out:,} in flight, {rollouts_per_s:.0f} per second"},
+      {"leases", "{leases_done:,} done, {leases:,} in flight, {leases_again:,} reissued"},
       {"audits", "{audits:,}, {audits_failed:,} with other bits"},
       {"lost", "{lost:,} of {joined:,} sessions"},
       {NULL, NULL}};
@@ -57,7 +58,7 @@ void run_fleet(struct ctl *ctl)
 /* ---- drains ---- */
 
 #define LOOK_S  0.5
-#define LEAVE_S 40 /* a worker computes what it has for at most 22 s */
+#define LEAVE_S 40 /* a worker takes at most 22 s to finish its leases */
 
 static bool is_same(const json_t *session, const json_t *other, const char *key)
 {
@@ -76,7 +77,7 @@ static const json_t *find(const json_t *fleet, const json_t *session)
   return NULL;
 }
 
-/* Returns the session of a worker that has come since `before`; or NULL. */
+/* Returns the session of a worker that joined after `before`, or NULL. */
 static const json_t *find_return(const json_t *before, const json_t *now, const json_t *worker)
 {
   const json_t *session;
@@ -90,8 +91,8 @@ static const json_t *find_return(const json_t *before, const json_t *now, const 
   return NULL;
 }
 
-/* Waits until a worker has left and is back. Returns the version that it has then, "" if it is not
- * back. */
+/* Waits until a worker has left and is back. Returns the version that it then has, or "" if it is
+ * not back. */
 static const char *await_return(struct ctl *ctl, const json_t *before, const json_t *worker,
                                 int64_t within_s)
 {
@@ -117,7 +118,7 @@ static const char *await_return(struct ctl *ctl, const json_t *before, const jso
     json_decref(now);
   }
   if (!has_left)
-    fail(STATUS_NEGATIVE, "%s does not leave", text_of(worker, "name"));
+    fail(STATUS_NEGATIVE, "%s has not left", text_of(worker, "name"));
   return version;
 }
 
@@ -179,7 +180,7 @@ void run_fleet_drain(struct ctl *ctl)
 
 /* ---- verify ---- */
 
-/* Adds what a page says to the whole: counts and what differs. */
+/* Adds a page to the total: counts and differences. */
 static void add_page(json_t *whole, const json_t *page)
 {
   add_number(whole, page, "checked");
@@ -187,7 +188,7 @@ static void add_page(json_t *whole, const json_t *page)
   json_array_extend(json_object_get(whole, "different"), json_object_get(page, "different"));
 }
 
-/* Asks for page after page. The transport waits where the server says that it is busy. */
+/* Requests page after page. The transport waits if the server says that it is busy. */
 static int verify_all(struct ctl *ctl, json_t *whole)
 {
   json_t *request = keep(
@@ -224,7 +225,7 @@ void run_fleet_verify(struct ctl *ctl)
   json_t *different = json_object_get(whole, "different");
   catch_interrupts(NULL);
   int status = verify_all(ctl, whole);
-  /* Always print what was found: after a repair, nothing finds it again. */
+  /* Always print what was found: after a repair it cannot be found again. */
   print_differences(ctl, different);
   if (status == STATUS_OK || json_array_size(different) > 0)
     tell(ctl, whole,

@@ -51,8 +51,8 @@ void run_job_show(struct ctl *ctl)
   show(ctl, path_to("/v1/%s/%s", list, id), print_job);
 }
 
-/* Sends a request to /v1/, noun + s, / + id + behind for each job that the operands name, and
- * reports each reply: `accepted`, if the work continues for now (202), else `words`. */
+/* Sends a request to /v1/, noun + s, / + id + behind for each job in the operands, and reports each
+ * reply: `accepted` if the work continues for now (202), otherwise `words`. */
 static void each_job(struct ctl *ctl, struct request request, const char *noun, const char *behind,
                      const char *words, const char *accepted)
 {
@@ -113,7 +113,7 @@ void run_job_weight(struct ctl *ctl)
        "job {id} has the weight {weight:g}");
 }
 
-/* ---- in order ---- */
+/* ---- labels, notes, archive ---- */
 
 static void edit_jobs(struct ctl *ctl, json_t *edit, const char *words)
 {

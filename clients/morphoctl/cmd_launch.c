@@ -1,6 +1,6 @@
-/* cmd_launch.c: "fleet slurm", "fleet systemd", "fleet kubernetes": files that start workers,
- * filled in. They come from data/fleet, and are part of the program, so that nothing need be
- * installed. */
+/* cmd_launch.c: "fleet slurm", "fleet systemd", "fleet kubernetes": prints files that start
+ * workers, filled in. The templates come from data/fleet and are part of the program, so nothing
+ * needs to be installed. */
 #include <ctype.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,7 +10,7 @@
 
 enum engine { SLURM, SYSTEMD, KUBERNETES };
 
-/* What fills a place of the files. A line whose place is filled with nothing is left out. */
+/* Values for the placeholders of the files. A line with an empty placeholder is omitted. */
 static const struct filling {
   const char *place, *option;
   const char *usual[3]; /* by engine */
@@ -28,7 +28,8 @@ static const struct filling {
 };
 enum { N_FILLINGS = sizeof(fillings) / sizeof(fillings[0]) };
 
-/* A value stands in a shell, a unit or YAML, between double quotes: it must not end them. */
+/* A value appears between double quotes in a shell script, a unit or YAML, so it must not end
+ * them. */
 static bool is_safe(const char *value)
 {
   for (const char *c = value; *c != 0; c++)
@@ -43,7 +44,7 @@ static const char *value_of(const struct ctl *ctl, const struct filling *filling
   return option_text(ctl, filling->option, filling->usual[engine]);
 }
 
-/* Returns the filling whose @PLACE@ begins at a character; NULL: none does. */
+/* Returns the value for the @PLACEHOLDER@ that begins at a character; NULL if none does. */
 static const struct filling *filling_at(const char *text)
 {
   for (const struct filling *filling = fillings; filling < fillings + N_FILLINGS; filling++) {

@@ -1,4 +1,4 @@
-/* cmd_list.c: campaign, controller, design, job and train list: a row for each. */
+/* cmd_list.c: campaign, controller, design, job and train list: one row per item. */
 #include <string.h>
 
 #include "commands.h"
@@ -8,9 +8,9 @@
 
 static const struct list {
   const char *command, *path;
-  int64_t limit;       /* without --limit and --all; 0: all */
-  const char *columns; /* as print_items takes them */
-  const char *ranked;  /* with --sort score; NULL: the same */
+  int64_t limit;       /* without --limit and --all; 0 = all */
+  const char *columns; /* in the format of print_items */
+  const char *ranked;  /* with --sort score; NULL = the same */
 } lists[] = {
     {"campaign list", "/v1/campaigns", 50,
      ">campaign={id}|mode={mode}|" STATE "|>designs={settings.population:,}"

@@ -1,6 +1,6 @@
-/* cmd_scores.c: scores as files: out of a server, and into another one. A file is a row of blocks,
- * each with 12 bytes before it that say how long it is; each is sent by itself, so that neither
- * side ever holds more. */
+/* cmd_scores.c: scores as files: exported from a server, and imported into another one. A file is a
+ * sequence of blocks, each preceded by 12 bytes with its length. Blocks are sent one by one, so
+ * neither side ever holds more than one. */
 #include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
@@ -14,7 +14,7 @@
 #define HEAD_BYTES  12
 #define BLOCK_MAX   ((size_t)96 << 20)
 
-/* Shows how many bytes have passed, on a terminal. what NULL: takes that away. */
+/* Shows on a terminal how many bytes have passed. what NULL: erases that. */
 static void show_bytes(const struct ctl *ctl, const char *what, uint64_t bytes)
 {
   if (!ctl->progress || ctl->quiet)
@@ -24,12 +24,12 @@ static void show_bytes(const struct ctl *ctl, const char *what, uint64_t bytes)
     fprintf(stderr, "%s  %.1f MB", what, (double)bytes / 1e6);
 }
 
-/* ---- out ---- */
+/* ---- export ---- */
 
 struct saving {
   const struct ctl *ctl;
   const char *path;
-  FILE *file; /* opened when the first bytes come */
+  FILE *file; /* opened when the first bytes arrive */
   uint64_t bytes;
 };
 
@@ -60,7 +60,7 @@ void run_scores_export(struct ctl *ctl)
     print_plain_line(stderr, "%s: %" PRIu64 " bytes", saving.path, saving.bytes);
 }
 
-/* ---- in ---- */
+/* ---- import ---- */
 
 struct sending {
   struct ctl *ctl;
@@ -68,10 +68,10 @@ struct sending {
   FILE *file;
   uint64_t at; /* where the next block begins */
   json_t *sum;
-  bool is_last; /* the newest block that was entered */
+  bool is_last; /* the newest block that was imported */
 };
 
-/* Reads the next block, of *size bytes (malloc); *size 0: the file has ended. */
+/* Reads the next block, of *size bytes (malloc); *size is 0 at the end of the file. */
 static int read_block(const struct sending *sending, char **block, size_t *size)
 {
   uint32_t head[HEAD_BYTES / 4] = {0};
@@ -154,7 +154,7 @@ void run_scores_import(struct ctl *ctl)
   if (!standard)
     fclose(sending.file);
   print_differences(ctl, json_object_get(sending.sum, "differences"));
-  if (sending.at > 0) /* what was entered stays, whatever followed */
+  if (sending.at > 0) /* imported scores stay, whatever followed */
     tell(ctl, sending.sum,
          "{new:,} rollouts are new, {known:,} were known[, {different>0:,} are stored with other "
          "bits and were left out], from store {source.store} on {source.host}");

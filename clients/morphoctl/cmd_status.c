@@ -1,13 +1,13 @@
-/* cmd_status.c: status, devices, version, completion; dashboard: where the pages of the server are.
- */
+/* cmd_status.c: status, devices, version, completion; dashboard: the address of the server's
+ * pages. */
 #include <pwd.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "commands.h"
 
-/* Finds out whether the server is ready, and why not: a text or NULL. "Not ready" is a valid
- * result, so there are no retries. */
+/* Returns why the server is not ready, or NULL if it is. "Not ready" is a valid result, so there
+ * are no retries. */
 static bool is_ready(struct ctl *ctl, json_t **why)
 {
   const struct request request = {.method = "GET", .path = "/readyz", .once = true};
@@ -53,7 +53,7 @@ void run_status(struct ctl *ctl)
     leave(STATUS_NEGATIVE);
 }
 
-/* Ends with STATUS_NEGATIVE if a device is lost. */
+/* Exits with STATUS_NEGATIVE if a device is lost. */
 static void tell_lost(const struct ctl *ctl, const json_t *devices)
 {
   bool is_lost = false;
@@ -99,7 +99,7 @@ void run_completion(struct ctl *ctl)
 
 /* ---- the pages ---- */
 
-/* Prints the address. The token is handed over in the part of it that is never sent. */
+/* Prints the address. The token is in the part of it that is never sent. */
 static void print_address(const char *server, const char *token)
 {
   size_t length = strlen(server);

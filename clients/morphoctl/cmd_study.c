@@ -1,5 +1,5 @@
-/* cmd_study.c: study ask, tell, sampler, finish: a search of one's own that the server keeps. All
- * else is done by the commands of campaigns, of which a study is one. */
+/* cmd_study.c: study ask, tell, sampler, finish: a custom search that the server stores. A study is
+ * a campaign, so the campaign commands do everything else. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -18,7 +18,7 @@ static json_t *post(struct ctl *ctl, const char *verb, const json_t *request)
   return keep(send_json(ctl, &how, NULL));
 }
 
-/* Adds the numbers of an option, which commas separate, if it is given. */
+/* Adds the comma-separated numbers of an option, if it is given. */
 static void fill_numbers(const struct ctl *ctl, const char *name, json_t *request)
 {
   const char *text = option_text(ctl, name, NULL);
@@ -63,14 +63,14 @@ void run_study_ask(struct ctl *ctl)
 
 /* ---- study tell ---- */
 
-/* Adds a child: an object with a body, or a body alone. */
+/* Adds a child: an object with a body, or only a body. */
 static void add_child(json_t *children, json_t *value)
 {
   if (json_object_get(value, "body") != NULL) {
     json_array_append(children, value);
     return;
   }
-  json_object_del(value, "name"); /* of a design in a file */
+  json_object_del(value, "name"); /* for a design in a file */
   json_array_append_new(children, json_pack("{s:O}", "body", value));
 }
 
@@ -85,7 +85,7 @@ static json_t *read_children(const char *path)
     json_t *value = json_loadb(bytes + at, n - at, JSON_DISABLE_EOF_CHECK, &error), *item;
     if (!json_is_object(value) && !json_is_array(value))
       fail(STATUS_USAGE, "%s, byte %zu: %s", path, at + (size_t)error.position,
-           value == NULL ? error.text : "a child, or a list of children, is expected");
+           value == NULL ? error.text : "expected a child or a list of children");
     if (json_is_object(value))
       add_child(children, value);
     json_array_foreach(value, i, item)
@@ -123,7 +123,7 @@ static void fill_batch(struct ctl *ctl, json_t *request)
   json_object_set_new(request, "batch", json_integer(batch));
 }
 
-/* Waits until the batch is committed. Keeps the last reply only: that may take days. */
+/* Waits until the batch is committed, which may take days. Keeps only the last reply. */
 static const json_t *await_batch(struct ctl *ctl, const json_t *batch)
 {
   const char *id = ctl->operands[0];
@@ -174,7 +174,7 @@ void run_study_tell(struct ctl *ctl)
   print_batch(ctl, await_batch(ctl, post(ctl, "tell", request)));
 }
 
-/* ---- the rest ---- */
+/* ---- sampler and finish ---- */
 
 void run_study_sampler(struct ctl *ctl)
 {

@@ -11,7 +11,7 @@
 struct side {
   const char *name; /* as given */
   const json_t *evaluation;
-  double *losses; /* (n, n_environments); NaN: the rollout diverged */
+  double *losses; /* (n, n_environments); NaN if the rollout diverged */
   size_t n, n_environments;
   size_t diverged; /* number of designs */
   size_t rollouts, rollouts_diverged;
@@ -96,7 +96,7 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
              2 * paired->improved > paired->n - paired->equal ? "better" : "worse") != 0)
     print_plain_line(
         stdout,
-        "Yet most designs are better with %s (sign test, p = %.2g): the mean counts how "
+        "However, most designs are better with %s (sign test, p = %.2g): the mean counts how "
         "much, the sign test how many.",
         2 * paired->improved > paired->n - paired->equal ? b : a, paired->sign_p);
 }
@@ -144,7 +144,7 @@ void run_train_compare(struct ctl *ctl)
   const json_t *held_out =
       get_json(ctl, "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
                n_designs, n_environments);
-  for (int s = 0; s < 2; s++) /* both names, before the first rollout */
+  for (int s = 0; s < 2; s++) /* check both names before the first rollout */
     (void)get_json(ctl, "/v1/controllers/%s", escape(sides[s].name));
   for (int s = 0; s < 2; s++)
     score_side(ctl, held_out, &sides[s]);

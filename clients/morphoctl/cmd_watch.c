@@ -50,7 +50,7 @@ const char *event_words(const char *type)
 
 struct watch {
   struct ctl *ctl;
-  const char *job; /* NULL: all jobs */
+  const char *job; /* NULL means all jobs */
   bool finished, failed, reset;
 };
 
@@ -69,7 +69,7 @@ static int show_event(void *context, const char *type, const char *data)
   if (strcmp(type, "reset") == 0) {
     watch->reset = true;
     if (!ctl->quiet)
-      complain(0, "some events were missed, since the server no longer keeps them");
+      complain(0, "some events were missed, because the server no longer keeps them");
     return 0;
   }
   json_t *event = json_loads(data, 0, NULL);
@@ -105,7 +105,7 @@ static void ask(struct watch *watch)
   json_decref(job);
 }
 
-/* Checks after a break for the end of the job: its event may no longer be kept. */
+/* Checks after a reconnection whether the job has ended: its event may no longer be kept. */
 static bool look_again(void *context)
 {
   struct watch *watch = context;
@@ -126,7 +126,7 @@ void run_watch(struct ctl *ctl)
                           .context = &watch};
   if (watch.job != NULL)
     ask(&watch);          /* checks that the job exists */
-  watch.finished = false; /* show the events of an ended job, too */
+  watch.finished = false; /* show the events of a finished job as well */
   catch_interrupts(NULL);
   follow_events(&follow);
   if (watch.failed)
@@ -135,7 +135,7 @@ void run_watch(struct ctl *ctl)
 
 /* ---- wait ---- */
 
-/* Waits for the end of a job, over restarts of the server. state: as in its reply. */
+/* Waits for the end of a job, even if the server restarts. state: as in its reply. */
 static void wait_for_end(struct ctl *ctl, const char *id, char state[16])
 {
   const struct request request = {
@@ -147,11 +147,11 @@ static void wait_for_end(struct ctl *ctl, const char *id, char state[16])
       complain_of_warnings("job", job);
     json_decref(job);
     if (ctl->retry_s < 0)
-      ctl->retry_s = 3600; /* the server was there */
+      ctl->retry_s = 3600; /* the server replied */
   }
 }
 
-/* Runs a command with sh, which must succeed. */
+/* Runs a command with sh; it must succeed. */
 static void run_then(const char *command, const struct ctl *ctl, const char *state)
 {
   char shell[] = "sh", option[] = "-c", *copy = keep(strdup(command));

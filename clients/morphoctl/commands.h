@@ -1,4 +1,4 @@
-/* commands.h: what the commands share, with the headers that nearly all of them need. */
+/* commands.h: functions that the commands share, with the headers that almost all of them need. */
 #ifndef MORPHOCTL_COMMANDS_H
 #define MORPHOCTL_COMMANDS_H
 
@@ -10,12 +10,12 @@
 #include "table.h"
 #include "transport.h"
 
-/* Most of these end the program when something is wrong; what they return is kept (ctl.h). */
+/* Most of these end the program on an error; what they return is kept (ctl.h). */
 
 /* ---- request.c ---- */
 
-/* Adds --schedule, a name or a kind, at its place. The options of a kind need one. Call it before
- * request_fill. */
+/* Adds --schedule, a name or a kind, at its place. Options of a kind need --schedule. Call it
+ * before request_fill. */
 void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
 /* Adds the given options of the command that have a place, --physics and --environments to the
  * request. The server checks bounds and reports them. */
@@ -24,16 +24,17 @@ void request_fill(const struct ctl *ctl, json_t *request);
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);
 /* Adds the --physics options, "key=value" each, to a request as "physics". */
 void request_fill_physics(const struct ctl *ctl, json_t *request);
-/* Makes a request with a body of JSON; NULL: without one. */
+/* Makes a request with a JSON body, or without a body if NULL. */
 struct request json_request(const char *method, const char *path, const json_t *json);
-/* Posts what does nothing the second time. */
+/* Posts a request that has no effect the second time. */
 json_t *post_again(struct ctl *ctl, const char *path, const json_t *request);
-/* Says on standard error which robots were taken for designs that came as an id alone. */
+/* Reports on standard error which robots were used for designs given by an id without an
+ * orientation. */
 void say_orientations(const struct ctl *ctl, const json_t *designs);
-/* Returns the request of --random, --first and the option `seed`, kept; NULL: no --random. */
+/* Returns the request of --random, --first and the option `seed`, kept; NULL without --random. */
 json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most);
-/* Returns the designs of the operands from `first` on, and those that the server draws as `random`
- * (nullable) says; those of standard input if there is neither. */
+/* Returns the designs of the operands from `first` on and those that the server draws for `random`
+ * (nullable); those on standard input if there are neither. */
 struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random);
 /* Posts a job with the key of --idempotency-key or a new one, so that it is safe to repeat. */
 json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s);
@@ -49,10 +50,10 @@ void save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fo
 
 /* ---- cmd_film.c ---- */
 
-/* Checks --film, and the options that say how to draw, before anything is computed. */
+/* Checks --film and the drawing options before anything is computed. */
 void film_check(struct ctl *ctl);
-/* With --film, draws what a finished evaluation recorded of its masses: of up to 16 designs, the
- * best where there are more. */
+/* With --film, draws the masses that a finished evaluation recorded: of up to 16 designs, the best
+ * ones if there are more. */
 void film_evaluation(struct ctl *ctl, const json_t *evaluation);
 
 /* ---- common.c ---- */
@@ -61,7 +62,7 @@ const char *text_of(const json_t *object, const char *key); /* "" if absent */
 int64_t number_of(const json_t *object, const char *key);
 void add_number(json_t *sum, const json_t *part, const char *key);
 double real_at(const json_t *json, const char *place); /* NaN if absent; see table.h */
-json_t *real_or_null(double value);                    /* null: it is not finite */
+json_t *real_or_null(double value);                    /* null if it is not finite */
 
 bool is_final(const char *state);
 /* Returns an operand that is the decimal id of a job. */
@@ -74,9 +75,9 @@ void expect_success(const char *noun, const json_t *job);
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 struct fact {
-  const char *name, *words; /* words: a template; the fact is left out if it comes to nothing */
+  const char *name, *words; /* words: a template; the fact is omitted if it is empty */
 };
-/* Prints the facts up to one without a name. */
+/* Prints the facts up to the one without a name. */
 void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *facts);
 
 /* "NAME, sha256:…"; otherwise: "" or another alternative. */
@@ -105,21 +106,21 @@ void print_json(const json_t *json);
 /* Prints the reply to a GET: JSON with --json, else what `print` makes of it. */
 void show(struct ctl *ctl, const char *path,
           void (*print)(const struct ctl *ctl, const json_t *json));
-/* Prints JSON with --json, else a template filled with it, unless --quiet. */
+/* Prints JSON with --json, otherwise a filled template, unless --quiet. */
 void tell(const struct ctl *ctl, const json_t *json, const char *words);
 /* Prints a page as JSON with --json, else its items as a table (table.h). */
 void print_items(const struct ctl *ctl, const json_t *page, const char *columns);
 /* Prints losses that differ as a table, unless --json is given (cmd_fleet.c). */
 void print_differences(const struct ctl *ctl, const json_t *different);
-/* Sends a request whose reply has no body, and says what it did. */
+/* Sends a request whose reply has no body, and reports the result. */
 void act(struct ctl *ctl, struct request request, const char *words);
 /* Writes a head and bytes to a file, or to standard output ("-"). */
 void save_output(const char *path, const void *head, size_t head_n, const void *bytes, size_t n);
 /* Saves the reply to a GET in the same way, and reports its size. */
 void save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
-/* Hands the items of a paged list to `take` in order, up to `limit` (0: all), those behind `after`
- * of a numbered list (−1: from the first). */
+/* Passes the items of a paged list to `take` in order, up to `limit` (0 = all), and after number
+ * `after` of a numbered list (−1 = from the first). */
 void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
                 void (*take)(void *context, json_t *item), void *context);
 /* Returns such items in an array. */
@@ -130,7 +131,7 @@ const char *path_with(const struct ctl *ctl, const char *path, const char *const
 /* ---- plain.c ---- */
 
 /* Writes JSON as text; numbers have the fewest digits that read back (malloc). flags: jansson's.
- * NULL: no memory. */
+ * Returns NULL if out of memory. */
 char *dump_json(const json_t *json, size_t flags);
 
 #endif

@@ -195,7 +195,7 @@ void walk_items(struct ctl *ctl, const char *path, int64_t after, size_t limit,
     }
     const char *next = json_string_value(json_object_get(page, "next_cursor"));
     if (next != NULL && cursor != NULL && strcmp(escape(next), cursor) == 0)
-      fail(STATUS_ERROR, "%s: the list does not end: next_cursor is again %s", ctl->server, next);
+      fail(STATUS_ERROR, "%s: the list does not end: next_cursor repeats %s", ctl->server, next);
     cursor = next != NULL ? escape(next) : NULL;
     json_decref(page);
     free(page_path);

@@ -1,5 +1,5 @@
-/* designs.c: see designs.h. The server checks bodies. The code here only refuses what cannot be
- * sent, with file and line. */
+/* designs.c: see designs.h. The server checks bodies; this code refuses only what cannot be sent,
+ * with file and line. */
 #include "designs.h"
 
 #include <ctype.h>
@@ -12,7 +12,7 @@
 #include "base/words.h"
 #include "commands.h"
 
-/* Ends a message about what is not a design. */
+/* Ends a message about something that is not a design. */
 #define OTHER_PROGRAMS                                                                             \
   "; morphod.read_bodies of the Python package reads files of EvoGym, voxcraft and NumPy"
 
@@ -42,7 +42,8 @@ char *read_input(const char *path, size_t limit, size_t *length)
   return text;
 }
 
-/* Finds the digits of the id of a robot (ID@K), and K, or −1 for an id without K. NULL: neither. */
+/* Finds the digits of the id of a robot (ID@K), and K, or −1 for an id without K. Returns NULL if
+ * it is not an id. */
 static const char *find_id(const char *text, size_t length, int *orientation)
 {
   *orientation = -1;
@@ -122,8 +123,8 @@ static bool are_adjacent(const int a[3], const int b[3])
   return abs(a[0] - b[0]) + abs(a[1] - b[1]) + abs(a[2] - b[2]) == 1;
 }
 
-/* Returns whether these rows, which as cells are not in one piece, can be a robot of EvoGym with
- * three columns: materials up to 4, with at least one in the highest row. */
+/* Returns whether these rows, which are not in one piece if they are cells, can be an EvoGym robot
+ * with three columns: materials up to 4, with at least one in the highest row. */
 static bool can_be_robot(const json_t *rows)
 {
   const size_t n = json_array_size(rows);
@@ -150,7 +151,7 @@ static bool can_be_robot(const json_t *rows)
     for (size_t j = 0; j < i; j++)
       if (memcmp(cells[i], cells[j], sizeof(cells[i])) == 0)
         return true;
-  for (size_t from = 0; from < n_reached; from++) /* cells that are reached come first */
+  for (size_t from = 0; from < n_reached; from++) /* the reached cells come first */
     for (size_t i = n_reached; i < n; i++)
       if (are_adjacent(cells[from], cells[i])) {
         int reached[3];
@@ -201,7 +202,7 @@ static void add_json(struct designs *designs, const char *source, size_t line, j
     return;
   }
   if (json_object_get(json, "grid_width") != NULL)
-    fail(STATUS_USAGE, "%s:%zu: a world of EvoGym is not a design" OTHER_PROGRAMS, source, line);
+    fail(STATUS_USAGE, "%s:%zu: an EvoGym world is not a design" OTHER_PROGRAMS, source, line);
   json_t *design = keep(json_object());
   const char *key;
   json_t *value;
@@ -294,7 +295,7 @@ void designs_add_operand(struct designs *designs, const char *operand)
   const char *source = strcmp(operand, "-") == 0 ? "standard input" : operand;
   designs_add_text(designs, source, text, length);
   if (json_array_size(designs->list) == before)
-    fail(STATUS_USAGE, "%s holds no design", source);
+    fail(STATUS_USAGE, "%s contains no design", source);
 }
 
 /* ---- voxels of a design ---- */

@@ -1,4 +1,5 @@
-/* designs.h: reads bodies from files, standard input and operands, in the form that the API takes.
+/* designs.h: reads bodies from files, standard input and operands, and converts them to the API's
+ * format.
  *
  * Accepted, in any mixture, one after the other:
  * - {"cells": [[x,y,z], …]}, {"voxels": "…"}, {"id": "…"}: one design; "name" is only for tables
@@ -27,34 +28,35 @@
 #define INPUT_BYTES_MAX   (64 << 20)
 
 struct designs {
-  json_t *list;  /* array of objects in the form of the API; kept (ctl.h) */
+  json_t *list;  /* array of objects in the API's format; kept (ctl.h) */
   json_t *names; /* of the same length: texts, or null; kept */
 };
 
 struct designs no_designs(void);
 /* Adds the designs in `text`. source: its name in messages. Exits if it is invalid. */
 void designs_add_text(struct designs *designs, const char *source, const char *text, size_t length);
-/* Adds the designs of an operand: "-" is standard input; else a file; else the text itself if it is
- * a body or an id. */
+/* Adds the designs of an operand: "-" is standard input; otherwise a file; otherwise the text
+ * itself if it is a body or an id. */
 void designs_add_operand(struct designs *designs, const char *operand);
-/* Adds the bodies of an array of objects with "genotype"; null is left out. */
+/* Adds the bodies of an array of objects with "genotype"; skips null. */
 void designs_add_genotypes(struct designs *designs, const json_t *objects);
 
 /* Writes all voxels as hexadecimal digits, which take a third of the space. */
 void designs_pack(struct designs *designs);
 
-/* Writes the voxels of a design as 144 digits. False: the design is an id or invalid. */
+/* Writes the voxels of a design as 144 digits. Returns false if the design is an id or invalid. */
 bool design_voxels(const json_t *design, char voxels[VOXELS + 1]);
-/* Decodes the voxels of a robot, not placed; of an id the canonical ones. False: it is neither. */
+/* Decodes the voxels of a robot, not placed; for an id, the canonical voxels. Returns false if it
+ * is neither. */
 bool robot_voxels(const char *robot, char voxels[VOXELS + 1]);
-bool is_robot(const char *text, size_t length); /* or an id alone */
+bool is_robot(const char *text, size_t length); /* or an id without one */
 bool is_id(const char *text, size_t length);    /* without an orientation */
 bool is_voxels(const char *text, size_t length);
 
 /* Reads a whole file or standard input ("-"): kept, NUL-terminated. */
 char *read_input(const char *path, size_t limit, size_t *length);
 
-/* Draws a body as layers side by side, the lowest first; layers above the body are left out. */
+/* Draws a body as layers side by side, the lowest first; omits layers above the body. */
 void draw_body(FILE *file, const char voxels[VOXELS + 1], bool utf8);
 
 #endif

@@ -9,9 +9,9 @@
 #include "transport.h"
 
 /* ---- server-sent events, as morphod writes them: an event is a few lines, "name: value", and a
- * blank one; what begins with a colon is a heartbeat ---- */
+ * blank one; lines that begin with a colon are heartbeats ---- */
 
-/* Takes the lines of one event, which it cuts into pieces. */
+/* Parses the lines of one event, which it modifies. */
 static int take_event(struct sse *sse, char *text,
                       int (*event)(void *context, const char *type, const char *data),
                       void *context)
@@ -86,8 +86,8 @@ void follow_events(struct follow *follow)
     double begin = monotonic_s();
     if (open_stream(follow))
       break;
-    /* The stream broke: continue after the last event, for as long as --retry allows without a sign
-     * of life. */
+    /* The stream broke: continue after the last event, for as long as --retry allows without an
+     * event or heartbeat. */
     double limit = ctl->retry_s >= 0 ? ctl->retry_s : *follow->sse.last_id != 0 ? 60 : 5;
     if (strcmp(before, follow->sse.last_id) != 0 || monotonic_s() - begin > 10) {
       broken_since = monotonic_s();

@@ -1,5 +1,5 @@
-/* follow.h: follows the event stream. After a break the stream continues after the last event
- * received. */
+/* follow.h: follows the event stream. After a lost connection, the stream continues after the last
+ * event received. */
 #ifndef MORPHOCTL_FOLLOW_H
 #define MORPHOCTL_FOLLOW_H
 
@@ -8,35 +8,35 @@
 #define SSE_BYTES_MAX (1 << 20)
 
 struct sse {
-  char *text; /* the part received of the next event */
+  char *text; /* the received part of the next event */
   size_t n_bytes;
-  char last_id[32]; /* id of the last complete event, where to continue; "" none yet */
+  char last_id[32]; /* id of the last complete event, from which to continue; "" if none yet */
 };
 
-/* Reads n bytes. Calls `event` for each complete event that has data; a non-zero result ends the
- * reading and is returned. −1: an event is larger than SSE_BYTES_MAX, or no memory. */
+/* Parses n bytes. Calls `event` for each complete event with data; a non-zero result stops the
+ * parsing and is returned. −1: an event is larger than SSE_BYTES_MAX, or out of memory. */
 int sse_feed(struct sse *sse, const char *bytes, size_t n,
              int (*event)(void *context, const char *type, const char *data), void *context);
 void sse_free(struct sse *sse);
 
 struct follow {
   struct ctl *ctl;
-  const char *job; /* NULL: all jobs */
-  int64_t after;   /* start after this event; −1: with the next event */
-  /* Receives each event. The event `reset` has a different body: some events are no longer
-   * kept. Non-zero ends the following. */
+  const char *job; /* NULL means all jobs */
+  int64_t after;   /* start after this event; −1 = with the next event */
+  /* Receives each event. The event `reset`, with a different body, means that some events are no
+   * longer kept. A non-zero result stops following. */
   int (*event)(void *context, const char *type, const char *data);
-  /* Called after the events of each sign of life, an event or a heartbeat (at least every 15 s).
-   * Nullable; true ends the following. */
+  /* Called after the events of each sign of life, which is an event or a heartbeat (at least every
+   * 15 s). Nullable; true stops following. */
   bool (*alive)(void *context);
-  /* Called after each break, before the stream is opened again. True ends the following. */
+  /* Called after each lost connection, before the stream is reopened. True stops following. */
   bool (*broken)(void *context);
   void *context;
   struct sse sse; /* private */
 };
 
-/* Follows events until one of these functions ends it. An error ends the program, as does no sign
- * of life for as long as --retry says. */
+/* Follows events until one of these functions stops it. An error ends the program, as does a
+ * silence as long as --retry allows. */
 void follow_events(struct follow *follow);
 
 #endif

@@ -38,7 +38,7 @@ void view_words(FILE *file, int columns, const json_t *json, const char *words)
   free(text);
 }
 
-/* Redraws the view, at most ten times per second unless `now`. */
+/* Redraws the view, at most ten times per second unless `now` is set. */
 static void draw(struct live *live, bool now)
 {
   struct winsize window = {0};
@@ -55,7 +55,7 @@ static void draw(struct live *live, bool now)
   if (live->n_lines > 0 && live->n_columns == columns)
     printf("\033[%dA\r", live->n_lines);
   else if (live->n_lines > 0)
-    fputs("\033[H\033[2J", stdout); /* the width changed, and with it the place of lines */
+    fputs("\033[H\033[2J", stdout); /* the width changed, and with it the position of lines */
   printf("%s\033[J", text);
   fflush(stdout);
   live->n_lines = 0;
@@ -116,8 +116,7 @@ static int show_event(void *context, const char *type, const char *data)
   return live->finished && may_end;
 }
 
-/* Fetches the state, and reports what changed without an event. Returns whether the job has ended.
- */
+/* Fetches the state, and reports changes without an event. Returns whether the job has ended. */
 static bool look_again(void *context)
 {
   struct live *live = context;
@@ -149,10 +148,10 @@ static void watch(struct live *live)
       live->ctl->quiet
           ? NULL
           : keep(format_text(
-                "The %s continues. To watch it again: morphoctl %s watch %s; to pause it: "
+                "The %s continues. To resume watching: morphoctl %s watch %s; to pause it: "
                 "morphoctl %s pause %s; to stop it: morphoctl %s cancel %s",
                 live->kind->noun, command, id, command, id, command, id)));
-  /* The newest event, as reported by a page that starts beyond it. */
+  /* The number of the newest event, as reported by a page that starts after it. */
   const json_t *page =
       get_json(live->ctl, "/v1/events?format=json&limit=1&after=999999999999999999");
   live_load(live);
@@ -180,7 +179,7 @@ static void show_once(struct live *live)
   live->kind->print(live);
 }
 
-/* Runs a command on the job that the first operand names. */
+/* Runs a command on the job in the first operand. */
 static void run(struct ctl *ctl, void (*command)(struct live *live))
 {
   struct live *live = keep(calloc(1, ctl->command->live->size));
@@ -203,7 +202,7 @@ void run_live_show(struct ctl *ctl)
   run(ctl, show_once);
 }
 
-/* Reports how many founders of a campaign were left out, and why the first one was. */
+/* Reports how many founders of a campaign were skipped, and the reason for the first one. */
 static void print_left_out(const json_t *job)
 {
   const json_t *note, *first = NULL;

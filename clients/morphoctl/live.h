@@ -9,19 +9,19 @@
 
 struct live;
 
-/* What differs between kinds of jobs. Functions get the `struct live` that their own structure
+/* The differences between kinds of jobs. Functions get the `struct live` that their own structure
  * starts with, and exit on an error. */
 struct live_kind {
-  size_t size;                     /* of its own structure */
+  size_t size;                     /* size of its own structure */
   const char *noun, *command;      /* "training", "train" */
-  const char *accepted;            /* template of the line about a job that was started */
-  double ask_s;                    /* without an event for this long, the state is fetched */
+  const char *accepted;            /* template of the line about a newly started job */
+  double ask_s;                    /* the state is fetched after this long without an event */
   void (*load)(struct live *live); /* fetches what belongs to the job, after the job itself */
   void (*print)(struct live *live);
   void (*write)(const struct live *live, FILE *file, int columns, int rows); /* draws the view */
-  void (*begin)(struct live *live); /* prints what is known at first */
-  /* Takes an event; *draw: the view is to be redrawn at once. False: continue, even if the job has
-   * ended. `reset` says that events were missed; the job was fetched again. */
+  void (*begin)(struct live *live); /* prints the initial state */
+  /* Handles an event; *draw: redraw the view at once. Returns false to continue even if the job has
+   * ended. `reset` means that events were missed; the job was fetched again. */
   bool (*event)(struct live *live, const char *type, json_t *event, bool *draw);
   /* Prints what changed when the state was fetched without an event. */
   void (*changed)(const struct live *live, const char *phase, const char *reason);
@@ -36,22 +36,22 @@ struct live {
   const char *id;
   json_t *job;            /* the latest reply of the API */
   bool is_drawn;          /* standard output is a terminal that supports escapes */
-  int n_lines, n_columns; /* drawn now, and the width they were drawn for */
+  int n_lines, n_columns; /* currently drawn lines, and the width they were drawn for */
   double drawn_s;
-  double event_s; /* time of the last event that counts, or when the state was last fetched */
+  double event_s; /* time of the last relevant event, or of the last fetch of the state */
   bool finished;
 };
 
-/* These are of the command's kind. Posts a job, and prints its id, or watches it with --watch. */
+/* For the command's kind of jobs. Posts a job, and prints its id, or watches it with --watch. */
 void live_start(struct ctl *ctl, const json_t *request);
 
 /* Fetches the job. */
 void live_load(struct live *live);
-/* Prints a line with the time of an event (NULL: now; JSON's null: not known), if the view is not
+/* Prints a line with the time of an event (NULL: now; JSON null: unknown), if the view is not
  * drawn: `text`, or a template filled with JSON. */
 void live_line(const struct live *live, const json_t *at, const char *text);
 void live_words(const struct live *live, const json_t *at, const json_t *json, const char *words);
-/* Write lines of a view, each cut to the width: those of a text; a filled template. */
+/* Write lines of a view, each cut to the width: those of a text, or a filled template. */
 void view_lines(FILE *file, int columns, const char *text);
 void view_words(FILE *file, int columns, const json_t *json, const char *words);
 

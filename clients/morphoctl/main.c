@@ -11,8 +11,9 @@
 
 #define TOKEN_LINE 1024
 
-/* Takes the token of a line: one alone, which is that of "admin", or the third word after its name.
- * wanted: the name to look for; NULL: the first, which must be the only one. */
+/* Reads the token in a line: either the line is just the token, which is that of "admin", or the
+ * token is the third word. wanted: the name to look for; NULL: the first, which must be the only
+ * one. */
 static void take_line(struct ctl *ctl, const char *path, char *line, const char *wanted,
                       char first[TOKEN_LINE])
 {
@@ -28,7 +29,7 @@ static void take_line(struct ctl *ctl, const char *path, char *line, const char 
   if (wanted != NULL ? strcmp(name, wanted) != 0 : first[0] != 0 && strcmp(name, first) == 0)
     return;
   if (wanted == NULL && first[0] != 0)
-    fail(STATUS_USAGE, "%s has tokens of \"%s\" and \"%s\": choose one with --token-name", path,
+    fail(STATUS_USAGE, "%s has tokens for \"%s\" and \"%s\": choose one with --token-name", path,
          first, name);
   snprintf(first, TOKEN_LINE, "%s", name);
   if (ctl->token == NULL)
@@ -53,13 +54,13 @@ static void read_token(struct ctl *ctl)
       take_line(ctl, path, line, wanted, first);
     fclose(file);
     if (ctl->token == NULL && wanted != NULL)
-      fail(STATUS_USAGE, "%s has no token of \"%s\"", path, wanted);
+      fail(STATUS_USAGE, "%s has no token for \"%s\"", path, wanted);
     if (ctl->token == NULL)
-      fail(STATUS_USAGE, "%s holds no token", path);
+      fail(STATUS_USAGE, "%s contains no token", path);
   }
   for (const unsigned char *c = (const unsigned char *)ctl->token; c != NULL && *c != 0; c++)
     if (*c <= ' ' || *c >= 0x7f)
-      fail(STATUS_USAGE, "the token holds a character that is not printable ASCII");
+      fail(STATUS_USAGE, "the token contains a character that is not printable ASCII");
 }
 
 static void read_surroundings(struct ctl *ctl)
@@ -79,8 +80,8 @@ static void read_surroundings(struct ctl *ctl)
   read_token(ctl);
 }
 
-/* Fills standard descriptors that the caller closed. A socket must not get one of their numbers,
- * and writing must fail: what is opened here is for reading. */
+/* Opens standard descriptors that the caller closed, so that a socket cannot get one of their
+ * numbers. They are opened for reading, so that writing fails. */
 static void fill_standard_descriptors(void)
 {
   for (int fd = 0; fd <= STDERR_FILENO; fd++)

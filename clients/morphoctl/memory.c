@@ -40,7 +40,7 @@ void close_text(FILE *file)
   need(fclose(file) == 0 ? file : NULL);
 }
 
-/* ---- the end ---- */
+/* ---- exit ---- */
 
 static bool progress_stands;
 
@@ -108,7 +108,7 @@ bool interrupted(void)
 void catch_interrupts(const char *words)
 {
   struct sigaction action = {.sa_handler = interrupt,
-                             .sa_flags = (int)SA_RESETHAND}; /* the second ends the program */
+                             .sa_flags = (int)SA_RESETHAND}; /* a second signal ends the program */
   farewell = words;
   sigemptyset(&action.sa_mask);
   sigaction(SIGINT, &action, NULL);

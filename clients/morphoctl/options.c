@@ -75,10 +75,10 @@ void options_print_help(FILE *file, const struct ctl *ctl, const struct command 
     fprintf(file, "  %-18s %s\n", ctl->commands[i].name, ctl->commands[i].summary);
   fputs("\nCommon options:\n", file);
   print_options(file, common_options);
-  fputs("\nExit status: 0 done; 1 error; 2 wrong use; 3 not found, or the answer is no; 4 no "
+  fputs("\nExit status: 0 done; 1 error; 2 wrong usage; 3 not found, or negative result; 4 no "
         "connection;\n"
         "5 not allowed; 6 rejected by the server; 7 server too busy; 130 interrupted.\n"
-        "See morphoctl COMMAND --help about a command, morphoctl(1) about everything.\n",
+        "For a command, see morphoctl COMMAND --help; for everything, see morphoctl(1).\n",
         file);
 }
 
@@ -162,7 +162,7 @@ static _Noreturn void refuse_option(const struct command *command, const char *t
        command->name, command->name);
 }
 
-/* Finds the command that the first words name. *used: number of its words. */
+/* Finds the command in the first words. *used: number of its words. */
 static const struct command *find_command(const struct ctl *ctl, int argc, const char *const *argv,
                                           int *used)
 {
@@ -197,15 +197,15 @@ static _Noreturn void refuse_command(const struct ctl *ctl, int argc, const char
               : STATUS_USAGE);
   const char *near =
       did_you_mean("", argv[1], &ctl->commands->name, ctl->n_commands, sizeof(*ctl->commands));
-  fail(STATUS_USAGE, "there is no command \"%s\"%s", argv[1],
+  fail(STATUS_USAGE, "unknown command \"%s\"%s", argv[1],
        *near != 0 ? near : "; see morphoctl --help");
 }
 
-/* A word that is an option, cut into its parts. spec NULL: the command (or, for NULL, every
+/* A word that is an option, split into its parts. spec NULL: the command (or, for NULL, every
  * command) has no such option. */
 struct option_word {
   const struct option_spec *spec;
-  const char *value; /* from the word itself; NULL: none */
+  const char *value; /* from the word itself; NULL if it has none */
   size_t length;     /* of the word without its value */
 };
 
@@ -269,7 +269,8 @@ static void parse_words(struct ctl *ctl, int n, const char *const *words)
   }
 }
 
-/* Says whether there may be n operands: "A" is one, "[A]" at most one, "..." any further number. */
+/* Returns whether there may be n operands: "A" is one, "[A]" at most one, "..." any further
+ * number. */
 static bool is_number_of_operands(const char *operands, size_t n)
 {
   size_t min = 0, max = 0;
@@ -309,7 +310,7 @@ void options_parse(struct ctl *ctl, int argc, const char *const *argv)
   }
   if (is_option(words[1]))
     fail(STATUS_USAGE,
-         "%s is not an option of every command: put the options of a command after it", words[1]);
+         "%s is not an option of every command: put a command's options after its name", words[1]);
   ctl->command = find_command(ctl, n, words, &used);
   if (ctl->command == NULL)
     refuse_command(ctl, n, words);

@@ -1,5 +1,5 @@
 /* plain.c: shows text from elsewhere on a terminal. Labels, names and messages come from other
- * people through the server, or from files. An escape sequence in them must not move the cursor,
+ * users through the server, or from files. An escape sequence in them must not move the cursor,
  * change the title or hide other text. */
 #include <stdlib.h>
 #include <string.h>
@@ -7,13 +7,13 @@
 #include "base/text.h"
 #include "commands.h"
 
-static bool is_control(unsigned long c) /* some terminals also obey U+0080 to U+009F */
+static bool is_control(unsigned long c) /* some terminals also interpret U+0080 to U+009F */
 {
   return c < 0x20 || (c >= 0x7F && c < 0xA0);
 }
 
-/* True for characters that show nothing themselves and change how their neighbors are shown: order
- * of letters, joins, hidden tags. */
+/* Returns true for characters that show nothing themselves and change how their neighbors are
+ * shown: order of letters, joins, hidden tags. */
 static bool is_format_control(unsigned long c)
 {
   return c == 0xAD || c == 0x61C || c == 0x180E || (c >= 0x200B && c <= 0x200F) ||
@@ -21,7 +21,7 @@ static bool is_format_control(unsigned long c)
          (c >= 0xFFF9 && c <= 0xFFFB) || (c >= 0xE0000 && c <= 0xE007F);
 }
 
-/* Returns the next character and its bytes. An invalid byte counts as a character. */
+/* Returns the next character and its length in bytes. An invalid byte counts as a character. */
 static unsigned long character_at(const char *begin, size_t *bytes)
 {
   const unsigned char *text = (const unsigned char *)begin;
@@ -84,8 +84,8 @@ void print_plain_line(FILE *file, const char *format, ...)
 }
 
 /* ---- JSON as text. Numbers get the fewest digits that read back, as in the server's replies: 0.9
- * stays 0.9, not the 0.90000000000000002 of 17 digits. Characters that a terminal would obey or not
- * show are escaped ---- */
+ * stays 0.9, not the 0.90000000000000002 of 17 digits. Characters that a terminal would interpret
+ * or not show are escaped ---- */
 
 /* Writes the number at `text`; returns its length. */
 static size_t put_number(struct mo_text *made, const char *text)

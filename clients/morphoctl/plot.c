@@ -55,7 +55,7 @@ static int cell_y(const struct grid *grid, double y, int n)
   return n - 1 - cell(y, grid->low, grid->high, n);
 }
 
-/* Draws the dots of one column, from the height of the previous column (−1: none) to its own. */
+/* Draws the dots of one column, from the height of the previous column (−1 if none) to its own. */
 static void stroke(struct grid *grid, int x, int from, int to)
 {
   int low = from < 0    ? to

@@ -23,8 +23,8 @@ struct plot {
 #define PLOT_MARK_UTF8  "◆"
 #define PLOT_MARK_ASCII "o"
 
-/* Draws `height` lines, each with a newline: the curve beside its scale, the axis below (malloc).
- */
+/* Draws `height` lines, each with a newline: the curve next to its scale, with the axis below
+ * (malloc). */
 char *plot_draw(const struct plot *plot);
 
 #endif

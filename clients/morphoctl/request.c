@@ -1,4 +1,4 @@
-/* request.c: makes the bodies of requests from options, posts jobs, and waits for evaluations. */
+/* request.c: makes request bodies from options, posts jobs, and waits for evaluations. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,11 +7,11 @@
 #include "commands.h"
 #include "settings.inc"
 
-#define SAID_MAX 8 /* designs by id about which a line is printed */
+#define SAID_MAX 8 /* designs given by an id about which a line is printed */
 
 /* ---- options that are fields ---- */
 
-/* Reads a value; NULL: it is not of this kind. */
+/* Parses a value; returns NULL if it is not of this kind. */
 static json_t *field_value(enum field_kind kind, const char *text)
 {
   char *end = NULL;
@@ -32,7 +32,7 @@ static const char *field_kind_name(enum field_kind kind)
   return kind == FIELD_WHOLE ? "whole number" : kind == FIELD_REAL ? "number" : "text in UTF-8";
 }
 
-/* Puts a value at its place, with the objects around it. Takes the reference. */
+/* Puts a value at its place, and creates the objects around it. Takes the reference. */
 static void fill_place(json_t *request, const char *place, json_t *value)
 {
   const char *dot;
@@ -74,7 +74,7 @@ void fill_schedule(const struct ctl *ctl, json_t *request, const char *place)
     if (spec->place != NULL && strncmp(spec->place, place, length) == 0 &&
         spec->place[length] == '.' && option_is_set(ctl, spec->name))
       fail(STATUS_USAGE, "--%s needs --schedule restarts, cosine or constant%s", spec->name,
-           name != NULL ? ": the schedule that is named has its own" : "");
+           name != NULL ? ": a named schedule has its own values" : "");
   if (name != NULL)
     fill_place(request, place, kind ? json_pack("{s:s}", "kind", name) : json_string(name));
 }
@@ -92,7 +92,7 @@ void request_fill_record(const struct ctl *ctl, json_t *request, const char *usu
   while ((word = strsep(&rest, ",")) != NULL && (*word != 0 || rest != NULL)) {
     if (mo_word_index(channels, word) < 0)
       fail(STATUS_USAGE,
-           "--record: \"%s\" is not one or several of com, masses, actuation, contacts", record);
+           "--record must be one or more of com, masses, actuation, contacts, got \"%s\"", record);
     json_array_append_new(list, json_string(word));
     films = films && strcmp(word, "masses") != 0;
   }
@@ -117,7 +117,7 @@ static void fill_setting(json_t *physics, const char *text)
   while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
     k++;
   if (k == N_FIELDS)
-    fail(STATUS_USAGE, "--physics: there is no \"%s\"%s", key,
+    fail(STATUS_USAGE, "--physics: unknown setting \"%s\"%s", key,
          did_you_mean("", key, &fields->key, N_FIELDS, sizeof(*fields)));
   json_t *json = field_value(fields[k].kind, equals + 1);
   if (json == NULL)
@@ -136,7 +136,7 @@ void request_fill_physics(const struct ctl *ctl, json_t *request)
     json_object_set(request, "physics", physics);
 }
 
-/* ---- designs, environments, the whole ---- */
+/* ---- designs, environments, whole requests ---- */
 
 struct request json_request(const char *method, const char *path, const json_t *json)
 {
@@ -169,7 +169,7 @@ void say_orientations(const struct ctl *ctl, const json_t *designs)
           "canonical orientation: no stored score]");
   }
   if (n > SAID_MAX)
-    fprintf(stderr, "… and so on for %zu more designs that are given by an id alone\n",
+    fprintf(stderr, "… and %zu more designs that are given by an id without an orientation\n",
             n - SAID_MAX);
 }
 
@@ -178,7 +178,7 @@ json_t *random_of(const struct ctl *ctl, const char *seed, int64_t most)
   const int64_t count = option_number(ctl, "random", 1, most, 0),
                 first = option_number(ctl, "first", 0, RANDOM_BODIES_MAX - 1, 0);
   if (count == 0 && option_is_set(ctl, "first"))
-    fail(STATUS_USAGE, "--first needs --random N, how many bodies from there on");
+    fail(STATUS_USAGE, "--first needs --random N, the number of bodies from there on");
   if (count == 0)
     return NULL;
   json_t *random = keep(json_pack("{s:I, s:I}", "count", (json_int_t)count, "seed",
@@ -221,10 +221,10 @@ static void fill_environments(const struct ctl *ctl, json_t *request)
   if (list == NULL && json_object_get(json, "light_xy_m") != NULL)
     list = keep(json_pack("[O]", json));
   if (!json_is_array(list) && !json_is_string(list))
-    fail(
-        STATUS_USAGE,
-        "%s: not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, …]",
-        name);
+    fail(STATUS_USAGE,
+         "%s is not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, "
+         "…]",
+         name);
   json_object_set(request, "environments", list);
 }
 

@@ -62,7 +62,8 @@ static const char *name_of(const struct designs *designs, size_t i)
   return designs != NULL ? json_string_value(json_array_get(designs->names, i)) : NULL;
 }
 
-/* Returns which design of the request result i belongs to: results in pages have its number. */
+/* Returns the position in the request of the design of result i: results in pages have its
+ * number. */
 static size_t place_of(const json_t *results, size_t i)
 {
   const json_t *number = json_object_get(json_array_get(results, i), "number");

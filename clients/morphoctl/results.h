@@ -6,13 +6,12 @@
 
 struct ranked {
   size_t place;  /* position in the request */
-  double score;  /* +infinity: diverged */
-  bool is_bound; /* a lower bound, which is behind every score */
+  double score;  /* +infinity if diverged */
+  bool is_bound; /* a lower bound, which comes after every score */
 };
-/* Ranks results, in their order or the best first. */
+/* Ranks results, in their order or best first. */
 struct ranked *rank_results(const json_t *results, bool by_score);
-/* Prints the results of a finished evaluation as a table. designs: nullable, for
- * their names. */
+/* Prints the results of a finished evaluation as a table. designs: nullable, used for names. */
 void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
                    bool by_score, size_t top);
 

@@ -80,7 +80,7 @@ static double sign_test(size_t lower, size_t n)
   return n == 0 ? NAN : fmin(1, 2 * incomplete_beta((double)n - least, least + 1, 0.5, 0.5));
 }
 
-/* Returns whether the design has a finite loss with both controllers in every world. */
+/* Returns whether the design has a finite loss with both controllers in every environment. */
 static bool is_whole(const double *a, const double *b, size_t worlds)
 {
   for (size_t w = 0; w < worlds; w++)
@@ -97,7 +97,7 @@ static double mean_difference(const double *a, const double *b, size_t worlds)
   return sum / (double)worlds;
 }
 
-/* Returns the mean difference in one world over the designs that count. */
+/* Returns the mean difference in one environment over the designs that count. */
 static double world_difference(const double *a, const double *b, size_t n, size_t worlds,
                                size_t world, double count)
 {
@@ -108,8 +108,8 @@ static double world_difference(const double *a, const double *b, size_t n, size_
   return sum / count;
 }
 
-/* Fills in the standard error and its degrees of freedom from the mean squares of designs, worlds
- * and what is left. */
+/* Fills in the standard error and its degrees of freedom from the mean squares of designs,
+ * environments and residuals. */
 static void find_error(struct paired *paired, const double *a, const double *b, size_t n,
                        size_t worlds)
 {
@@ -141,7 +141,7 @@ static void find_error(struct paired *paired, const double *a, const double *b, 
   const double world_freedom = (double)worlds - 1, rest_freedom = (designs - 1) * world_freedom;
   of_worlds /= world_freedom;
   rest /= rest_freedom;
-  /* A component that is estimated below 0 counts as 0. */
+  /* A component with an estimate below 0 counts as 0. */
   const double total = of_designs + of_worlds - fmin(rest, fmin(of_designs, of_worlds));
   const double squares = of_designs * of_designs / (designs - 1) +
                          of_worlds * of_worlds / world_freedom + rest * rest / rest_freedom;
@@ -189,7 +189,7 @@ struct paired compare_crossed(const double *a, const double *b, size_t n, size_t
   return paired;
 }
 
-/* Returns the mean of n values, and the square of its standard error; NaN below two values. */
+/* Returns the mean of n values and the square of its standard error; NaN if n is below two. */
 static double mean_of(const double *values, size_t n, double *error)
 {
   double sum = 0, squares = 0;

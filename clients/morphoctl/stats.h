@@ -1,5 +1,5 @@
-/* stats.h: comparisons with an interval: of two controllers over the same designs, and of two sets
- * of campaigns. */
+/* stats.h: comparisons with a confidence interval: of two controllers over the same designs, and of
+ * two sets of campaigns. */
 #ifndef MORPHOCTL_STATS_H
 #define MORPHOCTL_STATS_H
 
@@ -14,30 +14,30 @@ double student_quantile(double p, double freedom);
 double student_probability(double t, double freedom);
 
 struct paired {
-  size_t n;               /* designs with a finite loss in every world; only these count below */
-  double mean_a, mean_b;  /* over these designs and all worlds; NaN: no such design */
-  double difference;      /* mean of b − a */
-  double error;           /* its standard error; NaN below two designs */
-  double freedom;         /* degrees of freedom of the interval */
-  double low, high;       /* confidence interval of the difference; NaN below two designs */
+  size_t n; /* designs with a finite loss in every environment; only these count below */
+  double mean_a, mean_b; /* over these designs and all environments; NaN if none */
+  double difference;     /* mean of b − a */
+  double error;          /* its standard error; NaN with fewer than two designs */
+  double freedom;        /* degrees of freedom of the interval */
+  double low, high; /* confidence interval of the difference; NaN with fewer than two designs */
   size_t improved, equal; /* designs whose mean is lower with b, the same */
-  double sign_p;          /* two-sided p of the sign test over the designs that differ; NaN: none */
+  double sign_p; /* two-sided p of the sign test over the designs that differ; NaN if none */
 };
-/* Compares the losses of two controllers over the same designs in the same worlds. a, b: (n,
- * worlds), row by row; not finite where a rollout diverged. With two worlds or more the interval
- * holds for other designs in other worlds: both are random effects, crossed (mean squares of the
- * two-way layout without replication; Satterthwaite 1946 for the degrees of freedom). With one
- * world it holds for other designs in that world. */
+/* Compares the losses of two controllers over the same designs in the same environments. a, b: (n,
+ * environments), row by row; not finite if a rollout diverged. With two or more environments the
+ * interval holds for other designs in other environments: both are random effects, crossed (mean
+ * squares of the two-way layout without replication; Satterthwaite 1946 for the degrees of
+ * freedom). With one environment it holds for other designs in that environment. */
 struct paired compare_crossed(const double *a, const double *b, size_t n, size_t worlds);
 
 struct interval {
   double difference; /* mean of b − mean of a */
-  double low, high;  /* its confidence interval; NaN: a set has fewer than two values */
+  double low, high;  /* its confidence interval; NaN if a set has fewer than two values */
 };
 /* Compares the means of two sets that are not paired, by Welch's interval. */
 struct interval compare_means(const double *a, size_t n_a, const double *b, size_t n_b);
 
-/* Returns what an interval of score differences says of b, as a word for programs. */
+/* Returns what an interval of score differences says about b, as a word for programs. */
 const char *verdict_of(double low, double high);
 
 #endif

@@ -28,7 +28,7 @@ const json_t *value_at(const json_t *json, const char *place)
   return json;
 }
 
-/* ---- forms ---- */
+/* ---- formats ---- */
 
 const char *count_text(int64_t n, char text[32])
 {
@@ -71,7 +71,7 @@ static void put_duration(FILE *file, double seconds)
     fprintf(file, "%ld:%02ld:%02ld", whole / 3600, whole / 60 % 60, whole % 60);
 }
 
-/* Writes a number in the form .4f, .4g, g, .1%, duration, GiB or MB. */
+/* Writes a number in the format .4f, .4g, g, .1%, duration, GiB or MB. */
 static void put_number(FILE *file, double number, const char *form)
 {
   char *end = NULL;
@@ -117,7 +117,7 @@ static void put_value(FILE *file, const json_t *value, const char *form)
 
 /* ---- templates ---- */
 
-/* Writes the share of two counts, "part/whole". */
+/* Writes the fraction of two counts, "part/whole". */
 static bool put_share(FILE *file, const json_t *json, char *places)
 {
   char *slash = strchr(places, '/');
@@ -142,7 +142,7 @@ static bool is_word(const json_t *value, const char *word)
   return text != NULL && strcmp(text, word) == 0;
 }
 
-/* Writes the value that the text behind a brace names; returns what follows it. */
+/* Writes the value that the text after a brace refers to; returns what follows it. */
 static const char *put_place(FILE *file, const json_t *json, const char *at, bool *all_there)
 {
   char text[WORD_BYTES], *place = text;
@@ -193,7 +193,7 @@ static const char *put_part(FILE *file, const json_t *json, const char *at, bool
   return at;
 }
 
-/* Writes the first alternative whose values are all there; returns what follows the brackets. */
+/* Writes the first alternative whose values all exist; returns what follows the brackets. */
 static const char *put_choice(FILE *file, const json_t *json, const char *at)
 {
   for (bool chosen = false; *at != 0; at++) {
@@ -262,7 +262,7 @@ static size_t read_columns(const char *text, struct column columns[COLUMNS_MAX])
   return n;
 }
 
-/* Returns the cells of an item, or without one the heads, each with a NUL (malloc). */
+/* Returns the cells of an item, or the headings if there is no item, each with a NUL (malloc). */
 static char *make_row(const json_t *item, struct column *columns, size_t n)
 {
   char *row = NULL;
@@ -333,7 +333,7 @@ void progress_show(const struct ctl *ctl, const char *state, int64_t done, int64
 {
   static double begin_s;
   static int64_t first_done;
-  static const char *shown; /* what is counted since then */
+  static const char *shown; /* what was counted at that time */
   if (!ctl->progress || ctl->quiet)
     return;
   double now = monotonic_s();

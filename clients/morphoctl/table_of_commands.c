@@ -25,11 +25,11 @@
 #define KEY(job)                                                                                   \
   "idempotency-key", 0, "KEY",                                                                     \
       "A repeated request with the same key returns the same " job " (default: a new key)."
-/* Options of films: how they are drawn; and of the film of an evaluation. */
+/* Options of films: how they are drawn; and options for the film of an evaluation. */
 #define LOOK                                                                                       \
   {"size", 0, "WxH", "Pixels of the film or picture (default: 960x540)."},                         \
       {"light", 0, NULL, "Draw on a bright background (default: dark)."},                          \
-      {"yaw", 0, "DEGREES", "Turn of the camera away from the light (default: 20)."},              \
+      {"yaw", 0, "DEGREES", "Rotation of the camera away from the light (default: 20)."},          \
       {"pitch", 0, "DEGREES", "Height of the camera above the horizon (default: 23)."},            \
   {                                                                                                \
     "distance", 0, "M", "Distance of the camera in meters (default: 2.2)."                         \
@@ -40,7 +40,7 @@
   }
 #define FILM                                                                                       \
   {"film", 0, "FILE",                                                                              \
-   "Then draw the recordings of up to 16 designs, the best if there are more: film.mp4 (or "       \
+   "Then draw the recordings of up to 16 designs, the best ones if there are more: film.mp4 (or "  \
    "another that ffmpeg makes), film.y4m, or a folder that ends with / for PNG files."},           \
       {"environment", 0, "N", "Which of the environments the film shows, from 0 (default: 0)."},   \
       LOOK, RATE
@@ -68,15 +68,15 @@
 #define STATE(jobs)                                                                                \
   "state", 0, "STATE",                                                                             \
       "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
-#define LABELED       "label", 'l', "TEXT", "Only those with this label; a final * matches any."
-#define OF_EXPERIMENT "experiment", 0, "NAME", "Only those of this experiment."
+#define LABELED       "label", 'l', "TEXT", "Only jobs with this label; a final * matches anything."
+#define OF_EXPERIMENT "experiment", 0, "NAME", "Only jobs of this experiment."
 #define FILTERED                                                                                   \
   {LABELED}, {OF_EXPERIMENT},                                                                      \
   {                                                                                                \
     "archived", 0, "true|all", "true: only archived jobs; all: archived and others."               \
   }
-#define OF_USER   "submitted-by", 0, "NAME", "Only those submitted with this token."
-#define NEWEST    "limit", 'n', "N", "At most so many, newest first (default: 50)."
+#define OF_USER   "submitted-by", 0, "NAME", "Only jobs submitted with this token."
+#define NEWEST    "limit", 'n', "N", "Maximum number, newest first (default: 50)."
 #define UNLIMITED "all", 'a', NULL, "No limit."
 
 static const struct option_spec eval_options[] = {
@@ -86,7 +86,8 @@ static const struct option_spec eval_options[] = {
     {PRECISION},
     RULES(""),
     {"random", 0, "N",
-     "Score N random bodies in addition to the given ones: up to 10,000, or 1,000,000 alone."},
+     "Score N random bodies in addition to the given ones: up to 10,000, or 1,000,000 without "
+     "those."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
     {"record", 0, "LIST",
@@ -122,16 +123,16 @@ static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
      "id: in the order of arrival (default); score: designs with a score on the paper's test set, "
      "best first, a row per orientation."},
-    {"order", 0, "ascending|descending", "descending: the newest or the worst first."},
+    {"order", 0, "ascending|descending", "descending: newest or worst first."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
-    {"limit", 'n', "N", "At most so many (default: 100)."},
+    {"limit", 'n', "N", "Maximum number (default: 100)."},
     {UNLIMITED},
     {NULL}};
 static const struct option_spec bundle_export_options[] = {
     {LABELED},
     {OF_EXPERIMENT},
     {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
-    {"recordings", 0, NULL, "Also recordings of the designs by evaluations."},
+    {"recordings", 0, NULL, "Include recordings of the designs by evaluations."},
     {NULL}};
 static const struct option_spec scores_export_options[] = {
     {"controller", 'c', "NAME", "Only scores of this controller."},
@@ -141,7 +142,7 @@ static const struct option_spec scores_export_options[] = {
     {NULL}};
 static const struct option_spec bundle_import_options[] = {
     {"recompute", 0, "N",
-     "Then compute the scores of the N best designs of each campaign again, 1 to 1000. Exit status "
+     "Then recompute the scores of the N best designs of each campaign, 1 to 1000. Exit status "
      "3 if one differs."},
     {NULL}};
 static const struct option_spec export_options[] = {
@@ -167,13 +168,13 @@ static const struct option_spec picture_options[] = {
     {NULL}};
 #define SEED "seed", 0, "SEED", "Seed (default: 1).", "seed", FIELD_WHOLE
 static const struct option_spec random_options[] = {
-    {"count", 'n', "N", "How many, up to 10,000 (default: 1).", "count", FIELD_WHOLE},
+    {"count", 'n', "N", "Number of bodies, up to 10,000 (default: 1).", "count", FIELD_WHOLE},
     {SEED},
     {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0).", "first",
      FIELD_WHOLE},
     {NULL}};
 static const struct option_spec mutate_options[] = {
-    {"children", 0, "N", "Of each design (default: 1).", "children", FIELD_WHOLE},
+    {"children", 0, "N", "Number of mutants of each design (default: 1).", "children", FIELD_WHOLE},
     {"rate", 0, "X", "Probability that a voxel flips, 0.001 to 0.5 (default: 1/144).", "rate",
      FIELD_REAL},
     {SEED},
@@ -298,10 +299,10 @@ static const struct option_spec campaign_list_options[] = {
     {UNLIMITED},
     {NULL}};
 static const struct option_spec campaign_champions_options[] = {
-    {"count", 'n', "N", "How many, 1 to 1000 (default: 12)."},
+    {"count", 'n', "N", "Number of designs, 1 to 1000 (default: 12)."},
     {"generation", 0, "G", "Of this generation (default: the newest)."},
     {"output", 'o', "FOLDER",
-     "Also run them in the campaign's environments, and put what is recorded there, as NumPy "
+     "Also run them in the campaign's environments, and save the recordings there, as NumPy "
      "files."},
     {"record", 0, "LIST", "What to record: com (default), masses, actuation, contacts."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
@@ -313,13 +314,15 @@ static const struct option_spec campaign_export_options[] = {
     {"population", 0, "FILE",
      "Designs of a generation, best first, as eval and train start read them."},
     {"generation", 0, "G", "--population: of this generation (default: the newest)."},
-    {"phylogeny", 0, "FILE", "Every design ever born, as CSV of the ALife data standard."},
+    {"phylogeny", 0, "FILE", "Every design ever born, as CSV in the ALife data standard."},
     {"newick", 0, "FILE", "The tree of first parents in Newick format."},
     {"learning", 0, "FILE", "Every step of learning as CSV."},
-    {"replicates", 0, "FILE", "Mean, least and most over the replicates, by generation, as CSV."},
+    {"replicates", 0, "FILE",
+     "Mean, minimum and maximum over the replicates, by generation, as CSV."},
     {NULL}};
 static const struct option_spec study_ask_options[] = {
-    {"random", 0, NULL, "Random bodies; else mutants and recombinants, once designs are born."},
+    {"random", 0, NULL,
+     "Random bodies; otherwise mutants and recombinants, once designs are born."},
     {"parents", 0, "LIST",
      "Numbers of the designs to vary, separated by commas (default: all living ones)."},
     {NULL}};
@@ -341,19 +344,19 @@ static const struct option_spec fleet_options[] = {
 static const struct option_spec fleet_drain_options[] = {
     {"older", 0, NULL, "All workers of an older version than the server's."},
     {"version", 0, "VERSION", "All workers of this version."},
-    {"within", 0, "SECONDS", "How long to wait for each (default: 60)."},
+    {"within", 0, "SECONDS", "Seconds to wait for each (default: 60)."},
     {NULL}};
 static const struct option_spec fleet_verify_options[] = {
     {"repair", 0, NULL, "Replace the losses that differ."}, {NULL}};
 
 #define OF_WORKERS                                                                                 \
-  {"fleet", 0, "URL", "Address of the daemon's fleet_listen, as workers reach it."},               \
-      {"worker-token-file", 0, "PATH", "File with the token of the workers, where they run."},     \
+  {"fleet", 0, "URL", "Address at which workers reach the daemon's fleet_listen."},                \
+      {"worker-token-file", 0, "PATH", "File with the workers' token, on their machine."},         \
       {"pin", 0, "sha256//BASE64", "Hash of the daemon's public key."},                            \
   {                                                                                                \
     "cpus", 0, "N", "Processors of a worker (default: 8; systemd: all)."                           \
   }
-#define MANY_WORKERS "workers", 0, "N", "How many workers (default: 4)."
+#define MANY_WORKERS "workers", 0, "N", "Number of workers (default: 4)."
 static const struct option_spec fleet_slurm_options[] = {
     OF_WORKERS,
     {MANY_WORKERS},
@@ -364,30 +367,29 @@ static const struct option_spec fleet_systemd_options[] = {OF_WORKERS, {NULL}};
 static const struct option_spec fleet_kubernetes_options[] = {
     OF_WORKERS,
     {MANY_WORKERS},
-    {"image", 0, "IMAGE", "Image with the package of morphod."},
+    {"image", 0, "IMAGE", "Container image with the morphod package."},
     {NULL}};
 
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
      "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, the "
-     "robot that a table shows (ID@K: an id and an orientation, @0 to @7), or an id alone, which "
+     "robot that a table shows (ID@K: an id and an orientation, @0 to @7), or only an id, which "
      "means its orientation with the best stored score. Files hold, in any mixture: JSON designs, "
-     "alone, one per line or in lists ({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, "
+     "one per line or in lists ({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, "
      "{\"id\": \"...\"}, each perhaps with a \"name\"), lists of cells [[x,y,z], ...], 144 digits "
      "0 and 1, robots or ids. # begins a comment. The score is the mean over the environments of "
      "(distance to the light at the end) / (at the start): lower is better, 1 is standing still.",
      eval_options},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.", run_verify,
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
-     "stored. Of an id alone, every stored orientation is verified.",
+     "stored. For an id without an orientation, every stored orientation is verified.",
      verify_options},
     {"design show", "ID", "Show a design: its body, layer by layer, and its scores.",
      run_design_show},
     {"design list", "", "List designs.", run_list, NULL, design_list_options},
-    {"design draw", "[DESIGN]...", "Draw designs of files without asking the server.",
-     run_design_draw},
+    {"design draw", "[DESIGN]...", "Draw designs from files, without a server.", run_design_draw},
     {"film", "[DESIGN]...", "Film up to 16 robots, without a display.", run_film,
-     "Rolls them out in one environment and draws what happens. --output names the format: "
+     "Simulates them in one environment and draws what happens. --output determines the format: "
      "film.mp4 (or another that ffmpeg makes, if it is installed), film.y4m, - for such a stream "
      "on standard output, or a folder, ending with /, for PNG files.",
      film_options},
@@ -395,7 +397,8 @@ const struct command commands[] = {
      "--output is a PNG file, or - for standard output.", picture_options},
     {"dashboard", "", "Print the address of the server's pages, including the token.",
      run_dashboard,
-     "For a server on a unix socket, also the tunnel to type on the machine with the browser."},
+     "For a server on a unix socket, also prints the tunnel command for the machine with the "
+     "browser."},
     {"design random", "", "Print random bodies, one JSON design per line.", run_design_random,
      "All are distinct; the same seed gives the same bodies.", random_options},
     {"design mutate", "[DESIGN]...", "Print mutants of designs, one JSON design per line.",
@@ -413,13 +416,13 @@ const struct command commands[] = {
      made_options},
     {"job list", "", "List jobs, newest first.", run_list, NULL, job_list_options},
     {"job show", "ID", "Show a job.", run_job_show, NULL, job_show_options},
-    {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores that are stored already stay."},
+    {"job cancel", "ID...", "Cancel jobs.", run_job_change, "Scores stored so far stay."},
     {"job pause", "ID...", "Pause jobs.", run_job_change},
     {"job resume", "ID...", "Resume paused jobs.", run_job_change,
-     "Also trainings and campaigns that have failed."},
+     "This includes failed trainings and campaigns."},
     {"job prune", "ID...", "Delete the recordings of evaluations that have ended.", run_job_prune,
-     "Scores stay. The server deletes the oldest recordings by itself when all of them exceed its "
-     "limit (max_recordings)."},
+     "Scores stay. The server deletes the oldest recordings automatically when all of them exceed "
+     "its limit (max_recordings)."},
     {"job weight", "ID X", "Change a job's share of the cores.", run_job_weight,
      "0.001 to 1000; a job with twice the weight of another gets twice the time. It takes "
      "effect at once, even while the job runs."},
@@ -433,19 +436,20 @@ const struct command commands[] = {
     {"job archive", "ID...", "Hide jobs from lists.", run_job_archive, "Nothing else changes."},
     {"job restore", "ID...", "Show archived jobs in lists again.", run_job_archive},
     {"job delete", "ID...", "Permanently delete jobs that have ended.", run_job_delete,
-     "Says what will be deleted, and asks. Designs, scores and controllers stay. A job that "
-     "another one needs is not deleted: exit status 3. Delete the first replicate of a group last.",
+     "Says what will be deleted, and asks for confirmation. Designs, scores and controllers stay. "
+     "A job that another one needs is not deleted: exit status 3. Delete the first replicate of a "
+     "group last.",
      job_delete_options},
     {"usage", "", "Show how much time of cores and devices jobs have used.", run_usage,
      "Deleted jobs are included.", usage_options},
     {"watch", "[JOB]", "Follow a job to its end, or all events.", run_watch,
-     "With --json one event per line. After a lost connection it continues where it stopped. Exit "
+     "With --json, one event per line. After a lost connection it continues where it stopped. Exit "
      "status of a job: 0 if it succeeded, 3 if not.",
      watch_options},
     {"wait", "JOB...", "Wait until jobs have ended.", run_wait,
      "Waits through restarts of the server. Exit status: 0 if all succeeded, 3 if one failed, was "
      "cancelled or does not exist, 1 if the command of --run failed, 4 if the server stayed away "
-     "for an hour, or as long as --retry says. A paused job has not ended.",
+     "for an hour, or for the time in --retry. A paused job has not ended.",
      wait_options},
     {"train start", "pretrain|finetune [DESIGN]...", "Train a controller.", run_train_start,
      "pretrain: from random weights or a controller, on an endless stream of distinct random "
@@ -457,8 +461,8 @@ const struct command commands[] = {
     {"train show", "ID", "Show a training with its curve.", run_live_show, NULL, NULL,
      &training_kind},
     {"train watch", "ID", "Watch a training until it ends.", run_live_watch,
-     "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the "
-     "training alone. Exit status: 0 if it succeeded, 3 if not.",
+     "On a terminal a live plot, otherwise a line per event; with --json the events. Ctrl-C leaves "
+     "the training alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &training_kind},
     {"train pause", "ID...", "Pause trainings, with a checkpoint.", run_job_change},
     {"train resume", "ID...", "Resume trainings that are paused or have failed.", run_job_change},
@@ -467,7 +471,7 @@ const struct command commands[] = {
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.",
      run_train_export, NULL, train_export_options},
     {"train prune", "ID...", "Delete checkpoints that are not needed.", run_job_prune,
-     "For a finished training all of them, since its result is a separate controller; otherwise "
+     "For a finished training all of them, because its result is a separate controller; otherwise "
      "all but the newest, which is needed to resume. A checkpoint takes 12.4 MB. Deleted "
      "checkpoints can no longer be exported.",
      train_prune_options},
@@ -478,7 +482,7 @@ const struct command commands[] = {
      train_compare_options},
     {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...", "Evolve a population.",
      run_campaign_start,
-     "zero-shot: the controller is frozen. few-shot: it learns again in each generation. "
+     "zero-shot: the controller is frozen. few-shot: it relearns in each generation. "
      "simultaneous: it learns along the way. study: children come only from study tell. DESIGNs "
      "(as those of eval) start the initial population; random bodies fill it up. The campaign is a "
      "job of the server, which continues without morphoctl, and after a crash.",
@@ -487,15 +491,15 @@ const struct command commands[] = {
     {"campaign show", "ID", "Show a campaign with its curves.", run_live_show, NULL, NULL,
      &campaign_kind},
     {"campaign watch", "ID", "Watch a campaign until it ends.", run_live_watch,
-     "On a terminal live curves and a table, else a line per generation; with --json the events. "
-     "Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
+     "On a terminal live curves and a table, otherwise a line per generation; with --json the "
+     "events. Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &campaign_kind},
     {"campaign pause", "ID...", "Pause campaigns.", run_job_change},
     {"campaign resume", "ID...", "Resume campaigns that are paused or have failed.",
      run_job_change},
     {"campaign cancel", "ID...", "Cancel campaigns.", run_job_change, "Complete generations stay."},
     {"campaign extend", "ID N", "Extend a campaign by N generations.", run_campaign_extend,
-     "This works after it has ended, too: the result is the same as if the campaign had been that "
+     "This also works after it has ended: the result is the same as if the campaign had been that "
      "long from the start."},
     {"campaign champions", "ID", "Show the best design and a sample over the ranking.",
      run_campaign_champions,
@@ -516,8 +520,8 @@ const struct command commands[] = {
      "champions can no longer be recorded. Nothing is deleted for a campaign that has not ended."},
     {"study ask", "ID N", "Ask a study for N bodies that it has never seen.", run_study_ask,
      "Children of its population as JSON, one per line, which study tell reads. The same question "
-     "has the same answer until the next batch. campaign start study makes a study; the "
-     "other campaign commands work for studies, too.",
+     "gets the same answer until the next batch. campaign start study makes a study; the "
+     "other campaign commands also work for studies.",
      study_ask_options},
     {"study tell", "ID [FILE]", "Tell a study its next batch, and print the scores.",
      run_study_tell,
@@ -531,22 +535,23 @@ const struct command commands[] = {
      study_sampler_options},
     {"study finish", "ID", "End a study.", run_study_finish, "It then accepts no more batches."},
     {"export", "LIST", "Save any list, curve or phylogeny as a table.", run_export,
-     "LIST is a path of the API after /v1/, with its parameters: jobs, designs?sort=score, "
+     "LIST is an API path after /v1/, with its parameters: jobs, designs?sort=score, "
      "campaigns/7/phylogeny, campaigns/generations?label=B (of several campaigns, in one table).",
      export_options},
     {"bundle export", "FILE [ID]...", "Save campaigns that have ended as one file.",
      run_bundle_export,
-     "With their controllers, worlds, settings, designs, generations, learning curves and scores.",
+     "With their controllers, environments, settings, designs, generations, learning curves, "
+     "scores.",
      bundle_export_options},
     {"bundle import", "FILE", "Import the campaigns of a bundle.", run_bundle_import,
-     "All of them or, if the bundle is damaged, nothing. Campaigns that the server already has do "
+     "All of them or, if the bundle is damaged, none. Campaigns that the server already has do "
      "not change.",
      bundle_import_options},
     {"bundle verify", "FILE", "Check a bundle, and list its contents.", run_bundle_verify,
      "The server checks every hash and every line, and stores nothing."},
     {"scores export", "[FILE]", "Save stored scores as one file.", run_scores_export,
-     "With what they depend on: bodies, environments, physics, weights, class, and who computed "
-     "them. FILE is standard output by default.",
+     "With everything they depend on: bodies, environments, physics, weights, class, and who "
+     "computed them. FILE is standard output by default.",
      scores_export_options},
     {"scores import", "FILE", "Import the scores in a file from another server.", run_scores_import,
      "Block by block; - is standard input. A score that is stored with the same bits is skipped; "
@@ -561,23 +566,24 @@ const struct command commands[] = {
     {"controller delete", "NAME", "Remove a name, or delete a file.", run_controller_delete,
      "The file of a name stays. sha256:… deletes a file that no name, job or score refers to."},
     {"devices", "", "Show the GPUs that compute.", run_devices, "Exit status 3 if one is lost."},
-    {"fleet slurm", "", "Print a job array of Slurm that starts workers.", run_fleet_launch,
-     "The installed workers.sbatch with the options filled in.", fleet_slurm_options},
-    {"fleet systemd", "", "Print a unit of systemd that runs a worker.", run_fleet_launch,
-     "Save it as morphod-worker@.service; the installation also has it.", fleet_systemd_options},
-    {"fleet kubernetes", "", "Print a Deployment of workers for Kubernetes.", run_fleet_launch,
-     NULL, fleet_kubernetes_options},
-    {"fleet drain", "[ID]", "Give a worker of another machine no more work.", run_fleet_drain,
-     "It finishes what it has and leaves. With --older or --version workers are drained for an "
-     "upgrade, one after the other: each ends with status 69 and says which version is wanted; "
+    {"fleet slurm", "", "Print a Slurm job array that starts workers.", run_fleet_launch,
+     "The installed workers.sbatch, with the options filled in.", fleet_slurm_options},
+    {"fleet systemd", "", "Print a systemd unit that runs a worker.", run_fleet_launch,
+     "Save it as morphod-worker@.service; it is also part of the installation.",
+     fleet_systemd_options},
+    {"fleet kubernetes", "", "Print a Kubernetes Deployment of workers.", run_fleet_launch, NULL,
+     fleet_kubernetes_options},
+    {"fleet drain", "[ID]", "Stop giving work to a worker.", run_fleet_drain,
+     "It finishes its leases and leaves. With --older or --version, workers are drained for an "
+     "upgrade, one after the other: each exits with status 69 and reports the required version; "
      "then this command waits until it is back. Exit status 3 if one returns with the same "
      "version.",
      fleet_drain_options},
     {"fleet verify", "NAME@HOST", "Recompute the results of a worker.", run_fleet_verify,
-     "The server recomputes the stored losses of this origin, and those that differ are listed. "
+     "The server recomputes the stored losses of this origin, and lists those that differ. "
      "Exit status 3 if some do, unless they are repaired.",
      fleet_verify_options},
-    {"fleet", "", "Show the workers of other machines.", run_fleet, NULL, fleet_options},
+    {"fleet", "", "Show the workers on other machines.", run_fleet, NULL, fleet_options},
     {"status", "", "Show whether the server is ready and what it does.", run_status},
     {"version", "", "Print the version.", run_version},
     {"completion", "", "Print completion for bash.", run_completion,

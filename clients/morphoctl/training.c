@@ -1,6 +1,6 @@
 /* training.c: train show and watch: a training with its curves.
  *
- * On a terminal train watch draws a plot of the loss and the numbers of the newest step; elsewhere
+ * On a terminal, train watch draws a plot of the loss and the numbers of the newest step; elsewhere
  * it prints a line per event. */
 #include <inttypes.h>
 #include <limits.h>
@@ -12,9 +12,9 @@
 #include "live.h"
 #include "plot.h"
 
-#define ASK_S         10   /* waiting makes no events */
+#define ASK_S         10   /* waiting produces no events */
 #define LINES_BESIDES 6    /* lines of the view besides the plot */
-#define POINTS_MAX    4000 /* above this, every other point is dropped */
+#define POINTS_MAX    4000 /* above this many, every other point is dropped */
 
 struct curve {
   const char *key; /* the value to draw */
@@ -38,7 +38,7 @@ static void thin(struct curve *curve)
   curve->n = kept;
 }
 
-/* Adds a point, and removes earlier points at or beyond its x: after a crash a training may resume
+/* Adds a point, and removes earlier points at or beyond its x: after a crash, a training may resume
  * from an earlier step. */
 static void add_point(struct curve *curve, double x, double y)
 {
@@ -77,7 +77,7 @@ static void load(struct live *live)
   load_curve(live, "validations", 0, &training->validations);
 }
 
-/* Plots both curves (malloc). NULL: no values yet. */
+/* Plots both curves (malloc). Returns NULL if there are no values yet. */
 static char *draw_plot(const struct training *training, int width, int height)
 {
   const struct ctl *ctl = training->live.ctl;
@@ -115,7 +115,7 @@ static void print_code(const struct ctl *ctl, const json_t *code)
   }
 }
 
-#define LOST_WORDS "{progress.diverged} robots diverged, {progress.zeroed} gave no finite gradient"
+#define LOST_WORDS "{progress.diverged} robots diverged, {progress.zeroed} had no finite gradient"
 
 static void print(struct live *live)
 {
@@ -153,7 +153,7 @@ static void print(struct live *live)
       {"controller", CONTROLLER_WORDS("controller", "")}, JOB_TIME_FACTS, {NULL, NULL}};
   const struct training *training = (const struct training *)live;
   print_facts(live->ctl, live->job, facts);
-  /* Usually one line, more if other code continued the training. */
+  /* Usually one line, or more if other code continued the training. */
   print_code(live->ctl, json_object_get(live->job, "code"));
   print_facts(live->ctl, live->job, last);
   char *plot = draw_plot(training, 78, 14);
@@ -174,9 +174,9 @@ static void write_view(const struct live *live, FILE *file, int columns, int row
   int height = rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES;
   char *plot = draw_plot(training, columns > 110 ? 110 : columns - 1, height);
   if (plot != NULL && height >= 4)
-    view_lines(file, INT_MAX, plot); /* as wide as it is; its colors take bytes */
+    view_lines(file, INT_MAX, plot); /* unpadded, because its colors take bytes */
   free(plot);
-  /* The pace is beside the step: with the numbers it does not fit into 80 columns. */
+  /* The rate is next to the step: with the numbers it does not fit into 80 columns. */
   view_words(file, columns, live->job, NUMBER_WORDS("progress."));
   view_words(file, columns, live->job,
              STEP_WORDS("progress.") "[{phase=replaying}, drawing the bodies of earlier steps "
@@ -219,7 +219,7 @@ static bool take_event(struct live *live, const char *type, json_t *event, bool 
   } else if (strcmp(type, "training.checkpoint") == 0) {
     json_object_set(live->job, "checkpoint_step", json_object_get(data, "step"));
     live_words(live, at, live->job, "checkpoint of step {checkpoint_step}");
-  } else if (strncmp(type, "job.", 4) == 0) { /* fetches what else changed */
+  } else if (strncmp(type, "job.", 4) == 0) { /* fetches everything else that changed */
     live_load(live);
     json_object_set(event, "state", json_object_get(live->job, "state"));
     live_words(live, at, event, "{type:.64}  {state}");

@@ -12,10 +12,10 @@
 
 #include "table.h"
 
-/* What a server may make this program hold: of JSON, and of a file that was asked for. */
+/* Limits on what this program holds for a server: of JSON, and of a requested file. */
 #define JSON_BYTES_MAX (UINT64_C(256) << 20)
 #define FILE_BYTES_MAX (UINT64_C(2) << 30)
-#define WAIT_PAUSE_S   0.25 /* at least, between two requests that wait for the same */
+#define WAIT_PAUSE_S   0.25 /* minimum time between two requests that wait for the same thing */
 
 struct transport {
   CURL *curl;
@@ -23,7 +23,7 @@ struct transport {
   bool streaming;    /* curl is inside a stream's callback */
   char *base;        /* "http://127.0.0.1:8765" */
   char *socket;      /* path of a unix socket, or NULL */
-  bool has_answered; /* the server answered once, so it is worth retrying */
+  bool has_answered; /* the server replied once, so retrying is worthwhile */
   char *waited_for;  /* path of the last request that waited */
   double waited_s;   /* when it was sent */
 };
@@ -121,7 +121,7 @@ static struct curl_slist *make_headers(const struct request *request)
   char wait[24];
   snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
   const struct {
-    const char *name, *value; /* NULL: none */
+    const char *name, *value; /* NULL if there is no body */
   } all[] = {{"Accept", request->accept != NULL ? request->accept : "application/json"},
              {"Content-Type", request->content_type},
              {"Prefer", request->wait_s > 0 ? wait : NULL},
@@ -147,7 +147,7 @@ static bool is_loopback(const char *base)
          (strncmp(host, "127.", 4) == 0 && strspn(host, "0123456789.") == n);
 }
 
-/* Makes one attempt. data NULL: the body goes into the reply. */
+/* Makes one attempt. data NULL: the body is stored in the reply. */
 static CURLcode perform(struct ctl *ctl, const struct request *request, struct reply *reply,
                         curl_write_callback data, void *context)
 {
@@ -165,7 +165,7 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
   curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
   if (transport->socket != NULL)
     curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
-  if (is_loopback(transport->base)) /* a proxy from the environment is another machine, and must
+  if (is_loopback(transport->base)) /* a proxy from the environment is another machine, which must
                                        not get the token */
     curl_easy_setopt(curl, CURLOPT_PROXY, "");
   if (ctl->token != NULL) {
@@ -224,8 +224,8 @@ int complain_about_server(const struct ctl *ctl, const char *words)
   return STATUS_CONNECTION;
 }
 
-/* Pauses before a request that waits for the same as the last one if that one was answered at once,
- * as by a proxy that drops Prefer. */
+/* Pauses before a request that waits for the same thing as the previous one if that one got its
+ * reply at once, as from a proxy that drops Prefer. */
 static void pace(struct transport *transport, const struct request *request)
 {
   if (request->wait_s == 0)
@@ -295,7 +295,7 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
   const json_t *faults = json_object_get(problem, "errors");
   const json_t *first = json_array_size(faults) == 1 ? json_array_get(faults, 0) : NULL;
   const char *only = json_string_value(json_object_get(first, "detail"));
-  if (detail == NULL || only == NULL || strstr(detail, only) == NULL) /* each fault once */
+  if (detail == NULL || only == NULL || strstr(detail, only) == NULL) /* each fault only once */
     json_array_foreach(faults, i, fault)
     {
       print_from(stderr, fault, "  [{pointer}: |{parameter}: |{header}: ]{detail}");
@@ -318,7 +318,7 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
   }
 }
 
-/* Sends a request, and complains about a reply's status from 400 on. */
+/* Sends a request, and reports a reply with a status from 400 on. */
 static int exchange(struct ctl *ctl, const struct request *request, struct reply *reply)
 {
   const int status = transport_try(ctl, request, reply);

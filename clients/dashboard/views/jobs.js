@@ -236,7 +236,7 @@ export class JobParts {
 function rateOf(job) {
   const rate = job.progress?.rollouts_per_s ?? job.progress?.bodies_per_s;
   if (!rate) return '';
-  return `${number(rate)} ${job.kind === 'training' ? 'bodies' : 'rollouts'} a second`;
+  return `${number(rate)} ${job.kind === 'training' ? 'bodies' : 'rollouts'} per second`;
 }
 
 /** Checkboxes that select jobs of a list, and the button that shows them on one page. */

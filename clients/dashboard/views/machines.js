@@ -19,7 +19,7 @@ export async function mount(main, path, parameters, app) {
   const machines = h('tbody');
   const ended = h('tbody');
   const note = h('p.muted');
-  const heads = ['Machine', 'State', 'Computes with', 'Rollouts a second', 'Done', 'Now', 'Lost',
+  const heads = ['Machine', 'State', 'Computes with', 'Rollouts per second', 'Done', 'Now', 'Lost',
     'Since', ''];
   const endedPanel = h('section.panel.stack', { 'aria-label': 'Past workers' },
     h('h2', {}, 'Past workers'),
@@ -57,7 +57,7 @@ export async function mount(main, path, parameters, app) {
       h('td', {}, threads.n_busy ? h('span.state.running', {}, 'computing')
         : h('span.state', {}, 'idle')),
       h('td', {}, powerOf(threads.n_threads, devices.items.length)),
-      numberCell('Rollouts a second', '–'), numberCell('Done', count(threads.rollouts_done)),
+      numberCell('Rollouts per second', '–'), numberCell('Done', count(threads.rollouts_done)),
       numberCell('Now', countOf(threads.n_busy, 'block')), numberCell('Lost', '–'),
       h('td'), h('td'));
   }
@@ -65,7 +65,7 @@ export async function mount(main, path, parameters, app) {
   function row(session) {
     return h('tr', {}, nameOf(session), stateOf(session),
       h('td', {}, powerOf(session.n_threads, session.n_devices)),
-      numberCell('Rollouts a second', number(session.rollouts_per_s)),
+      numberCell('Rollouts per second', number(session.rollouts_per_s)),
       numberCell('Done', count(session.rollouts_done)),
       numberCell('Now',
         session.leases ? `${countOf(session.leases, 'lease')}, ${count(session.rollouts_out)}`
@@ -103,8 +103,9 @@ export async function mount(main, path, parameters, app) {
     const again = `${countOf(fleet.leases_again, 'lease')} reissued`;
     const all = [
       ['Workers', count(fleet.n_sessions),
-        powerOf(fleet.n_threads, fleet.n_devices) || 'of other machines'],
-      ['Rollouts a second', number(fleet.rollouts_per_s), `${count(fleet.rollouts_out)} in flight`],
+        powerOf(fleet.n_threads, fleet.n_devices) || 'on other machines'],
+      ['Rollouts per second', number(fleet.rollouts_per_s),
+        `${count(fleet.rollouts_out)} in flight`],
       ['Computed elsewhere', count(fleet.rollouts_done), 'rollouts since the start'],
       ['Lost', count(fleet.lost), `of ${countOf(fleet.joined, 'session')}; ${again}`],
       ['Compared', count(fleet.audits), fleet.audits_failed
@@ -120,7 +121,7 @@ export async function mount(main, path, parameters, app) {
     const classes = Object.values(fleet.classes).filter(Boolean)
       .map((one) => `${one.scores}: ${countOf(one.sessions, 'worker')}`);
     note.textContent = fleet.listening ? older + classes.join('; ')
-      : 'Only this machine computes. With the setting fleet_listen, workers of other machines ' +
+      : 'Only this machine computes. With the setting fleet_listen, workers on other machines ' +
         'can join (morphod worker).';
     const list = (body, items, key, make) => patch(body, items, key, () => h('tr'),
       (element, item) => patchRow(element, [...make(item).cells]));

@@ -127,8 +127,7 @@ static size_t check_members(const json_t *object, const struct mo_fields *fields
       continue;
     }
     if (!agrees(property(object, field->name), field, bounds) || !tells_unit(field))
-      printf("# %s disagrees
-", field->name);
+      printf("# %s disagrees\n", field->name);
     CHECK(agrees(property(object, field->name), field, bounds));
     CHECK(tells_unit(field));
     n++;
@@ -210,8 +209,7 @@ static void check_columns(const char *name, const struct mo_columns *columns)
                        : column->type == MO_COLUMN_NUMBER ? "number"
                                                           : "integer";
     if (!has_type(node, type))
-      printf("# %s %s disagrees
-", name, column->path);
+      printf("# %s %s disagrees\n", name, column->path);
     CHECK(has_type(node, type));
   }
   CHECK_INT(count_leaves(schema(name)), columns->n);

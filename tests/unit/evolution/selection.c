@@ -289,8 +289,7 @@ static void age_layers(void)
       kept_by_truncation += rank_of(&scene, i) < N / 2 && scene.candidates[i].born >= 19;
     }
   }
-  printf("# young survivors: %u, by truncation %u
-", kept, kept_by_truncation);
+  printf("# young survivors: %u, by truncation %u\n", kept, kept_by_truncation);
   CHECK(kept > 60 * 5 && kept_by_truncation == 0);
 }
 

@@ -75,10 +75,8 @@ static void check_campaign(int mode, int kills)
   needs(&origin, &rollouts, &robots);
   rollouts = atomic_load(&shared->count.rollouts) - rollouts;
   robots = atomic_load(&shared->count.robots) - robots;
-  printf("# %s: %d kills; %.1f blocks and %.1f learning steps were recomputed per kill
-         ",
-         mo_campaign_mode_words[mode],
-         kills, (double)rollouts / MO_PAPER_TEST_COUNT / kills,
+  printf("# %s: %d kills; %.1f blocks and %.1f learning steps were recomputed per kill\n",
+         mo_campaign_mode_words[mode], kills, (double)rollouts / MO_PAPER_TEST_COUNT / kills,
          (double)robots / POPULATION / kills);
   /* Two blocks per worker are in flight or wait for their commit; learning in the current
    * generation restarts. */

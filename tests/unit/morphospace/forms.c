@@ -114,8 +114,7 @@ static void set_is_small(void)
       }
     }
   }
-  printf("# at worst %.2f bytes per form
-", worst);
+  printf("# at worst %.2f bytes per form\n", worst);
   CHECK(worst < 30.0 && worst > 18.0);
 }
 

@@ -90,8 +90,7 @@ static void kernels(void)
   for (int isa = 0; isa < MO_ISA_COUNT; isa++)
     for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
       if (isa > (int)mo_isa_best()) {
-        printf("# %s: not supported by this processor
-", mo_isa_name((enum mo_isa)isa));
+        printf("# %s: not supported by this processor\n", mo_isa_name((enum mo_isa)isa));
         continue;
       }
       uint64_t h = FNV_START;

@@ -87,8 +87,7 @@ static void gradients(void)
   CHECK_INT(MO_GRADIENT_VERSION, HASHED_VERSION);
   for (int isa = 0; isa < MO_ISA_COUNT; isa++) {
     if (isa > (int)mo_isa_best()) {
-      printf("# %s: not supported by this processor
-", mo_isa_name((enum mo_isa)isa));
+      printf("# %s: not supported by this processor\n", mo_isa_name((enum mo_isa)isa));
       continue;
     }
     uint64_t h = FNV_START;

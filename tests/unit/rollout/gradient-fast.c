@@ -253,10 +253,8 @@ static void agrees_over_hundreds_of_steps(void)
   }
   struct result fast = plain(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options);
   const double together = cosine(fast.d, sum, n);
-  printf("# 200 steps: %u of %d robots agree, the batch: 1 - cosine %.2g
-         ", alike, N,
-         1 -
-         together);
+  printf("# 200 steps: %u of %d robots agree, the batch: 1 - cosine %.2g\n", alike, N,
+         1 - together);
   CHECK(alike >= N * 3 / 4);
   CHECK(together > 0.999);
 }

@@ -70,10 +70,8 @@ static void never_below_ground(void)
     }
     mo_reference_done(&r);
   }
-  printf("# %llu masses checked, %.1f %% on the ground
-         ", (unsigned long long)checked,
-         100 *
-         (double)touching / (double)checked);
+  printf("# %llu masses checked, %.1f %% on the ground\n", (unsigned long long)checked,
+         100 * (double)touching / (double)checked);
   CHECK(touching > checked / 100);
 }
 

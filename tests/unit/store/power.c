@@ -312,10 +312,8 @@ static void stops_everywhere(const struct stops *stops, long stride, int end)
   long n = 1, tried = 0;
   for (; stop_at(n, stops, end, &outcome); n += stride)
     tried++;
-  printf("# %ld of about %ld changes; %u acts in doubt, of which %u were stored
-         ", tried, n - 1,
-         outcome.doubts,
-         outcome.came_through);
+  printf("# %ld of about %ld changes; %u acts in doubt, of which %u were stored\n", tried, n - 1,
+         outcome.doubts, outcome.came_through);
   CHECK(n > 30);
   CHECK_INT(outcome.findings, 0);
   if (outcome.findings > 0)

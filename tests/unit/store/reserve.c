@@ -229,8 +229,7 @@ static void keeps_it_for_people(void)
   CHECK_INT(files_of("trainings", trained), -1);
   CHECK_OK(mo_store_trajectories_remove(store, ids[0], &bytes));
   CHECK_INT(bytes, 4800000); /* more than the reserve holds */
-  printf("# %d failed writes
-", atomic_load(&retries.writes));
+  printf("# %d failed writes\n", atomic_load(&retries.writes));
   atomic_store(&retries.stop, true);
   for (int i = 0; i < 2; i++)
     pthread_join(threads[i], NULL);

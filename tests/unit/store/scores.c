@@ -245,10 +245,8 @@ static void serves_no_flipped_bit(void)
     REQUIRE(truncate(path_of("morphod.db"), (off_t)size) == 0);
     REQUIRE_OK(overwrite(path_of("morphod.db"), 0, bytes, size));
   }
-  printf("# %d bits: %d refused, %d found by the check, %d never read
-         ", FLIPS,
-         refused,
-         found, harmless);
+  printf("# %d bits: %d refused, %d found by the check, %d never read\n", FLIPS, refused, found,
+         harmless);
   CHECK(refused + found > 10);
 }
 
