@@ -1,8 +1,8 @@
 /* raster.c: a rasterizer with a depth buffer, and its pictures as PNG.
  *
- * The terrain is a mesh of triangles whose pixels are shaded by their place in the world; a robot's
- * skin is its outer faces, colored by the swelling of their voxels. Shadows come from a second
- * depth buffer, seen from the sun. */
+ * The terrain is a mesh of triangles whose pixels are shaded by their position in the world; a
+ * robot's skin is its outer faces, colored by the swelling of their voxels. Shadows come from a
+ * second depth buffer, seen from the sun. */
 #include "raster.h"
 
 #include "../morphoctl/ctl.h"
@@ -19,15 +19,15 @@
 #define NEAR_M      0.05f
 #define HALF_VIEW   0.3443f /* tangent of half the angle of view, 38 degrees high */
 #define TRAIL_M     0.014f
-#define SHADOW_M    0.8f  /* of the map of shadows, from its middle to its edge */
-#define MIDDLE_M    2.5f  /* of the map, along each axis */
-#define SUN_YAW     0.75f /* of the sun, from the view towards the light */
+#define SHADOW_M    0.8f  /* side of the shadow map, from its middle to its edge */
+#define MIDDLE_M    2.5f  /* of the shadow map, along each axis */
+#define SUN_YAW     0.75f /* rotation of the sun, from the direction toward the light */
 
 struct vector {
   float x, y, z;
 };
 
-/* A vertex as the camera sees it: place on the picture, depth, and its place in the world. */
+/* A vertex as the camera sees it: position in the picture, depth, and position in the world. */
 struct vertex {
   float x, y, w; /* pixels; w: distance along the view */
   struct vector at;
@@ -40,13 +40,13 @@ struct look {
 
 struct raster {
   uint32_t width, height; /* in samples */
-  float *depth;           /* (height, width) 1 / w; 0: nothing */
+  float *depth;           /* (height, width) 1 / w; 0 = background */
   struct vector *color;   /* (height, width) */
-  float *shadow;          /* (SHADOW_SIDE, SHADOW_SIDE) height towards the sun */
-  /* Of the present picture. */
+  float *shadow;          /* (SHADOW_SIDE, SHADOW_SIDE) height toward the sun */
+  /* For the current picture. */
   const struct look *look;
   struct vector eye, right, up, forward, lamp;
-  struct vector sun, sun_right, sun_up, middle; /* of the shadow's view */
+  struct vector sun, sun_right, sun_up, middle; /* for the shadow's view */
   float scale;                                  /* samples per unit of x / w */
   const float *heights;
 };
@@ -117,7 +117,7 @@ static float smooth(float from, float to, float x)
 
 /* ---- the world ---- */
 
-/* Height of the terrain, bilinear and clamped as in the simulation, and its slope. */
+/* Returns the height of the terrain, bilinear and clamped as in the simulation, and its slope. */
 static float height_at(const float *heights, float x, float y, float slope[2])
 {
   const float cx = clamp(x * 1.4f, 0, 7), cy = clamp(y * 1.4f, 0, 7);
@@ -130,7 +130,7 @@ static float height_at(const float *heights, float x, float y, float slope[2])
   return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * h[8] + fx * h[9]);
 }
 
-/* Position of a mass at a time, between two frames. */
+/* Returns the position of a mass at a time, between two frames. */
 static struct vector mass_at(const struct scene_rollout *rollout, uint32_t n_masses, uint32_t mass,
                              double frame)
 {
@@ -164,7 +164,7 @@ static struct vector lamp_light(const struct raster *raster, struct vector at, s
   return times(raster->look->glow, share * 0.16f / (d2 + 0.12f));
 }
 
-/* Returns the place of a point on the map of shadows; z: its height towards the sun. */
+/* Returns the position of a point on the shadow map; z: its height toward the sun. */
 static struct vector on_shadow(const struct raster *raster, struct vector at)
 {
   const struct vector from = subtract(at, raster->middle);
@@ -173,7 +173,7 @@ static struct vector on_shadow(const struct raster *raster, struct vector at)
                          dot(from, raster->sun)};
 }
 
-/* Returns how much of the sun reaches a point, 0.38 in the shadow to 1. */
+/* Returns how much sunlight reaches a point, from 0.38 in the shadow to 1. */
 static float sunlight(const struct raster *raster, struct vector at)
 {
   const struct vector p = on_shadow(raster, at);
@@ -188,14 +188,14 @@ static float sunlight(const struct raster *raster, struct vector at)
   return 0.38f + 0.62f * lit;
 }
 
-/* A line at each whole number; `width` in units of the value. */
+/* Returns the strength of a line at each whole number; `width` in units of the value. */
 static float line_at(float value, float width)
 {
   const float d = fabsf(value - roundf(value));
   return (1 - smooth(width * 0.5f, width * 1.5f, d)) * clamp(0.35f / width - 0.35f, 0, 1);
 }
 
-/* Brings bright values towards white slowly, so that faces beside the light keep their shape. */
+/* Brings bright values toward white slowly, so that faces near the light keep their shape. */
 static float exposed(float lit)
 {
   return lit <= 0.8f ? lit : 0.8f + 0.2f * (1 - expf((0.8f - lit) / 0.4f));
@@ -221,7 +221,7 @@ static struct vector shade_ground(const struct raster *raster, struct vector at,
   struct vector lit =
       times(look->ground, 0.5f + 0.62f * day * (0.2f + 0.8f * sunlight(raster, at)));
   lit = add(lit, times(multiply(look->ground, lamp_light(raster, at, up)), 2.2f));
-  /* A pixel's width on the ground grows with the distance, and with a flat view. */
+  /* The width of a pixel on the ground grows with the distance, and at low viewing angles. */
   const struct vector to_eye = normal(subtract(raster->eye, at));
   const float pixel = w * SAMPLES / raster->scale / clamp(dot(to_eye, up), 0.15f, 1);
   const float coarse =
@@ -274,7 +274,7 @@ static bool see(const struct raster *raster, struct vector at, struct vertex *ve
 /* The two triangles of four corners. */
 static const int turns[2][3] = {{0, 1, 2}, {0, 2, 3}};
 
-/* Draws a triangle. swelling: of a face; NULL: the ground. */
+/* Draws a triangle. swelling: of a face; NULL for the ground. */
 static void fill(struct raster *raster, const struct vertex corners[4], const int turn[3],
                  const float *swelling)
 {
@@ -303,7 +303,7 @@ static void fill(struct raster *raster, const struct vertex corners[4], const in
       const float c = 1 - a - b;
       if (a < 0 || b < 0 || c < 0)
         continue;
-      /* What is linear in the world is linear here when it is divided by w. */
+      /* Values that are linear in the world are linear here after a division by w. */
       const float qa = a / v[0]->w, qb = b / v[1]->w, qc = c / v[2]->w, q = qa + qb + qc;
       const size_t i = (size_t)y * raster->width + (size_t)x;
       if (q <= raster->depth[i])
@@ -341,7 +341,7 @@ static void draw_ground(struct raster *raster)
     }
 }
 
-/* Marks the highest point towards the sun under each triangle of a face. */
+/* Records the highest point toward the sun under each triangle of a face. */
 static void cast(struct raster *raster, const struct vector corners[3])
 {
   struct vector p[3];
@@ -391,7 +391,8 @@ static void draw_skin(struct raster *raster, const struct scene_body *body,
   }
 }
 
-/* Blends a color into the samples around a point of the world, a disc of a radius in meters. */
+/* Blends a color into the samples around a point of the world, in a disc of the given radius in
+ * meters. */
 static void blend_disc(struct raster *raster, struct vector at, float radius_m, struct vector color,
                        float strength, bool soft)
 {
@@ -414,7 +415,7 @@ static void blend_disc(struct raster *raster, struct vector at, float radius_m, 
     }
 }
 
-/* The path of the center of mass so far, as dots so close that they make a line. */
+/* The path of the center of mass so far, as dots so dense that they form a line. */
 static void draw_trail(struct raster *raster, const struct scene *scene, uint32_t rollout,
                        double time_s)
 {
@@ -464,7 +465,7 @@ static void begin(struct raster *raster, const struct raster_camera *camera)
   raster->up = cross(raster->right, raster->forward);
   raster->scale = (float)raster->height / 2 / HALF_VIEW;
   raster->middle = target;
-  /* Behind those who look towards the light, so that they see lit sides. */
+  /* Behind a viewer who looks toward the light, so that the visible sides are lit. */
   raster->sun = normal((struct vector){-0.7f * sinf(sun_yaw), -0.7f * cosf(sun_yaw), 1});
   raster->sun_right = normal(cross(raster->sun, (struct vector){0, 0, 1}));
   raster->sun_up = cross(raster->sun, raster->sun_right);
@@ -482,7 +483,7 @@ static void write_pixel(struct vector color, uint8_t rgb[3])
   rgb[2] = (uint8_t)(clamp(color.z, 0, 1) * 255 + 0.5f);
 }
 
-/* Means the samples of each pixel. */
+/* Averages the samples of each pixel. */
 static void resolve(const struct raster *raster, uint8_t *rgb)
 {
   const uint32_t width = raster->width / SAMPLES, height = raster->height / SAMPLES;
@@ -552,7 +553,7 @@ static size_t put_chunk(unsigned char *at, const char *name, const unsigned char
   return n + 12;
 }
 
-/* Subtracts from each byte the one above it: smooth pictures then compress well. */
+/* Subtracts from each byte the one above it, because smooth pictures then compress well. */
 static unsigned char *filter(const uint8_t *rgb, uint32_t width, uint32_t height)
 {
   const size_t row = (size_t)width * 3;
@@ -574,7 +575,7 @@ unsigned char *png_encode(const uint8_t *rgb, uint32_t width, uint32_t height, s
   unsigned char *lines = filter(rgb, width, height);
   unsigned char *pixels = need(malloc(packed));
   unsigned char *file = need(malloc(packed + 80));
-  unsigned char header[13] = {[8] = 8, [9] = 2}; /* 8 bits a color, RGB */
+  unsigned char header[13] = {[8] = 8, [9] = 2}; /* 8 bits per color, RGB */
   size_t n = sizeof(signature);
   put_u32(header, width);
   put_u32(header + 4, height);

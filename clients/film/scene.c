@@ -9,7 +9,7 @@
 
 #define FAR_M 1e4F
 
-/* The bytes behind the header. */
+/* The bytes after the header. */
 struct reader {
   const unsigned char *arrays;
   size_t size;
@@ -30,7 +30,7 @@ static const void *array(const struct reader *reader, const json_t *described, c
   const json_int_t offset = json_integer_value(json_object_get(described, "offset"));
   size_t bytes = width;
   if (given == NULL || strcmp(given, type) != 0 || json_array_size(shape) != n_sizes)
-    refuse("an array is missing, or is not of the expected type and shape");
+    refuse("an array is missing, or has the wrong type or shape");
   for (size_t i = 0; i < n_sizes; i++) {
     const json_int_t n = json_integer_value(json_array_get(shape, i));
     if (n < 0 || n > 1 << 24 || (n > 0 && bytes > ((size_t)1 << 40) / (size_t)n))
@@ -39,7 +39,7 @@ static const void *array(const struct reader *reader, const json_t *described, c
     bytes *= (size_t)n;
   }
   if (sizes[n_sizes - 1] != last)
-    refuse("an array is not of the expected shape");
+    refuse("an array has the wrong shape");
   if (offset < 0 || offset % 4 != 0 || (size_t)offset > reader->size ||
       bytes > reader->size - (size_t)offset)
     refuse("an array lies outside the scene");
@@ -64,12 +64,12 @@ static void check_indices(const uint16_t *indices, size_t n, size_t stride, size
         refuse("an index is out of range");
 }
 
-/* Refuses numbers that are not places within FAR_M: what draws them relies on it. */
+/* Refuses numbers that are not positions within FAR_M: the drawing code relies on that. */
 static void check_places(const float *places_m, size_t n)
 {
   for (size_t i = 0; i < n; i++)
     if (!(fabsf(places_m[i]) <= FAR_M))
-      refuse("a position is not finite, or far outside of the world");
+      refuse("a position is not finite, or far outside the world");
 }
 
 /* Finds an array of `columns` indices in each of *n rows. */
@@ -106,7 +106,7 @@ static void read_world(const struct reader *reader, const json_t *item, struct s
   if (sizes[0] != 8)
     refuse("a terrain does not have 8 by 8 heights");
   if (!(fabs(world->light_xy_m[0]) <= FAR_M && fabs(world->light_xy_m[1]) <= FAR_M))
-    refuse("a light is far outside of the world");
+    refuse("a light is far outside the world");
   check_places(world->heights_m, 64);
 }
 
@@ -117,7 +117,7 @@ static void read_rollout(const struct reader *reader, const struct scene *scene,
   const json_int_t body = json_integer_value(json_object_get(item, "design"));
   const json_int_t world = json_integer_value(json_object_get(item, "environment"));
   if (body < 0 || body >= scene->n_bodies || world < 0 || world >= scene->n_worlds)
-    refuse("a rollout names a design or environment that is not in it");
+    refuse("a rollout refers to a design or environment that does not exist");
   rollout->body = (uint32_t)body;
   rollout->world = (uint32_t)world;
   rollout->masses_m = array(reader, json_object_get(item, "masses_m"), "float32", 4, sizes, 3, 3);

@@ -1,5 +1,5 @@
-/* scene.h: reads a scene, application/vnd.morphod.scene (docs/scenes.md): bodies, worlds and what
- * was recorded of rollouts, as the service sends them. */
+/* scene.h: reads a scene, application/vnd.morphod.scene (docs/scenes.md): bodies, environments and
+ * recordings of rollouts, as the service sends them. */
 #ifndef MORPHOCTL_FILM_SCENE_H
 #define MORPHOCTL_FILM_SCENE_H
 
@@ -11,8 +11,8 @@
 /* A body; a track has the positions of its masses. Arrays belong to the scene. */
 struct scene_body {
   uint32_t n_masses, n_faces, n_voxels;
-  const uint16_t *faces;  /* (n_faces, 5) four masses, counter-clockwise from outside, and the
-                             voxel */
+  const uint16_t
+      *faces; /* (n_faces, 5) four masses, counter-clockwise seen from outside, and the voxel */
   const uint16_t *voxels; /* (n_voxels, 8) masses */
 };
 
@@ -32,13 +32,13 @@ struct scene {
   struct scene_body *bodies;
   struct scene_world *worlds;
   struct scene_rollout *rollouts;
-  const json_t *designs; /* what the header says of the bodies; kept (ctl.h) */
+  const json_t *designs; /* the header's description of the bodies; kept (ctl.h) */
 };
 
-/* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Its lists are kept
- * (ctl.h). Bytes that are no scene end the program. */
+/* Reads `size` bytes, which must be aligned to 4 and outlive the scene. Its lists are kept (ctl.h).
+ * Bytes that are not a scene end the program. */
 struct scene scene_read(const void *bytes, size_t size);
-/* Adds what another scene has, which must have the same time between its frames. */
+/* Adds the contents of another scene, which must have the same time between its frames. */
 void scene_append(struct scene *scene, const struct scene *other);
 
 #endif

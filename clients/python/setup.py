@@ -1,4 +1,4 @@
-"""Makes morphod/_sync, which the repository does not hold, and calls setuptools.
+"""Generates morphod/_sync, which is not in the repository, and calls setuptools.
 
 All settings are in pyproject.toml.
 """

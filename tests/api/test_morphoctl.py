@@ -113,7 +113,7 @@ def test_faults_name_their_place(ctl):
     (json.dumps([[4, 4, 4]] * 200), "rows of EvoGym"),
     ("[[3,3,0,3],[1,1,0,1]]", "morphod.read_bodies of the Python package"),
     ("[[[3,3],[4,0]],[[0,0],[1,2]]]", "morphod.read_bodies of the Python package"),
-    ('{"grid_width": 9, "grid_height": 9, "objects": {}}', "a world of EvoGym is not a design"),
+    ('{"grid_width": 9, "grid_height": 9, "objects": {}}', "an EvoGym world is not a design"),
     ("<VXD></VXD>", "morphod.read_bodies of the Python package"),
 ])
 def test_bodies_of_other_programs_are_refused(ctl, text, said):

@@ -110,7 +110,7 @@ def test_wrong_robots_of_evogym(wrong, said):
     (np.ones((1, 1, 5)), "axis 2 (z); the workspace has 4"),
     (np.ones((2, 7)), "Body.evogym(it) reads rows of EvoGym"),
     (np.array([[0, 2, 0], [1, 2, 0]]), '{"cells": it} reads cells'),
-    ([[0, 3, 3], [1, 1, 0], [4, 0, 0]], "two things: Body.evogym(it)"),
+    ([[0, 3, 3], [1, 1, 0], [4, 0, 0]], "ambiguous: Body.evogym(it)"),
     ([[3, 3, 3], [3, 3, 3]], "twice: it equals cell 0; Body.evogym(it) reads rows of EvoGym"),
     ([[3, 3, 4], [4, 4, 4]], "z = 4; the workspace has 0 to 3; Body.evogym(it) reads rows"),
     ([[5, 3, 3], [5, 3, 3]], "cell 1 is given twice: it equals cell 0"),

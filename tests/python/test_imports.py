@@ -204,7 +204,7 @@ def test_populations(tmp_path):
     ("a.vxd", vxd("RAW_DATA", ["AQ=="], (1, 1, 1)), "RAW_DATA cannot be read"),
     ("a.vxd", "<VXD></VXD>", "no Structure"),
     ("a.vxd", "VXD", "not XML"),
-    ("a.json", "{}", "not a world of EvoGym"),
+    ("a.json", "{}", "not an EvoGym world"),
     ("a.json", '{"grid_width": 9, "objects": {"wide": {"indices": [0, 8], "types": [1, 1]}}}',
      "wide: the body is 9 voxels long on axis 0 (x)"),
     ("a.json", '{"grid_width": 1, "objects": {"a": {"indices": [0, 9e15], "types": [1, 1]}}}',

@@ -1,4 +1,4 @@
-"""Requests, replies, and when to repeat one. Knows HTTP, but sends nothing itself."""
+"""Requests, replies, and when to retry. Knows HTTP, but does not send anything itself."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .errors import ApiError, MorphodError, api_error, printable
 
 DEFAULT_SERVER = "http://127.0.0.1:8765"
 WAIT_S = 50
-"""How long one request waits for a job; the service allows 60 s."""
+"""How long one request waits for a job; the service allows up to 60 s."""
 
 _BACKOFF_S = 0.1
 _BACKOFF_MAX_S = 5.0
@@ -29,12 +29,12 @@ _RESTART_ATTEMPTS = 6
 
 
 def given(**values: Any) -> dict[str, Any]:
-    """The values that are not None."""
+    """Returns the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
 
 
 def without_none(value: Any) -> Any:
-    """A request without the members that are None. In a list, None stays."""
+    """Returns a request without the members that are None. In a list, None stays."""
     if isinstance(value, Mapping):
         return {name: without_none(item) for name, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):
@@ -43,7 +43,7 @@ def without_none(value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A scalar or an array of NumPy, or another mapping or sequence, as JSON has it."""
+    """Converts a NumPy scalar or array, or another mapping or sequence, to what JSON supports."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -54,7 +54,7 @@ def plain(value: Any) -> Any:
 
 
 def encoded(value: Mapping[str, Any]) -> bytes:
-    """The JSON of a request."""
+    """Returns the JSON of a request."""
     try:
         return json.dumps(value, separators=(",", ":"), default=plain, allow_nan=False).encode()
     except ValueError as error:
@@ -62,7 +62,7 @@ def encoded(value: Mapping[str, Any]) -> bytes:
 
 
 def _not_finite(value: Any, place: str = "") -> str | None:
-    """The JSON pointer of the first number that is not finite, and the number."""
+    """Returns the JSON pointer of the first number that is not finite, and the number."""
     if isinstance(value, (np.generic, np.ndarray)):
         value = value.tolist()
     if isinstance(value, float) and not math.isfinite(value):
@@ -94,7 +94,7 @@ class Address:
 
 @dataclasses.dataclass
 class Request:
-    """One request. `repeatable`: sending it twice does no more than sending it once."""
+    """One request. `repeatable`: sending it twice has the same effect as sending it once."""
 
     method: str
     path: str
@@ -107,7 +107,7 @@ class Request:
     @classmethod
     def get(cls, path: str, accept: str = "application/json", wait_s: int = 0,
             **params: Any) -> Request:
-        """A GET; params of None are left out."""
+        """Returns a GET, without params that are None."""
         plain_params = {name: plain(value) if isinstance(value, np.generic) else value
                         for name, value in given(**params).items()}
         request = cls("GET", path, plain_params, headers={"Accept": accept})
@@ -115,7 +115,7 @@ class Request:
 
     @classmethod
     def submit(cls, path: str, value: Mapping[str, Any], wait_s: int = 0) -> Request:
-        """A POST of JSON that makes a job. A unique key makes it safe to repeat."""
+        """Returns a POST of JSON that creates a job. A unique key makes it safe to repeat."""
         request = cls.post(path, without_none(value))
         request.headers["Idempotency-Key"] = uuid.uuid4().hex
         return request.waiting(wait_s)
@@ -123,7 +123,7 @@ class Request:
     @classmethod
     def post(cls, path: str, value: Mapping[str, Any] | None = None,
              accept: str = "application/json", method: str = "POST") -> Request:
-        """A POST, or a PATCH, that does no more when it is repeated."""
+        """Returns a POST or a PATCH that can be repeated safely."""
         request = cls(method, path, headers={"Accept": accept})
         if value is not None:
             request.content = encoded(value)
@@ -139,7 +139,7 @@ class Request:
 
 @dataclasses.dataclass(frozen=True)
 class Reply:
-    """A reply that was not a refusal."""
+    """A reply that is not a refusal."""
 
     status: int
     headers: Mapping[str, str]
@@ -153,7 +153,7 @@ class Reply:
 
 
 def refusal(status: int, content: bytes) -> ApiError:
-    """The exception for a reply with a status from 400."""
+    """Returns the exception for a reply with a status from 400 on."""
     try:
         problem = json.loads(content)
     except (ValueError, RecursionError):
@@ -164,13 +164,13 @@ def refusal(status: int, content: bytes) -> ApiError:
 
 
 def undecodable(error: Exception) -> MorphodError:
-    """The exception for a reply with a wrong content coding."""
+    """Returns the exception for a reply with a wrong content coding."""
     return MorphodError(f"the reply cannot be decoded: {printable(error)}; is this a morphod "
                         "service?")
 
 
 class Retries:
-    """Decides how long to wait before a request is repeated, within a time."""
+    """Decides how long to wait before a request is retried, within a time limit."""
 
     def __init__(self, request: Request, within_s: float) -> None:
         self.request = request
@@ -180,8 +180,8 @@ class Retries:
         self.is_reported = False
 
     def report(self, problem: str, answered: bool) -> None:
-        """Reports once on standard error that requests are repeated: at once if the service has
-        never answered, else when the attempts take longer than a restart."""
+        """Reports once on standard error that requests are being retried: at once if the service
+        has never replied, otherwise when the attempts take longer than a restart."""
         if not self.is_reported and (not answered or self.attempt >= _RESTART_ATTEMPTS):
             self.is_reported = True
             left_s = max(0.0, self.deadline - time.monotonic())
@@ -189,8 +189,8 @@ class Retries:
                   f"{self.within_s:g}).", file=sys.stderr)
 
     def delay(self, status: int | None, retry_after: str | None = None) -> float | None:
-        """Seconds until the next attempt; None: no further one. status None: the connection broke,
-        or could not be made."""
+        """Returns the seconds until the next attempt, or None to give up. status None: the
+        connection broke, or could not be made."""
         if status is None:
             repeat = self.request.repeatable
         else:
@@ -207,7 +207,7 @@ class Retries:
 
 
 def _seconds_of(retry_after: str) -> float:
-    """A `Retry-After`, in seconds or as a date."""
+    """Parses a `Retry-After`, in seconds or as a date."""
     if retry_after.isascii() and retry_after.isdigit():
         return float(retry_after)
     try:

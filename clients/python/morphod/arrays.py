@@ -1,5 +1,5 @@
-"""Arrays as voxels: which values are a voxel, and which arrays are refused because they could mean
-several things."""
+"""Arrays as voxels: which values are voxels, and which arrays are refused because they are
+ambiguous."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ _UNREADABLE = {
 
 
 def numbers(array: NDArray[Any]) -> NDArray[Any]:
-    """An array of booleans, integers or floats as it is. Raises `BodyError` for any other."""
+    """Returns an array of booleans, integers or floats unchanged. Raises `BodyError` for any
+    other."""
     if isinstance(array, np.ma.MaskedArray):
         raise BodyError("a masked array does not say what its masked voxels are: fill it, as in "
                         "array.filled(0)")
@@ -37,8 +38,8 @@ def numbers(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def occupied(array: NDArray[Any]) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
-    """Where an array has voxels, and what that loses. Integers are materials; floats have to be 0
-    or 1, because it is not known where a density becomes a voxel."""
+    """Returns where an array has voxels, and what the conversion loses. Integers are materials;
+    floats must be 0 or 1, because the threshold at which a density becomes a voxel is unknown."""
     array = numbers(array)
     if array.dtype.kind == "b":
         return array, ()
@@ -55,18 +56,19 @@ def occupied(array: NDArray[Any]) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
 
 
 def above_half(array: NDArray[Any]) -> NDArray[np.bool_]:
-    """The voxels of an optimizer's numbers: those above 0.5."""
+    """Returns the voxels for an optimizer's numbers: those above 0.5."""
     array = numbers(array)
     wrong = ~np.isfinite(array)
     if wrong.any():
-        raise BodyError(f"{first(array, wrong)}: finite numbers are expected, a voxel where one is "
-                        "above 0.5")
+        raise BodyError(f"{first(array, wrong)}: the numbers must be finite, with a voxel "
+                        "where one is above 0.5")
     voxels: NDArray[np.bool_] = array > 0.5
     return voxels
 
 
 def materials(values: NDArray[Any], plain: int | None = None) -> tuple[str, ...]:
-    """What is lost when materials become one. `plain`: the material that is morphod's own."""
+    """Returns what is lost when materials become one. `plain`: the material that corresponds to
+    morphod's."""
     kinds = [kind for kind in np.unique(values).tolist() if kind != 0]
     if not kinds or kinds == [plain]:
         return ()
@@ -79,6 +81,6 @@ def materials(values: NDArray[Any], plain: int | None = None) -> tuple[str, ...]
 
 
 def first(array: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
-    """The first wrong value and its place, for a message."""
+    """Returns the first wrong value and its position, for a message."""
     place = tuple(int(at) for at in np.argwhere(wrong)[0])
     return f"the value at [{', '.join(map(str, place))}] is {array[place]}"

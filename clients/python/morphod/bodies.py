@@ -1,8 +1,8 @@
 """Bodies: voxel robots in the workspace of 6 × 6 × 4 voxels.
 
-Arrays of booleans or materials, lists of cells, genotypes, ids and robots of EvoGym become a
-`Body`. What could mean several things is refused. morphod has one material, so other materials
-become that one; `Body.lost` says what a conversion left out.
+Arrays of booleans or materials, lists of cells, genotypes, ids and EvoGym robots become a `Body`.
+Ambiguous input is refused. morphod has only one material, so all materials become that one;
+`Body.lost` says what a conversion left out.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ VOXEL_M = 0.1
 
 _AXES = "xyz"
 _VOXELS = 144
-_MATERIAL_MAX = 4  # of a robot of EvoGym
+_MATERIAL_MAX = 4  # for an EvoGym robot
 
 BodyLike = Union["Body", str, Mapping[str, Any], "NDArray[Any]", Sequence[Any]]
-"""What stands for a body; see `Body.of`."""
+"""Anything that can be passed as a body; see `Body.of`."""
 
 Repair = Literal["largest"]
-"""How a body that is not in one piece is repaired: its largest piece stays."""
+"""How a body that is not in one piece is repaired: by keeping its largest piece."""
 
 OnFault = Literal["refuse", "skip"]
-"""What an invalid body does to a list: all are refused, or it is skipped."""
+"""The effect of an invalid body in a list: all are refused, or it is skipped."""
 
 _EMPTY = "a body needs at least one voxel, but this one is empty"
-_BRACKETS = "a list of bodies is expected: put this one in brackets"
+_BRACKETS = "expected a list of bodies: put this one in brackets"
 _TWO_WAYS = ('Body.evogym(it) reads rows of EvoGym, and {"cells": it} reads cells [x, y, z]')
 
 
@@ -49,9 +49,9 @@ _TWO_WAYS = ('Body.evogym(it) reads rows of EvoGym, and {"cells": it} reads cell
 class Body:
     """A body in the workspace.
 
-    `voxels` is a boolean array of the shape (6, 6, 4) with indices [x, y, z], z upwards. `lost` has
-    a sentence for each thing that the conversion from another format could not keep. `name` is the
-    body's name in the file that it was read from.
+    `voxels` is a boolean array of shape (6, 6, 4) with indices [x, y, z], where z points up. `lost`
+    has a sentence for each thing that the conversion from another format could not keep. `name` is
+    the body's name in the file that it was read from.
     """
 
     voxels: NDArray[np.bool_]
@@ -66,33 +66,35 @@ class Body:
 
     @classmethod
     def of(cls, body: BodyLike, repair: Repair | None = None) -> Body:
-        """The body that a value stands for.
+        """Converts a value to a body.
 
         - a NumPy array of 3 dimensions: voxels [x, y, z]. Booleans, materials (integers, 0 is
-          empty), or floats that are exactly 0 or 1; of a density give `density > 0.5`. It may be
+          empty), or floats that are exactly 0 or 1; for a density give `density > 0.5`. It may be
           smaller than the workspace, and larger if what is outside is empty.
         - a list of cells `[[x, y, z], …]`, or one of the service's `{"cells": …}`, `{"voxels": …}`
-          and `{"id": …}`. In `{"cells": …}` cells may be an array (n, 3), as `np.argwhere` gives.
-        - a text: a genotype of 144 digits, a robot as `Result.robot` names it (ID@K: an id and an
+          and `{"id": …}`. In `{"cells": …}` the cells can be an array (n, 3), as returned by
+          `np.argwhere`.
+        - a text: a genotype of 144 digits, a robot as in `Result.robot` (ID@K: an id and an
           orientation), or an id of 36 hexadecimal digits, which becomes the body in its canonical
-          orientation; the letters g and d that CSV puts in front are taken off.
+          orientation; the prefixes g and d that CSV files have are removed.
 
-        A robot of EvoGym is read by `Body.evogym` only. Arrays of 2 dimensions, and lists of rows
-        that could be both cells and a robot, are refused.
+        Only `Body.evogym` reads EvoGym robots. Arrays with 2 dimensions, and lists of rows that
+        could be either cells or a robot, are refused.
 
         `repair="largest"` keeps the largest piece of a body that is not in one piece, and says so
-        in `lost`. Raises `BodyError`, which names the axis or the place at fault.
+        in `lost`. Raises `BodyError`, which reports the axis or the position of the fault.
         """
         return cls._kept(_convert(body), repair)
 
     @classmethod
     def evogym(cls, body: Any, connections: Any = None, *, repair: Repair | None = None) -> Body:
-        """The body of a robot of EvoGym: rows of materials 0 to 5, from the top. It gets a depth of
-        two voxels, as in the dashboard.
+        """Returns the body of an EvoGym robot: rows of materials 0 to 5, from the top. It gets a
+        depth of two voxels, as in the dashboard.
 
-        `connections` are its pairs of connected voxels, as EvoGym keeps them; without them all
-        adjacent voxels are connected. `Body.evogym(sample_robot((4, 4)))` takes both as a pair.
-        `lost` has the materials, and says where voxels that EvoGym leaves apart are connected now.
+        `connections` are its pairs of connected voxels, as EvoGym stores them; without them all
+        adjacent voxels are connected. `Body.evogym(sample_robot((4, 4)))` accepts both as a pair.
+        `lost` lists the materials, and reports voxels that are connected now but were not in
+        EvoGym.
         """
         if connections is None and is_pair(body):
             body, connections = body
@@ -102,7 +104,7 @@ class Body:
 
     @classmethod
     def _kept(cls, made: Body, repair: Repair | None) -> Body:
-        """The body, or its largest piece."""
+        """Returns the body, or its largest piece."""
         if not made.voxels.any():
             raise BodyError(_EMPTY)
         if repair is None:
@@ -138,31 +140,31 @@ class Body:
         return f"Body(cells={self.cells!r}{name}{lost})"
 
     def footprint(self) -> int:
-        """Columns (x, y) that hold a voxel."""
+        """Columns (x, y) that contain a voxel."""
         return int(self.voxels.any(axis=2).sum())
 
 
 def dropped(voxels: int) -> tuple[str, ...]:
-    """What a repair adds to `lost`."""
+    """Returns what a repair adds to `lost`."""
     return (f"{voxels} voxels that did not belong to the largest piece", ) if voxels else ()
 
 
 def genotypes_of(voxels: NDArray[np.bool_]) -> list[str]:
-    """The genotypes of an array of bodies of the shape (n, 6, 6, 4)."""
+    """Returns the genotypes of an array of bodies of shape (n, 6, 6, 4)."""
     digits = (voxels.reshape(len(voxels), _VOXELS).astype(np.uint8) + ord("0")).tobytes()
     text = digits.decode("ascii")
     return [text[at:at + _VOXELS] for at in range(0, len(text), _VOXELS)]
 
 
 def packed(designs: list[dict[str, str]]) -> list[dict[str, str]]:
-    """The same designs, with four voxels in each hexadecimal digit, as a long list is sent."""
+    """Returns the same designs with four voxels per hexadecimal digit, the format of long lists."""
     return [{"voxels": f"{int(design['voxels'].lstrip('g'), 2):036x}"}
             if "voxels" in design else design for design in designs]
 
 
 def largest_pieces(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest piece of each of n bodies (n, 6, 6, 4): voxels that are joined through faces. Of
-    pieces of one size the one with the voxel of the lowest index stays, as the service does it."""
+    """Returns the largest piece of each of n bodies (n, 6, 6, 4): voxels that are connected through
+    faces. Of pieces of equal size, the one with the lowest voxel index stays, as in the service."""
     places = np.arange(_VOXELS, 0, -1, dtype=np.uint8).reshape(WORKSPACE)
     label = np.where(voxels, places, np.uint8(0))
     left = np.arange(len(voxels))  # bodies whose labels still spread
@@ -189,10 +191,10 @@ def largest_pieces(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def requests_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "refuse"
                 ) -> tuple[list[dict[str, str]], list[tuple[str, ...]], dict[int, str]]:
-    """Bodies as designs of a request, for each what its conversion lost, and what is wrong with
-    those that have to be skipped, by place.
+    """Returns bodies as designs of a request, what each conversion lost, and the faults of the
+    bodies to be skipped, by position.
 
-    Raises `BodyError`, which names the place of the body, unless it is to be skipped.
+    Raises `BodyError`, which reports the position of the body, unless it is to be skipped.
     """
     whole = _whole_array(bodies)
     if whole is not None:
@@ -218,9 +220,9 @@ def requests_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "
 
 def designs_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "refuse"
                ) -> list[dict[str, str]]:
-    """Bodies as designs of a request with a result that has no place for what a conversion lost,
-    and for why a body could not be read. Both become warnings, unless a `Body` of the caller says
-    the one, or the service notes the other: that a body is empty."""
+    """Returns bodies as designs of a request whose result has no place for what a conversion lost,
+    or for why a body could not be read. Both become warnings, unless the caller's `Body` already
+    says what was lost, or the service notes that a body is empty."""
     given = bodies if isinstance(bodies, np.ndarray) else list(_listed(bodies))
     designs, lost, faults = requests_of(given, on_fault)
     _warn("", {place: "; ".join(sentences) for place, sentences in enumerate(lost)
@@ -230,7 +232,7 @@ def designs_of(bodies: Iterable[BodyLike] | NDArray[Any], on_fault: OnFault = "r
 
 
 def warn_of_lost(lost: Sequence[tuple[str, ...]]) -> None:
-    """Warns of what conversions lost, where no result has a place for it."""
+    """Warns about what conversions lost, if no result has a place for it."""
     _warn("", {place: "; ".join(sentences) for place, sentences in enumerate(lost) if sentences})
 
 
@@ -242,21 +244,21 @@ def _warn(kind: str, said: Mapping[int, str]) -> None:
 
 
 def warn_of_ids(notes: Iterable[Mapping[str, Any]]) -> None:
-    """Warns of the designs of a request that came as an id alone, where no result says which
-    orientation was taken. `notes` are those of the reply."""
+    """Warns about designs of a request that were given by an id without an orientation, if no
+    result says which orientation was used. `notes` are those of the reply."""
     why = {"best": "its best stored score of all orientations",
-           "canonical": "the canonical orientation, none has a stored score"}
+           "canonical": "the canonical orientation, because none has a stored score"}
     taken = [note for note in notes if note["orientation"] is not None]
     if taken:
         first = taken[0]
         more = f" (and {len(taken) - 1} more)" if len(taken) > 1 else ""
-        warnings.warn(f"body {first['place']} was given by an id alone: using {first['robot']}, "
-                      f"{why[first['orientation']]}{more}", stacklevel=3)
+        warnings.warn(f"body {first['place']} was given by an id without an orientation: "
+                      f"using {first['robot']}, {why[first['orientation']]}{more}", stacklevel=3)
 
 
 def _whole_array(bodies: Any) -> NDArray[np.bool_] | None:
-    """An array (n, 6, 6, 4) of zeros and ones, which is the fastest to read; None: it is another
-    array, or none."""
+    """Returns an array (n, 6, 6, 4) of zeros and ones, which is the fastest to read, or None if it
+    is a different array or not an array."""
     if not isinstance(bodies, np.ndarray) or isinstance(bodies, np.ma.MaskedArray) or (
             bodies.ndim != 4 or bodies.shape[1:] != WORKSPACE or bodies.dtype.kind not in "biuf"):
         return None
@@ -265,7 +267,8 @@ def _whole_array(bodies: Any) -> NDArray[np.bool_] | None:
 
 
 def _listed(bodies: Any) -> Iterable[Any]:
-    """The bodies one by one. Raises `BodyError` for what is one body, or has no order."""
+    """Yields the bodies one by one. Raises `BodyError` for a single body, or for something without
+    order."""
     if isinstance(bodies, (str, bytes, Mapping, Body)):
         raise BodyError(_BRACKETS)
     if isinstance(bodies, (set, frozenset)):
@@ -298,8 +301,8 @@ def _is_cell(value: Any) -> bool:
 
 
 def _design(body: Any) -> tuple[dict[str, str], tuple[str, ...]]:
-    """A body as a design of a request, and what its conversion lost. Ids stay ids, which the
-    service checks."""
+    """Returns a body as a design of a request, and what its conversion lost. Ids stay ids, which
+    the service checks."""
     if isinstance(body, str) and _is_id(body):
         return {"id": body}, ()
     if isinstance(body, Mapping) and "id" in body:
@@ -310,14 +313,15 @@ def _design(body: Any) -> tuple[dict[str, str], tuple[str, ...]]:
 
 
 def voxels_of(genotypes: Iterable[str | None]) -> NDArray[np.bool_]:
-    """The array of bodies of the shape (n, 6, 6, 4) of genotypes; None gives an empty one."""
+    """Returns the array of bodies of shape (n, 6, 6, 4) for genotypes; None becomes an empty
+    one."""
     digits = "".join(genotype or "0" * _VOXELS for genotype in genotypes).encode()
     voxels: NDArray[np.bool_] = np.frombuffer(digits, dtype=np.uint8) == ord("1")
     return voxels.reshape(-1, *WORKSPACE)
 
 
 def _is_id(text: str) -> bool:
-    """Whether a text is an id, alone or with an orientation: ID@K."""
+    """Returns whether a text is an id, with or without an orientation: ID@K."""
     digits, at, k = text.partition("@")
     digits = digits[1:] if digits[:1] == "d" and len(digits) == 37 else digits
     return (len(digits) == 36 and all(digit in "0123456789abcdefABCDEF" for digit in digits) and
@@ -325,7 +329,8 @@ def _is_id(text: str) -> bool:
 
 
 def _of_id(text: str) -> NDArray[np.bool_]:
-    """The voxels of ID@K, image K of the canonical form in a corner; of an id alone that form."""
+    """Returns the voxels of ID@K, image K of the canonical form in a corner; for an id, that
+    form."""
     digits, _, k = text.partition("@")
     packed = np.frombuffer(bytes.fromhex(digits[-36:]), dtype=np.uint8)
     form = np.unpackbits(packed).astype(np.bool_).reshape(WORKSPACE)
@@ -360,11 +365,11 @@ def _convert(body: BodyLike) -> Body:
 
 def _from_array(array: NDArray[Any]) -> Body:
     if array.ndim == 4:
-        raise BodyError("an array of 4 dimensions has many bodies: take one of them, such as "
+        raise BodyError("an array with 4 dimensions has many bodies: take one of them, such as "
                         "array[0]")
     if array.ndim == 2:
         if array.shape[1] == 3:
-            raise BodyError(f"an array with 3 columns can be two things: {_TWO_WAYS}")
+            raise BodyError(f"an array with 3 columns is ambiguous: {_TWO_WAYS}")
         raise BodyError("an array of a body has 3 dimensions [x, y, z], not 2; Body.evogym(it) "
                         "reads rows of EvoGym")
     if array.shape == (_VOXELS, ):
@@ -407,8 +412,8 @@ def _from_mapping(body: Mapping[str, Any]) -> Body:
 
 
 def _from_list(rows: Sequence[Any]) -> NDArray[np.bool_]:
-    """The voxels of a list of cells. It is refused if it is not one piece, and can be a robot of
-    EvoGym with three columns."""
+    """Returns the voxels of a list of cells. It is refused if it is not in one piece and could be
+    an EvoGym robot with three columns."""
     if any(isinstance(row, np.ndarray) and row.ndim > 1 for row in rows):
         raise BodyError("a list of arrays is not a body: give one of them; of a pair (body, "
                         "connections) of EvoGym give Body.evogym(pair)")
@@ -419,13 +424,13 @@ def _from_list(rows: Sequence[Any]) -> NDArray[np.bool_]:
             raise
         raise BodyError(f"{error}; Body.evogym(it) reads rows of EvoGym") from None
     if _can_be_rows(rows) and (voxels != largest_pieces(voxels[np.newaxis])[0]).any():
-        raise BodyError(f"this list can be two things: {_TWO_WAYS}")
+        raise BodyError(f"this list is ambiguous: {_TWO_WAYS}")
     return voxels
 
 
 def _can_be_rows(rows: Sequence[Any]) -> bool:
-    """Whether rows can be a robot of EvoGym: materials up to 4, of which the highest row has at
-    least one."""
+    """Returns whether rows can be an EvoGym robot: materials up to 4, with at least one in the
+    highest row."""
     return len(rows) > 1 and all(map(_is_cell, rows)) and any(rows[0]) and all(
         0 <= material <= _MATERIAL_MAX for row in rows for material in row)
 
@@ -467,7 +472,7 @@ def _short(value: Any) -> str:
 
 
 def _fitted(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The voxels in an array of the workspace; empty margins are cut where they must be."""
+    """Returns the voxels in an array of the workspace; empty margins are cut off if necessary."""
     for axis, side in enumerate(WORKSPACE):
         if voxels.shape[axis] <= side:
             continue
@@ -483,7 +488,7 @@ def _fitted(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _lowered(rows: NDArray[Any]) -> NDArray[Any]:
-    """The rows of a robot of EvoGym without empty ones, where it has more than fit."""
+    """Returns the rows of an EvoGym robot, without empty ones if there are more than fit."""
     used = np.flatnonzero((rows != 0).any(axis=1))
     if rows.shape[0] <= WORKSPACE[2] or not used.size:
         return rows

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 @reading()
 def check_results(evaluation: str, rows: Sequence[Mapping[str, Any]],
                   designs: Sequence[Mapping[str, str]]) -> None:
-    """Compares the results of an evaluation with the designs of its request, except those
-    that were named by an id, repaired or skipped. Raises `MorphodError`."""
+    """Compares the results of an evaluation with the designs of its request, except those that were
+    given by an id, repaired or skipped. Raises `MorphodError`."""
     asked = [design.get("voxels") for design in designs]
     found = [None if row["repaired"] or row["fault"] else row["genotype"] for row in rows]
     if len(found) != len(asked):
@@ -36,7 +36,8 @@ def check_results(evaluation: str, rows: Sequence[Mapping[str, Any]],
 
 
 def _at_corner(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Bodies (n, 6, 6, 4), each moved to the corner of the workspace: the service moves them."""
+    """Moves each body (n, 6, 6, 4) to the corner of the workspace, because the service moves
+    them."""
     for axis in (1, 2, 3):
         others = tuple({1, 2, 3} - {axis})
         first = voxels.any(axis=others).argmax(axis=1)

@@ -1,4 +1,4 @@
-"""What can go wrong, as exceptions. All of them are a `MorphodError`."""
+"""Everything that can go wrong, as exceptions. All of them are a `MorphodError`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 
 def printable(text: object) -> str:
-    """A text of the service with control characters escaped, and those that change the direction
-    of writing: a terminal that prints an error obeys none of them."""
+    """Escapes control characters in a text from the service, and characters that change the writing
+    direction, so that a terminal that prints an error does not interpret them."""
     return "".join(letter if unicodedata.category(letter) not in _CONTROLS else
                    letter.encode("unicode_escape").decode() for letter in str(text))
 
@@ -19,7 +19,7 @@ _CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 class MorphodError(Exception):
-    """Every error of this package."""
+    """Base class of every error of this package."""
 
 
 class BodyError(MorphodError, ValueError):
@@ -27,13 +27,13 @@ class BodyError(MorphodError, ValueError):
 
 
 class UnreachableError(MorphodError, ConnectionError):
-    """No service answered in time, although the request was repeated."""
+    """The service did not reply in time, although the request was retried."""
 
 
 class JobError(MorphodError):
     """A job failed, or was cancelled, while the caller waited for its result.
 
-    `job` is the job as the service last reported it; `job["error"]` says why.
+    `job` is the job as last reported by the service; `job["error"]` says why.
     """
 
     def __init__(self, message: str, job: Mapping[str, Any]) -> None:
@@ -46,14 +46,14 @@ class JobError(MorphodError):
 
 
 class WaitError(MorphodError, TimeoutError):
-    """The time for a wait is over; the job continues."""
+    """The time limit of a wait has passed; the job continues."""
 
 
 class ApiError(MorphodError):
-    """The service refused a request. The text has every fault that it named.
+    """The service refused a request. The text lists every fault that the service found.
 
     `status` is the HTTP status, `problem` the problem detail (RFC 9457), `faults` its list of
-    errors with `pointer`, `parameter` or `header`, `request_id` what to look for in the log.
+    errors with `pointer`, `parameter` or `header`, and `request_id` the id to look for in the log.
     """
 
     def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
@@ -86,16 +86,15 @@ class AccessError(ApiError):
 
 
 class NotFoundError(ApiError):
-    """The requested thing does not exist (404)."""
+    """The requested item does not exist (404)."""
 
 
 class ConflictError(ApiError):
-    """The state of the thing does not allow this (409)."""
+    """The state of the item does not allow this (409)."""
 
 
 class BusyError(ApiError):
-    """The service was too busy, starting or out of room for longer than retries took (429, 503,
-    507)."""
+    """The service was too busy, starting, or out of space during all retries (429, 503, 507)."""
 
 
 _BY_STATUS: dict[int, type[ApiError]] = {
@@ -114,13 +113,13 @@ _BY_STATUS: dict[int, type[ApiError]] = {
 
 
 def api_error(status: int, problem: Mapping[str, Any]) -> ApiError:
-    """The exception for a refusal."""
+    """Returns the exception for a refusal."""
     return _BY_STATUS.get(status, ApiError)(status, problem)
 
 
 @contextlib.contextmanager
 def reading() -> Iterator[None]:
-    """Wraps code that reads a reply: a reply of another form raises a `MorphodError`."""
+    """Wraps code that reads a reply: an unexpected format raises a `MorphodError`."""
     try:
         yield
     except MorphodError:

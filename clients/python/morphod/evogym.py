@@ -1,5 +1,5 @@
-"""Robots of EvoGym: rows of materials from the top, with the connections of their voxels, and
-worlds, the JSON files that hold robots and what is around them."""
+"""EvoGym robots: rows of materials from the top, with the connections of their voxels; and EvoGym
+worlds, JSON files with robots and their surroundings."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .errors import BodyError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_FIXED = 5  # the material of grounds and walls
-_SIDE_MAX = 1000  # of an object; a robot is smaller
+_FIXED = 5  # the material of ground and walls
+_SIDE_MAX = 1000  # maximum side of an object; a robot is smaller
 
 
 def is_pair(body: Any) -> bool:
-    """Whether this is a pair (body, connections), as EvoGym's `sample_robot` gives: its items have
-    items that have items."""
+    """Returns whether this is a pair (body, connections), as returned by EvoGym's `sample_robot`:
+    nested three levels deep."""
     many = (list, tuple, np.ndarray)
     return isinstance(body, (list, tuple)) and len(body) == 2 and isinstance(body[0], many) and (
         len(body[0]) > 0 and isinstance(body[0][0], many))
 
 
 def rows_of(body: Any) -> NDArray[Any]:
-    """The materials of a robot as an array [row, column]: integers, or booleans."""
+    """Returns the materials of a robot as an array [row, column]: integers, or booleans."""
     if not isinstance(body, np.ndarray):
         if not isinstance(body, Sequence) or isinstance(body, (str, bytes)):
             raise BodyError(f"{type(body).__name__} is not a robot of EvoGym: give rows of "
@@ -51,7 +51,7 @@ def rows_of(body: Any) -> NDArray[Any]:
 
 
 def upright(rows: NDArray[Any]) -> NDArray[np.bool_]:
-    """The voxels [x, y, z] of a robot, which gets a depth of two voxels."""
+    """Returns the voxels [x, y, z] of a robot, which gets a depth of two voxels."""
     plane = (rows[::-1] != 0).T  # [x, z]
     deep = np.zeros((plane.shape[0], 4, plane.shape[1]), dtype=np.bool_)
     deep[:, 2:4] = plane[:, np.newaxis]
@@ -59,7 +59,7 @@ def upright(rows: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def lost_of(rows: NDArray[Any], connections: Any = None) -> tuple[str, ...]:
-    """What a robot loses: its materials, and where adjacent voxels are not joined."""
+    """Returns what a robot loses: its materials, and where adjacent voxels are not connected."""
     lost = () if rows.dtype.kind == "b" else materials(rows)
     if connections is None:
         return lost
@@ -71,7 +71,7 @@ def lost_of(rows: NDArray[Any], connections: Any = None) -> tuple[str, ...]:
         raise BodyError("connections have the shape (2, n), not "
                         f"{pairs.shape}: pairs of places in the flat body, from 0")
     if pairs.size and ((pairs != np.floor(pairs)) | (pairs < 0) | (pairs >= rows.size)).any():
-        raise BodyError(f"connections name places from 0 to {rows.size - 1}; these have others")
+        raise BodyError(f"connections must be places from 0 to {rows.size - 1}")
     joined = {frozenset(pair) for pair in pairs.astype(np.int64).T.tolist()}
     touching = _touching(rows)
     if not joined <= touching:
@@ -82,7 +82,7 @@ def lost_of(rows: NDArray[Any], connections: Any = None) -> tuple[str, ...]:
 
 
 def _touching(rows: NDArray[Any]) -> set[frozenset[int]]:
-    """The pairs of adjacent voxels, by their places in the flat array."""
+    """Returns the pairs of adjacent voxels, by their positions in the flat array."""
     places = np.arange(rows.size).reshape(rows.shape)
     there = rows != 0
     right, down = there[:, 1:] & there[:, :-1], there[1:] & there[:-1]
@@ -99,11 +99,11 @@ def _apart(n: int) -> tuple[str, ...]:
     return (f"{pairs} not connected became connected",)
 
 
-# ---- worlds: voxels by index in a grid; its rows go upwards ----
+# ---- worlds: voxels by index in a grid; its rows go upward ----
 
 
 class Thing:
-    """An object of a world."""
+    """An object in a world."""
 
     def __init__(self, width: int, data: Mapping[str, Any]) -> None:
         indices = _whole(data["indices"], "indices")
@@ -119,13 +119,14 @@ class Thing:
         grid = np.zeros((z.max() + 1, x.max() + 1), dtype=np.int64)
         grid[z, x] = types
         self.rows = rows_of(grid[::-1])
-        """Materials from the top, as the arrays of EvoGym."""
+        """Materials from the top, like EvoGym's arrays."""
         self.is_fixed = set(types.tolist()) - {0} == {_FIXED}
         self.lost = _apart(self._unjoined(indices, x, z, data))
 
     def _unjoined(self, indices: NDArray[np.int64], x: NDArray[np.int64], z: NDArray[np.int64],
                   data: Mapping[str, Any]) -> int:
-        """Pairs of adjacent voxels that `neighbors` leaves apart; a file without it joins all."""
+        """Pairs of adjacent voxels that `neighbors` does not connect; a file without it connects
+        all."""
         neighbors = data.get("neighbors")
         if not neighbors:
             return 0
@@ -137,20 +138,20 @@ class Thing:
 
 
 def things(world: Any) -> dict[str, Thing]:
-    """The objects of a world by name."""
+    """Returns the objects of a world by name."""
     if not isinstance(world, Mapping) or not {"grid_width", "objects"} <= set(world):
-        raise BodyError("this JSON is not a world of EvoGym: it has no grid_width and objects")
+        raise BodyError("this JSON is not an EvoGym world: it has no grid_width and objects")
     try:
         width = int(_whole([world["grid_width"]], "grid_width")[0])
         if width < 1:
             raise ValueError("grid_width is not positive")
         return {name: Thing(width, data) for name, data in dict(world["objects"]).items()}
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise BodyError(f"this JSON is not a world of EvoGym: {error}") from None
+        raise BodyError(f"this JSON is not an EvoGym world: {error}") from None
 
 
 def _whole(values: Iterable[Any], what: str) -> NDArray[np.int64]:
-    """Whole numbers of a file."""
+    """Returns whole numbers from a file."""
     values = list(values)
     if any(isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value)
            for value in values):

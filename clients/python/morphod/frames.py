@@ -1,4 +1,4 @@
-"""Rows of the service as tables of pandas, which is imported when the first one is made."""
+"""Rows of the service as pandas tables; pandas is imported when the first one is made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def pandas() -> Any:
-    """The module, or an error that says how to get it."""
+    """Returns the module, or raises an error that says how to install it."""
     try:
         import pandas as module
     except ImportError:
@@ -22,7 +22,8 @@ def pandas() -> Any:
 
 
 def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A row whose nested objects are columns: {"score": {"mean": 1}} gives {"score_mean": 1}."""
+    """Returns a row with nested objects as columns: {"score": {"mean": 1}} becomes {"score_mean":
+    1}."""
     columns: dict[str, Any] = {}
     for name, value in row.items():
         if isinstance(value, Mapping):
@@ -33,8 +34,8 @@ def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def frame(rows: Iterable[Mapping[str, Any]], **constant: Any) -> pd.DataFrame:
-    """A table with a line per row, and before them the columns that are the same in all. null of
-    numbers becomes NaN."""
+    """Returns a table with one line per row, preceded by the columns that are equal in all. null
+    becomes NaN in numeric columns."""
     table = pandas().DataFrame([{**constant, **flat(row)} for row in rows])
     for name in table.columns:
         if table[name].dtype == object and _is_numeric(table[name]):
@@ -45,7 +46,7 @@ def frame(rows: Iterable[Mapping[str, Any]], **constant: Any) -> pd.DataFrame:
 
 @reading()
 def frame_of_columns(data: bytes) -> pd.DataFrame:
-    """The table of a reply in the form of columns."""
+    """Returns the table of a reply in the format `columns`."""
     columns: dict[str, Any] = read_envelope(data)["columns"]
     for name, values in columns.items():
         if not isinstance(values, list) and values.dtype.kind == "u":

@@ -26,28 +26,27 @@ if TYPE_CHECKING:
 
 _SIDES = ("X_Voxels", "Y_Voxels", "Z_Voxels")
 _ASCII_ZERO = 48
-_SIDE_MAX = 1000  # of a file's box; a robot is smaller
-_NAMES_MAX = 3  # in a sentence of what was left out
+_SIDE_MAX = 1000  # maximum side of a file's box; a robot is smaller
+_NAMES_MAX = 3  # in a sentence about what was left out
 
 
 def read_bodies(path: str | os.PathLike[str], names: str | Iterable[str] | None = None, *,
                 on_fault: OnFault = "refuse") -> list[Body]:
-    """The bodies in a file of another program, each with its `name` in the file:
+    """Returns the bodies in a file of another program, each with its `name` in the file:
 
-    - `.json`: a world of EvoGym; each of its objects is a body. Fixed objects, such as the ground,
+    - `.json`: an EvoGym world; each of its objects is a body. Fixed objects, such as the ground,
       are left out unless they are named.
     - `.vxd`, `.vxa`, `.vxc`: the structure of voxcraft or VoxCAD, in one piece or not
     - `.h5`, `.hdf5`: a population of the paper's authors (`robots/polycubes`, `robots/pc_hashes`).
       Needs h5py.
-    - `.npy`: an array of bodies, such as their `polycubes.npy`; all but its last three axes number
-      them
-    - `.npz`: a robot of EvoGym, as `np.savez(path, body, connections)` saves it, or arrays of
-      bodies
+    - `.npy`: an array of bodies, such as their `polycubes.npy`; all axes except the last three
+      number them
+    - `.npz`: an EvoGym robot, as `np.savez(path, body, connections)` saves it, or arrays of bodies
 
-    `names` are those of the bodies to read; without them all are read. What is not a body that fits
-    the workspace is refused or, with `on_fault="skip"`, left out. `Body.lost` says what was left
-    out, and which materials became one. Raises `BodyError`, which names the axis of a body that is
-    larger than the workspace.
+    `names` selects the bodies to read; without it all are read. Anything that is not a body or does
+    not fit the workspace is refused or, with `on_fault="skip"`, left out. `Body.lost` says what was
+    left out, and which materials became one. Raises `BodyError`, which reports the axis on which a
+    body is larger than the workspace.
     """
     path = pathlib.Path(path)
     kind = path.suffix.lower()
@@ -60,14 +59,14 @@ def read_bodies(path: str | os.PathLike[str], names: str | Iterable[str] | None 
     elif kind in (".npy", ".npz"):
         found = _arrays(path)
     else:
-        raise BodyError(f"{path.name} is not a file of bodies: .json, .vxd, .vxa, .vxc, .h5, "
-                        ".hdf5, .npy or .npz is expected")
+        raise BodyError(f"{path.name} is not a file of bodies: its suffix must be .json, .vxd, "
+                        ".vxa, .vxc, .h5, .hdf5, .npy or .npz")
     return _bodies(found, names, on_fault)
 
 
 @dataclasses.dataclass
 class _Found:
-    """Something in a file: rows of EvoGym, or voxels [x, y, z]."""
+    """An item of a file: rows of EvoGym, or voxels [x, y, z]."""
 
     name: str
     array: NDArray[Any]
@@ -115,7 +114,7 @@ def _bodies(found: Sequence[_Found], names: str | Iterable[str] | None,
 
 
 def _some(names: Sequence[str]) -> str:
-    """Names for a message, not too many."""
+    """Returns names for a message, limited in number."""
     more = len(names) - _NAMES_MAX
     return ", ".join(names[:_NAMES_MAX]) + (f" and {more} more" if more > 0 else "")
 
@@ -137,7 +136,8 @@ def _world(path: pathlib.Path) -> list[_Found]:
 
 
 def _arrays(path: pathlib.Path) -> list[_Found]:
-    """The arrays of a file of NumPy. Pickled objects are not loaded: they can run programs."""
+    """Returns the arrays of a NumPy file. Pickled objects are not loaded, because they can run
+    programs."""
     try:
         loaded = np.load(path, allow_pickle=False)
         if isinstance(loaded, np.ndarray):
@@ -154,13 +154,13 @@ def _arrays(path: pathlib.Path) -> list[_Found]:
     for name, array in arrays.items():
         if array.ndim < 3:
             raise BodyError(f"{name} has {array.ndim} axes; an array of bodies has 3 or more. "
-                            "Load a robot of EvoGym by np.load, and give it to Body.evogym")
+                            "Load an EvoGym robot with np.load, and pass it to Body.evogym")
         found += _places(array.reshape(-1, *array.shape[-3:]),
                          "body" if len(arrays) == 1 else name)
     return found
 
 
-# ---- voxcraft: a layer per z, in it rows of x ----
+# ---- voxcraft: one layer per z, with rows along x ----
 
 
 _OF_VOXCRAFT = {
@@ -168,7 +168,7 @@ _OF_VOXCRAFT = {
     "stiffness": ("Stiffness", "Elastic_Mod"),
     "cilia": ("Cilia", "CiliaForce", "BaseCiliaForce", "ShiftCiliaForce"),
 }
-"""What the programs know of a body besides its materials, by the tags that hold it."""
+"""What these programs store about a body besides its materials, by XML tag."""
 
 
 def _voxcraft(path: pathlib.Path) -> _Found:
@@ -201,12 +201,12 @@ def _voxcraft(path: pathlib.Path) -> _Found:
 
 
 def _says(element: ElementTree.Element) -> bool:
-    """Whether an element has more than zeros."""
+    """Returns whether an element has anything other than zeros."""
     return any(set(text) - set("0., \t\r\n") for text in element.itertext())
 
 
 def _layer(text: str, compression: str, n: int) -> NDArray[np.uint8]:
-    """The materials of a layer."""
+    """Returns the materials of a layer."""
     text = text.strip()
     try:
         if compression == "ASCII_READABLE":
@@ -248,8 +248,8 @@ def _population(path: pathlib.Path) -> NDArray[Any]:
 
 
 def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[Any]:
-    """The bodies (n, X, Y, Z) of a population, after a look whether the axes are those that its
-    hashes were made with: of the first bodies, since each takes 0.1 ms."""
+    """Returns the bodies (n, X, Y, Z) of a population, after checking the hashes of the first
+    bodies: they show whether the axes have the expected order. Each check takes 0.1 ms."""
     if polycubes.ndim != 4 or len(polycubes) != len(hashes):
         raise BodyError(f"robots/polycubes has the shape {polycubes.shape}, and there are "
                         f"{len(hashes)} hashes")
@@ -261,8 +261,9 @@ def check_hashes(polycubes: NDArray[Any], hashes: list[str]) -> NDArray[Any]:
 
 
 def _hash(polycube: NDArray[Any]) -> str:
-    """The authors' name of a form: of the images under rotations about z and reflections, cut to
-    the body, the one whose voxels come first; its sides and voxels hashed."""
+    """Returns the authors' name of a form. Of the images under rotations about z and reflections,
+    cropped to the body, it takes the one whose voxels come first, and hashes its sides and
+    voxels."""
     cells = np.argwhere(polycube == 1)
     if not cells.size:
         raise BodyError("a body of the population is empty")

@@ -1,4 +1,4 @@
-"""A service of one's own, for as long as it is needed."""
+"""A private service, for as long as it is needed."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .errors import MorphodError
 _START_S = 60.0
 _STOP_S = 60.0
 _SOCKET_MAX = 108
-"""Bytes of the address of a unix socket, with a zero at the end."""
+"""Maximum bytes of a unix socket's address, including the terminating zero."""
 
 
 class LocalClient(Client):
-    """A client whose service ends with it; see `local`."""
+    """A client that also stops its service; see `local`."""
 
     def __init__(self, state_dir: str | os.PathLike[str] | None,
                  binary: str | os.PathLike[str] | None, settings: dict[str, object]) -> None:
@@ -35,15 +35,15 @@ class LocalClient(Client):
             self.state_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
             self.log = base / "log" if state_dir is None else self.state_dir.parent / "morphod.log"
             ready = base / "addresses"
-            # The address of a unix socket has room for a short path only. The service takes the
-            # loopback address from its own user alone, too.
+            # The address of a unix socket has room only for a short path. Even at the loopback
+            # address, the service accepts only its own user.
             socket = base / "socket" if len(os.fsencode(base / "socket")) < _SOCKET_MAX else None
             command = [program, f"--state-dir={self.state_dir}", "--listen=127.0.0.1:0",
                        f"--port-file={ready}"]
             command += [f"--listen=unix:{socket}"] if socket is not None else []
             command += [f"--{name.replace('_', '-')}={value}" for name, value in settings.items()]
             with open(self.log, "ab") as log:
-                # In a session of its own: Ctrl-C is for the program, not for its service.
+                # In a separate session: Ctrl-C is for the program, not for its service.
                 self._process = subprocess.Popen(command, stdout=log, stderr=log,
                                                  stdin=subprocess.DEVNULL, start_new_session=True)
             self._guard = _Guard(self._process.pid)
@@ -57,7 +57,7 @@ class LocalClient(Client):
         atexit.register(self.close)
 
     def __reduce__(self) -> Any:
-        """A copy, or a client in another process, belongs to the same service, which continues."""
+        """A copy, or a client in another process, uses the same service, which continues."""
         address = self._connection.address
         return Client, (address.url if address.unix is None else f"unix:{address.unix}", )
 
@@ -94,9 +94,8 @@ class LocalClient(Client):
         shutil.rmtree(self._base, ignore_errors=True)
 
     def close(self) -> None:
-        """Closes the connections and stops the service. A `state_dir` that was given stays; a
-        temporary one is deleted. In a forked child the service continues: it belongs to the
-        parent."""
+        """Closes the connections and stops the service. A given `state_dir` stays; a temporary one
+        is deleted. In a forked child the service continues, because it belongs to the parent."""
         if os.getpid() != self._pid:
             return
         atexit.unregister(self.close)
@@ -105,8 +104,8 @@ class LocalClient(Client):
 
 
 class _Guard:
-    """Ends a process when this one ends, however it does, and whichever thread started it: a shell
-    reads a pipe that this process alone can write to, and sends SIGTERM when the pipe breaks."""
+    """Ends a process when this one ends, in whatever way, and whichever thread started it: a shell
+    reads a pipe that only this process can write to, and sends SIGTERM when the pipe breaks."""
 
     def __init__(self, pid: int) -> None:
         end, self._pipe = os.pipe()
@@ -119,14 +118,15 @@ class _Guard:
         _guards.add(self)
 
     def close(self) -> None:
-        """Watches no longer: the process has not ended yet, so that its number is its own."""
+        """Stops watching: the process has not ended yet, so its number is still its own."""
         _guards.discard(self)
         self._shell.kill()
         self._shell.wait()
         os.close(self._pipe)
 
     def leave(self) -> None:
-        """In a forked child: the pipe breaks when the parent ends, not when the child does, too."""
+        """In a forked child: the pipe must break when the parent ends, without waiting for the
+        child."""
         os.close(self._pipe)
 
 
@@ -145,23 +145,23 @@ def _binary(given: str | os.PathLike[str] | None) -> str:
     name = os.fspath(given) if given is not None else os.environ.get("MORPHOD_BINARY", "morphod")
     found = shutil.which(name)
     if found is None:
-        raise MorphodError(f"there is no program {name}: install morphod, or name it with binary= "
+        raise MorphodError(f"program {name} not found: install morphod, or specify it with binary= "
                            "or $MORPHOD_BINARY")
     return found
 
 
 def local(state_dir: str | os.PathLike[str] | None = None, *,
           binary: str | os.PathLike[str] | None = None, **settings: object) -> LocalClient:
-    """Starts a service on this machine, and returns a client of it.
+    """Starts a service on this machine, and returns a client for it.
 
-    Without `state_dir` everything that it stores is deleted at the end; with it a later `local`
-    continues where this one ended, campaigns included. `binary` is the program, otherwise
-    $MORPHOD_BINARY or `morphod` on the path. `settings` are those of docs/configuration.md, such
-    as `workers=4`. Use it in a `with` statement, or call `close`::
+    Without `state_dir`, everything that it stores is deleted at the end. With it, a later `local`
+    continues where this one ended, including campaigns. `binary` is the program, otherwise
+    $MORPHOD_BINARY or `morphod` on the path. `settings` are those of docs/configuration.md, such as
+    `workers=4`. Use it in a `with` statement, or call `close`::
 
         with morphod.local() as m:
             m.evaluate([[[2, 2, 0]]]).scores
 
-    `url` of the client is the address of its dashboard.
+    The client's `url` is the address of its dashboard.
     """
     return LocalClient(state_dir, binary, settings)

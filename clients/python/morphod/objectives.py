@@ -23,7 +23,7 @@ _OF_BODY: dict[str, Callable[[Body], float]] = {
 
 
 class Plan:
-    """What an `Objective` does besides asking the service."""
+    """The parts of an `Objective` that do not send requests."""
 
     def __init__(self, measures: Sequence[Any] | None,
                  decode: Callable[[Any], BodyLike] | None, worst: float, maximize: bool) -> None:
@@ -38,8 +38,8 @@ class Plan:
         self.needs_path = _PATH in (measures or ())
 
     def read(self, solutions: Any) -> tuple[list[Body | None], bool]:
-        """The bodies, None for a solution without a voxel, and whether there is one solution that
-        is not in a list."""
+        """Returns the bodies, with None for a solution without voxels, and whether there is a
+        single solution that is not in a list."""
         if self.decode is None:
             solutions = _listed(solutions)
         single = self._is_single(solutions)
@@ -56,7 +56,7 @@ class Plan:
         single = _is_one(solutions)
         if self.measures is not None:
             if single and self.decode is None:
-                raise BodyError("with measures, an objective takes many solutions: put this one in "
+                raise BodyError("with measures, an objective needs many solutions: put this one in "
                                 "brackets")
             return False
         return single
@@ -70,7 +70,7 @@ class Plan:
             solution = np.asarray(solution)  # of a table or a tensor
         if isinstance(solution, np.ndarray):
             if solution.ndim != 3 and solution.shape != (_VOXELS, ):
-                raise BodyError(f"an array of the shape {solution.shape} is given; {_SHAPES} are "
+                raise BodyError(f"got an array of the shape {solution.shape}; {_SHAPES} are "
                                 "expected")
             voxels = above_half(solution)
             solution = voxels.reshape(WORKSPACE) if voxels.ndim == 1 else voxels
@@ -80,7 +80,8 @@ class Plan:
 
     def write(self, bodies: list[Body | None], scores: NDArray[np.float64] | None, paths: Any,
               single: bool) -> Any:
-        """What the optimizer needs; scores and paths are of the bodies that are there."""
+        """Returns what the optimizer needs; scores and paths are those of the bodies that are not
+        None."""
         there = np.array([body is not None for body in bodies], dtype=np.bool_)
         losses = np.full(len(bodies), self.worst)
         if scores is not None:
@@ -95,14 +96,16 @@ class Plan:
 
     @property
     def names(self) -> list[str]:
-        """The measures by name. Functions have theirs, except those without a plain name."""
+        """Returns the measures by name. Functions have their own names, except those without a
+        plain name."""
         given = [getattr(measure, "__name__", "") if callable(measure) else measure
                  for measure in self.measures or ()]
         return [name if name.isidentifier() and name not in given[:place] else f"measure_{place}"
                 for place, name in enumerate(given)]
 
     def values(self, bodies: Sequence[Body | None]) -> NDArray[np.float64]:
-        """The measures (n, measures) of bodies; 0 for a path, and for an invalid body."""
+        """Returns the measures (n, measures) of bodies, with 0 for a path and for an invalid
+        body."""
         measures = self.measures or ()
         table = np.zeros((len(bodies), len(measures)))
         for column, measure in enumerate(measures):
@@ -113,7 +116,7 @@ class Plan:
 
 
 def _listed(solutions: Any) -> Any:
-    """One solution, or solutions with a length and an order."""
+    """Returns one solution, or solutions with a length and an order."""
     if getattr(solutions, "ndim", 0) > 0 and not isinstance(solutions, np.ndarray):
         solutions = np.asarray(solutions)  # of a table or a tensor
     if isinstance(solutions, np.ndarray) and solutions.ndim == 1 and solutions.dtype.kind in "OU":
@@ -133,7 +136,7 @@ def _is_one(solutions: Any) -> bool:
         return solutions.ndim == 1 or solutions.shape == WORKSPACE
     if isinstance(solutions, (str, bytes, Body, Mapping)):
         return True
-    # A list of numbers is one vector, a list of cells one body.
+    # A list of numbers is one vector; a list of cells is one body.
     first = solutions[0] if len(solutions) else None
     return _is_number(first) or (isinstance(first, (list, tuple)) and len(first) == 3 and
                                  all(map(_is_number, first)))

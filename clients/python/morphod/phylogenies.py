@@ -19,13 +19,13 @@ NONE = 4294967295
 
 
 class Phylogeny:
-    """Columns of a row per design, in order of birth.
+    """Columns with one row per design, in order of birth.
 
-    `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent), `born` and `died`
-    generations (`alive` marks the living), `operator` places in `operators`, `score` float32 with
-    NaN where a rollout diverged, `lower_bound` bool (it was cut short, because the design could not
-    survive: its score is at least this), `voxels` and `footprint` uint8, `measures` float64 by
-    name, of a study. A million designs are a few arrays of a few megabytes.
+    `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent). `born` and `died` are
+    generations (`alive` marks the living). `operator` has indices into `operators`. `score` is
+    float32, with NaN if a rollout diverged. `lower_bound` is bool: the design could not survive, so
+    it was cut short, and its score is at least this. `voxels` and `footprint` are uint8, and
+    `measures` of a study float64, by name. A million designs are a few arrays of a few megabytes.
     """
 
     @reading()
@@ -44,7 +44,7 @@ class Phylogeny:
         self.footprint = columns["footprint"]
         self.measures = {name.partition(".")[2]: column for name, column in columns.items()
                          if name.startswith("measures.")}
-        # A whole phylogeny may come without numbers: they are the places.
+        # A whole phylogeny may come without numbers, because they equal the positions.
         self.number = columns.get("number", np.arange(len(self.parent), dtype=np.uint32))
         self.alive: NDArray[np.bool_] = self.died == np.iinfo(self.died.dtype).max
 
@@ -55,9 +55,9 @@ class Phylogeny:
         return f"Phylogeny({len(self)} designs, {int(self.alive.sum())} alive)"
 
     def frame(self) -> pd.DataFrame:
-        """A table with the index `number`: parent and other_parent (nullable integers), born, died
-        (nullable), operator (categories), score, lower_bound, voxels, footprint, and the measures
-        of a study."""
+        """Returns a table with the index `number`: parent and other_parent (nullable integers),
+        born, died (nullable), operator (categories), score, lower_bound, voxels, footprint, and the
+        measures of a study."""
         module = pandas()
 
         def nullable(column: NDArray[Any], absent: NDArray[np.bool_]) -> Any:
@@ -81,7 +81,8 @@ class Phylogeny:
         return table
 
     def to_networkx(self) -> Any:
-        """A `networkx.DiGraph` with an edge from each parent to its child. Needs networkx."""
+        """Returns a `networkx.DiGraph` with an edge from each parent to its child. Needs
+        networkx."""
         try:
             import networkx
         except ImportError:
@@ -99,8 +100,8 @@ class Phylogeny:
         return graph
 
     def to_newick(self) -> str:
-        """Each design on its first parent, one tree per line; labels are n and the number, lengths
-        of branches generations."""
+        """Returns each design below its first parent, one tree per line; labels are n and the
+        number, and branch lengths are generations."""
         children: dict[int, list[int]] = {}
         place = {number: at for at, number in enumerate(self.number.tolist())}
         parents = self.parent.tolist()
@@ -111,7 +112,7 @@ class Phylogeny:
             else:
                 roots.append(number)
         born = self.born.tolist()
-        # From the last to the first: children are born after their parents.
+        # From last to first: children are born after their parents.
         text: dict[int, str] = {}
         for number in reversed(self.number.tolist()):
             own = children.get(number, ())
@@ -122,7 +123,7 @@ class Phylogeny:
         return "".join(f"{text[root]};\n" for root in roots)
 
     def to_dendropy(self) -> Any:
-        """A `dendropy.TreeList` of the trees of `to_newick`. Needs DendroPy."""
+        """Returns a `dendropy.TreeList` of the trees of `to_newick`. Needs DendroPy."""
         try:
             import dendropy
         except ImportError:

@@ -15,12 +15,12 @@ import numpy as np
 from .errors import MorphodError
 from .scenes import Scene
 
-# Blue, orange, green, pink, gray, yellow: the color-blind can distinguish them.
+# Blue, orange, green, pink, gray, yellow: color-blind people can distinguish them.
 _COLORS = ("#5aa9e6", "#f3a536", "#3fae8c", "#d77fb4", "#a9b4c0", "#e2d04b")
 
 
 class Player:
-    """Robots that walk. In a notebook it shows itself; `save` writes it as one HTML file."""
+    """Robots that walk. It shows itself in a notebook; `save` writes it as one HTML file."""
 
     def __init__(self, page: str) -> None:
         self.html = page
@@ -36,8 +36,8 @@ class Player:
 
 
 def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, str, None]:
-    """Makes a player. Yields the paths of the files of the dashboard that it needs, takes their
-    texts, and yields the player at last. `index` is the text of the dashboard's page."""
+    """Makes a player. Yields the path of each dashboard file that it needs, expects the file's text
+    in return, and finally yields the player. `index` is the text of the dashboard's page."""
     found = re.search(r"assets/[0-9a-f]{16}", index)
     if found is None:
         raise MorphodError("the service has no dashboard, so there are no players: it runs with "
@@ -68,13 +68,13 @@ def player_of(index: str, scene: Scene, title: str) -> Generator[str | Player, s
 def _part(source: str, pattern: str) -> str:
     found = re.search(pattern, source, re.DOTALL)
     if found is None:
-        raise MorphodError("the dashboard of this service is of another version than this package: "
+        raise MorphodError("the dashboard of this service has another version than this package: "
                            "install the package of the service's version")
     return found[1]
 
 
 def _inline(source: str) -> str:
-    """A module's source as part of one script: its imports are already there."""
+    """Returns a module's source as part of one script, which already has its imports."""
     source = re.sub(r"^import [^;]*;$", "", source, flags=re.MULTILINE)
     return re.sub(r"^export (?=(const|function|class|async))", "", source, flags=re.MULTILINE)
 

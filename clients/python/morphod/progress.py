@@ -1,4 +1,4 @@
-"""How far a job is, on a terminal or in a notebook: by tqdm where it is installed."""
+"""The progress of a job, on a terminal or in a notebook; uses tqdm if it is installed."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 class Bar:
-    """A bar of tqdm on a terminal and in a notebook; elsewhere, and without tqdm, a line on
-    standard error every few seconds."""
+    """A tqdm bar on a terminal and in a notebook; elsewhere, and without tqdm, a line on standard
+    error every few seconds."""
 
     EVERY_S = 5.0
 
@@ -34,8 +34,8 @@ class Bar:
         self._bar = tqdm(total=total, desc=title, unit=unit)
 
     def update(self, done: int, total: int, doing: str = "", **more: Any) -> None:
-        """`doing` is what the job does at this moment, `more` are numbers beside it; those that
-        are None are left out."""
+        """`doing` describes the job's current activity, and `more` are additional numbers; those
+        that are None are omitted."""
         known = {name: value for name, value in more.items() if value is not None}
         if self._bar is not None:
             self._bar.total = total
@@ -64,8 +64,8 @@ class Bar:
 
 
 def doing(job: Mapping[str, Any]) -> str:
-    """What a job does while no step of it ends: "drawing the pretraining's bodies, 2 %, 2:20
-    left"; empty where it has ended."""
+    """Describes what a job does while none of its steps ends: "drawing the pretraining's bodies, 2
+    %, 2:20 left"; empty if it has ended."""
     phase, progress = job.get("phase"), job.get("progress") or {}
     if job["state"] == "queued" and job.get("n_waiting"):
         stored = job["n_designs"] - job["n_waiting"]
@@ -88,7 +88,7 @@ _PHASES = {"preparing": "drawing the pretraining's bodies", "replaying": "drawin
 
 
 def clock(seconds: float) -> str:
-    """Seconds as 2:20, or 1:02:20."""
+    """Formats seconds as 2:20, or 1:02:20."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

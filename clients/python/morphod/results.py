@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 class Result:
     """The scores of one design in all environments of its evaluation.
 
-    `robot` names what has the score, the design in the orientation that was simulated (ID@K), and
-    `genotype` has its voxels. `id` is the design in all orientations, which have scores of their
-    own. `orientation` says how the orientation was chosen for an id alone: "best" stored score, or
-    "canonical" because there was none; None: it was given. `lost` has what the conversion and the
-    repair of the body left out. `fault` is None, or why there was no body to score: then `id`,
-    `robot` and `genotype` are empty, and the score is NaN. `lower_bound` says that the score is
-    one, because the design cannot be among the `best` that were requested.
+    `robot` is the scored design in the orientation that was simulated (ID@K), and `genotype` has
+    its voxels. `id` stands for the design in all orientations, which have separate scores.
+    `orientation` says how the orientation was chosen for an id without one: "best" stored score, or
+    "canonical" because there was none. It is None if the orientation was given. `lost` says what
+    the conversion and the repair of the body left out. `fault` is None, or why there was no body to
+    score: then `id`, `robot` and `genotype` are empty, and the score is NaN. `lower_bound` is true
+    if the score is a lower bound, because the design cannot be among the `best` that were
+    requested.
     """
 
     @reading()
@@ -49,13 +50,13 @@ class Result:
     @property
     @reading()
     def body(self) -> Body:
-        """What was simulated."""
+        """The body that was simulated."""
         return Body.of(self.genotype)
 
     @property
     @reading()
     def losses(self) -> NDArray[np.float64]:
-        """One per environment; NaN where the rollout diverged, or was not needed."""
+        """One per environment; NaN if the rollout diverged, or was not needed."""
         return np.array(self.data["losses"], dtype=np.float64)
 
     def __repr__(self) -> str:
@@ -63,10 +64,10 @@ class Result:
 
 
 class Batch:
-    """A batch of a study: its children by their places, with scores.
+    """A batch of a study: its children by position, with scores.
 
-    `number` is that of the batch, `numbers` has those of the designs (None: skipped), `notes` what
-    was skipped or repaired, `data` all that the service returned.
+    `number` is the number of the batch, `numbers` has those of the designs (None if skipped),
+    `notes` says what was skipped or repaired, and `data` is the whole reply of the service.
     """
 
     @reading()
@@ -86,14 +87,14 @@ class Batch:
     @property
     @reading()
     def scores(self) -> NDArray[np.float64]:
-        """(children,): mean losses, lower is better; NaN: skipped, or a rollout diverged."""
+        """(children,): mean losses, lower is better; NaN if skipped, or if a rollout diverged."""
         return np.array([None if row is None else row["score"] for row in self.rows],
                         dtype=np.float64)
 
     @property
     @reading()
     def losses(self) -> NDArray[np.float64]:
-        """(children, environments); NaN: skipped, diverged, or computed by another version."""
+        """(children, environments); NaN if skipped, diverged, or computed by another version."""
         rows = [(row or {}).get("losses") or () for row in self.rows]
         table = np.full((len(rows), max(map(len, rows), default=0)), np.nan)
         for place, row in enumerate(rows):
@@ -103,12 +104,12 @@ class Batch:
     @property
     @reading()
     def bodies(self) -> list[Body | None]:
-        """What was scored; None: skipped."""
+        """The body that was scored; None if it was skipped."""
         return [None if row is None else Body.of(row["genotype"]) for row in self.rows]
 
     @reading()
     def frame(self) -> pd.DataFrame:
-        """A table with a line per child that was born."""
+        """Returns a table with a row per child that was born."""
         return frame(self.data["children"])
 
     def __repr__(self) -> str:
@@ -116,7 +117,7 @@ class Batch:
 
 
 class Asked:
-    """Bodies that a study asks to try: `bodies`, with their `parents` and `operators`."""
+    """Bodies that a study suggests: `bodies`, with their `parents` and `operators`."""
 
     @reading()
     def __init__(self, data: Mapping[str, Any]) -> None:
@@ -135,7 +136,7 @@ class Asked:
 def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence[int]] | None,
                 operator: str | Sequence[str] | None,
                 measures: Mapping[str, Iterable[float]] | None) -> list[dict[str, Any]]:
-    """The children of a batch as the service takes them."""
+    """Returns the children of a batch in the format of the service."""
     columns: dict[str, Sequence[Any]] = {"body": designs}
     if parents is not None:
         columns["parents"] = [[int(number) for number in row] for row in parents]
@@ -155,15 +156,15 @@ def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence
 
 def _measure(name: str, value: float) -> float | None:
     if math.isinf(value):
-        raise ValueError(f"measure {name!r} is {value}: finite numbers are stored, and NaN stands "
+        raise ValueError(f"measure {name!r} is {value}: numbers must be finite; NaN stands "
                          "for no value")
     return None if math.isnan(value) else float(value)
 
 
 class Controller:
-    """A controller: its file, and what is known of it.
+    """A controller: its file, and information about it.
 
-    `data` is what the service knows of it, `content` the bytes of its safetensors file.
+    `data` is the service's information about it, `content` the bytes of its safetensors file.
     """
 
     @reading()
@@ -189,7 +190,7 @@ class Controller:
         return None if text is None else float(text)
 
     def torch(self) -> Any:
-        """The controller as a `torch.nn.Module`. Needs torch."""
+        """Returns the controller as a `torch.nn.Module`. Needs torch."""
         return torch_module(self.arrays)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -1,7 +1,7 @@
 """Scenes and columns: replies of the type application/vnd.morphod.scene.
 
-A scene is a JSON header and arrays behind it (docs/scenes.md of morphod). Arrays are views of the
-reply's bytes: nothing is copied, and they cannot be written.
+A scene is a JSON header followed by arrays (docs/scenes.md of morphod). Arrays are views into the
+reply's bytes: nothing is copied, and they are read-only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Environments = str | Sequence[Mapping[str, Any]]
 """The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
-`terrain_heights_m` (64 numbers, or an array (8, 8) as scenes have it, row y and column x) or
+`terrain_heights_m` (64 numbers, or an array (8, 8) as in scenes, with row y and column x) or
 `terrain_sigma_m` and `seed`."""
 
 MEDIA_TYPE = "application/vnd.morphod.scene"
@@ -39,8 +39,8 @@ _TYPES: dict[str, np.dtype[Any]] = {
 
 @reading()
 def read_envelope(data: bytes) -> dict[str, Any]:
-    """The header, with an array wherever it describes one. Raises `MorphodError` for bytes that are
-    no scene, or end early."""
+    """Returns the header, with an array wherever it describes one. Raises `MorphodError` for bytes
+    that are not a scene, or that end early."""
     length = int.from_bytes(data[:4], "little")
     if len(data) < 4 or len(data) < 4 + length:
         raise MorphodError("the bytes end before the header of the scene does")
@@ -56,7 +56,7 @@ def read_envelope(data: bytes) -> dict[str, Any]:
 
 @reading()
 def read_npy(data: bytes) -> NDArray[Any]:
-    """The array of a .npy file. It is a view of the bytes, and cannot be written."""
+    """Returns the array in a .npy file. It is a view into the bytes, and read-only."""
     if data[:8] != b"\x93NUMPY\x01\x00":
         raise MorphodError("not a NumPy array file of version 1")
     start = 10 + int.from_bytes(data[8:10], "little")
@@ -77,8 +77,8 @@ def _with_arrays(value: Any, data: bytes, first: int) -> Any:
 def _array(described: dict[str, Any], data: bytes, first: int) -> NDArray[Any]:
     kind = _TYPES.get(described["type"])
     if kind is None:
-        raise MorphodError(f"a scene has an array of the type {described['type']!r}, which this "
-                           "version of the package does not know: upgrade it")
+        raise MorphodError(f"the scene has an array of type {described['type']!r}, which this "
+                           "version of the package does not support: upgrade it")
     count = int(np.prod(described["shape"], dtype=np.int64))
     start = first + described["offset"]
     if start + count * kind.itemsize > len(data):
@@ -91,8 +91,8 @@ def _array(described: dict[str, Any], data: bytes, first: int) -> NDArray[Any]:
 class Rollout:
     """One robot in one environment.
 
-    `masses_m` has the shape (frames, masses, 3), `com_m` (frames, 3), in meters; None where it was
-    not recorded. `more` has every other array that was recorded, by name.
+    `masses_m` has the shape (frames, masses, 3), `com_m` (frames, 3), in meters; None if not
+    recorded. `more` has every other recorded array, by name.
     """
 
     design: int
@@ -105,10 +105,10 @@ class Rollout:
 
 
 class Scene:
-    """Bodies, worlds and rollouts of one reply.
+    """Bodies, environments and rollouts of one reply.
 
-    `header` has everything by the names of docs/scenes.md, with arrays in their places; `data` is
-    the reply itself, which the players of the dashboard and of notebooks read.
+    `header` has everything with the names of docs/scenes.md, including the arrays; `data` is the
+    reply itself, which the players in the dashboard and in notebooks read.
     """
 
     @reading()
@@ -137,7 +137,7 @@ class Scene:
 
     @property
     def scores(self) -> NDArray[np.float64]:
-        """Mean loss of each design (designs,); NaN where a rollout diverged."""
+        """Mean loss of each design (designs,); NaN if a rollout diverged."""
         return np.array([np.nan if design["score"] is None else design["score"]
                          for design in self.designs])
 

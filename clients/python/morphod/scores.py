@@ -1,4 +1,4 @@
-"""Files of scores: blocks, each with 12 bytes before it that say how long it is."""
+"""Files of scores: blocks, each preceded by 12 bytes with its length."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ _BLOCK_MAX = 96 << 20
 
 @dataclasses.dataclass
 class Entered:
-    """What became of the scores of a file, in rollouts.
+    """The result of importing a file of scores, in rollouts.
 
-    `new` were not stored, `known` were, with the same bits; `different` are stored with other bits
-    and were left out. `differences` has the first of each block, as the service reports them.
+    `new` were not stored before, `known` were stored with the same bits; `different` are stored
+    with other bits and were left out. `differences` has the first ones of each block, as reported
+    by the service.
     """
 
     new: int = 0
@@ -28,7 +29,7 @@ class Entered:
     differences: list[Mapping[str, Any]] = dataclasses.field(default_factory=list)
 
     def add(self, reply: Mapping[str, Any]) -> None:
-        """Counts the scores of a block."""
+        """Adds the counts of a block."""
         self.new += reply["new"]
         self.known += reply["known"]
         self.different += reply["different"]
@@ -36,7 +37,7 @@ class Entered:
 
 
 def blocks(path: str | os.PathLike[str]) -> Iterator[bytes]:
-    """The blocks of a file, one after the other."""
+    """Yields the blocks of a file, one after the other."""
     with open(path, "rb") as file:
         while head := file.read(12):
             size = 0

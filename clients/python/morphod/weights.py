@@ -1,4 +1,4 @@
-"""Controllers as arrays: safetensors files, read and written with NumPy alone."""
+"""Controllers as arrays: safetensors files, read and written with only NumPy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ _NAMES = {np.dtype(code): name for name, code in _TYPES.items()}
 
 
 def read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """The tensors of a safetensors file by name, and its metadata. Raises `MorphodError`."""
+    """Returns the tensors of a safetensors file by name, and its metadata. Raises
+    `MorphodError`."""
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > _HEADER_MAX or len(data) < 8 + length:
         raise MorphodError("this is not a safetensors file: it ends before its header does")
@@ -40,8 +41,8 @@ def read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, st
 
 def write_safetensors(tensors: Mapping[str, Any], metadata: Mapping[str, str] | None = None
                       ) -> bytes:
-    """A safetensors file of the tensors, in their order: NumPy arrays, or what `numpy.asarray`
-    takes, such as the tensors of a `state_dict` of torch on the CPU."""
+    """Returns a safetensors file with the tensors, in their order: NumPy arrays, or anything that
+    `numpy.asarray` accepts, such as the tensors of a torch `state_dict` on the CPU."""
     header: dict[str, Any] = {}
     if metadata:
         header["__metadata__"] = dict(metadata)
@@ -64,8 +65,8 @@ def write_safetensors(tensors: Mapping[str, Any], metadata: Mapping[str, str] | 
 
 
 def torch_module(tensors: Mapping[str, NDArray[Any]]) -> Any:
-    """The controller as a `torch.nn.Module`, whose `state_dict` has the names of the file: linear
-    layers, layer norms with ReLU behind them, tanh at the end. Needs torch."""
+    """Returns the controller as a `torch.nn.Module` with the names of the file in its `state_dict`:
+    linear layers, layer norms followed by ReLU, and tanh at the end. Needs torch."""
     try:
         import torch
     except ImportError:

@@ -38,18 +38,18 @@ _DESIGNS_MAX = 10000
 _LARGE_MAX = 1000000
 _RANDOM_BODIES_MAX = 1000000
 _LOOK_UP_S = 5.0
-"""How long an interrupt looks for the job that continues."""
+"""How long an interrupted call looks for the job that continues."""
 
 
 class AsyncClient:
     """A client of a morphod service.
 
-    `server` is `http://host:port`, `https://…` or `unix:/path`; without it $MORPHOD_SERVER, then
-    http://127.0.0.1:8765. `token` is needed where the service asks for one; without it
-    $MORPHOD_TOKEN. While the service is away (a restart, an upgrade), busy or full, requests are
-    repeated for `retry_s` seconds; submissions carry a key, so that none is accepted twice.
+    `server` is `http://host:port`, `https://…` or `unix:/path`; the default is $MORPHOD_SERVER, or
+    else http://127.0.0.1:8765. `token` is needed if the service requires one; the default is
+    $MORPHOD_TOKEN. While the service is unavailable (a restart, an upgrade), busy or full, requests
+    are retried for `retry_s` seconds. Submissions have a key, so none is accepted twice.
 
-    Refused requests raise `morphod.ApiError`, which has the faults that the service named.
+    Refused requests raise `morphod.ApiError`, which lists the faults that the service found.
     """
 
     def __init__(self, server: str | None = None, token: str | None = None, *,
@@ -90,21 +90,21 @@ class AsyncClient:
         recorded, and `table()` reads the results in pages. To score random bodies without sending
         them, see `evaluate_random`.
 
-        `wait=False` returns at once; the evaluation is durable then. `record` takes "com" and
-        "masses", kept at every `record_stride` steps. `physics` overrides single numbers, such as
-        `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies that are not in one
-        piece. `on_fault="skip"` skips invalid bodies; their results have a `fault` and NaN.
-        `best=10` computes the whole scores of the ten best only; the others are cut short, and have
-        lower bounds. An id alone is scored in the orientation with the best stored score, or else
-        in the canonical one; `Result.orientation` says which.
+        `wait=False` returns at once, when the evaluation is durable. `record` accepts "com" and
+        "masses", which are recorded every `record_stride` steps. `physics` overrides single
+        numbers, such as `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies
+        that are not in one piece. `on_fault="skip"` skips invalid bodies; their results have a
+        `fault` and NaN. `best=10` computes complete scores only for the ten best; the others are
+        cut short, and have lower bounds. An id without an orientation is scored in the orientation
+        with the best stored score, or else in the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _LARGE_MAX:
-            raise ValueError(f"an evaluation takes 1 to {_LARGE_MAX} bodies, not {len(designs)}")
+            raise ValueError(f"an evaluation needs 1 to {_LARGE_MAX} bodies, got {len(designs)}")
         is_large = len(designs) > _DESIGNS_MAX
         if is_large:
             designs = packed(designs)
-            warn_of_lost(lost)  # the results come in pages, which do not have it
+            warn_of_lost(lost)  # results in pages do not have it
         value: dict[str, Any] = {
             "designs": designs, "environments": environments, "controller": controller,
             "precision": precision, "weight": weight, "device": device, "verify": verify,
@@ -127,7 +127,8 @@ class AsyncClient:
         return evaluation
 
     async def _interrupted(self, request: Request) -> KeyboardInterrupt:
-        """The exception for an interrupted submission. The key finds the job, if there is one."""
+        """Returns the exception for an interrupted submission. The key finds the job, if there is
+        one."""
         connection = copy.copy(self._connection)
         connection.retry_s, request.timeout_s = 0.0, _LOOK_UP_S
         request.headers.pop("Prefer", None)
@@ -148,12 +149,12 @@ class AsyncClient:
                               weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                               label: str | None = None, experiment: str | None = None,
                               best: int | None = None, wait: bool = True) -> AsyncEvaluation:
-        """Scores the bodies of `random_bodies(count, seed, first=first)`, up to 1,000,000 of them
-        in one evaluation, with one `best` over all: nothing is sent. The service draws and stores
-        them first; until then it is queued.
+        """Scores the bodies of `random_bodies(count, seed, first=first)` without sending them: up
+        to 1,000,000 in one evaluation, with one `best` for all. The service first draws and stores
+        them; until then the evaluation is queued.
 
-        The results of more than 10,000 are read in pages, by `table()`; `table(whole=True)` reads
-        only those that are not lower bounds.
+        With more than 10,000 bodies, `table()` reads the results in pages; `table(whole=True)`
+        reads only those that are not lower bounds.
         """
         value: dict[str, Any] = {
             "random": {"count": count, "seed": seed, "first": first},
@@ -183,7 +184,7 @@ class AsyncClient:
                        precision: Literal["float32", "float64"] = "float32",
                        repair: Repair | None = None) -> Scene:
         """Computes up to 64 rollouts and their recordings without storing them, for viewers and
-        editors. The losses are those of an evaluation, bit for bit."""
+        editors. The losses are the same as in an evaluation, bit for bit."""
         request = Request.post("/v1/rollouts", without_none({
             "designs": designs_of(bodies), "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
@@ -196,8 +197,8 @@ class AsyncClient:
                    environment: int = 0, controller: str = "default",
                    physics: Mapping[str, Any] | None = None, repair: Repair | None = None,
                    title: str = "Robots of morphod") -> Player:
-        """Robots that walk in one environment: a player for notebooks, which `save` writes as one
-        HTML file."""
+        """Returns robots that walk in one environment: a player for notebooks, which `save` writes
+        as one HTML file."""
         if isinstance(environments, str):
             known = await self._connection.json(Request.get(f"/v1/environment-sets/{environments}"))
             world: Mapping[str, Any] = world_of(known, environment)
@@ -212,12 +213,12 @@ class AsyncClient:
 
     async def random_bodies(self, count: int, seed: int | None = None, *,
                             first: int = 0) -> NDArray[np.bool_]:
-        """Distinct random bodies (count, 6, 6, 4), as trainings draw them, none a rotation or
-        reflection of another; nothing is stored. A seed (1 by default) has 1,000,000 bodies, always
-        the same; these are `first`, `first + 1`, … of them. Two seeds have bodies in common: for
-        more bodies, continue with `first`."""
+        """Returns distinct random bodies (count, 6, 6, 4), as trainings draw them, none a rotation
+        or reflection of another; nothing is stored. A seed (1 by default) has 1,000,000 bodies,
+        always the same; this returns number `first`, `first + 1`, … of them. Two seeds share
+        bodies: for more bodies, increase `first`."""
         if count < 1 or first < 0 or first + count > _RANDOM_BODIES_MAX:
-            raise ValueError(f"a seed has the bodies 0 to {_RANDOM_BODIES_MAX - 1}, not {first} to "
+            raise ValueError(f"a seed has the bodies 0 to {_RANDOM_BODIES_MAX - 1}, got {first} to "
                              f"{first + count - 1}; count is at least 1")
         made: list[dict[str, Any]] = []
         for place in range(first, first + count, _DESIGNS_MAX):
@@ -227,16 +228,16 @@ class AsyncClient:
 
     async def mutate(self, bodies: Iterable[BodyLike] | NDArray[Any], seed: int | None = None, *,
                      children: int = 1, rate: float | None = None) -> NDArray[np.bool_]:
-        """Mutants as campaigns make them: `children` of each body, (bodies · children, 6, 6, 4), in
-        the order of the bodies. Each differs from all bodies and all other mutants. `rate` is the
-        probability that a voxel flips; without it 1/144. Without a `seed` it is 1."""
+        """Returns mutants as campaigns make them: `children` of each body, (bodies · children, 6,
+        6, 4), in the order of the bodies. Each differs from all bodies and all other mutants.
+        `rate` is the probability that a voxel flips (default: 1/144). `seed` is 1 by default."""
         return self._voxels(await self._make("mutate", {
             "designs": designs_of(bodies), "seed": seed, "children": children, "rate": rate}))
 
     async def cross(self, bodies: Iterable[BodyLike] | NDArray[Any],
                     others: Iterable[BodyLike] | NDArray[Any]) -> NDArray[np.bool_]:
-        """The children (n, 6, 6, 4) of n bodies and n others: the voxels that exactly one parent
-        has, the largest piece of them. The child of equal parents is empty."""
+        """Returns the children (n, 6, 6, 4) of n bodies and n others: the largest piece of the
+        voxels that exactly one parent has. The child of equal parents is empty."""
         first, second = designs_of(bodies), designs_of(others)
         if len(first) != len(second):
             raise ValueError(f"{len(first)} bodies cannot be crossed with {len(second)}")
@@ -245,9 +246,10 @@ class AsyncClient:
             "cross", {"designs": first + second, "pairs": pairs}))
 
     async def canonical(self, bodies: Iterable[BodyLike] | NDArray[Any]) -> list[str]:
-        """The ids of bodies: their canonical forms, which rotations about z and reflections in x
-        and y do not change. `Body.of` turns one into the body of the canonical orientation; to be
-        scored, an id alone means the orientation with the best stored score."""
+        """Returns the ids of bodies: their canonical forms, which rotations about z and reflections
+        in x and y do not change. `Body.of` converts an id to the body in its canonical orientation.
+        For scoring, an id without an orientation means the orientation with the best stored
+        score."""
         made = await self._make("canonical", {"designs": designs_of(bodies)})
         with reading():
             return [row["id"] for row in made]
@@ -269,13 +271,13 @@ class AsyncClient:
                   decode: Callable[[Any], BodyLike] | None = None,
                   maximize: bool | None = None, worst: float = 10.0,
                   **settings: Any) -> AsyncObjective:
-        """What an optimizer calls with its solutions; see `Objective`."""
+        """Returns a function that an optimizer calls with its solutions; see `Objective`."""
         return AsyncObjective(self, measures, decode, maximize, worst, settings)
 
     async def designs(self, *, sort: Literal["id", "score"] = "score", limit: int = 100,
                       **filters: Any) -> pd.DataFrame:
-        """A table of designs that were ever scored: by score the best first. `filters` are those of
-        GET /v1/designs, such as `controller`."""
+        """Returns a table of designs that were ever scored; sorted by score, the best come first.
+        `filters` are those of GET /v1/designs, such as `controller`."""
         rows = []
         async for row in self._connection.pages("/v1/designs", limit=min(limit, 1000), sort=sort,
                                                 **filters):
@@ -294,11 +296,11 @@ class AsyncClient:
                        **settings: Any) -> AsyncCampaigns:
         """Starts a campaign, or `replicates` of them with the seeds `seed`, `seed + 1`, …
 
-        `initial` are the bodies of the first population, or a campaign whose population it goes on
-        from: designs that do not fit the workspace are left out, with a warning (`left_out`).
-        `repair` and `on_fault` are those of `evaluate`. `settings` are those of the contract
-        (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`, `mutation`,
-        `physics`.
+        `initial` is a list of bodies for the first population, or a campaign whose population is
+        copied. Of that campaign, designs that do not fit the workspace are left out, with a warning
+        (`left_out`). `repair` and `on_fault` are as in `evaluate`. `settings` are those of the
+        contract (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`,
+        `mutation`, `physics`.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
                                  **_given(preset=preset, label=label), **settings}
@@ -314,7 +316,7 @@ class AsyncClient:
                      self._connection.pages("/v1/campaigns", group=first["id"])]
             with reading():
                 members = sorted(group, key=lambda member: int(member.data["group"]["replicate"]))
-                for member in members:  # a list does not have them; they are those of all
+                for member in members:  # lists do not have it; all campaigns share it
                     member.data["founders"] = first["founders"]
         with reading():
             warn_of_ids(first["founders"])
@@ -327,13 +329,13 @@ class AsyncClient:
     async def study(self, name: str, *, population: int | None = None,
                     environments: Environments | None = None, controller: str | None = None,
                     physics: Mapping[str, Any] | None = None, **settings: Any) -> AsyncStudy:
-        """A study that your search drives: the one of this name that has not ended, or a new one.
-        The service finds or makes it in one step, so that processes that open a name at once share
-        one study.
+        """Returns a study that your search drives: the one with this name that has not ended, or a
+        new one. The service finds or creates it in one step, so processes that open the same name
+        at the same time share one study.
 
-        The name is the label of its campaign. `population` is the most designs that may live (512).
-        `settings` are those of the contract (docs/studies.md), such as `selection`, `mutation`,
-        `seed`. Raises `ConflictError`, which names each setting given here that differs from the
+        The name is the label of its campaign. `population` is the maximum number of living designs
+        (512). `settings` are those of the contract (docs/studies.md), such as `selection`,
+        `mutation`, `seed`. Raises `ConflictError`, which lists each setting that differs from the
         study's.
         """
         value = {"mode": "study", "label": name, "if_exists": "return", **settings,
@@ -345,8 +347,8 @@ class AsyncClient:
     async def campaigns(self, *, label: str | None = None, experiment: str | None = None,
                         state: str | None = None, group: str | None = None,
                         archived: Literal["true", "all"] | None = None) -> AsyncCampaigns:
-        """Campaigns with this label (`"gait*"`: that begins so), of this experiment, in this state,
-        of this group; newest first."""
+        """Returns campaigns with this label (`"gait*"` matches a prefix), experiment, state and
+        group, newest first."""
         return AsyncCampaigns(self._connection, [
             AsyncCampaign(self._connection, data) async for data in
             self._connection.pages("/v1/campaigns", label=label, experiment=experiment,
@@ -360,8 +362,8 @@ class AsyncClient:
     async def curves(self, *, label: str | None = None, experiment: str | None = None,
                      group: str | None = None,
                      ids: Iterable[str | int] | None = None, stride: int = 1) -> pd.DataFrame:
-        """One tidy table of the generations of many campaigns: by label, by experiment, by group or
-        by ids. With a `stride` only generations that are multiples of it."""
+        """Returns one tidy table of the generations of many campaigns, selected by label,
+        experiment, group or ids. With a `stride`, only generations that are multiples of it."""
         if ids is not None:
             return await curves_of(self._connection, ids, stride)
         return await curves(self._connection, stride, **_given(label=label, experiment=experiment,
@@ -371,9 +373,9 @@ class AsyncClient:
                      ids: Iterable[str | int] | None = None, label: str | None = None,
                      experiment: str | None = None, group: str | None = None,
                      recordings: bool = False) -> pathlib.Path:
-        """Saves up to 100 campaigns that have ended as one file, a .tar.zst with all that belongs
-        to them: by ids, by label, by experiment or by group. `recordings`: also what evaluations
-        recorded of the designs of campaigns that do not learn."""
+        """Saves up to 100 campaigns that have ended as one file, a .tar.zst with everything that
+        belongs to them, selected by ids, label, experiment or group. `recordings`: also include
+        evaluations' recordings of the designs of campaigns that do not learn."""
         named = None if ids is None else ",".join(str(id) for id in sorted({int(id) for id in ids}))
         target = pathlib.Path(path)
         await self._connection.save(Request.get("/v1/bundles", accept="application/zstd",
@@ -391,8 +393,9 @@ class AsyncClient:
         return AsyncCampaigns(self._connection, [await self.get_campaign(id) for id in ids])
 
     async def verify_bundle(self, path: str | os.PathLike[str]) -> pd.DataFrame:
-        """Checks every hash and line of a bundle, and stores nothing. A table of its campaigns:
-        campaign (its id here, None where it is not), source_store, source_campaign, designs, …"""
+        """Checks every hash and line of a bundle, and stores nothing. Returns a table of its
+        campaigns: campaign (its id in this service, or None), source_store, source_campaign,
+        designs, …"""
         reply = await self._connection.json(self._bundle_request(path, "verify"))
         with reading():
             return frame(reply["items"]).drop(columns="entered")
@@ -408,8 +411,8 @@ class AsyncClient:
     async def save_scores(self, path: str | os.PathLike[str], *, controller: str | None = None,
                           fingerprint: str | None = None,
                           since: datetime.datetime | None = None) -> pathlib.Path:
-        """Saves stored scores as one file, with what they depend on, for another service: all of
-        them, or those of a controller, of a class, computed at a time or later."""
+        """Saves stored scores as one file, with everything they depend on, for another service: all
+        of them, or only those with a controller, in a class, or computed since a time."""
         if since is not None and since.tzinfo is None:
             raise ValueError("since needs a time zone")
         moment = since and since.astimezone(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -420,9 +423,9 @@ class AsyncClient:
         return target
 
     async def import_scores(self, path: str | os.PathLike[str]) -> Entered:
-        """Imports the scores of a file, block by block. Scores that the service already has change
-        nothing, so an interrupted import can be repeated. A damaged block is refused with
-        `InvalidError`, and nothing of it is stored."""
+        """Imports the scores in a file, block by block. Existing scores do not change, so an
+        interrupted import can be repeated. A damaged block is refused with `InvalidError`, and
+        nothing of it is stored."""
         entered, is_last = Entered(), False
         for block in blocks(path):
             reply = await self._connection.json(Request(
@@ -467,11 +470,11 @@ class AsyncClient:
         return AsyncTraining(self._connection, data)
 
     async def controllers(self) -> pd.DataFrame:
-        """A table of the controllers that have a name."""
+        """Returns a table of the controllers that have a name."""
         return frame([row async for row in self._connection.pages("/v1/controllers")])
 
     async def controller(self, name: str = "default") -> Controller:
-        """A controller by its name, or by `sha256:` and its hash."""
+        """Returns a controller by its name, or by `sha256:` and its hash."""
         data = await self._connection.json(Request.get(f"/v1/controllers/{name}"))
         reply = await self._connection.send(
             Request.get(f"/v1/controllers/{name}/file", accept="application/octet-stream"))
@@ -482,7 +485,7 @@ class AsyncClient:
                                       Controller),
                              metadata: Mapping[str, str] | None = None) -> Controller:
         """Stores a controller under a name: a safetensors file, its bytes, or its tensors by name,
-        such as the `state_dict` of `Controller.torch()` (with `metadata`, which names the
+        such as the `state_dict` of `Controller.torch()` (with `metadata`, which includes the
         `sensor`)."""
         if isinstance(source, Controller):
             content = source.content
@@ -501,37 +504,38 @@ class AsyncClient:
     async def jobs(self, *, state: str | None = None, label: str | None = None,
                    experiment: str | None = None, kind: str | None = None,
                    archived: Literal["true", "all"] | None = None) -> pd.DataFrame:
-        """A table of jobs, newest first."""
+        """Returns a table of jobs, newest first."""
         return frame([row async for row in self._connection.pages(
             "/v1/jobs", state=state, label=label, experiment=experiment, kind=kind,
             archived=archived)])
 
     async def usage(self, by: Literal["label", "experiment", "submitted_by", "kind"] = "label"
                     ) -> pd.DataFrame:
-        """A table of what jobs have used, deleted ones too: name, jobs, core_seconds,
-        device_seconds; those that used most first."""
+        """Returns a table of the usage of jobs, including deleted ones: name, jobs, core_seconds,
+        device_seconds; largest usage first."""
         reply = await self._connection.json(Request.get("/v1/usage", by=by, limit=1000))
         with reading():
             return frame(reply["items"])
 
     async def fleet(self) -> AsyncFleet:
-        """The workers of other machines."""
+        """Returns the workers on other machines."""
         return await AsyncFleet(self._connection, {}).refresh()
 
     async def export(self, what: str, path: str | os.PathLike[str], *,
                      format: Literal["csv", "ndjson", "newick", "columns"] | None = None,
                      **params: Any) -> pathlib.Path:
-        """Saves a list, a curve or a phylogeny in a file, as fast as the disk takes it:
+        """Saves a list, a curve or a phylogeny in a file, without holding it in memory:
         `export("campaigns/7/phylogeny", "born.csv")`, `export("jobs", "jobs.ndjson", label="B")`.
 
-        `what` is a path of the contract behind /v1/, `params` its parameters. The suffix of the
-        file gives the format: .csv, .ndjson or .jsonl, .nwk; `format` overrides it.
+        `what` is a path of the contract after /v1/, `params` are its parameters. The file's suffix
+        determines the format: .csv, .ndjson or .jsonl, .nwk; `format` overrides it.
         """
         target = pathlib.Path(path)
         ends = {".csv": "csv", ".ndjson": "ndjson", ".jsonl": "ndjson", ".nwk": "newick"}
         form = format or ends.get(target.suffix)
         if form is None:
-            raise ValueError(f"{target.name}: .csv, .ndjson, .jsonl or .nwk is expected, or format")
+            raise ValueError(f"{target.name}: the suffix must be .csv, .ndjson, .jsonl or .nwk; "
+                             "or give format")
         request = Request.get(f"/v1/{what.removeprefix('/v1/').lstrip('/')}", accept="*/*",
                               format=form, **params)
         await self._connection.save(request, target)
@@ -539,9 +543,9 @@ class AsyncClient:
 
     async def events(self, after: str | int | None = None, job: str | int | None = None
                      ) -> AsyncIterator[dict[str, Any]]:
-        """Events of one job or of all as they happen, starting after the event `after`, or now. A
-        restart of the service loses none. If events are no longer kept, one of the type "reset"
-        takes their place."""
+        """Yields events of one job or of all jobs as they happen, starting after the event `after`,
+        or now. None are lost when the service restarts. If events are no longer kept, an event of
+        type "reset" takes their place."""
         if after is None:
             page = await self._connection.json(Request.get("/v1/events", format="json", limit=1))
             with reading():
@@ -551,7 +555,7 @@ class AsyncClient:
             yield event
 
     async def version(self) -> str:
-        """The version of the service."""
+        """Returns the version of the service."""
         health = await self._connection.json(Request.get("/healthz"))
         with reading():
             return str(health["version"])
@@ -571,15 +575,16 @@ class AsyncClient:
 class AsyncObjective:
     """An objective for optimizers: solutions in, numbers out.
 
-    Called with many solutions it scores them in one evaluation and returns an array (n,); with one
-    solution, a number. With `measures` it returns two arrays, the objective (n,) and the measures
-    (n, measures), as pyribs takes them: `scheduler.tell(*objective(scheduler.ask()))`.
+    When it is called with many solutions, it scores them in one evaluation and returns an array
+    (n,); with one solution, it returns a number. With `measures` it returns two arrays, the
+    objective (n,) and the measures (n, measures), as pyribs expects them:
+    `scheduler.tell(*objective(scheduler.ask()))`.
 
-    A solution is a vector of 144 finite numbers or an array [x, y, z], a voxel where a value is
-    above 0.5 whatever the shape, or another form that `Body.of` takes; `decode` turns others into
-    one of these. The largest piece counts; a solution without a voxel, and one that diverges, gets
-    the loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures,
-    returns them with the opposite sign.
+    A solution is a vector of 144 finite numbers or an array [x, y, z], with a voxel where a value
+    is above 0.5, or any other form that `Body.of` accepts; `decode` converts others to one of
+    these. Only the largest piece counts. A solution without voxels, or one that diverges, gets the
+    loss `worst`. Losses are to be minimized; `maximize=True`, the default with measures, returns
+    them with the opposite sign.
 
     Measures are "voxels", "footprint", "height", "path_length_m" (mean path length of the center of
     mass over the environments), or functions of a `Body`.

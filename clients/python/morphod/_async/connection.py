@@ -1,4 +1,4 @@
-"""A connection to the service: sends requests, and repeats those that may be repeated."""
+"""A connection to the service: sends requests, and retries those that can be repeated safely."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class AsyncConnection:
             headers = {"Authorization": f"Bearer {token}"} if token else {}
             unix = self.address.unix
             transport = httpx.AsyncHTTPTransport(uds=unix) if unix is not None else None
-            # Ignore proxies of the environment: the service is usually in the same laboratory.
+            # Ignore proxies from the environment: the service is usually on the local network.
             client = httpx.AsyncClient(base_url=self.address.url, headers=headers,
                                        transport=transport, trust_env=False)
             client = self._clients.setdefault(loop, client)
@@ -73,8 +73,9 @@ class AsyncConnection:
                 await client.aclose()
 
     async def send(self, request: Request) -> Reply:
-        """The reply to a request. While the service is away, busy or full, a request that may be
-        repeated is repeated, for `retry_s` seconds. Raises `ApiError` and `UnreachableError`."""
+        """Returns the reply to a request. While the service is unavailable, busy or full, a request
+        that can be repeated safely is retried for `retry_s` seconds. Raises `ApiError` and
+        `UnreachableError`."""
         retries = Retries(request, self.retry_s)
         while True:
             try:
@@ -84,7 +85,7 @@ class AsyncConnection:
             except httpx.DecodingError as error:
                 raise undecodable(error) from None
             except httpx.TransportError as error:
-                # Without a connection nothing was sent, whatever the request is.
+                # Without a connection nothing was sent, so any request can be retried.
                 request.repeatable |= isinstance(error, (httpx.ConnectError, httpx.ConnectTimeout))
                 delay = retries.delay(None)
                 if delay is None:
@@ -115,7 +116,7 @@ class AsyncConnection:
                         request.method, request.path, params=request.params,
                         headers=request.headers, timeout=request.timeout_s) as response:
                     if response.status_code < 400:
-                        # Writing to the page cache takes less time than switching threads.
+                        # Writing to the page cache is faster than switching threads.
                         with open(part, "wb") as file:  # noqa: ASYNC230
                             async for piece in response.aiter_bytes():
                                 file.write(piece)
@@ -162,8 +163,8 @@ class AsyncConnection:
                 return
 
     async def events(self, after: str | None, job: str | None) -> AsyncIterator[dict[str, Any]]:
-        """Yields events; after a broken connection it continues after the last one. If events were
-        lost, one of the type "reset" takes their place."""
+        """Yields events. After a lost connection it continues after the last event. If events were
+        lost, an event of type "reset" takes their place."""
         retries = None
         while True:
             request = Request.get("/v1/events", accept="text/event-stream", after=after, job=job)
@@ -196,9 +197,9 @@ class AsyncConnection:
                                     after = event.get("id", after)
                                     event = {**event, "type": event.get("type", kind)}
                                 yield event
-                                if os.getpid() != pid:  # the stream is the parent's
+                                if os.getpid() != pid:  # the stream belongs to the parent
                                     break
-                        if retries is not None:  # it ended before anything came
+                        if retries is not None:  # it ended before any data arrived
                             delay = retries.delay(None)
                             if delay is None:
                                 raise UnreachableError("the stream of events ends at once")
@@ -214,6 +215,6 @@ class AsyncConnection:
 
 
 def _has_ended(loop: object) -> bool:
-    """Whether an event loop is closed, with all connections in it."""
+    """Returns whether an event loop is closed, with all its connections."""
     is_closed = getattr(getattr(loop, "native_token", loop), "is_closed", None)
     return is_closed is not None and bool(is_closed())

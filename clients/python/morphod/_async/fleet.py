@@ -1,4 +1,4 @@
-"""Workers of other machines."""
+"""Workers on other machines."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class AsyncFleet:
-    """The workers of other machines that compute for the service, as of the last look.
+    """The workers on other machines that compute for the service, as last reported.
 
-    `data` is what the service reported, by the names of the contract: whether workers can join
+    `data` is the service's report, with the names of the contract: whether workers can join
     (`listening`), the classes, sums over all workers, and `sessions`.
     """
 
@@ -33,7 +33,7 @@ class AsyncFleet:
     @property
     @reading()
     def sessions(self) -> pd.DataFrame:
-        """A table of the workers: open sessions, then the newest that have ended."""
+        """Returns a table of the workers: open sessions, then the newest ended ones."""
         return frame(self.data["sessions"])
 
     async def refresh(self) -> AsyncFleet:
@@ -42,10 +42,11 @@ class AsyncFleet:
         return self
 
     async def drain(self, session: str, upgrade: bool = False) -> None:
-        """Gives a worker, by its session's id, no more work: it finishes what it has and leaves.
+        """Stops giving work to a worker, given by its session's id: it finishes its leases and
+        leaves.
 
-        For an upgrade its process ends with status 69 and names the service's version, so that
-        what supervises it starts what is installed by then.
+        For an upgrade, its process exits with status 69 and reports the service's version, so that
+        its supervisor can start the newly installed program.
         """
         query = "?upgrade=true" if upgrade else ""
         await self._connection.send(Request.post(f"/v1/fleet/sessions/{session}/drain{query}"))

@@ -29,13 +29,13 @@ _ENDED = ("succeeded", "failed", "cancelled")
 _STATES = ("queued", "running", "paused", *_ENDED)
 _POLL_S = 1.0
 AT_ONCE_S = 0.5
-"""A request that should have waited and was answered sooner is not repeated at once."""
+"""If a request that should have waited gets its reply earlier, it is not repeated at once."""
 
 _ELEMENTS = {"float32-le": "<f4", "int8": "i1", "uint8": "u1"}
 
 
 def interrupted(*jobs: AsyncJob) -> KeyboardInterrupt:
-    """Makes the exception for an interrupt; it names the jobs that continue."""
+    """Returns the exception for an interrupt, which lists the jobs that continue."""
     words = "; ".join(f"{job.noun} {job.id} continues: {job.finder}({job.id!r}).cancel(), or "
                       f"morphoctl job cancel {job.id}, ends it" for job in jobs if not job.ended)
     return KeyboardInterrupt(*([words] if words else []))
@@ -44,7 +44,7 @@ def interrupted(*jobs: AsyncJob) -> KeyboardInterrupt:
 class AsyncJob:
     """What evaluations, campaigns and trainings have in common.
 
-    `data` is the job as the service last reported it, by the names of the contract.
+    `data` is the job as last reported by the service, with the names of the contract.
     """
 
     _list = "/v1/jobs"
@@ -66,20 +66,20 @@ class AsyncJob:
     @property
     @reading()
     def state(self) -> str:
-        """queued, running, paused, succeeded, failed or cancelled, as of the last look."""
+        """queued, running, paused, succeeded, failed or cancelled, as last reported."""
         return _STATES[_STATES.index(self.data["state"])]
 
     @property
     @reading()
     def label(self) -> str | None:
-        """A text to find it by; `edit` changes it."""
+        """A text that identifies it; `edit` changes it."""
         label: str | None = self.data["label"]
         return label
 
     @property
     @reading()
     def experiment(self) -> str | None:
-        """What it belongs to, with other jobs."""
+        """The experiment that it belongs to, with other jobs."""
         experiment: str | None = self.data["experiment"]
         return experiment
 
@@ -93,20 +93,20 @@ class AsyncJob:
     @property
     @reading()
     def core_seconds(self) -> float:
-        """Seconds that cores have computed for it, as of the last look."""
+        """Core seconds spent on it, as last reported."""
         return float(self.data["core_seconds"])
 
     @property
     def ended(self) -> bool:
-        """Whether it has succeeded, failed or been cancelled, as of the last look."""
+        """Whether it has succeeded, failed or been cancelled, as last reported."""
         return self.state in _ENDED
 
     @property
     @reading()
     def warnings(self) -> list[str]:
-        """What a reader of the result must know although the job did what was asked, as of the last
-        look: that every robot diverged, for example. `wait` and `live` raise each as a
-        `UserWarning`; `data["warnings"]` has their codes."""
+        """Caveats about a successful result, as last reported; for example, that every robot
+        diverged. `wait` and `live` issue each as a `UserWarning`; `data["warnings"]` has their
+        codes."""
         return [printable(warning["detail"]) for warning in self.data["warnings"]]
 
     @reading()
@@ -116,13 +116,13 @@ class AsyncJob:
         return f"<{type(self).__name__} {self.id}: {self.state}{codes}{label}>"
 
     async def refresh(self) -> None:
-        """Asks the service how the job stands."""
+        """Fetches the job's state from the service."""
         self.data = await self._connection.json(Request.get(f"{self._list}/{self.id}"))
 
     async def wait(self, timeout_s: float | None = None) -> None:
-        """Waits until the job has succeeded. Raises `JobError` where it failed or was cancelled,
-        and `WaitError` when the time is over; the job then continues. A restart of the service in
-        between changes nothing."""
+        """Waits until the job has succeeded. Raises `JobError` if it failed or was cancelled, and
+        `WaitError` after `timeout_s`; the job then continues. It does not matter if the service
+        restarts in the meantime."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         try:
             while not self.ended:
@@ -140,7 +140,7 @@ class AsyncJob:
         self._conclude()
 
     def _conclude(self) -> None:
-        """At the end of a wait."""
+        """Called at the end of a wait."""
         self._require_success()
         for detail in self.warnings:
             warnings.warn(f"job {self.id}: {detail}", stacklevel=3)
@@ -190,16 +190,16 @@ class AsyncJob:
         await self._act("resume")
 
     async def cancel(self) -> None:
-        """Cancels it permanently. What a campaign or training has committed stays."""
+        """Cancels it permanently. Results that a campaign or training has committed stay."""
         await self._act("cancel")
 
     async def weigh(self, weight: float) -> None:
-        """Sets its share of the computing threads beside other jobs; it changes no result."""
+        """Sets its share of the computing threads relative to other jobs; no result changes."""
         await self._act("weight", {"weight": weight})
 
     async def edit(self, **changes: str | bool | None) -> None:
-        """Changes `label`, `experiment` or `note` (None takes one away) and `archived`: an archived
-        job is hidden from lists. `job.edit(note="for the paper", archived=True)`."""
+        """Changes `label`, `experiment` or `note` (None removes it) and `archived`: an archived job
+        is hidden from lists. `job.edit(note="for the paper", archived=True)`."""
         await self._connection.send(Request.post(f"/v1/jobs/{self.id}", changes,
                                                  method="PATCH"))
         await self.refresh()
@@ -214,7 +214,7 @@ class AsyncJob:
 
 
 class AsyncEvaluation(AsyncJob):
-    """Designs scored in environments. `len`, `[…]` and iteration go over the designs."""
+    """Designs scored in environments. `len`, `[…]` and iteration apply to the designs."""
 
     _list = "/v1/evaluations"
     noun = "evaluation"
@@ -226,7 +226,7 @@ class AsyncEvaluation(AsyncJob):
         super().__init__(connection, data)
         self._faults = faults or {}
         self.lost = lost
-        """Per design what the conversion of its body left out; empty where it is not known."""
+        """For each design, what the conversion of its body left out; empty if unknown."""
 
     @property
     @reading()
@@ -243,39 +243,39 @@ class AsyncEvaluation(AsyncJob):
     @property
     @reading()
     def scores(self) -> NDArray[np.float64]:
-        """Mean losses (designs,), lower is better; NaN where a rollout diverged."""
+        """Mean losses (designs,), lower is better; NaN if a rollout diverged."""
         return np.array([row["score"] for row in self._results], dtype=np.float64)
 
     @property
     @reading()
     def lower_bound(self) -> NDArray[np.bool_]:
-        """(designs,): with `best`, whether the score is a lower bound, because the design cannot be
+        """(designs,): with `best`, whether the score is a lower bound because the design cannot be
         among the best."""
         return np.array([row["lower_bound"] for row in self._results], dtype=np.bool_)
 
     @property
     @reading()
     def losses(self) -> NDArray[np.float64]:
-        """(designs, environments); NaN where the rollout diverged or, with `best`, was not needed.
+        """(designs, environments); NaN if the rollout diverged or, with `best`, was not needed.
         """
         return np.array([row["losses"] for row in self._results], dtype=np.float64)
 
     @property
     @reading()
     def ids(self) -> list[str | None]:
-        """The designs' ids: their canonical forms; None where there was no body.
+        """The designs' ids: their canonical forms; None if there was no body.
 
-        A score belongs to one orientation of a design, and an id names all of them. To score the
-        same robots again, or to keep them, take `robots`: an id alone means the orientation that
-        has the best stored score.
+        A score belongs to one orientation of a design, but an id stands for all of them. To rescore
+        or keep the same robots, use `robots`: an id without an orientation means the one with the
+        best stored score.
         """
         return [row["id"] for row in self._results]
 
     @property
     @reading()
     def robots(self) -> list[str | None]:
-        """What has the scores: the designs in the orientations that were simulated, as ID@K, which
-        everything takes that takes a body; None where there was no body."""
+        """The scored robots: the designs in the orientations that were simulated, as ID@K, which is
+        accepted wherever a body is; None if there was no body."""
         return [row["robot"] for row in self._results]
 
     @reading()
@@ -294,8 +294,9 @@ class AsyncEvaluation(AsyncJob):
         return (self[place] for place in range(len(self)))
 
     async def table(self, *, whole: bool = False) -> pd.DataFrame:
-        """The results of any number of designs, read in pages: number (of the design, from 0), then
-        as `frame`. `whole`: with `best`, only those that are not lower bounds, best first."""
+        """Returns the results of any number of designs, read in pages: number (of the design, from
+        0), then the columns of `frame`. `whole`: with `best`, only those that are not lower bounds,
+        best first."""
         if not self.ended:
             raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
         self._require_success()
@@ -307,10 +308,10 @@ class AsyncEvaluation(AsyncJob):
         return table.sort_values("score", kind="stable", ignore_index=True) if whole else table
 
     def frame(self) -> pd.DataFrame:
-        """A table, a line per design: id, robot (what has the score), genotype, score, lower_bound
-        (with `best`: whether the score is one), diverged (rollouts), voxels, masses, springs,
-        footprint, repaired (voxels that were dropped), path_length_m (where com is recorded), fault
-        (None, or why there was no body), and a column loss_0, loss_1, … per environment."""
+        """Returns a table with a row per design: id, robot (the scored orientation), genotype,
+        score, lower_bound (with `best`: whether the score is one), diverged (rollouts), voxels,
+        masses, springs, footprint, repaired (dropped voxels), path_length_m (if com is recorded),
+        fault (None, or why there was no body), and a column loss_0, loss_1, … per environment."""
         results = self._results
         losses = self.losses
         with reading():
@@ -334,7 +335,7 @@ class AsyncEvaluation(AsyncJob):
         return table
 
     def _repr_html_(self) -> str | None:
-        """In a notebook the table of an evaluation that has succeeded."""
+        """In a notebook: the table of an evaluation that has succeeded."""
         if self.state != "succeeded":
             return None
         try:
@@ -344,16 +345,16 @@ class AsyncEvaluation(AsyncJob):
         return f"<p>evaluation {self.id}</p>{table}"
 
     async def live(self) -> AsyncEvaluation:
-        """Shows how far it is until it has ended."""
+        """Shows its progress until it has ended."""
         await self._watch(f"evaluation {self.id}", " rollouts")
         return self
 
     async def recording(self, place: int, environment: int = 0,
                         array: Literal["masses", "com", "actuation", "contacts"] = "masses"
                         ) -> NDArray[Any]:
-        """What was recorded of one design: masses (frames, masses, 3) or com, the center of mass,
-        (frames, 3), in meters; actuation (frames, springs), contacts (frames, masses). The
-        evaluation must have been asked to `record` them."""
+        """Returns the recording of one design: masses (frames, masses, 3) or com, the center of
+        mass, (frames, 3), in meters; actuation (frames, springs), contacts (frames, masses). They
+        must have been requested with `record`."""
         reply = await self._connection.send(Request.get(
             f"/v1/evaluations/{self.id}/trajectories/{place}/file",
             accept="application/octet-stream", environment=environment, array=array))
@@ -365,12 +366,13 @@ class AsyncEvaluation(AsyncJob):
     async def recordings(self,
                          array: Literal["masses", "com", "actuation", "contacts"] = "com"
                          ) -> NDArray[Any]:
-        """All recordings as one array, by one request: com (designs, environments, frames, 3),
-        masses (designs, environments, frames, masses, 3) in meters, actuation (designs,
+        """Returns all recordings as one array, with one request: com (designs, environments,
+        frames, 3), masses (designs, environments, frames, masses, 3) in meters, actuation (designs,
         environments, frames, springs), contacts (designs, environments, frames, masses).
 
-        Designs differ in masses and springs: the array is as large as the largest one, and the rest
-        of the others, and designs that were skipped, are NaN, -128 in actuation, 255 in contacts.
+        Designs differ in masses and springs. The array is as large as the largest design needs;
+        entries that a design does not use, and skipped designs, are NaN, -128 in actuation, or 255
+        in contacts.
         """
         reply = await self._connection.send(Request.get(
             f"/v1/evaluations/{self.id}/trajectories", accept="application/octet-stream",
@@ -378,8 +380,8 @@ class AsyncEvaluation(AsyncJob):
         return read_npy(reply.content)
 
     async def show(self, place: int = 0, environment: int = 0) -> Player:
-        """The robot as it walks: in a notebook a player, elsewhere `show().save(path)` makes one
-        HTML file of it. Computes the rollout again, so nothing needs to be recorded."""
+        """Shows the robot walking: in a notebook as a player, elsewhere `show().save(path)` writes
+        an HTML file. Recomputes the rollout, so nothing needs to be recorded."""
         world = world_of(await self._connection.json(
             Request.get(f"/v1/evaluations/{self.id}/environments")), environment)
         result = self[place]
@@ -406,7 +408,7 @@ def world_of(worlds: Mapping[str, Any], environment: int) -> dict[str, Any]:
 
 
 async def player(connection: AsyncConnection, scene: Scene, title: str) -> Player:
-    """A player of a scene, from the modules of the service's own dashboard."""
+    """Returns a player for a scene, made from the modules of the service's own dashboard."""
     index = await connection.send(Request.get("/", accept="text/html"))
     with reading():
         making = player_of(index.content.decode(), scene, title)
@@ -437,23 +439,23 @@ class AsyncTraining(AsyncJob):
                 "validation": validation.get("mean_score")}
 
     async def live(self) -> AsyncTraining:
-        """Shows how far it is until it has ended."""
+        """Shows its progress until it has ended."""
         await self._watch(f"training {self.id}", " steps")
         return self
 
     async def steps(self) -> pd.DataFrame:
-        """A table with a line per step."""
+        """Returns a table with a row per step."""
         path = f"/v1/trainings/{self.id}/steps"
         return frame([row async for row in self._connection.pages(path)])
 
     async def validations(self) -> pd.DataFrame:
-        """A table with a line per validation."""
+        """Returns a table with a row per validation."""
         path = f"/v1/trainings/{self.id}/validations"
         return frame([row async for row in self._connection.pages(path)])
 
     async def controller(self, step: int | None = None) -> Controller:
-        """The result, or the controller of the newest checkpoint while it learns, or that of a
-        checkpoint's step."""
+        """Returns the result, or while it learns the controller of the newest checkpoint, or the
+        controller of the checkpoint at `step`."""
         reply = await self._connection.send(Request.get(
             f"/v1/trainings/{self.id}/controller", accept="application/octet-stream", step=step))
         return Controller({"name": self.data["name"]}, reply.content)
@@ -483,14 +485,15 @@ class AsyncCampaign(AsyncJob):
     @reading()
     def left_out(self) -> list[dict[str, Any]]:
         """The initial designs that are not in generation 0, each with its `place` and `fault`:
-        those of another campaign that do not fit the workspace, and listed ones that were skipped.
+        designs of another campaign that do not fit the workspace, and listed designs that were
+        skipped.
         """
         if "founders" not in self.data:
             raise MorphodError("a list of campaigns does not have their founders: refresh() first")
         return [note for note in self.data["founders"] if note["fault"] is not None]
 
     async def live(self) -> AsyncCampaign:
-        """Shows how far it is until it has ended."""
+        """Shows its progress until it has ended."""
         await self._watch(f"campaign {self.id}", " generations")
         return self
 
@@ -501,32 +504,33 @@ class AsyncCampaign(AsyncJob):
                 "mode": self.data["mode"], "seed": self.data["settings"]["seed"]}
 
     async def curve(self, stride: int = 1) -> pd.DataFrame:
-        """A table with a line per generation: campaign, group, replicate, label, mode, state, seed,
-        generation, and every statistic (`score_mean`, `score_quantiles_p0`, `diversity`, …). With
-        a `stride` only generations that are multiples of it."""
+        """Returns a table with a row per generation: campaign, group, replicate, label, mode,
+        state, seed, generation, and every statistic (`score_mean`, `score_quantiles_p0`,
+        `diversity`, …). With a `stride` only generations that are multiples of it."""
         return await curves(self._connection, stride, campaigns=self.id)
 
     async def learning(self) -> pd.DataFrame:
-        """A table with a line per step of learning; empty in a zero-shot campaign."""
+        """Returns a table with a row per step of learning; empty in a zero-shot campaign."""
         path = f"/v1/campaigns/{self.id}/learning"
         rows = [row async for row in self._connection.pages(path)]
         return frame(rows, **self._constant())
 
     async def population(self, generation: int | None = None) -> pd.DataFrame:
-        """A table of the population that a generation (default: the newest) left, best first."""
+        """Returns a table of the population after a generation (default: the newest), best
+        first."""
         path = f"/v1/campaigns/{self.id}/population"
-        # A cursor names its generation.
+        # A cursor includes its generation.
         return frame([row async for row in self._connection.pages(path, generation=generation)])
 
     async def champions(self, count: int = 12) -> pd.DataFrame:
-        """A table of the best design and a sample of the others, most distinct first."""
+        """Returns a table of the best design and a sample of the others, most distinct first."""
         found = await self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
         with reading():
             return frame(found["items"])
 
     async def phylogeny(self, lineages: bool = False) -> Phylogeny:
-        """Every design ever born; with `lineages` the living and their ancestors alone."""
+        """Returns every design ever born; with `lineages`, only the living and their ancestors."""
         reply = await self._connection.send(Request.get(
             f"/v1/campaigns/{self.id}/phylogeny", accept=MEDIA_TYPE, format="columns",
             keep="lineages" if lineages else "all"))
@@ -538,7 +542,7 @@ class AsyncCampaign(AsyncJob):
         self.data = await self._connection.json(request)
 
     async def show(self, count: int = 4, environment: int = 0) -> Player:
-        """The champions side by side, as they walk now: a player for notebooks."""
+        """Shows the champions side by side, as they walk now: a player for notebooks."""
         champions = await self._connection.json(
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
         world = world_of(await self._connection.json(
@@ -560,7 +564,8 @@ class AsyncCampaign(AsyncJob):
 
 
 class AsyncCampaigns:
-    """Campaigns that were started together: replicates that differ in their seeds. A sequence."""
+    """Campaigns that were started together: replicates that differ only in their seeds. A
+    sequence."""
 
     def __init__(self, connection: AsyncConnection, members: Sequence[AsyncCampaign]) -> None:
         self._connection = connection
@@ -589,14 +594,15 @@ class AsyncCampaigns:
             raise interrupted(*self._members) from None
 
     async def live(self) -> AsyncCampaigns:
-        """Shows how far all of them are until they have ended."""
+        """Shows the progress of all of them until they have ended."""
         total = sum(member._steps()[1] for member in self._members)
         try:
             with Bar(f"{len(self)} campaigns", total, " generations") as bar:
                 while True:
                     bests = [member._numbers().get("best") for member in self._members]
                     known = [best for best in bests if best is not None]
-                    # What the first does that runs: while one draws bodies, the others wait for it.
+                    # The phase of the first running one: while one draws bodies, the others wait
+                    # for it.
                     active = next((member.data for member in self._members
                                    if member.state == "running"), None)
                     with reading():
@@ -616,12 +622,12 @@ class AsyncCampaigns:
         return self
 
     async def curves(self, stride: int = 1) -> pd.DataFrame:
-        """One tidy table of all their generations; see `curve` of one."""
+        """Returns one tidy table of all their generations; see `curve` of one."""
         return await curves_of(self._connection, [member.id for member in self._members], stride)
 
 
 async def curves(connection: AsyncConnection, stride: int = 1, **which: Any) -> pd.DataFrame:
-    """One tidy table of the generations of campaigns, by one request."""
+    """Returns one tidy table of the generations of campaigns, with one request."""
     reply = await connection.send(Request.get(
         "/v1/campaigns/generations", accept=MEDIA_TYPE, stride=stride, **which))
     return frame_of_columns(reply.content)
@@ -629,7 +635,7 @@ async def curves(connection: AsyncConnection, stride: int = 1, **which: Any) -> 
 
 async def curves_of(connection: AsyncConnection, ids: Iterable[str | int], stride: int = 1
                     ) -> pd.DataFrame:
-    """The same by ids: as many in a request as an address takes."""
+    """Does the same by ids, with as many in a request as fit in an address."""
     ascending = sorted({int(id) for id in ids})
     tables = [await curves(connection, stride, campaigns=",".join(map(str, ascending[at:at + 40])))
               for at in range(0, len(ascending), 40)]

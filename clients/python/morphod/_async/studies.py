@@ -1,4 +1,4 @@
-"""Studies: campaigns that a search of your own drives, by ask and tell."""
+"""Studies: campaigns that a custom search drives, by ask and tell."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 
 class AsyncStudy(AsyncCampaign):
-    """A campaign for which you make the children, batch by batch; otherwise as any campaign.
+    """A campaign for which you make the children, batch by batch; otherwise it is like any
+    campaign.
 
     The service commits a batch as a whole, with its scores and the state of your sampler, so that
-    either side may die at any moment. Leaving a `with` block finishes the study; leaving it by an
-    exception leaves it open, and the same name finds it again.
+    either side may die at any moment. Leaving a `with` block finishes the study. If an exception
+    leaves the block, the study stays open, and the same name finds it again.
     """
 
     def __init__(self, connection: AsyncConnection, data: dict[str, Any]) -> None:
@@ -47,9 +48,9 @@ class AsyncStudy(AsyncCampaign):
 
     async def ask(self, n: int, *, by: Literal["variation", "random"] = "variation",
                   parents: Iterable[int] | None = None) -> Asked:
-        """Bodies that this study has never seen, made by the service: children of its population or
-        of `parents`, by its settings' mutation and crossover; random ones while it is empty. The
-        same question has the same answer until the next batch."""
+        """Returns bodies that this study has never seen, made by the service: children of its
+        population or of `parents`, with the mutation and crossover of its settings; random bodies
+        while it is empty. The same question has the same answer until the next batch."""
         value = {"n": n, "by": by, "parents": None if parents is None else list(parents)}
         return Asked(await self._connection.json(
             Request.post(f"{self._list}/{self.id}/ask", without_none(value))))
@@ -62,13 +63,13 @@ class AsyncStudy(AsyncCampaign):
                    on_fault: OnFault = "refuse", repair: Repair | None = None) -> Batch:
         """Sends the next batch, and returns its scores once they are committed.
 
-        `children` are bodies, or what `ask` gave. `parents` are the numbers of each one's parents,
-        up to two designs of earlier batches, and `operator` says how they were made, in your own
-        words. `measures` has arrays by name, NaN where there is no value. `survivors` are numbers
-        of those of the population that live on, with all children; without them the study's
-        selection decides. `sampler_state` comes back from `restore`; save the sampler as it is now,
-        before it knows these scores. A body that is skipped (`on_fault="skip"`) has no number and
-        the score NaN.
+        `children` are bodies, or the result of `ask`. `parents` are the numbers of each child's
+        parents, up to two designs of earlier batches, and `operator` says how they were made, in
+        your own words. `measures` has arrays by name, with NaN where there is no value. `survivors`
+        are the numbers of the designs in the population that survive, along with all children;
+        without them, the study's selection decides. `restore` returns `sampler_state`; save the
+        sampler's current state, before it knows these scores. A skipped body (`on_fault="skip"`)
+        has no number and the score NaN.
         """
         if isinstance(children, Asked):
             parents = children.parents if parents is None else parents
@@ -114,7 +115,7 @@ class AsyncStudy(AsyncCampaign):
         return Batch(reply)
 
     async def last(self) -> Batch | None:
-        """The newest batch, once it is committed; None: there was no batch yet."""
+        """Returns the newest batch, once it is committed; None if there was no batch yet."""
         await self.refresh()
         with reading():
             state = self.data["study"]
@@ -126,9 +127,9 @@ class AsyncStudy(AsyncCampaign):
         return batch
 
     async def restore(self) -> tuple[bytes, Batch] | None:
-        """Returns what a search needs to continue where it stopped: the sampler state that came
+        """Returns what a search needs to continue where it stopped: the sampler state that was sent
         with the newest batch, and that batch with its scores, which the sampler does not know yet.
-        None: there was no batch yet, so the search begins."""
+        Returns None if there was no batch yet, so the search starts from the beginning."""
         batch = await self.last()
         if batch is None:
             return None
@@ -145,7 +146,7 @@ class AsyncStudy(AsyncCampaign):
         return reply.content, batch
 
     async def finish(self, survivors: Iterable[int] | None = None) -> None:
-        """Ends the study. `survivors`: those of the population that live at the end."""
+        """Ends the study. `survivors`: the designs of the population that survive."""
         if survivors is not None:
             await self.tell([], survivors=survivors)
         self.data = await self._connection.json(Request.post(f"{self._list}/{self.id}/finish"))
@@ -154,8 +155,8 @@ class AsyncStudy(AsyncCampaign):
                   decode: Callable[[Any], BodyLike] | None = None,
                   maximize: bool | None = None, worst: float = 10.0,
                   operator: str = "sampler") -> AsyncStudyObjective:
-        """What an optimizer calls with its solutions, as `Client.objective`; each call is a batch
-        of this study."""
+        """Returns a function that an optimizer calls with its solutions, like `Client.objective`;
+        each call is a batch of this study."""
         plan = Plan(measures, decode, worst, measures is not None if maximize is None else maximize)
         if plan.needs_path:
             raise ValueError("a study records no paths, so path_length_m cannot be a measure")
@@ -163,10 +164,10 @@ class AsyncStudy(AsyncCampaign):
 
 
 class AsyncStudyObjective:
-    """An objective that makes each call a batch of a study; see `Objective`.
+    """An objective whose calls are the batches of a study; see `Objective`.
 
     `objective(solutions, sampler_state=…)` sends them and returns what the optimizer needs.
-    `objective.last` is the batch of the newest call.
+    `objective.last` is the batch of the last call.
     """
 
     def __init__(self, study: AsyncStudy, plan: Plan, operator: str) -> None:
@@ -187,13 +188,14 @@ class AsyncStudyObjective:
         return self._plan.write(bodies, self._there(bodies), None, single)
 
     def again(self, batch: Batch) -> Any:
-        """What the call returned that made a batch found by `AsyncStudy.restore`."""
+        """Returns what the call that sent a batch found by `AsyncStudy.restore` would have
+        returned."""
         self.last = batch
         bodies: list[Body | None] = list(batch.bodies)
         return self._plan.write(bodies, self._there(bodies), None, False)
 
     def _there(self, bodies: Sequence[Body | None]) -> NDArray[Any]:
-        """The scores of the bodies that are there."""
+        """Returns the scores of the bodies that were not skipped."""
         assert self.last is not None
         scores: NDArray[Any] = self.last.scores
         return scores[[body is not None for body in bodies]]
