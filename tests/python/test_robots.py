@@ -55,7 +55,7 @@ def test_what_takes_a_robot(m):
 def test_what_has_no_result_warns_of_ids_alone(m):
     [row] = m.evaluate([[[0, 0, 0], [1, 0, 0], [1, 1, 0]]], physics=QUICK)
     short = {"population": 2, "generations": 0, "physics": QUICK, "exclude_pretraining": False}
-    with pytest.warns(UserWarning, match=f"given by an id without an orientation: using {row.robot}"):
+    with pytest.warns(UserWarning, match=f"without an orientation: using {row.robot}"):
         m.campaign("zero-shot", initial=[row.id], **short)
     with pytest.warns(UserWarning, match=f"using {row.id}@0, the canonical orientation"):
         m.finetune([row.id], steps=1, batch=1, physics={"n_steps": 5}).cancel()
