@@ -1,4 +1,4 @@
-/* bench.h: what the benchmarks share. A benchmark is a process, and never frees what it creates. */
+/* bench.h: shared by the benchmarks. A benchmark is a process, and never frees what it creates. */
 #ifndef MORPHO_BENCH_H
 #define MORPHO_BENCH_H
 
@@ -8,9 +8,9 @@
 #include <stdio.h>
 
 struct bench_options {
-  uint32_t bodies; /* 0: the default of the benchmark */
+  uint32_t bodies; /* 0 = the default of the benchmark */
   uint64_t seed;
-  uint32_t workers; /* 0: one per processor */
+  uint32_t workers; /* 0 = one per processor */
   enum mo_isa isa;
   bool quick;
   const char *controller; /* path */
@@ -65,8 +65,7 @@ double bench_sgemm_best(const struct bench_sgemm *sgemm);
 /* Returns the FLOP of one step of the controller, restricted to the body's masses and springs. */
 double bench_controller_flop(const struct mo_body *body);
 
-/* Returns the index of a word. Ends the program if the list, which ends with NULL, does not have
- * it. */
+/* Returns the index of a word. Ends the program if it is not in the list, which ends with NULL. */
 int bench_word(const char *const *words, const char *word);
 enum mo_isa bench_isa(const char *name);
 

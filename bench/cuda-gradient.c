@@ -582,7 +582,7 @@ static void check_rare(const struct scene *s)
     zeroed = a.call.counts.zeroed_robots;
     print_counts("no bound", &a.call.counts);
     expect(is_finite(&a) && (walks > 1) == (zeroed > 0),
-           "the gradient is finite, and computed again where a robot is left out");
+           "the gradient is finite, and recomputed without robots that are left out");
     if (zeroed > 0) {
       run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
       expect(same_result(&a, &b), "two runs are the same");

@@ -183,7 +183,7 @@ def phylogeny(data, page):
     yield "a million designs, size", median("bytes") / 1e6, "MB", 20
     yield "a million designs, laid out", median("layoutMs") / 1e3, "s", 0.5
     yield "a million designs, drawn", median("first") / 1e3, "s", 3
-    yield "a million designs, drawn again", median("drawMs") / 1e3, "s", 3
+    yield "a million designs, redrawn", median("drawMs") / 1e3, "s", 3
     # A link to a design on the real page: the page finds it, and the robot walks.
     page.load(f"campaigns/{campaign}/phylogeny?design=900001", "firstPicture()")
     assert page.texts("h2")[0] == "Design #900001"
@@ -277,7 +277,7 @@ def crowd(data, page):
 
 def streams(data, page):
     share, pace, rate = daemon_share(data.service, page, ARGUMENTS.seconds)
-    print(f"# {pace:.2f} generations and {rate:.0f} requests a second", flush=True)
+    print(f"# {pace:.2f} generations and {rate:.0f} requests per second", flush=True)
     yield "ten open pages, share of a core", 100 * share, "%", 2
 
 

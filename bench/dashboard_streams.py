@@ -131,8 +131,8 @@ class Stream:
 
 
 def daemon_share(service, page, seconds):
-    """Returns (share of a core that ten open pages cost, generations per second meanwhile, requests
-    per second). The time of the daemon's serving threads without pages is subtracted."""
+    """Returns (share of a core that ten open pages cost, generations per second during that,
+    requests per second). The time of the daemon's serving threads without pages is subtracted."""
     span_s = max(10, seconds / 2)
     campaign = paced_campaign(service, int(8 * seconds) + 60)
     while newest_generation(service, campaign) < 2:

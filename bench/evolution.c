@@ -141,7 +141,7 @@ static void create(struct evolution *evolution)
   bench_check(mo_pretraining_forms(1, evolution->n_forms, settings->workspace, evolution->n_threads,
                                    NULL, NULL, evolution->excluded),
               "bodies of the pretraining");
-  printf("excluded: the first %llu bodies of the pretraining of seed 1, drawn again by %u threads "
+  printf("excluded: the first %llu bodies of the pretraining of seed 1, redrawn by %u threads "
          "in %.1f s, %.1f MiB\n",
          (unsigned long long)mo_form_set_count(evolution->excluded), evolution->n_threads,
          bench_now_s() - start, (double)mo_form_set_bytes(evolution->excluded) / 0x1p20);

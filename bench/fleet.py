@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """Measures the cost of idle workers. Its own morphod holds sessions that wait for work, each with a
-request for orders and one for leases. How long does /healthz take meanwhile, how much of a core
-does the daemon use, and does the number of its descriptors stay constant?"""
+request for orders and one for leases. During that time, how long does /healthz take, how much of a
+core does the daemon use, and does the number of its descriptors stay constant?"""
 import argparse
 import asyncio
 import json
@@ -87,7 +87,7 @@ async def measure(workers, n, seconds):
     tasks = [asyncio.create_task(session(workers, offer, i, ready)) for i in range(n)]
     for _ in range(n):
         await asyncio.wait_for(ready.acquire(), 60)
-    await asyncio.sleep(min(3, seconds))  # by now each has requested orders again
+    await asyncio.sleep(min(3, seconds))  # by now each has renewed its request for orders
     before, begun = used(pid), time.monotonic()
     probe = await asyncio.create_subprocess_exec(
         sys.executable, "-c", PROBE, service.host, str(service.port), str(seconds), str(PAUSE_S),

@@ -4,7 +4,7 @@ with one thread, to three of them, and to one behind a delay of 150 ms. The boun
 compute at least 95 % of the rollouts per processor second of one, and the worker behind the delay
 has work for at least 95 % of the time. Rollouts that three workers compute twice are counted and
 shown: audits take one lease in ten of a new session. Other load on the machine changes the rates,
-but hardly the two ratios.
+but barely affects the two ratios.
 
 With --model: measures rollouts per second of one, two, four and more workers (--counts), as many as
 leave the daemon a core, and compares them with the forecast of the model of a fleet (fleet_model.c)

@@ -260,8 +260,9 @@ static void measure_back_end(struct back_end *b, const struct sample *s, enum mo
 static void print_back_end(const struct back_end *b, const struct sample *s)
 {
   printf("\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the "
-         "same bits: %s\n%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f "
-         "robots/s meanwhile\na worker's scratch: %.1f MiB\n",
+         "same bits: %s\n%u urgent blocks of one step at the same time: the slowest took %.1f ms; "
+         "%.1f "
+         "robots/s with them\na worker's scratch: %.1f MiB\n",
          s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent,
          1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
 }

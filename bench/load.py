@@ -171,7 +171,7 @@ def shares(busy, quick):
     taken = busy.interactive(60, 0.1)
     missed += verdict("one interactive design × 10 environments, 95th percentile",
                       quantile(taken, 0.95), 1500)
-    print(f"  (60 times meanwhile: median {statistics.median(taken):.0f} ms, longest "
+    print(f"  (60 times during that: median {statistics.median(taken):.0f} ms, longest "
           f"{max(taken):.0f} ms)")
     return missed
 

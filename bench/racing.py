@@ -52,7 +52,7 @@ def run(daemon, options, racing):
     for device in daemon.json("/v1/devices")["items"]:
         wall_s, n = sum(row["seconds"] for row in rows), len(rows)
         busy_s = device["busy_s"]
-        print(f"{racing:9} {device['name']}: {device['calls'] / n:.1f} calls a generation,"
+        print(f"{racing:9} {device['name']}: {device['calls'] / n:.1f} calls per generation,"
               f" {busy_s / n:.3f} s in calls, {(wall_s - busy_s) / n:.3f} s between them,"
               f" busy {busy_s / wall_s:.3f}")
     rollouts, seconds = (sum(row[name] for row in rows[1:]) for name in ("rollouts", "seconds"))

@@ -32,7 +32,7 @@ def worst_of_best(scores, k):
 
 def estimate(designs, k, waves, hardest_first):
     """Returns the share of the rollouts that a race in rounds computes, and the share of its time
-    on a core, where a block costs as much as its rollouts plus two."""
+    on a core, if a block costs as much as its rollouts plus two."""
     n, m = len(designs), len(designs[0])
     n_few = min(max(n // 16, 4), 64)
     few = [i * n // n_few for i in range(n_few)]

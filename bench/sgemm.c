@@ -1,4 +1,4 @@
-/* sgemm.c: how fast one core multiplies matrices, by OpenBLAS.
+/* sgemm.c: how fast one core multiplies matrices with OpenBLAS.
  *
  * OpenBLAS recognizes processors by their numbers. A processor that is newer than the library gets
  * the kernels of the oldest one, which are five times as slow. An environment variable may also

@@ -77,7 +77,7 @@ def sweeps(count):
 
 def evaluate(daemon, arguments, controller, designs, environments):
     """Returns losses: a list for each design, with None where it diverged. Stored losses are not
-    computed again."""
+    recomputed."""
     body = {
         "designs": designs, "environments": environments, "controller": controller,
         "device": arguments.device, "priority": "batch",

@@ -1,4 +1,4 @@
-"""A daemon of a benchmark: it is started on a free port, used over HTTP and shut down cleanly, and
+"""A daemon for a benchmark: it is started on a free port, used over HTTP and shut down cleanly, and
 its state folder is kept.
 
 Also provides a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP) for benchmarks that may be
@@ -118,7 +118,7 @@ class Daemon:
                                         stderr=self.log,
                                         process_group=0,
                                         preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-                                        )  # ends with the benchmark, even if that is killed
+                                        )  # stops with the benchmark, even if that is killed
         self.address = None
         try:
             self.start(address)
@@ -127,7 +127,7 @@ class Daemon:
             raise
 
     def start(self, address):
-        """Waits until it accepts work."""
+        """Waits until the daemon accepts work."""
         for _ in range(600):
             if address.exists() and address.read_text().strip():
                 self.address = address.read_text().split()[0]
@@ -144,9 +144,10 @@ class Daemon:
         program = arguments.morphod or arguments.build / "src/daemon/morphod"
         module = arguments.module or arguments.build / "src/compute/cuda/morphod-cuda.so"
         if arguments.module and not module.exists():
-            sys.exit(f"there is no {module}")
+            sys.exit(f"module {module} not found")
         if not program.exists():
-            sys.exit(f"there is no {program}: build it, or name another with --morphod or --build")
+            sys.exit(f"program {program} not found: build it, or specify another one with "
+                     "--morphod or --build")
         given = [f"--devices={arguments.devices}"
                  ] + ([f"--compute-module={module.resolve()}"] if module.exists() else [])
         given += [f"--workers={arguments.workers}"] if arguments.workers else []
@@ -206,7 +207,7 @@ class Daemon:
             for other in list(self.items(f"/v1/jobs?state={state}")):
                 if other["id"] != job["id"]:
                     self.fetch(f"/v1/jobs/{other['id']}/pause", method="POST",
-                               refused=409)  # 409: it has ended meanwhile
+                               refused=409)  # 409: it has ended in the meantime
         if job["state"] in ("paused", "failed"):
             self.fetch(f"/v1/jobs/{job['id']}/resume", method="POST")
         return self.call(f"/v1/{kind}/{job['id']}")
@@ -258,8 +259,8 @@ class Daemon:
         }
 
     def stop(self):
-        """Sends SIGTERM: running work is saved. A daemon that does not end is killed, and continues
-        from its last checkpoint."""
+        """Sends SIGTERM, so that running work is saved. A daemon that does not stop is killed; next
+        time it continues from its last checkpoint."""
         self.process.terminate()
         try:
             self.process.wait(120)

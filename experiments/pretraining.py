@@ -3,9 +3,8 @@ how they learn.
 
 One call trains one recipe with some seeds, one training after the other. The state folder is kept:
 when called again, the program continues where it stopped, and yields the same numbers. A row of the
-CSV file is a step or a validation; the file collects rows of many recipes. A training is not run
-again, even without its state, if all its rows are in the CSV file and its controller is in the
-folder."""
+CSV file is a step or a validation; the file collects rows of many recipes. A training is not rerun,
+even without its state, if all its rows are in the CSV file and its controller is in the folder."""
 import bisect
 import hashlib
 import sys
@@ -142,7 +141,7 @@ def progress_of(training, recipe):
     seed = training["settings"]["seed"]
     line = f"{recipe}, seed {seed}: step {progress['step']} of {progress['steps']}"
     if training["phase"] == "replaying":
-        line += f", drawing again {progress['replayed']} of {progress['replay_total']} bodies"
+        line += f", redrawing {progress['replayed']} of {progress['replay_total']} bodies"
     if progress["mean_loss"] is not None:
         line += f", loss {progress['mean_loss']:.4f}"
     if progress["bodies_per_s"]:
@@ -361,7 +360,7 @@ def main():
         return own_daemon.cut_off()
     rows = records.read(arguments.csv, TEXTS)
     if not rows:
-        sys.exit(f"there is nothing in {arguments.csv}")
+        sys.exit(f"{arguments.csv} has no rows")
     draw(rows, arguments.svg)
     print(table(rows))
     if arguments.markdown:

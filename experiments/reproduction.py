@@ -5,8 +5,8 @@ Campaigns run one after the other, by mode and seed. The state folder is kept: w
 the program continues where it stopped. In the folder of results, generations.csv has a row per
 generation, and campaigns.json the rest: settings, learning curves, the distributions of the first
 and the last population, champions with their voxels. A campaign that is complete there, with the
-same settings, is not run again, even without its state. The figures and tables are made only from
-these two files and the CSV file of `tools/bench pretraining`."""
+same settings, is not rerun, even without its state. The figures and tables are made only from these
+two files and the CSV file of `tools/bench pretraining`."""
 import bisect
 import hashlib
 import json

@@ -341,7 +341,7 @@ def report(folder, pretraining_csv=None):
     kept, rows = read(folder)
     pretrained = records.read(pretraining_csv, pretraining.TEXTS) if pretraining_csv else []
     if not rows:
-        raise SystemExit(f"there is nothing in {folder / 'generations.csv'}")
+        raise SystemExit(f"{folder / 'generations.csv'} has no rows")
     best = min(records.group(pretrained, "recipe", "device").values(),
                default=[],
                key=lambda group: records.mean([

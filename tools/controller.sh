@@ -1,4 +1,4 @@
-# controller.sh: sourced by tools/demo. Shows with which controller a daemon scores.
+# controller.sh: sourced by tools/demo. Shows the controller that a daemon scores with.
 #
 #   default_controller MORPHOCTL ADDRESS FILE
 #       prints "NAME SHA256" of the controller `default`. NAME is that of FILE if the daemon's

@@ -14,7 +14,7 @@
 
 #define PLACE_BYTES 128
 
-/* Settings whose option is not called like the setting, or has a letter. */
+/* Settings whose option has a different name, or a letter. */
 static const struct {
   const char *place, *option, *letter;
 } names[] = {
@@ -30,7 +30,7 @@ static const struct {
     {"selection.weight", "novelty-weight", "0"},
 };
 
-/* Settings whose options are written by hand, because their values are. */
+/* Settings whose options are written by hand, because of their values. */
 static const char *const by_hand[] = {"workspace", "exclude_pretraining", "schedule.kind",
                                       "learning.schedule.kind"};
 
@@ -39,15 +39,15 @@ struct kind {
   const char *name;
   const void *const *settings;
   size_t n;
-  const char *otherwise; /* what the default is called where it differs; NULL: the first and the
-                            second, which is that of finetuning */
+  const char *otherwise; /* text if the defaults differ; NULL: show the first, and the second as that
+                            of finetuning */
 };
 
 struct row {
   const struct mo_field *field;
   size_t offset;
   char place[PLACE_BYTES], option[PLACE_BYTES];
-  const char *letter; /* "0": none */
+  const char *letter; /* "0" if none */
   char fallback[160], bounds[96];
 };
 
@@ -92,8 +92,8 @@ static void value_text(const struct row *row, const void *settings, char text[64
   }
 }
 
-/* Finds the default: "1400", or what it is called if it differs; "" where the help says what stands
- * for a setting that is not given. */
+/* Finds the default: "1400", or a description if it differs; "" if the help says what happens when
+ * the setting is not given. */
 static void find_fallback(const struct kind *kind, struct row *row)
 {
   char first[64], other[64];

@@ -3,11 +3,11 @@
 #   install_packages SECTION…   installs missing packages of these sections of tools/packages (as
 #                               root, or with sudo)
 #   fetch_promtool              puts Prometheus's checker, build/promtool, in its place once; tests
-#                               that find none are skipped
+#                               that need it are skipped without it
 #   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments. $gpu_code
-#                               (all, check) says which GPUs the module for them has code for; on a
+#                               (all, check) selects the GPUs that the GPU module has code for; on a
 #                               machine with a GPU it is all
-#   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
+#   build_in FOLDER [ARG…]      the same, then builds it, or only $targets
 #   build_shown FOLDER [ARG…]   the same, shows progress, and first estimates how long it takes
 
 set -euo pipefail
@@ -58,7 +58,7 @@ fetch_promtool() {
   (cd "$part" && { apt-get download -qq prometheus ||
     { as_root apt-get update -qq && apt-get download -qq prometheus; }; } &&
     dpkg-deb --fsys-tarfile prometheus_*.deb | tar -x ./usr/bin/promtool) 2>/dev/null &&
-    mv "$part/usr/bin/promtool" build/promtool || echo "there is no promtool: its tests are skipped"
+    mv "$part/usr/bin/promtool" build/promtool || echo "promtool is missing: its tests are skipped"
   rm -rf "$part"
 }
 
@@ -109,7 +109,7 @@ build_shown() {
   local folder=$1 output build steps files cuda seconds
   configure_in "$@"
   output=$(ninja -C "$folder" --quiet build.ninja) ||
-    { printf '%s\n' "$output"; fail "meson could not configure $folder again"; }
+    { printf '%s\n' "$output"; fail "meson could not reconfigure $folder"; }
   build=(ninja -C "$folder" ${targets:-})
   steps=$("${build[@]}" -n --verbose) || fail "ninja cannot build ${targets:-} in $folder"
   files=$(grep -c ' -c .*\.c$' <<<"$steps" || true)

@@ -33,7 +33,7 @@ enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1, MO_IMMEDIATE = 2 };
 enum mo_back_end { MO_ON_CPU = 0, MO_ON_DEVICE = 1 };
 
 struct mo_compute_config {
-  uint32_t n_workers; /* 0: one per processor of the affinity mask, or fewer under a CPU quota */
+  uint32_t n_workers; /* 0 = one per processor of the affinity mask, or fewer under a CPU quota */
   enum mo_isa isa;    /* from mo_isa_best(), or lower for tests */
   int nice; /* added to the process's niceness, 0 … 19, so that the service's threads stay
                responsive */
@@ -62,23 +62,22 @@ struct mo_block {
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   int status;                   /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE, … */
   enum mo_back_end computed_on; /* with MO_OK */
-  int64_t origin;               /* with MO_OK: the `origin` of the remote taker's result; 0: this
-                                   machine */
-  /* Called once, on a worker's or a device's thread, after the results are written. Must be short;
-   * may free the block. */
+  int64_t origin; /* with MO_OK: the `origin` of the remote taker's result; 0 = this machine */
+  /* Called once, on a worker's or a device's thread, after the results have been written. Must be
+   * short; may free the block. */
   void (*done)(struct mo_block *block, void *context);
   void *context;
   /* Private to the back end. */
   struct mo_block *next;
   struct mo_gradient_task *gradient;
   struct mo_device_task *shards;
-  bool stays; /* not given to remote takers */
+  bool stays; /* cannot be computed by remote takers */
 };
 
 struct mo_compute_stats {
   uint32_t n_workers, n_busy;
   uint64_t blocks_done;                                     /* scoring and gradient blocks */
-  uint64_t rollouts_done, rollout_steps, rollouts_diverged; /* of scoring blocks */
+  uint64_t rollouts_done, rollout_steps, rollouts_diverged; /* only of scoring blocks */
   uint64_t blocks_preempted; /* urgent blocks that ran inside another */
   uint64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   uint64_t queued_batch, queued_interactive;
@@ -133,16 +132,16 @@ struct mo_compute_share_stats {
   uint64_t blocks_done; /* including urgent ones */
 };
 void mo_compute_share_get_stats(const struct mo_compute_share *share,
-                                struct mo_compute_share_stats *stats); /* lock-free reads */
+                                struct mo_compute_share_stats *stats); /* lock-free */
 
 /* Sets the budget of a worker's scratch for gradients, initially MO_GRADIENT_DEFAULT_BYTES. It
  * applies to scratch that workers create later, and changes no bit. */
 void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes);
-/* Makes workers free their gradient scratch. Call it when no gradients are expected for now; a
- * later gradient allocates its scratch again. */
+/* Makes workers free their gradient scratch. Call it when no gradients are expected soon; a later
+ * gradient reallocates its scratch. */
 void mo_compute_trim(struct mo_compute *compute);
 
-/* Queues a block and returns at once. Environments and physics were checked before
+/* Queues a block and returns at once. Environments and physics must have been checked
  * (mo_environment_check, mo_physics_check). Fails only after mo_compute_free has begun
  * (MO_ERR_CANCELLED) or, for a block that requires a device, if no device works (MO_ERR_DEVICE). */
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
@@ -193,7 +192,7 @@ struct mo_gradient_batch {
  * one state per training. It serves one call at a time, which must have returned before
  * mo_compute_free.
  *
- * Environments, physics and options were checked before (mo_gradient_options_check).
+ * Environments, physics and options must have been checked (mo_gradient_options_check).
  * MO_ERR_INVALID (a body of another workspace), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE.
  * On error the results are undefined.
  *
@@ -205,10 +204,10 @@ struct mo_gradient_state;
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **state);
 void mo_gradient_state_free(struct mo_gradient_state *state); /* NULL-safe; before the compute */
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch);
-/* Lays out the robots of the next gradient before its weights are known, so that devices need not
- * wait for the layout. Call it from another thread while mo_compute_gradient computes the previous
- * one. The robots and what they point to must not change until their gradient is computed or
- * mo_compute_gradient_forget is called. Only the newest layout is kept. Changes no bit; does
+/* Lays out the robots of the next gradient before its weights are known, so that devices do not
+ * have to wait for the layout. Call it from another thread while mo_compute_gradient computes the
+ * previous one. The robots and what they point to must not change until their gradient is computed
+ * or mo_compute_gradient_forget is called. Only the newest layout is kept. Changes no bit; does
  * nothing without devices. On error the gradient works as if this had not been called. */
 int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
                                 uint32_t n, const struct mo_physics *physics);
@@ -219,17 +218,17 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
 /* ---- remote takers: machines that compute blocks from this back end's queues ---- */
 
-/* Work that a remote taker took. Either blocks: batch blocks in float32, without recordings and
- * with `body` NULL, all of one share, one controller and one physics; the submitters still own
- * them. Or one shard of a gradient on the CPU or on expected devices: of a batch that has a share,
- * is not urgent, and includes its genotypes. */
+/* Work taken by a remote taker. It is either blocks: batch blocks in float32, without recordings
+ * and with `body` NULL, all of one share, one controller and one physics; the submitters still own
+ * them. Or it is one shard of a gradient on the CPU or on expected devices, if the batch has a
+ * share, is not urgent, and includes its genotypes. */
 struct mo_taken {
   enum mo_back_end back_end;
   uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
   struct mo_block *const *blocks;         /* (n_blocks) */
   const struct mo_gradient_batch *shard;  /* NULL: blocks; its robots are arranged */
   const struct mo_controller *controller; /* of all blocks; NULL: passive bodies */
-  const void *identity;                   /* of the controller, while any of its work is taken */
+  const void *identity;                   /* valid while any work with the controller is taken */
   /* Private to the back end below this line. */
 };
 /* Results of blocks that were taken, or of a shard. */
@@ -243,19 +242,19 @@ struct mo_remote_result {
   struct mo_gradient_counts counts;
 };
 /* Takes at least one block, and more while their rollout steps stay within max_steps; or a shard,
- * whatever its size. Does not wait. NULL: no suitable block, or out of memory. Put back or deliver
- * each taken exactly once, before mo_compute_free. */
+ * whatever its size. Does not wait. Returns NULL if there is no suitable block, or out of memory.
+ * Put back or deliver each `taken` exactly once, before mo_compute_free. */
 struct mo_taken *mo_compute_take(struct mo_compute *compute, enum mo_back_end back_end,
                                  uint64_t max_steps);
 /* Puts the blocks back at the front of their share, charges nothing, and frees `taken`. A shard
  * that was put back three times, or delivered with an error, is computed by the workers. A shard
  * for expected devices that was put back 32 times ends its batch with MO_ERR_DEVICE. */
 void mo_compute_put_back(struct mo_compute *compute, struct mo_taken *taken);
-/* Puts back blocks that remote takers cannot compute, and never gives them to remote takers again.
- * After a shard for devices, the workers compute its entire gradient. */
+/* Puts back blocks that remote takers cannot compute, and excludes them from remote takers
+ * permanently. After a shard for devices, the workers compute its entire gradient. */
 void mo_compute_keep(struct mo_compute *compute, struct mo_taken *taken);
-/* Cuts off the second half of the blocks as another taken. NULL: it has one block, or out of
- * memory. */
+/* Splits off the second half of the blocks as another `taken`. Returns NULL if it has only one
+ * block, or out of memory. */
 struct mo_taken *mo_compute_split(struct mo_compute *compute, struct mo_taken *taken);
 /* Returns whether every block is cancelled. */
 bool mo_taken_is_cancelled(const struct mo_taken *taken);
@@ -277,17 +276,17 @@ void mo_compute_leave_remote(struct mo_compute *compute, bool leave);
 void mo_compute_watch_remote(struct mo_compute *compute, void (*arrived)(void *context),
                              void *context);
 
-/* Opens a queue for devices that only other machines have: remote takers compute all of its blocks,
- * which wait until a taker connects. Call it once, instead of mo_compute_add_devices and as early.
- * MO_ERR_CONFLICT: devices exist already; MO_ERR_NO_MEMORY. */
+/* Opens a queue for devices that exist only on other machines: remote takers compute all of its
+ * blocks, which wait until a taker connects. Call it once, instead of mo_compute_add_devices and as
+ * early. MO_ERR_CONFLICT: devices exist already; MO_ERR_NO_MEMORY. */
 int mo_compute_expect_devices(struct mo_compute *compute);
 bool mo_compute_expects_devices(const struct mo_compute *compute);
-/* Names the class of expected devices permanently, by its fingerprints of scores and gradients. No
- * block is accepted before. Only one thread may call it at a time. MO_ERR_CONFLICT: the class has a
- * name already; MO_ERR_LIMIT: too long. */
+/* Sets the class of expected devices permanently: its fingerprints of scores and gradients. Before
+ * that, no block is accepted. Only one thread may call it at a time. MO_ERR_CONFLICT: the class is
+ * already set; MO_ERR_LIMIT: too long. */
 int mo_compute_name_devices(struct mo_compute *compute, const char *scores, const char *gradients);
 /* Returns whether blocks for devices are accepted: a device works, or the class of expected devices
- * is named. */
+ * is set. */
 bool mo_compute_serves_devices(const struct mo_compute *compute);
 /* Returns whether suitable blocks are left to remote takers, but no taker is connected. */
 bool mo_compute_lacks_takers(const struct mo_compute *compute, enum mo_back_end back_end);
@@ -322,7 +321,7 @@ struct mo_devices_config {
   const uint32_t *devices; /* (n) indices of devices to open; NULL: all that can be opened */
   uint32_t n;
   /* Called when a device is lost and, while devices are added, for each device that is left out.
-   * Runs on a thread of its own. Nullable. */
+   * Runs on a separate thread. Nullable. */
   void (*lost)(void *context, const struct mo_device_status *status);
   void *context;
 };
@@ -331,7 +330,7 @@ struct mo_devices_config {
  * blocks. Devices whose compute capability differs from that of the first opened device are left
  * out, because their bits differ. MO_ERR_NOT_FOUND: no such file; MO_ERR_UNSUPPORTED: not a module,
  * or a module for another version of this program; MO_ERR_EXHAUSTED: no working device;
- * MO_ERR_RANGE: no such device; MO_ERR_DEVICE: a device named in `devices` cannot be opened, or its
+ * MO_ERR_RANGE: no such device; MO_ERR_DEVICE: a device in `devices` cannot be opened, or its
  * capability differs from the first; MO_ERR_CONFLICT: devices were added already; MO_ERR_NO_MEMORY.
  * After an error there are no devices. */
 int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
@@ -342,7 +341,7 @@ uint32_t mo_compute_devices_working(const struct mo_compute *compute); /* withou
 int mo_compute_device(struct mo_compute *compute, uint32_t position,
                       struct mo_device_status *status);
 /* Like the fingerprints below, for scores and gradients that devices compute, such as "cuda float32
- * score 4 sm90". NULL: no devices, or their class is not named yet. */
+ * score 4 sm90". NULL: no devices, or their class is not set yet. */
 const char *mo_compute_device_fingerprint(const struct mo_compute *compute);
 const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute);
 
@@ -350,7 +349,7 @@ const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *comp
 
 /* Statistics of the workers. Lock-free reads. */
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats);
-/* Names what the bits of a result depend on besides its inputs (back end, instruction set, code
+/* Describes what the bits of a result depend on besides its inputs (back end, instruction set, code
  * version), such as "cpu avx512 float32 …". */
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision);
 

@@ -1,9 +1,9 @@
 /* error.h: the result codes of every function that can fail.
  *
  * A function returns MO_OK (0) or one of these negative codes. Unless its comment says otherwise,
- * it never exits, never logs, and leaves its outputs unchanged on failure. Where a person must act
- * on an error, the function also takes a `struct mo_message *` (nullable) and writes one sentence
- * that says what is wrong and what to do. */
+ * it never exits, never logs, and leaves its outputs unchanged on failure. If a person must act on
+ * an error, the function also takes a `struct mo_message *` (nullable) and writes one sentence that
+ * says what is wrong and what to do. */
 #ifndef MORPHO_ERROR_H
 #define MORPHO_ERROR_H
 

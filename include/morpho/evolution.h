@@ -5,7 +5,7 @@
  *   mo_variation  makes children that were never seen before: mutants, then recombinants
  *   (the caller)  learns and scores
  *   mo_select     ranks the survivors among parents and children, best first
- * Every random number comes from a stream named by (seed, purpose, generation, index). So an
+ * Every random number comes from a stream identified by (seed, purpose, generation, index). So an
  * interrupted generation can be repeated, bit for bit, from the population and the set of forms
  * seen so far. Generation 0 is the initial population; generation g ≥ 1 is made from the survivors
  * of generation g − 1.
@@ -47,12 +47,14 @@ enum mo_campaign_mode {
 extern const char
     *const mo_campaign_mode_words[]; /* "zero-shot", "few-shot", "simultaneous", "study", NULL */
 #define MO_PRESETS 3
-/* What a mode does. A new mode is a row of mo_modes, its word and its enumerator. */
+/* Properties of a mode. A new mode needs a row of mo_modes, its word and its enumerator. */
 struct mo_mode {
-  bool makes_children;    /* by variation; else a client supplies them, and decides when it ends */
+  bool makes_children;    /* by variation; otherwise a client supplies them, and decides when the
+                             campaign ends */
   bool learns;            /* in each generation; parents are scored again */
   bool inherits_learning; /* a generation continues the training of the one before */
-  bool starts_untrained;  /* random weights if no controller is given; else there is one */
+  bool starts_untrained;  /* random weights if no controller is given; otherwise a controller is
+                             required */
   /* Of its presets: */
   uint32_t generations[MO_PRESETS];
   uint32_t steps; /* of learning, on parents and on children each */
@@ -207,18 +209,18 @@ int mo_population_initial(const struct mo_campaign_settings *settings, struct mo
 struct mo_variation_counts {
   uint64_t mutation_attempts,
       crossover_attempts;         /* children drawn, including seen and empty ones */
-  uint32_t mutants, recombinants; /* born */
-  uint32_t fallbacks; /* mutants that replace recombinants, because no pair gave a new child */
+  uint32_t mutants, recombinants; /* children born */
+  uint32_t fallbacks; /* mutants that replace recombinants, because no pair produced a new child */
   bool exhausted; /* fewer than `population` children: 2^16 attempts in a row found nothing new */
 };
 /* Makes the children of a population, in order: mutants, recombinants, fallbacks. A random
- * round(mutation_share · n) of the n parents give one mutant each: flips at mutation_rate, repeated
- * with rate · mutation_growth (at most 0.5) while the child is empty or seen. The other parents
- * (all parents, if they are fewer than two) are paired at random, two distinct ones each time,
- * until `population` children exist; empty or seen children are discarded. After 1000 discards in a
- * row, or with only one parent, the rest are mutants of random members of that group, each repeated
- * until it is new. Adds the children to `seen`. children: (population, words); births:
- * (population). *n may be 0: exhausted. Streams (seed, MUTATION | CROSSOVER | SELECTION,
+ * round(mutation_share · n) of the n parents produce one mutant each: flips at mutation_rate,
+ * repeated with rate · mutation_growth (at most 0.5) while the child is empty or seen. The other
+ * parents (all parents, if they are fewer than two) are paired at random, two distinct ones each
+ * time, until `population` children exist; empty or seen children are discarded. After 1000
+ * discards in a row, or with only one parent, the rest are mutants of random members of that group,
+ * each repeated until it is new. Adds the children to `seen`. children: (population, words);
+ * births: (population). *n may be 0: exhausted. Streams (seed, MUTATION | CROSSOVER | SELECTION,
  * generation, …). MO_ERR_CANCELLED, MO_ERR_NO_MEMORY: `seen` then holds some of the children and
  * must be rebuilt. */
 int mo_variation(const struct mo_campaign_settings *settings, uint32_t generation,
@@ -247,13 +249,13 @@ int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
 /* ---- racing: scoring of children stops once they cannot survive ---- */
 
 /* Losses are never negative, and rounded sums are monotone: the score of a design whose missing
- * losses count as 0 is a lower bound of its score, bit for bit. Under truncation, a child whose
+ * losses count as 0 is a lower bound on its score, bit for bit. Under truncation, a child whose
  * lower bound is above the worst of N parents cannot survive, because N candidates are better.
  * Environments are scored in waves, the most informative first.
  *
- * Only truncation has such a bound. In a tournament, every candidate that did not diverge may
+ * Only truncation allows such a bound. In a tournament, every candidate that did not diverge may
  * survive; novelty lets bad designs survive; in age layers, children compete with children first,
- * and there are never more than N of them. A study owes its client every score. */
+ * and there are never more than N of them. A study must report every score to its client. */
 bool mo_race_is_possible(const struct mo_campaign_settings *settings);
 #define MO_RACE_WAVES_MAX 6
 struct mo_race {
@@ -266,18 +268,18 @@ struct mo_race {
   bool is_whole;                   /* no child is cut: all waves are scored at once */
 };
 /* Plans the race of a generation's children from the losses and scores of its parents: losses
- * (n_parents, n_environments), NaN: not known; scores (n_parents). pays: a race saved time in the
+ * (n_parents, n_environments), NaN if unknown; scores (n_parents). pays: a race saved time in the
  * previous generation, or would have. The plan depends on nothing else. With fewer than
  * `population` parents there is one wave, and nothing is cut. */
 void mo_race_plan(const struct mo_campaign_settings *settings, const double *losses,
                   const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race);
-/* Returns the time, in rollouts, that a race saves with a child that was cut or has all its losses;
- * negative: it costs time. A loss that was not computed is NaN: stored losses may cut a child
- * before a wave. */
+/* Returns the time, in rollouts, that a race saves with a child that was cut short or has all its
+ * losses; negative if it costs time. A loss that was not computed is NaN: stored losses may cut a
+ * child before a wave. */
 int mo_race_saved(const struct mo_race *race, const double *losses, bool on_device);
-/* Returns the time, in rollouts, that a generation loses by its race: a device computes thousands
- * of rollouts at once, and is idle at the end of a wave while the next one waits for it.
+/* Returns the time, in rollouts, that the race costs a generation: a device computes thousands of
+ * rollouts at once, and is idle at the end of a wave while the next one waits for it.
  * parents_first: the first wave waits for the scores of parents. */
 uint32_t mo_race_lost(const struct mo_race *race, bool on_device, bool parents_first);
 /* Computes the mean of n losses, in order; NaN, a loss that was not computed, counts as 0. */
@@ -287,31 +289,30 @@ double mo_race_score(const double *losses, uint32_t n);
 
 /* A race of n designs (best.c): designs with a score at most the k-th best get all their losses,
  * the others only enough to prove that their scores are higher. The race runs in rounds:
- * mo_best_ask asks for losses, and is called again after mo_best_give has delivered all of them.
- * The losses that it asks for depend only on the losses of earlier rounds. */
+ * mo_best_ask requests losses, and is called again after mo_best_give has delivered all of them.
+ * The requested losses depend only on the losses of earlier rounds. */
 struct mo_best {
   uint32_t n_designs, n_environments, k;
-  uint64_t n_cut;        /* losses that will never be asked for */
-  double share;          /* estimated share of the losses that will be asked for; 0: not known
-                            yet */
-  uint64_t *asked;       /* (n_designs) the environments asked for so far, as bits */
-  double *losses;        /* (n_designs, n_environments) NaN: not known */
+  uint64_t n_cut;        /* losses that will never be requested */
+  double share;          /* estimated share of the losses that will be requested; 0 = unknown yet */
+  uint64_t *asked;       /* (n_designs) the environments requested so far, as bits */
+  double *losses;        /* (n_designs, n_environments) NaN if unknown */
   struct mo_rank *ranks; /* (n_designs) scratch */
   struct mo_race race;   /* its bound is that of the designs with all losses */
-  uint32_t round, wave;  /* rounds and waves asked for */
+  uint32_t round, wave;  /* rounds and waves requested */
 };
 /* 1 ≤ k ≤ n_designs; 1 ≤ n_environments ≤ MO_RACE_ENVIRONMENTS_MAX. MO_ERR_NO_MEMORY. */
 int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, struct mo_best **best);
 void mo_best_free(struct mo_best *best); /* NULL-safe */
-/* Records a loss that was asked for; +infinity: diverged. */
+/* Records a requested loss; +infinity if it diverged. */
 void mo_best_give(struct mo_best *best, uint32_t design, uint32_t environment, double loss);
-/* Asks for the next losses: adds bits to `asked`. Returns how many it added; 0: the race is over,
- * and designs with all bits set have their scores. */
+/* Requests the next losses: adds bits to `asked`. Returns how many it added; 0 means that the race
+ * is over, and designs with all bits set have their scores. */
 uint64_t mo_best_ask(struct mo_best *best);
 
 /* ---- statistics ---- */
 
-/* The size of a design. footprint: voxel columns (x, y) that hold at least one voxel. */
+/* The size of a design. footprint: voxel columns (x, y) with at least one voxel. */
 struct mo_design_size {
   uint32_t voxels, footprint, masses, springs;
 };
@@ -324,7 +325,8 @@ struct mo_spread {
 #define MO_QUANTILES 7 /* 0, 5, 25, 50, 75, 95, 100 %: linear between ranks */
 struct mo_population_stats {
   uint32_t n, n_diverged;
-  double mean_score, quantiles[MO_QUANTILES]; /* of those that did not diverge; NaN: all diverged */
+  double mean_score,
+      quantiles[MO_QUANTILES]; /* of those that did not diverge; NaN if all diverged */
   double diversity; /* mean pairwise Hamming distance / voxels of the workspace; 0 for n < 2 */
   uint32_t species; /* distinct canonical forms */
   struct mo_spread voxels, footprint, masses, springs;

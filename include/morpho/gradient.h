@@ -10,9 +10,8 @@
  * positions and velocities,
  *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂)
  * is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start + 1e-8
- * m. Where m > bound,
- *   MO_ADJOINT_CLIP     scales both by bound/m;
- *   MO_ADJOINT_RESTART  resets both, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
+ * m. If m > bound, MO_ADJOINT_CLIP     scales both by bound/m; MO_ADJOINT_RESTART  resets both, as
+ * if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
  *                       restart_weight times that of the distance to the light, over d0, at the
  *                       center of mass one step earlier.
  * A restart drops the effect of the state on later time. It keeps the effect of the parameters that
@@ -43,7 +42,7 @@ enum mo_adjoint_rule { MO_ADJOINT_CLIP = 0, MO_ADJOINT_RESTART = 1 };
 extern const char *const mo_adjoint_words[]; /* "clip", "restart", NULL */
 
 struct mo_gradient_options {
-  double adjoint_bound; /* ≥ 0; 0: off */
+  double adjoint_bound; /* ≥ 0; 0 = off */
   double weight; /* finite; factor of this rollout's gradient in the sum: 1/B for the mean over a
                     batch of B */
   enum mo_adjoint_rule adjoint_rule;
@@ -112,7 +111,7 @@ int mo_pack_update(struct mo_pack *pack, const struct mo_controller *controller)
 
 /* Scratch of one worker: grows to what its blocks need. The tape of a block (the data of every step
  * that the backward pass needs) is kept in full if it fits `budget_bytes`. Otherwise the rollout is
- * cut into segments: only their starts are kept, and the backward pass runs each segment again. The
+ * cut into segments: only their starts are kept, and the backward pass reruns each segment. The
  * budget changes no bit of a result. If it is too small for the shortest segments, it is
  * exceeded. */
 struct mo_gradient_memory;

@@ -169,7 +169,7 @@ mo_training_controller(const struct mo_training *training); /* current weights; 
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
  * step t has mo_environment_training(seed, t, i). A restored pretraining first replays its stream:
  * a non-zero `cancel` (nullable) stops that with MO_ERR_CANCELLED; `replayed` (nullable) counts the
- * bodies drawn again so far, out of step × batch. Drawing twice returns the same robots; after an
+ * bodies redrawn so far, out of step × batch. Drawing twice returns the same robots; after an
  * error, the next call continues where the failed call stopped. Memory: the bodies of the step (for
  * a finetuning, of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left;
  * MO_ERR_CORRUPT: the replay needed a different number of draws (the checkpoint is from other
@@ -178,12 +178,13 @@ int mo_training_draw(struct mo_training *training, const volatile int *cancel,
                      volatile uint64_t *replayed, const struct mo_robot **robots);
 
 /* Draws the robots of the step after the current one, so that the next draw finds them ready. Call
- * it while the gradient of the current robots, which do not change, is being computed. Meanwhile
- * only mo_training_controller, _step, _settings_of and _encode may be called for this training.
- * Also MO_OK if there is no such step. Errors as for a draw; an error changes no result. */
+ * it while the gradient of the current robots, which do not change, is being computed. During the
+ * call only mo_training_controller, _step, _settings_of and _encode may be called for this
+ * training. Also MO_OK if there is no such step. Errors as for a draw; an error changes no
+ * result. */
 int mo_training_draw_ahead(struct mo_training *training, const volatile int *cancel);
 const struct mo_robot *
-mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahead; NULL: none */
+mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahead; NULL if none */
 /* Sets how many threads make the robots of a step and apply its gradient (initially 1); they stop
  * at the end of each call. Changes no result. Useful for a thousand robots or more: one thread
  * makes about 30,000 per second. */
@@ -227,7 +228,7 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters,
  * design. MO_ERR_NO_MEMORY. */
 #define MO_CHECKPOINT_BYTES_MAX (UINT64_C(16) << 20)
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size);
-/* MO_ERR_FORMAT (not a checkpoint, damaged, or of an unknown version; message says which),
+/* MO_ERR_FORMAT (not a checkpoint, damaged, or an unknown version; message says which),
  * MO_ERR_NO_MEMORY. */
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
@@ -255,9 +256,9 @@ struct mo_training_lineage {
  *   ".version"       of the code, as passed
  *   ".code"          JSON: the entries of `lineage` (nullable) below this step
  *   ".designs_crc64" for a finetuning
- * The file names no time and no host: equal trainings export equal files. The parent's own metadata
- * is not inherited. The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that
- * is not UTF-8). */
+ * The file contains no time and no host name: equal trainings export equal files. The parent's own
+ * metadata is not inherited. The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a
+ * text that is not UTF-8). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
                        const char *code_version, const struct mo_training_lineage *lineage,
                        struct mo_controller **controller);

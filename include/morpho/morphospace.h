@@ -173,9 +173,9 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
 void mo_body_stream_free(struct mo_body_stream *stream);
 /* form: the body's canonical form; nullable. */
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-/* Sets how many threads draw bodies ahead (initially 1: none does); a body takes a thread about 10
- * µs. They stop at the end of each call. The bodies do not depend on the number. Setting the
- * current number has no effect. MO_ERR_NO_MEMORY: nothing changed. */
+/* Sets how many threads draw bodies ahead (initially 1, which means none); a body takes a thread
+ * about 10 µs. They stop at the end of each call. The bodies do not depend on the number. Setting
+ * the current number has no effect. MO_ERR_NO_MEMORY: nothing changed. */
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
 uint64_t mo_body_stream_draws(
     const struct mo_body_stream *stream); /* draws so far, including skipped ones */

@@ -1,10 +1,10 @@
 /* random.h: counter-based random numbers, Philox4x32-10 (Salmon et al., SC 2011).
  *
- * A stream is named by (seed, purpose, step, index). The same name yields the same numbers on every
- * machine, in any order of use and on any number of threads, so a restart needs no replay. Key: the
- * 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the low half of the
- * index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the index. All results
- * are bit-exact across instruction sets (no libm). */
+ * A stream is identified by (seed, purpose, step, index). The same identifiers yield the same
+ * numbers on every machine, in any order of use and on any number of threads, so a restart needs no
+ * replay. Key: the 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the
+ * low half of the index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the
+ * index. All results are bit-exact across instruction sets (no libm). */
 #ifndef MORPHO_RANDOM_H
 #define MORPHO_RANDOM_H
 

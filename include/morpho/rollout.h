@@ -37,7 +37,7 @@ enum mo_impact {
 };
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
-/* What all rollouts of a block share: it decides which operations they perform. */
+/* Settings that all rollouts of a block share, because they determine the operations. */
 struct mo_scheme {
   double dt_s;             /* 0.004 */
   uint32_t n_steps;        /* 1000 */
@@ -103,7 +103,7 @@ uint32_t mo_channel_numbers(enum mo_channel channel, uint32_t n_masses, uint32_t
 uint32_t mo_channel_width(enum mo_channel channel);
 /* Bytes of one frame of a set of channels. */
 uint64_t mo_recording_frame_bytes(unsigned channels, uint32_t n_masses, uint32_t n_springs);
-/* Returns the array of a channel; NULL: not recorded. */
+/* Returns the array of a channel; NULL if not recorded. */
 void *mo_recording_array(const struct mo_recording *recording, enum mo_channel channel);
 /* Allocates the arrays of the channels in the set, filled with 0. MO_ERR_NO_MEMORY: no array is
  * left allocated. */
