@@ -39,8 +39,7 @@ struct kind {
   const char *name;
   const void *const *settings;
   size_t n;
-  const char *otherwise; /* text if the defaults differ; NULL: show the first, and the second as that
-                            of finetuning */
+  const char *otherwise; /* describes differing defaults; NULL: the first, and that of finetuning */
 };
 
 struct row {

@@ -228,7 +228,7 @@ struct mo_taken {
   struct mo_block *const *blocks;         /* (n_blocks) */
   const struct mo_gradient_batch *shard;  /* NULL: blocks; its robots are arranged */
   const struct mo_controller *controller; /* of all blocks; NULL: passive bodies */
-  const void *identity;                   /* valid while any work with the controller is taken */
+  const void *identity; /* identifies the controller while any of its work is taken */
   /* Private to the back end below this line. */
 };
 /* Results of blocks that were taken, or of a shard. */

@@ -53,7 +53,7 @@ struct mo_mode {
                              campaign ends */
   bool learns;            /* in each generation; parents are scored again */
   bool inherits_learning; /* a generation continues the training of the one before */
-  bool starts_untrained;  /* random weights if no controller is given; otherwise a controller is
+  bool starts_untrained;  /* true: random weights if no controller is given; false: a controller is
                              required */
   /* Of its presets: */
   uint32_t generations[MO_PRESETS];
@@ -325,8 +325,7 @@ struct mo_spread {
 #define MO_QUANTILES 7 /* 0, 5, 25, 50, 75, 95, 100 %: linear between ranks */
 struct mo_population_stats {
   uint32_t n, n_diverged;
-  double mean_score,
-      quantiles[MO_QUANTILES]; /* of those that did not diverge; NaN if all diverged */
+  double mean_score, quantiles[MO_QUANTILES]; /* of all that did not diverge, or NaN */
   double diversity; /* mean pairwise Hamming distance / voxels of the workspace; 0 for n < 2 */
   uint32_t species; /* distinct canonical forms */
   struct mo_spread voxels, footprint, masses, springs;
