@@ -92,7 +92,7 @@ async def measure(workers, n, seconds):
     probe = await asyncio.create_subprocess_exec(
         sys.executable, "-c", PROBE, service.host, str(service.port), str(seconds), str(PAUSE_S),
         stdout=subprocess.PIPE)
-    told, _ = await probe.communicate()
+    shown, _ = await probe.communicate()
     after, elapsed = used(pid), time.monotonic() - begun
     assert probe.returncode == 0 and workers.status()["n_sessions"] == n
     failed = [task.exception() for task in tasks if task.done()]
@@ -100,7 +100,7 @@ async def measure(workers, n, seconds):
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-    times = sorted(map(float, told.split()))
+    times = sorted(map(float, shown.split()))
     return (times[int(0.99 * (len(times) - 1))], (after[0] - before[0]) / elapsed,
             after[1] - before[1])
 

@@ -247,10 +247,10 @@ class FakeDaemon:
                     if number not in fake.sessions:
                         self.problem(404)
                         return
-                    told = [[str(part) for part in i] for i in session["dropped"]]
+                    shown = [[str(part) for part in i] for i in session["dropped"]]
                     session["dropped"] = []
                     wanted = {"wanted": session["wanted"]} if "wanted" in session else {}
-                    self.reply(200, {"state": session["state"], "dropped": told} | wanted)
+                    self.reply(200, {"state": session["state"], "dropped": shown} | wanted)
                 else:
                     assert self.command == "DELETE" and what == ""
                     fake.forget()

@@ -304,8 +304,8 @@ def check_rows(service, path, rows, columns, cursor, **others):
     assert len(service.table(path + f"?format=csv&limit=1&cursor={cursor(rows[0])}")) == 1
     for name in columns:
         place = columns[name] if isinstance(columns, dict) else name
-        told = ["" if at(row, place) is None else at(row, place) for row in rows]
-        assert [type(value)(line[name]) for line, value in zip(lines, told)] == told, name
+        shown = ["" if at(row, place) is None else at(row, place) for row in rows]
+        assert [type(value)(line[name]) for line, value in zip(lines, shown)] == shown, name
     service.refuses(path, "?limit=0", "?limit=1001", "?cursor=x", "?cursor=-1", "?format=newick")
     assert service.request("GET", path, headers={"Accept": "image/png"}).status == 406
 

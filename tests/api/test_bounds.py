@@ -56,11 +56,11 @@ def test_cursors(service, campaign, path):
         for cursor in CURSORS:
             reply = service.request("GET",
                                     path.format(id=campaign, number=0) + f"?cursor={cursor}{query}")
-            told = re.search(schema["pattern"], cursor) is not None and len(cursor) <= schema.get(
+            shown = re.search(schema["pattern"], cursor) is not None and len(cursor) <= schema.get(
                 "maxLength", 520)
             if path == "/v1/designs":  # one format for each kind
-                told = told and ("-" in cursor) == (query != "")
-            assert (reply.status != 400) == told, (path, cursor, reply.status)
+                shown = shown and ("-" in cursor) == (query != "")
+            assert (reply.status != 400) == shown, (path, cursor, reply.status)
 
 
 def test_places_of_learning(service, campaign):

@@ -77,9 +77,9 @@ def test_the_same_campaigns(service, start, source, bundle):
     assert other.get(f"/v1/events?format=json&job={items[0]['campaign']}")["items"][0][
         "type"] == "campaign.imported"
     again = other.request("GET", "/v1/bundles").body
-    told = enter(service, again, "verify").json()["items"]
-    assert [item["digest"] for item in told] == [item["digest"] for item in items]
-    assert [item["campaign"] for item in told] == source, "at home it is known"
+    shown = enter(service, again, "verify").json()["items"]
+    assert [item["digest"] for item in shown] == [item["digest"] for item in items]
+    assert [item["campaign"] for item in shown] == source, "at home it is known"
 
 
 def test_scores_are_used_and_compared(service, start, source, bundle):

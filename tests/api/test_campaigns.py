@@ -103,14 +103,14 @@ def test_settings_are_told_with_their_defaults(service, evolved, learned):
 
 
 @pytest.mark.parametrize(
-    "given, told",
+    "given, shown",
     [("tournament", {"kind": "tournament", "size": 4}),
      ({"kind": "tournament", "size": 8}, {"kind": "tournament", "size": 8}),
      ("novelty", {"kind": "novelty", "weight": 0.5}), ("truncation", {"kind": "truncation"}),
      ({"kind": "age-layered", "layers": 3}, {"kind": "age-layered", "layers": 3, "age_gap": 5})])
-def test_selections(service, given, told):
+def test_selections(service, given, shown):
     done = run_campaign(service, SMALL | {"selection": given, "generations": 2})
-    assert done["settings"]["selection"] == told and done["progress"]["generation"] == 2
+    assert done["settings"]["selection"] == shown and done["progress"]["generation"] == 2
 
 
 def test_the_end(service, evolved):
@@ -403,10 +403,10 @@ def test_idempotency_of_what_is_done_with_a_campaign(service):
 def test_events(service, evolved):
     events = service.get(
         f"/v1/events?format=json&job={evolved['id']}&after=0&limit=1000")["items"]
-    told = [event["data"] for event in events if event["type"] == "campaign.generation"]
+    shown = [event["data"] for event in events if event["type"] == "campaign.generation"]
     rows = service.pages(evolved["links"]["generations"])
-    assert [data["generation"] for data in told] == [0, 1, 2, 3]
-    for data, row in zip(told, rows):
+    assert [data["generation"] for data in shown] == [0, 1, 2, 3]
+    for data, row in zip(shown, rows):
         assert set(data) >= {"id", "generation", "generations", "mean", "best", "diversity",
                              "turnover", "seconds_left"}
         assert data["id"] == evolved["id"] and data["generations"] == 3

@@ -52,10 +52,10 @@ def short(demo):
 
 
 def test_shipped_default(demo):
-    told, _ = short(demo)
-    assert told[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
+    shown, _ = short(demo)
+    assert shown[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
                        "the default of this daemon.")
-    assert "shipped" not in told[1]
+    assert "shipped" not in shown[1]
 
 
 def test_state_of_an_older_program(demo, start, tmp_path):
@@ -64,17 +64,17 @@ def test_state_of_an_older_program(demo, start, tmp_path):
     (tmp_path / ".morphod").mkdir()
     older = start(state=tmp_path / ".morphod" / "state")
     assert older.stop() == 0
-    told, address = short(demo)
-    assert told[
+    shown, address = short(demo)
+    assert shown[
         0] == f"Controller: bootstrap, sha256 {hash_of(OLD)[:16]}…, the default of this daemon."
-    words, command = told[1].split(" by: ")
+    words, command = shown[1].split(" by: ")
     assert words == "It is not the shipped one, phototaxis, which becomes the default"
     subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=300,
                    capture_output=True)
-    told, _ = short(demo)
-    assert told[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
+    shown, _ = short(demo)
+    assert shown[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
                        "the default of this daemon.")
-    assert "shipped" not in told[1]
+    assert "shipped" not in shown[1]
     names = subprocess.run([MORPHOCTL, "controller", "list", "--server", address], check=True,
                            capture_output=True, text=True, timeout=300).stdout
     assert hash_of(OLD) in names

@@ -128,22 +128,22 @@ def small(value, name=""):
                                                 else 8]]
 
 
-def differences(told, live, name="", path=""):
+def differences(shown, live, name="", path=""):
     """Returns where the shape of an example differs from that of a reply."""
-    if told is None or live is None or name in OPEN:
+    if shown is None or live is None or name in OPEN:
         return
-    if isinstance(told, bool) or isinstance(live, bool) or not (
-            isinstance(told, (int, float)) and isinstance(live, (int, float))):
-        if type(told) is not type(live):
-            yield f"{path}: {told!r}, not {live!r}"
+    if isinstance(shown, bool) or isinstance(live, bool) or not (
+            isinstance(shown, (int, float)) and isinstance(live, (int, float))):
+        if type(shown) is not type(live):
+            yield f"{path}: {shown!r}, not {live!r}"
             return
-    if isinstance(told, dict):
-        if set(told) != set(live):
-            yield f"{path}: {sorted(set(told) ^ set(live))}"
-        for key in set(told) & set(live):
-            yield from differences(told[key], live[key], key, f"{path}/{key}")
-    elif isinstance(told, list) and told and live:
-        yield from differences(told[0], live[0], name, f"{path}/0")
+    if isinstance(shown, dict):
+        if set(shown) != set(live):
+            yield f"{path}: {sorted(set(shown) ^ set(live))}"
+        for key in set(shown) & set(live):
+            yield from differences(shown[key], live[key], key, f"{path}/{key}")
+    elif isinstance(shown, list) and shown and live:
+        yield from differences(shown[0], live[0], name, f"{path}/0")
 
 
 def test_examples(start):
@@ -157,13 +157,13 @@ def test_examples(start):
                 fresh[name] = small(live) if name != "Contract" else {
                     "openapi": live["openapi"], "info": {"title": "morphod"}, "paths": {}}
             continue
-        told = EXAMPLES[name]
+        shown = EXAMPLES[name]
         if name == "Contract":
             continue
         # Optional members (results of an evaluation that has ended) may be missing in either.
-        told = {key: told[key] for key in told if key in live}
-        live = {key: live[key] for key in live if key in told}
-        assert not list(differences(told, live)), (method, path, list(differences(told, live)))
+        shown = {key: shown[key] for key in shown if key in live}
+        live = {key: live[key] for key in live if key in shown}
+        assert not list(differences(shown, live)), (method, path, list(differences(shown, live)))
     if fresh:
         kept = {name: value for name, value in EXAMPLES.items() if name not in fresh}
         kept.update(fresh)

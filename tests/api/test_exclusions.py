@@ -48,9 +48,9 @@ def test_a_lineage_that_cannot_be_read(start):
     assert done["progress"]["generation"] == 1
     id = done["id"]
     events = service.get(f"/v1/events?format=json&job={id}&after=0&limit=100")["items"]
-    told = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
+    shown = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
     assert [(data["id"], data["controller"], data["field"])
-            for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
+            for data in shown] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
     lines = [line for line in service.log_text().splitlines()
              if "campaign.lineage_unreadable" in line]
     assert len(lines) == 2 and "morphod.seed" in lines[0]

@@ -273,7 +273,7 @@ def test_a_result_of_before_a_restart_is_ignored(start, tmp_path):
     assert free.status()["rollouts_done"] == 0
 
 
-def told(service):
+def reported(service):
     """Returns the events of workers, which are stored a little later."""
     events = service.get("/v1/events?format=json&after=0&limit=1000")["items"]
     return [one["type"][6:] for one in events if one["type"].startswith("fleet.")]
@@ -298,7 +298,7 @@ def test_a_session_is_lost_with_its_connection(free):
     assert free.status()["leases_done"] == n_done
     assert free.orders(session) == 404 and free.exchange(session)[0] == 404
     assert free.request("DELETE", other)[0] == 204 and free.orders(other) == 404
-    until(lambda: told(free.service) == ["refused", "joined", "joined", "lost", "left"])
+    until(lambda: reported(free.service) == ["refused", "joined", "joined", "lost", "left"])
 
 
 def test_orders_come_at_once(free):
@@ -365,16 +365,16 @@ def lie(free, session, body, spoil=lambda loss: loss):
     evaluation and the true losses."""
     asked = {"designs": [{"voxels": body}], "environments": "paper-test"}
     truth = [one["loss"] for one in free.service.post("/v1/rollouts", asked)["rollouts"]]
-    told = truth[:-1] + [spoil(truth[-1])]
+    reported = truth[:-1] + [spoil(truth[-1])]
     job = free.service.post("/v1/evaluations", asked | {"priority": "batch"})["id"]
     at = 0
-    while at < len(told):
+    while at < len(reported):
         for lease, rows in free.take(session):
-            assert free.exchange(session, results(result(lease, told[at:at + rows])))[0] == 200
+            assert free.exchange(session, results(result(lease, reported[at:at + rows])))[0] == 200
             at += rows
     path = f"/v1/evaluations/{job}"
     until(lambda: free.service.get(path)["state"] == "succeeded")
-    assert free.service.get(path)["results"][0]["losses"] == told
+    assert free.service.get(path)["results"][0]["losses"] == reported
     return path, truth
 
 

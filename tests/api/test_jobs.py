@@ -181,11 +181,11 @@ def test_events(service, ended, kind):
         f"/v1/events?format=json&job={ended[kind]['id']}&after=0&limit=1000")["items"]
     types = [event["type"] for event in events]
     assert types[0] == "job.created" and types[1] == "job.started" and types[-1] == "job.finished"
-    told = [event["data"] for event in events if event["type"] == "training.progress"]
+    reported = [event["data"] for event in events if event["type"] == "training.progress"]
     if kind == "trainings":
-        assert set(told[-1]) >= {"id", "step", "steps", "mean_loss", "gradient_norm", "rate",
+        assert set(reported[-1]) >= {"id", "step", "steps", "mean_loss", "gradient_norm", "rate",
                                  "clipped_share", "bodies_per_s", "seconds_left"}
-        assert told[-1]["id"] == ended[kind]["id"] and told[-1]["steps"] == 3
+        assert reported[-1]["id"] == ended[kind]["id"] and reported[-1]["steps"] == 3
 
 
 @each_kind

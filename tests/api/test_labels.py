@@ -157,9 +157,9 @@ def test_retention(start, tmp_path):
     db.close()
     again = start("--keep-evaluations=12h", state=tmp_path)
     until(lambda: ids(again, "archived=all") == [jobs[3], jobs[1], jobs[0]])
-    told = [one for one in again.get("/v1/events?format=json")["items"]
+    shown = [one for one in again.get("/v1/events?format=json")["items"]
             if one["type"] == "job.deleted"]
-    assert [(one["job"], one["data"]["reason"]) for one in told] == [(jobs[2], "age")]
+    assert [(one["job"], one["data"]["reason"]) for one in shown] == [(jobs[2], "age")]
     again.stop()
     third = start("--keep-recordings=12h", state=tmp_path)
     edit(third, jobs[1], archived=False)

@@ -47,12 +47,12 @@ def test_running_jobs(start):
     ids = {kind: service.post(f"/v1/{kind}s", value)["id"] for kind, value in LONG.items()}
     whole = {"progress_ratio", "parts_done", "parts", "rollouts_per_second", "left_seconds"}
 
-    def told():
+    def reported():
         values, labels = gauges(service)
         done = [whole <= set(values.get(id, {})) for id in ids.values()]
         return all(done) and "best_score" in values[ids["campaign"]] and (values, labels)
 
-    values, labels = until(told)
+    values, labels = until(reported)
     assert labels == {id: (kind, LABEL if kind == "campaign" else "") for kind, id in ids.items()}
     for id, seen in values.items():
         assert ("best_score" in seen) == (id == ids["campaign"])
@@ -118,13 +118,13 @@ def page():
 
 
 def test_every_metric_that_is_read_exists(page):
-    told = set(re.findall(r"^(morphod_\w+)[{ ]", page, re.M))
+    reported = set(re.findall(r"^(morphod_\w+)[{ ]", page, re.M))
     read = {name: re.findall(r"\bmorphod_\w+", (GRAFANA / name).read_text())
             for name in ("morphod.json", "alerts.yml")}
     for name, metrics in read.items():
-        assert len(set(metrics)) > 10 and not set(metrics) - told, name
+        assert len(set(metrics)) > 10 and not set(metrics) - reported, name
     kept = set(re.findall(r"\bmorphod_job_\w+", " ".join(read["morphod.json"])))
-    assert kept >= {name for name in told if name.startswith("morphod_job_")
+    assert kept >= {name for name in reported if name.startswith("morphod_job_")
                     and "_seconds_total" not in name}
 
 

@@ -56,9 +56,9 @@ def test_a_study(ctl, tmp_path):
     mine = {"body": DESIGN, "parents": [3, 1], "operator": "mine", "measures": {"reach": 2}}
     status, out, err = ctl(f"study tell {id} --json --survivors 3,5 --on-fault skip",
                            input_text=json.dumps([mine, {"cells": []}]) + CELLS)
-    told = json.loads(out)
-    assert [row["child"] for row in told["children"]] == [0, 2]
-    assert told["children"][0]["operator"] == "mine" and told["notes"][0]["place"] == 1
+    reported = json.loads(out)
+    assert [row["child"] for row in reported["children"]] == [0, 2]
+    assert reported["children"][0]["operator"] == "mine" and reported["notes"][0]["place"] == 1
     lines = ctl(f"study ask {id} 4 --parents 3,8")[1].splitlines()
     assert {number for line in lines for number in json.loads(line)["parents"]} <= {3, 8}
     for wrong, given, status in (("--survivors 1,x", "", 2), ("", "{", 2), ("", "[1]", 6)):

@@ -176,11 +176,11 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
     assert re.findall(r"generation (\d) of 3  mean \d\.\d{4}  best ", out) == ["0", "1", "2",
                                                                                "3"], out
     campaign = re.match(r"campaign (\d+) is accepted: zero-shot, 6 designs, 3 generations", err)[1]
-    told = service.request("GET", f"/v1/campaigns/{campaign}").json()
-    assert told["label"] == "by hand" and told["settings"]["workspace"] == [5, 5, 3]
-    assert told["settings"]["selection"] == {"kind": "tournament", "size": 2
-                                             } and told["settings"]["initial"] != "random"
-    assert json.loads(ctl(f"campaign show {campaign} --json")[1]) == told
+    reported = service.request("GET", f"/v1/campaigns/{campaign}").json()
+    assert reported["label"] == "by hand" and reported["settings"]["workspace"] == [5, 5, 3]
+    assert reported["settings"]["selection"] == {"kind": "tournament", "size": 2
+                                             } and reported["settings"]["initial"] != "random"
+    assert json.loads(ctl(f"campaign show {campaign} --json")[1]) == reported
     shown = ctl(f"campaign show {campaign}")[1]
     assert re.search(r"^progress +generation 3 of 3, 24 designs born$", shown, re.M), shown
     assert re.search(r"^mean score +\d\.\d{4}  \S{4}$", shown, re.M) and re.search(
@@ -264,12 +264,13 @@ def test_campaigns_are_compared(service, ctl):
             for seed in (1, 11))
     assert ctl("wait", *a, *b)[0] == 0
     assert ctl(f"campaign extend {b[2]} 1000")[0] == 0 and ctl(f"job cancel {b[2]}")[0] == 0
-    told = json.loads(ctl(f"campaign compare {a[1]} {b[0]} --json")[1])
-    assert told["generation"] == 2 and [side["campaign"] for side in told["sides"]] == [a[1], b[0]]
+    reported = json.loads(ctl(f"campaign compare {a[1]} {b[0]} --json")[1])
+    assert reported["generation"] == 2
+    assert [side["campaign"] for side in reported["sides"]] == [a[1], b[0]]
     best = [[service.get(f"/v1/campaigns/{id}/generations")["items"][2]["score"]["quantiles"]["p0"]
              for id in group] for group in (a, b[:2])]
-    means, other = [statistics.mean(values) for values in best], told["sides"][1]
-    assert [side["best"] for side in told["sides"]] == pytest.approx(means, rel=1e-12)
+    means, other = [statistics.mean(values) for values in best], reported["sides"][1]
+    assert [side["best"] for side in reported["sides"]] == pytest.approx(means, rel=1e-12)
     assert other["difference"] == pytest.approx(means[1] - means[0], rel=1e-12)
     assert other["low"] + other["high"] == pytest.approx(2 * other["difference"], rel=1e-9)
     assert other["replicates"] == b[1::-1] and other["left_out"] == [{"id": b[2],
@@ -295,9 +296,9 @@ def test_campaigns_that_do_not_compare(service, ctl):
     for words in ("settings.population: 7, not 6", "settings.mutation.rate: 0.1"):
         assert f"campaign {larger} in {words}" in out, out
     assert out.count("differs") == 2, out
-    told = json.loads(ctl(f"campaign compare {first} {larger} --json")[1])["sides"]
-    assert told[1]["differences"][0]["setting"].startswith("settings.")
-    assert "differences" not in told[0]
+    reported = json.loads(ctl(f"campaign compare {first} {larger} --json")[1])["sides"]
+    assert reported[1]["differences"][0]["setting"].startswith("settings.")
+    assert "differences" not in reported[0]
     physics = service.get(f"/v1/campaigns/{first}")["settings"]["physics"]
     slippery = {"mode": "zero-shot", "preset": "demo", "physics": {**physics, "friction": 0.1},
                 "population": 6, "generations": 1, "exclude_pretraining": False}

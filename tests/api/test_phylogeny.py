@@ -367,7 +367,7 @@ def test_exports_while_it_runs(service):
         taxa = read_standard(service.request("GET", path + "?format=csv").body.decode())
         forest = service.request("GET", path + "?format=newick").body.decode()
         alive = [one for one in taxa.values() if one[2] == math.inf]
-        assert len(alive) == 64, "the population of the newest generation told"
+        assert len(alive) == 64, "the population of the newest generation"
         assert len(taxa) % 64 == 0 and list(taxa) == list(range(len(taxa)))
         nodes, _ = read_newick(forest)
         assert len(nodes) % 64 == 0 and len(nodes) >= len(taxa)

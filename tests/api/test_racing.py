@@ -98,9 +98,9 @@ def test_every_form_says_so(service, raced, designs):
     bound = next(row for row in designs if row["lower_bound"])
     parent = bound["parents"][0]
     assert service.get(f"/v1/campaigns/{raced}/designs/{bound['number']}")["lower_bound"]
-    told = {row["number"]: row["lower_bound"] for row in table(
+    reported = {row["number"]: row["lower_bound"] for row in table(
         service, f"/v1/campaigns/{raced}/designs/{parent}/descendants")}
-    assert told[str(bound["number"])] == "1"
+    assert reported[str(bound["number"])] == "1"
     header, array = scene(service.request("GET", path + "?format=columns"))
     scores = array(header["columns"]["score"])
     assert [score < 0 for score in scores] == flags
@@ -142,20 +142,20 @@ def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  
     bound = next(row for row in reversed(designs) if row["lower_bound"])
     score = other.get(f"/v1/campaigns/{id}/designs/{bound['number']}")["score"]
 
-    def told():
+    def reported():
         stored = service.get(f"/v1/designs/{bound['id']}")["orientations"][0]["scores"]
         best = service.pages("/v1/designs?sort=score")
         return ([(one["score"], one["lower_bound"]) for one in stored],
                 bound["id"] in [one["id"] for one in best])
 
-    assert told() == ([(bound["score"], True)], False), "a lower bound is not ranked"
+    assert reported() == ([(bound["score"], True)], False), "a lower bound is not ranked"
     assert f"≥ {bound['score']:.4f} " in ctl(f"design show {bound['id']}")[1]
     assert "truncation, racing off\n" in ctl(f"campaign show {id}", server=other.addresses[0])[1]
     assert "truncation\n" in ctl(f"campaign show {raced}")[1]
     first = evaluated(service, bound)
     assert first["rollouts_cached"] in (2, 8)
     assert first["results"][0]["score"] == score
-    assert told() == ([(score, False)], True)
+    assert reported() == ([(score, False)], True)
     assert evaluated(service, bound)["rollouts_cached"] == 10
     again = service.get(f"/v1/campaigns/{raced}/designs/{bound['number']}")
     assert again["lower_bound"] and again["score"] == bound["score"]

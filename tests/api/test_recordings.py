@@ -74,8 +74,8 @@ def test_all_recordings_as_one_array(service):
         side = side or 3
         assert shape[:3] == (2, 10, 5) and math.prod(shape[3:]) == side
         for n, k in ((0, 0), (0, 7), (1, 0), (1, 9)):
-            told = service.get(f"{path}/{n}?environment={k}")
-            frames = told[{"com": "com_m", "masses": "masses_m"}.get(channel, channel)]
+            shown = service.get(f"{path}/{n}?environment={k}")
+            frames = shown[{"com": "com_m", "masses": "masses_m"}.get(channel, channel)]
             for f, frame in enumerate(frames):
                 own = [x for point in frame for x in point] if channel == "masses" else frame
                 row = numbers[((n * 10 + k) * 5 + f) * side:][:side]

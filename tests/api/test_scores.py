@@ -80,8 +80,8 @@ def test_the_same_scores(home, start, file):
         for genotype, scores in orientations:
             assert [one for one in have[genotype] if one not in old.get(genotype, [])] == scores
     events = other.get("/v1/events?format=json&after=0&limit=1000")["items"]
-    told = [event["data"] for event in events if event["type"] == "scores.imported"]
-    assert sum(data["new"] for data in told) == counts(first)[0]
+    shown = [event["data"] for event in events if event["type"] == "scores.imported"]
+    assert sum(data["new"] for data in shown) == counts(first)[0]
     newest = other.get("/v1/events?format=json")["newest"]
     assert counts(enter(other, file)) == [0, counts(first)[0], 0]
     assert counts(enter(home, file)) == [0, counts(first)[0], 0]
@@ -193,8 +193,8 @@ def test_altered_files_leave_nothing(home, start, file):
         return reply.json()["errors"][0]["detail"]
 
     for name, how, line in CHANGES:
-        told = refused(block(altered(members, name, how, line)), (name, line))
-        assert name.rstrip("/") in told or "controller" in told, told
+        shown = refused(block(altered(members, name, how, line)), (name, line))
+        assert name.rstrip("/") in shown or "controller" in shown, shown
     for n in (0, 1, 12, 100, len(first) // 2, len(first) - 1):
         refused(file[:n], n)
     for _ in range(20):

@@ -81,12 +81,12 @@ def score(service, controller, physics):
     assert evaluation["state"] == "succeeded", evaluation
     diverged = 0
     for result in evaluation["results"]:
-        told = {item["environment"]: item["step"] for item in result["diverged"]}
-        assert all(1 <= step <= physics["n_steps"] for step in told.values()), result
+        shown = {item["environment"]: item["step"] for item in result["diverged"]}
+        assert all(1 <= step <= physics["n_steps"] for step in shown.values()), result
         assert (result["score"] is None) == (result["diverged"] != []), result
         assert result["score"] is None or math.isfinite(result["score"]), result
         assert [loss is None
-                for loss in result["losses"]] == [k in told for k in range(len(WORLDS))], result
+                for loss in result["losses"]] == [k in shown for k in range(len(WORLDS))], result
         diverged += len(result["diverged"])
     return diverged, len(DESIGNS) * len(WORLDS) - diverged
 
@@ -124,17 +124,17 @@ def test_nothing_but_numbers(start, tmp_path):
     header, weights = parts(BOOTSTRAP.read_bytes())
     loud = struct.pack(f"<{len(weights)}f", *(100 * weight for weight in weights))
     assert service.upload("loud", header + loud).status == 201
-    told = {}
+    shown = {}
     for controller in ("default", "loud"):
         for name, changes in PHYSICS.items():
             physics = {"n_steps": 100, **changes}
             rows = learn(service, controller, physics)
-            told[controller, name] = (*score(service, controller, physics),
+            shown[controller, name] = (*score(service, controller, physics),
                                       sum(row["diverged"] for row in rows))
-    print(told)
+    print(shown)
     assert service.stop() == 0
     # There are cases on both sides of the border: divergence is reported, and the rest has its
     # scores.
-    assert told["default", "as it is"] == (0, 9, 0)
-    assert told["default", "stiffness x4"][0] > 0 and told["default", "stiffness x4"][2] > 0
+    assert shown["default", "as it is"] == (0, 9, 0)
+    assert shown["default", "stiffness x4"][0] > 0 and shown["default", "stiffness x4"][2] > 0
     assert check_stored(tmp_path / "morphod.db") > 10 * (len(DESIGNS) * len(WORLDS) + STEPS)

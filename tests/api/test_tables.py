@@ -42,12 +42,12 @@ def columns(reply):
     length = struct.unpack("<I", reply.body[:4])[0]
     header, arrays = json.loads(reply.body[4:4 + length]), reply.body[4 + length:]
     read = {}
-    for name, told in header["columns"].items():
-        if isinstance(told, dict):
-            letter = {"uint8": "B", "uint32": "I", "uint64": "Q", "float64": "d"}[told["type"]]
-            told = struct.unpack_from(f"<{told['shape'][0]}{letter}", arrays, told["offset"])
-        assert len(told) == header["rows"]
-        read[name] = list(told)
+    for name, shown in header["columns"].items():
+        if isinstance(shown, dict):
+            letter = {"uint8": "B", "uint32": "I", "uint64": "Q", "float64": "d"}[shown["type"]]
+            shown = struct.unpack_from(f"<{shown['shape'][0]}{letter}", arrays, shown["offset"])
+        assert len(shown) == header["rows"]
+        read[name] = list(shown)
     return read
 
 
@@ -96,11 +96,11 @@ def test_the_same_in_every_form(service, campaign, path):
         service.request("GET", path, headers={"Accept": "text/csv"}).body.decode(), newline="")))
     assert len(table) == len(items)
     for name, values in columns(form(service, path, "columns")).items():
-        told = [at(item, name) for item in items]
+        shown = [at(item, name) for item in items]
         assert all(value == right or (right is None and value != value)
-                   for value, right in zip(values, told)), name
+                   for value, right in zip(values, shown)), name
         if table and name in table[0]:  # curves have short names in CSV
-            assert all(same(line[name], right) for line, right in zip(table, told)), name
+            assert all(same(line[name], right) for line, right in zip(table, shown)), name
 
 
 def test_long_lists_are_whole(service, campaign):
@@ -184,9 +184,9 @@ def test_a_phylogeny_for_trees(service, campaign):
     tree = service.table(path + "?format=csv&parents=first&root=1")
     assert tree[0]["id"] == str(len(plain)) and tree[0]["operator"] == "root"
     assert tree[0]["ancestor_list"] == "[none]" and len(tree) == len(plain) + 1
-    for line, told in zip(plain, tree[1:]):
+    for line, shown in zip(plain, tree[1:]):
         first = line["ancestor_list"].strip("[]").split(",")[0]
-        assert told == line | {
+        assert shown == line | {
             "ancestor_list": f"[{len(plain) if first == 'none' else first}]"}
     assert service.request("GET", path + "?format=csv").headers["ETag"] != service.request(
         "GET", path + "?format=csv&root=1").headers["ETag"]

@@ -80,10 +80,10 @@ def test_a_preset_and_what_is_named_over_it(service):
         assert reply.status == 422 and detail in reply.json()["errors"][0]["detail"], reply.body
 
 
-def holds(value, told):
+def holds(value, shown):
     """Returns whether an object has these members, recursively."""
-    return (all(holds(value[key], member) for key, member in told.items())
-            if isinstance(told, dict) else value == told)
+    return (all(holds(value[key], member) for key, member in shown.items())
+            if isinstance(shown, dict) else value == shown)
 
 
 COSINE = {"kind": "cosine", "peak": 2e-3, "floor": 1e-5, "warmup_steps": 10}
@@ -92,7 +92,7 @@ RESTARTS = {"kind": "restarts", "peak": 1e-3, "floor": 1e-5, "decay": 0.7, "cycl
 TUNED = {"kind": "cosine", "peak": 3e-4, "floor": 1e-6, "warmup_steps": 0}
 
 
-@pytest.mark.parametrize("request_, told", [
+@pytest.mark.parametrize("request_, shown", [
     ({"kind": "pretrain"}, {
         "steps": 1400, "batch": 256, "schedule": COSINE,
         "validation": {"every_steps": 50, "designs": 64, "environments": 8},
@@ -122,10 +122,10 @@ TUNED = {"kind": "cosine", "peak": 3e-4, "floor": 1e-6, "warmup_steps": 0}
      {"seed": 2**53 - 1, "batch": 65536, "gradient_norm_limit": 0, "adjoint_bound": 8,
       "adam": {"beta1": 0, "beta2": 0.5, "epsilon": 1e-6}, "adjoint_rule": "restart",
       "restart_weight": 0})])
-def test_settings_of_requests(service, request_, told):
+def test_settings_of_requests(service, request_, shown):
     training = service.post("/v1/trainings", request_)
     assert service.act(training["id"], "cancel").status == 200
-    assert holds(training["settings"], told), training["settings"]
+    assert holds(training["settings"], shown), training["settings"]
     assert (training["parent"] is None) == (request_["kind"] == "pretrain")
 
 

@@ -137,9 +137,9 @@ def test_a_campaign_in_which_all_diverge(service):
     assert done["state"] == "succeeded" and done["newest"]["score"]["diverged"] == 6
     assert codes(done) == codes(listed(service, done)) == ["all_diverged"]
     assert "generation 1" in done["warnings"][0]["detail"]
-    told = warnings_of_events(service, done)
-    assert [code for _, code in told] == ["all_diverged"] * 2, told
-    assert told[-1][0] == "succeeded"
+    shown = warnings_of_events(service, done)
+    assert [code for _, code in shown] == ["all_diverged"] * 2, shown
+    assert shown[-1][0] == "succeeded"
 
 
 def test_a_campaign_that_cannot_learn_fails(service):

@@ -63,15 +63,15 @@ def test_a_score_can_be_computed_again_by_http_alone(service):
     stored = next(score for orientation in design["orientations"]
                   for score in orientation["scores"]
                   if score["losses"] == result["losses"])
-    told = service.get("/v1/physics/" + stored["physics"])
+    shown = service.get("/v1/physics/" + stored["physics"])
     environments = service.get(f"/v1/evaluations/{evaluation['id']}/environments")["items"]
     again = service.post("/v1/rollouts", {
         "designs": [{"voxels": result["genotype"]}],
         "environments": [{key: world[key] for key in ("light_xy_m", "terrain_heights_m")}
                          for world in environments],
         "controller": "sha256:" + stored["controller"],
-        "physics": told["physics"],
-        "precision": told["precision"],
+        "physics": shown["physics"],
+        "precision": shown["precision"],
     })
     assert [rollout["loss"] for rollout in again["rollouts"]] == result["losses"]
     assert again["designs"][0]["score"] == result["score"]

@@ -97,9 +97,9 @@ def test_labels_are_text(service, browser):
 def test_curves_agree_with_the_api(service, browser):
     rows = service.pages(f"/v1/campaigns/{service.campaign}/generations")
     browser.open("campaigns/" + service.campaign)
-    told = "document.querySelector('figure canvas').getAttribute('aria-label')"
-    browser.until(told + ".includes('generation 4')")
-    label = browser.run("return " + told)
+    reported = "document.querySelector('figure canvas').getAttribute('aria-label')"
+    browser.until(reported + ".includes('generation 4')")
+    label = browser.run("return " + reported)
     best = [row["score"]["quantiles"]["p0"] for row in rows]
     assert f"best from {best[0]:.3g}" in label and f"to {best[-1]:.3g} at generation 4" in label
 
@@ -258,11 +258,11 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
 
 def test_the_leaderboard_from_both_ends(service, browser):
     scores = [row["score"] for row in service.pages("/v1/designs?sort=score")]
-    told = [f"{score:.4f}" for score in scores]
-    assert len(told) > 1
+    reported = [f"{score:.4f}" for score in scores]
+    assert len(reported) > 1
     browser.open("designs")
     cards = "[...document.querySelectorAll('.card strong')].map((e) => e.innerText).join(' ')"
-    for order, expected in (("best", told), ("worst", told[::-1])):
+    for order, expected in (("best", reported), ("worst", reported[::-1])):
         browser.run("const order = document.querySelector('select'); order.value = arguments[0];"
                     "order.dispatchEvent(new Event('change'))", order)
         browser.until(f"{cards} === {' '.join(expected[:48])!r}")  # a page
@@ -506,9 +506,9 @@ def test_campaigns_are_compared_with_an_interval(service, browser):
     parts = [statistics.variance(side) / 3 for side in sides]
     freedom = sum(parts)**2 / sum(part**2 / 2 for part in parts)
     low, high = (float(one.replace("\u2212", "-")) for one in row[4].split(" to "))
-    told = (high - low) / 2 / sum(parts)**0.5  # the quantile of the page
+    reported = (high - low) / 2 / sum(parts)**0.5  # the quantile of the page
     table = {2: 4.3027, 3: 3.1824, 4: 2.7764}
-    assert table[int(freedom) + (freedom < 4)] - 2e-2 <= told <= table[int(freedom)] + 2e-2
+    assert table[int(freedom) + (freedom < 4)] - 2e-2 <= reported <= table[int(freedom)] + 2e-2
     shorter = run(service, "campaigns", base | {"replicates": 1, "physics": {"n_steps": 20}})["id"]
     browser.open(f"campaigns/{firsts[0]}?compare={shorter}")
     browser.until("/cannot be compared/.test(document.body.innerText)")
@@ -522,10 +522,10 @@ def test_trainings_of_other_seeds_are_a_band(service, browser):
     other = run(service, "trainings", TRAINING | {"name": "second", "seed": 9})["id"]
     rows = [service.pages(f"/v1/trainings/{id}/steps") for id in (service.training, other)]
     browser.open(f"trainings/{service.training}?compare={other}")
-    told = "document.querySelector('figure canvas').getAttribute('aria-label')"
-    browser.until(told + ".includes('mean of 2 replicates')")
+    reported = "document.querySelector('figure canvas').getAttribute('aria-label')"
+    browser.until(reported + ".includes('mean of 2 replicates')")
     mean = statistics.mean(one[-1]["mean_loss"] for one in rows)
-    assert f"to {mean:.3g} at step {rows[0][-1]['step']}" in browser.run("return " + told)
+    assert f"to {mean:.3g} at step {rows[0][-1]['step']}" in browser.run("return " + reported)
     legend = browser.texts("figure")[0]
     assert "least to most" in legend
 

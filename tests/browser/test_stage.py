@@ -59,8 +59,8 @@ def test_masses_are_where_the_recording_has_them(service, browser):
         for axis, side in ((0, 1), (1, -1)):
             places = side * (changed[:, axis] + 0.5 - (width, height)[axis] / 2) / PIXELS_PER_M
             for best, seen in ((min, places.min()), (max, places.max())):
-                told = best(row[axis] for row in rows)
-                assert seen + middle[axis] == pytest.approx(told, abs=0.01), (time, axis)
+                reported = best(row[axis] for row in rows)
+                assert seen + middle[axis] == pytest.approx(reported, abs=0.01), (time, axis)
 
 
 def test_what_springs_do_and_what_touches_the_ground(service, browser):
@@ -159,14 +159,14 @@ def test_a_model_for_other_programs(model):
 
 
 def test_assimp_loads_the_model(model):
-    """Blender finds one mesh with every mass, a target per frame, and the animation. The file that
-    it saves also has every mass within 1 mm."""
+    """assimp finds one mesh with every mass, a target per frame, and the animation. The file that it
+    saves also has every mass within 1 mm."""
     file, n, frame_s, track = model
     info = subprocess.run(["assimp", "info", file], capture_output=True, text=True, check=True)
-    told = dict(re.findall(r"^(\w+): +(\d+)$", info.stdout, re.M))
+    reported = dict(re.findall(r"^(\w+): +(\d+)$", info.stdout, re.M))
     faces = len(Glb(file).read(Glb(file).primitive["indices"])) // 3
-    assert {name: int(told[name]) for name in ("Meshes", "Animations", "Vertices", "Faces")} == {
-        "Meshes": 1, "Animations": 1, "Vertices": n, "Faces": faces}
+    counts = {"Meshes": 1, "Animations": 1, "Vertices": n, "Faces": faces}
+    assert {name: int(reported[name]) for name in counts} == counts
     saved = file.with_name("saved.glb")
     subprocess.run(["assimp", "export", file, saved, "-fglb2"], capture_output=True, check=True)
     glb = Glb(saved)
@@ -246,14 +246,14 @@ def test_a_race_and_its_link(service, browser):
           views: stage.views().length, playing: player.playing };
     """
     browser.until("/time=1.50/.test(location.hash) && /follow=1/.test(location.hash)")
-    link, told, named = browser.driver.current_url, browser.run(state), browser.run(tags)
-    assert told["views"] == 1 and not told["side"] and not told["playing"]
+    link, reported, named = browser.driver.current_url, browser.run(state), browser.run(tags)
+    assert reported["views"] == 1 and not reported["side"] and not reported["playing"]
     assert [name for name, *_ in named] == [f"{id[:36].rstrip('0')[:8]}…{id[36:]}" for id in ids]
     assert len({color for _, color, *_ in named}) == 2
     browser.open(link.split("#/")[1])
     browser.until_walking()
     browser.until("document.querySelector('.stage').player.speed === 0.25")
-    assert browser.run(state) == told
+    assert browser.run(state) == reported
     browser.until("document.querySelectorAll('.tag').length === 2")
     for (*before, x, y), (*after, also_x, also_y) in zip(named, browser.run(tags)):
         assert before == after and abs(x - also_x) <= 1 and abs(y - also_y) <= 1
@@ -276,18 +276,18 @@ def test_recordings_of_an_evaluation(service, browser):
               "return stage.robots.map(({ track }) => [...track])")
     for environment in (0, 1):
         browser.until_walking()
-        told = [service.request("GET", f"{path}/{row}/file?environment={environment}").body
+        reported = [service.request("GET", f"{path}/{row}/file?environment={environment}").body
                 for row in (best, 1 - best)]
-        told = [list(struct.unpack(f"<{len(one) // 4}f", one)) for one in told]
+        reported = [list(struct.unpack(f"<{len(one) // 4}f", one)) for one in reported]
         browser.until(f"location.hash.includes('environment={environment}')")
-        assert browser.run(tracks) == told
+        assert browser.run(tracks) == reported
         browser.run("const e = [...document.querySelectorAll('.stage select')].at(-1);"
                     "e.value = '1'; e.dispatchEvent(new Event('change'))")
         browser.until(
             "document.querySelector('.stage').player.stage.robots[0].world.light[1] === 3")
     browser.open(browser.driver.current_url.split("#/")[1])  # the link shows the same again
     browser.until_walking()
-    assert browser.run(tracks) == told and browser.faults() == []
+    assert browser.run(tracks) == reported and browser.faults() == []
     service.request("DELETE", path)
     browser.open(f"designs?evaluation={job['id']}")
     browser.until("/recordings were removed/.test(document.querySelector('main').innerText)")

@@ -59,9 +59,9 @@ def history(daemon, job):
 def check_same_lives(raced, whole):
     """Checks two histories, with and without races: they are the same except for children that were
     cut short. Returns the number of these."""
-    told = {"generations": ("children_cut", "children_mean", "rollouts", "cached",
+    shown = {"generations": ("children_cut", "children_mean", "rollouts", "cached",
                             "rollouts_diverged"), "phylogeny": ("score", "lower_bound")}
-    for table, columns in told.items():
+    for table, columns in shown.items():
         head = raced[table][0]
         for one, other in zip(raced[table], whole[table], strict=True):
             assert [x for name, x in zip(head, one) if name not in columns] == [

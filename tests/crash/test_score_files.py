@@ -63,10 +63,10 @@ def test_kill_while_scores_enter(daemon, soak, seed, tmp_path):
         thread.join()
         acknowledged = sum(entered)
     victim.start()
-    told = [enter(victim, block).json() for block in blocks(path)]
-    assert all(0 in (one["new"], one["known"]) for one in told), "a block in part"
-    known = sum(one["known"] for one in told)
-    assert known + sum(one["new"] for one in told) == 4 * 9 * CAMPAIGN["population"]
+    shown = [enter(victim, block).json() for block in blocks(path)]
+    assert all(0 in (one["new"], one["known"]) for one in shown), "a block in part"
+    known = sum(one["known"] for one in shown)
+    assert known + sum(one["new"] for one in shown) == 4 * 9 * CAMPAIGN["population"]
     assert known >= acknowledged, "acknowledged is durable"
     print(f"{known} rollouts were stored before the last kill")
     victim.succeed(victim.submit(CAMPAIGN, "campaigns"), "campaigns")

@@ -15,8 +15,8 @@ UNWANTED = 69
 
 
 def version_of(binary):
-    told = subprocess.run([binary, "--version"], check=True, capture_output=True, text=True).stdout
-    return re.search(r"[0-9.]+", told)[0]
+    result = subprocess.run([binary, "--version"], check=True, capture_output=True, text=True)
+    return re.search(r"[0-9.]+", result.stdout)[0]
 
 
 class Supervisor(threading.Thread):
@@ -82,8 +82,8 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
     for node in nodes:
         node.installed = MORPHOD
     done = drain(one, "--version", old)
-    told = f"has left, and is back with version {new}\n"
-    assert done.returncode == 0 and done.stdout.count(told) == 2, done
+    reported = f"has left, and is back with version {new}\n"
+    assert done.returncode == 0 and done.stdout.count(reported) == 2, done
     await_sessions((new, False), (new, False))
     assert sorted(node.statuses for node in nodes) == [[UNWANTED], [UNWANTED, UNWANTED]]
     assert f"version {new}" in nodes[0].worker.log.read_text()

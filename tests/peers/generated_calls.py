@@ -152,9 +152,9 @@ def main():
                           for name, value in parameters.items()}
             reply = peer.call(tag, operation, model, value(seen) if callable(value) else value,
                               parameters)
-            told = plain(reply)
-            seen.setdefault(operation, told)
-            verdict = "ok" if holds(told) else f"not so: {told}"
+            shown = plain(reply)
+            seen.setdefault(operation, shown)
+            verdict = "ok" if holds(shown) else f"not so: {shown}"
         except Exception as error:
             verdict = f"{type(error).__name__}: {error}; {reply}"
         failed += verdict != "ok"

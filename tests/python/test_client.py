@@ -23,11 +23,11 @@ WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 
 def test_scores_are_those_of_the_service(m, service):
     evaluation = m.evaluate([DESIGN, np.ones((2, 1, 1), dtype=int)], physics=SHORT, label="mine")
-    told = service.get(f"/v1/evaluations/{evaluation.id}")
+    shown = service.get(f"/v1/evaluations/{evaluation.id}")
     assert evaluation.state == "succeeded" and evaluation.label == "mine" and len(evaluation) == 2
-    assert evaluation.scores.tolist() == [row["score"] for row in told["results"]]
-    assert evaluation.losses.tolist() == [row["losses"] for row in told["results"]]
-    assert evaluation.ids == [row["id"] for row in told["results"]]
+    assert evaluation.scores.tolist() == [row["score"] for row in shown["results"]]
+    assert evaluation.losses.tolist() == [row["losses"] for row in shown["results"]]
+    assert evaluation.ids == [row["id"] for row in shown["results"]]
     assert evaluation[1].body.footprint() == 2 and evaluation[1].lost == ()
     assert [result.score for result in evaluation] == evaluation.scores.tolist()
     table = evaluation.frame()
@@ -94,8 +94,8 @@ def test_faults_are_told_per_design(m):
         assert (recorded[1].astype(np.float32) == own).all()
         assert np.isnan(recorded[[0, 2, 3, 4]]).all()
     path = np.linalg.norm(np.diff(evaluation.recordings("com")[1], axis=1), axis=-1).sum(axis=1)
-    told = evaluation.frame()["path_length_m"]
-    assert math.isclose(told[1], path.mean(), rel_tol=1e-12) and told.isna().sum() == 4
+    shown = evaluation.frame()["path_length_m"]
+    assert math.isclose(shown[1], path.mean(), rel_tol=1e-12) and shown.isna().sum() == 4
     with pytest.warns(UserWarning, match="body 0: skipped, the body is 7 .* axis 0 .x."):
         group = m.campaign("zero-shot", preset="demo", population=4, generations=0, physics=SHORT,
                            initial=bodies, on_fault="skip", repair="largest")
@@ -186,12 +186,12 @@ def test_recordings(m, service):
     evaluation = m.evaluate(bodies, worlds, physics=SHORT, record=["com", "masses"],
                             record_stride=5)
     path = f"/v1/evaluations/{evaluation.id}/trajectories/0?environment=1"
-    told = service.get(path)
+    shown = service.get(path)
     masses = evaluation.recording(0, environment=1)
-    assert masses.tolist() == np.asarray(told["masses_m"], dtype=np.float32).tolist()
+    assert masses.tolist() == np.asarray(shown["masses_m"], dtype=np.float32).tolist()
     com = evaluation.recordings("com")
     assert com.shape == (2, 2, 5, 3)
-    assert com[0, 1].tolist() == told["com_m"]
+    assert com[0, 1].tolist() == shown["com_m"]
     both = evaluation.recordings("masses")
     assert both.shape == (2, 2, 5, 20, 3) and (both[0, 1] == masses).all()
     assert (both[1, 0, :, :8] == evaluation.recording(1)).all()
@@ -257,9 +257,9 @@ def test_lists_are_saved_as_files(m, service, campaign, tmp_path):
     table = pandas.read_csv(path, float_precision="round_trip")
     assert table["mean"].tolist() == m.curves(label="for tests")["score_mean"].tolist()
     born = pandas.read_csv(m.export(f"campaigns/{campaign[0]}/phylogeny", tmp_path / "born.csv"))
-    told = service.get(f"/v1/campaigns/{campaign[0]}/phylogeny?limit=1000")["items"]
-    assert born["genotype"].tolist() == ["g" + row["genotype"] for row in told]
-    assert born["design"].tolist() == ["d" + row["id"] for row in told]
+    shown = service.get(f"/v1/campaigns/{campaign[0]}/phylogeny?limit=1000")["items"]
+    assert born["genotype"].tolist() == ["g" + row["genotype"] for row in shown]
+    assert born["design"].tolist() == ["d" + row["id"] for row in shown]
     lines = m.export("/v1/jobs", tmp_path / "jobs.jsonl", label="for tests")
     assert [json.loads(line)["id"] for line in lines.open()] == sorted(campaign, reverse=True)
     with pytest.raises(ValueError):

@@ -548,7 +548,7 @@ def test_train_compare():
 
 
 def test_watch_tells_what_happened():
-    told = [
+    received = [
         ("training.progress", {"step": 2, "steps": 9, "mean_loss": 0.5, "gradient_norm": 1,
                                "rate": 0.1, "clipped_share": 0},
          "  step 2 of 9  loss 0.5000  gradient 1  rate 0.1  clipped 0.0 %"),
@@ -576,10 +576,10 @@ def test_watch_tells_what_happened():
          "  morphod.seed of controller 0123456789ab: no number"),
         ("job.progress", {"state": "running", "rollouts_done": 3, "rollouts_total": 1234},
          "  running  3 of 1,234 rollouts"), ("training.other", {"x": 1}, "")]
-    events = "".join(event(n, kind, **data) for n, (kind, data, _) in enumerate(told, 1))
+    events = "".join(event(n, kind, **data) for n, (kind, data, _) in enumerate(received, 1))
     out = ask([stream(events)], "watch --retry 0", status=4)[0]
     assert [line[25:] for line in out.splitlines()
-            ] == [f"{kind:<15} job 7{words}" for kind, _, words in told], out
+            ] == [f"{kind:<15} job 7{words}" for kind, _, words in received], out
 
 
 def test_campaign_whose_generation_is_committed_between_two_requests():
