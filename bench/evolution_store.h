@@ -16,8 +16,8 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
 struct bench_generation {
   uint32_t generation, n_parents, n_children, n_survivors;
   const uint64_t *genotypes;             /* (n_parents + n_children, MO_DEFAULT_WORDS) */
-  const struct mo_candidate *candidates; /* likewise */
-  const struct mo_design_size *sizes;    /* likewise */
+  const struct mo_candidate *candidates; /* the same shape */
+  const struct mo_design_size *sizes;    /* the same shape */
   const struct mo_birth *births;         /* (n_children) */
   const uint32_t *survivors;             /* (n_survivors) places */
   struct mo_population_stats stats;

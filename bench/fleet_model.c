@@ -130,7 +130,8 @@ static void end_generation(struct model *model)
   struct fake *fake = model->fake;
   if (model->campaigns == 0 || fake->n_waiting + fake->n_taken > 0)
     return;
-  /* The next one begins while this one is committed, but not before the previous one was committed.
+  /* The next generation begins while this one is being committed, but not before the previous one
+   * has been committed.
    */
   const uint64_t begin = fake->now_ns + GAP_NS;
   const uint64_t cost = (uint64_t)GENERATION * BODY_ROWS * model->campaigns * COMMIT_NS;

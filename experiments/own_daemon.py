@@ -181,8 +181,8 @@ class Daemon:
             self.fetch(path, data, {"Content-Type": "application/json", **(headers or {})}, method))
 
     def job_of(self, kind, body, key):
-        """Returns the job of a key, and submits it if there is none yet. The daemon forgets a key
-        after a day; here it is kept as long as the job."""
+        """Returns the job with a key, and submits it if it does not exist yet. The daemon forgets a
+        key after a day; here it is kept as long as the job."""
         jobs = json.loads(self.jobs.read_text()) if self.jobs.exists() else {}
         if key in jobs:
             job = json.loads(self.fetch(f"/v1/{kind}/{jobs[key]['id']}", refused=404))

@@ -6,7 +6,7 @@ COS, SIN = 0.866, 0.5  # of 30°: x to the right and down, y to the left and dow
 
 
 def cells(genotype):
-    """Returns (x, y, z) of the voxels of 144 digits."""
+    """Returns (x, y, z) of each voxel in a genotype of 144 digits."""
     return [(i // 24, i // 4 % 6, i % 4) for i, digit in enumerate(genotype) if digit == "1"]
 
 

@@ -1,4 +1,5 @@
-# setup.sh: sourced by the scripts beside it. Finds the repository, installs packages, builds.
+# setup.sh: sourced by the other scripts in this folder. Finds the repository, installs packages,
+# builds.
 #
 #   install_packages SECTION…   installs missing packages of these sections of tools/packages (as
 #                               root, or with sudo)

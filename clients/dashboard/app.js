@@ -33,7 +33,7 @@ function load(module) {
   });
 }
 
-/** Services of the page for views. */
+/** The page's functions and state that views use. */
 export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */

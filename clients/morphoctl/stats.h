@@ -20,7 +20,7 @@ struct paired {
   double error;          /* its standard error; NaN with fewer than two designs */
   double freedom;        /* degrees of freedom of the interval */
   double low, high; /* confidence interval of the difference; NaN with fewer than two designs */
-  size_t improved, equal; /* designs whose mean is lower with b, the same */
+  size_t improved, equal; /* designs with a lower mean with b; designs with equal means */
   double sign_p; /* two-sided p of the sign test over the designs that differ; NaN if none */
 };
 /* Compares the losses of two controllers over the same designs in the same environments. a, b: (n,

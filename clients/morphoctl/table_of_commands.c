@@ -342,8 +342,8 @@ static const struct option_spec fleet_options[] = {
     {"all", 'a', NULL, "Also the newest sessions that have ended."}, {NULL}};
 
 static const struct option_spec fleet_drain_options[] = {
-    {"older", 0, NULL, "All workers of an older version than the server's."},
-    {"version", 0, "VERSION", "All workers of this version."},
+    {"older", 0, NULL, "All workers with an older version than the server's."},
+    {"version", 0, "VERSION", "All workers with this version."},
     {"within", 0, "SECONDS", "Seconds to wait for each (default: 60)."},
     {NULL}};
 static const struct option_spec fleet_verify_options[] = {
@@ -462,7 +462,7 @@ const struct command commands[] = {
      &training_kind},
     {"train watch", "ID", "Watch a training until it ends.", run_live_watch,
      "On a terminal a live plot, otherwise a line per event; with --json the events. Ctrl-C leaves "
-     "the training alone. Exit status: 0 if it succeeded, 3 if not.",
+     "the training running. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &training_kind},
     {"train pause", "ID...", "Pause trainings, with a checkpoint.", run_job_change},
     {"train resume", "ID...", "Resume trainings that are paused or have failed.", run_job_change},
@@ -492,7 +492,7 @@ const struct command commands[] = {
      &campaign_kind},
     {"campaign watch", "ID", "Watch a campaign until it ends.", run_live_watch,
      "On a terminal live curves and a table, otherwise a line per generation; with --json the "
-     "events. Ctrl-C leaves the campaign alone. Exit status: 0 if it succeeded, 3 if not.",
+     "events. Ctrl-C leaves the campaign running. Exit status: 0 if it succeeded, 3 if not.",
      NULL, &campaign_kind},
     {"campaign pause", "ID...", "Pause campaigns.", run_job_change},
     {"campaign resume", "ID...", "Resume campaigns that are paused or have failed.",
@@ -527,7 +527,7 @@ const struct command commands[] = {
      run_study_tell,
      "FILE (default: standard input) has children as JSON, one after the other or in lists: "
      "{\"body\": {\"cells\": [[x,y,z], ...]}, \"parents\": [3, 17], \"operator\": \"mine\", "
-     "\"measures\": {\"reach\": 2}}, or designs alone. Sending the same batch again changes "
+     "\"measures\": {\"reach\": 2}}, or only designs. Sending the same batch again changes "
      "nothing.",
      study_tell_options},
     {"study sampler", "ID", "Fetch the state of a study's sampler.", run_study_sampler,

@@ -25,7 +25,7 @@ CHUNKED = b"Transfer-Encoding: chunked"
 HOSTILE = {
     "folded length": POST + LENGTH.replace(b": ", b":\r\n ") + b"\r\n\r\n" + DELETE,
     "folded coding": POST + b"Transfer-Encoding:\r\n chunked\r\n\r\n" + DELETE,
-    "length that goes on": POST + b"Content-Length: 0\r\n 50\r\n\r\n" + DELETE,
+    "folded length": POST + b"Content-Length: 0\r\n 50\r\n\r\n" + DELETE,
     "two lengths": POST + b"Content-Length: 0\r\n" + LENGTH + b"\r\n\r\n" + DELETE,
     "length and coding": POST + LENGTH + b"\r\n" + CHUNKED + b"\r\n\r\n0\r\n\r\n" + DELETE,
     "space before the colon": POST + LENGTH.replace(b":", b" :") + b"\r\n\r\n" + DELETE,

@@ -93,7 +93,7 @@ REFUSED = {
     "space in the target": (b"GET /a b HTTP/1.1\r\n" + HOST + END, {0},
                             True),  # the library says nothing
     "folded length": (POST + b"Content-Length:\r\n %d\r\n\r\n" % len(HIDDEN) + HIDDEN, {400}, True),
-    "length that goes on": (POST + b"Content-Length: 4\r\n 5\r\n\r\n" + HIDDEN, {400}, True),
+    "folded length": (POST + b"Content-Length: 4\r\n 5\r\n\r\n" + HIDDEN, {400}, True),
     "length folded twice": (POST + b"Content-Length:\r\n \r\n\t%d\r\n\r\n" % len(HIDDEN) + HIDDEN,
                             {400}, True),
     "folded coding": (POST + b"Transfer-Encoding:\r\n chunked\r\n\r\n" + HIDDEN, {400}, True),
@@ -120,7 +120,7 @@ ANSWERED = {
     "unknown method": (b"BREW /healthz HTTP/1.1\r\n" + HOST + END, 405),
     "TRACE": (b"TRACE /healthz HTTP/1.1\r\n" + HOST + END, 405),
     "path upwards": (b"GET /v1/../../etc/passwd HTTP/1.1\r\n" + HOST + END, 404),
-    "escaped path upwards": (b"GET /v1/controllers/%2e%2e%2f%2e%2e HTTP/1.1\r\n" + HOST + END, 404),
+    "escaped traversal": (b"GET /v1/controllers/%2e%2e%2f%2e%2e HTTP/1.1\r\n" + HOST + END, 404),
     "double slash": (b"GET //healthz HTTP/1.1\r\n" + HOST + END, 404),
     "slash at the end": (b"GET /v1/jobs/ HTTP/1.1\r\n" + HOST + END, 404),
     "tab in a value": (GET + b"X: tab\tis fine\r\n\r\n", 200),

@@ -1,4 +1,4 @@
-"""Pages refresh by themselves: typed text and pressed buttons stay, and each action gets a
+"""Pages refresh automatically: typed text and pressed buttons stay, and each action gets a
 response."""
 
 import pytest

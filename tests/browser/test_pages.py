@@ -407,7 +407,7 @@ def test_lower_bounds_are_no_scores(service, browser):
 
 
 def test_the_best_of_many_come_first(service, browser):
-    """Lower bounds follow them, and are marked as such."""
+    """Lower bounds follow them, and are marked."""
     bodies = service.post("/v1/bodies/random", {"count": 30, "seed": 12})["items"]
     value = run(service, "evaluations", {
         "designs": [{"voxels": body["genotype"]} for body in bodies], "best": 2})

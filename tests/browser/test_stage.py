@@ -159,8 +159,8 @@ def test_a_model_for_other_programs(model):
 
 
 def test_assimp_loads_the_model(model):
-    """assimp finds one mesh with every mass, a target per frame, and the animation. The file that it
-    saves also has every mass within 1 mm."""
+    """assimp finds one mesh with every mass, a target per frame, and the animation. The file that
+    it saves also has every mass within 1 mm."""
     file, n, frame_s, track = model
     info = subprocess.run(["assimp", "info", file], capture_output=True, text=True, check=True)
     reported = dict(re.findall(r"^(\w+): +(\d+)$", info.stdout, re.M))

@@ -128,7 +128,7 @@ def circles_of(folder, top):
 # Circles of two files, as pairs of a name and a text, and files that only look like circles.
 CIRCLES = {
     "functions": ("a.c", "int mo_a(void) { return mo_b(); }", "b.c", "int mo_b(void) { mo_a(); }"),
-    "types on lines of their own":
+    "types on separate lines":
         ("a.c", "const struct mo_x *\nmo_a(int n,\n     int m)\n{\n  return mo_b();\n}",
          "b.c", "const struct mo_x *\nmo_b(void)\n{\n  return mo_a(1, 2);\n}"),
     "data": ("a.c", "const int *const mo_a[] = {\n    &mo_b, 0};",
@@ -156,7 +156,7 @@ SOUND = {
          "a.c", "int mo_a(void) { return mo_b() + mo_c; }",
          "b.c", 'const int mo_c = 1; /* mo_a */\nint mo_b(void)\n{\n  struct mo_a *a = 0;\n'
          '  return a->mo_a + "mo_a"[0];\n}'),
-    "names of their own":
+    "local names":
         ("a.c", "static int b(int a) { return a; }\nint c(void) { return b(1); }",
          "b.c", "static int a(int b) { return b; }\nint d(void) { return a(1); }"),
     "fragments of different sources":

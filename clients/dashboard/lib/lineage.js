@@ -92,7 +92,7 @@ export function layout(columns) {
   return { y, parentRow, lineage, size, order, nLineage: n - high, alive };
 }
 
-/** Returns the row whose life passes nearest to a point, in units of the view; -1 if none is
+/** Returns the row with the life line nearest to a point, in units of the view; -1 if none is
  * near. */
 export function nearest({ born, died }, { y, alive }, x, at, perX, perY, reach) {
   let best = -1;

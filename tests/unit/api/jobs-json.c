@@ -373,11 +373,11 @@ static void replicates(void)
 }
 
 static const struct check_case cases[] = {
-    {"a campaign before it begins", mutation_rate},
-    {"a training that runs", training_runs},
+    {"a campaign that has not started", mutation_rate},
+    {"a running training", training_runs},
     {"waiting for room", waits_for_room},
     {"a campaign that waits for another", waits_for_another},
-    {"a training that has failed", training_failed},
+    {"a failed training", training_failed},
     {"a campaign in which all diverged", campaign_exhausted},
     {"rows of trainings", training_rows},
     {"designs with births and deaths", designs},

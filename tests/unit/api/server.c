@@ -33,7 +33,7 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
   pthread_mutex_unlock(&last_lock);
 }
 
-static struct mo_api *api; /* of the case that runs */
+static struct mo_api *api; /* of the current case */
 
 /* Fills in what a case leaves out, with the daemon's defaults. */
 static void fill(struct mo_http_config *config)

@@ -26,8 +26,8 @@ static void genotype_number(uint32_t number, uint64_t bits[MO_DEFAULT_WORDS])
   mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
 }
 
-/* Rollout steps of a block that others overtake, and of one that stays alone. A sanitizer needs
- * eight times as long for each. */
+/* Rollout steps of a block that others overtake, and of one that is not overtaken. A sanitizer
+ * needs eight times as long for each. */
 #ifdef __SANITIZE_ADDRESS__
 enum { LONG = 1500, SHORT = 40 };
 #else
@@ -352,7 +352,7 @@ static const struct check_case cases[] = {
     {"processor time is charged", charges_processor_time},
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"immediate blocks overtake interactive ones", immediate_blocks_overtake_interactive_ones},
-    {"cancelled blocks come back", cancelled_blocks_come_back},
+    {"cancelled blocks are handed back", cancelled_blocks_come_back},
     {"many submitters at once", a_crowd_of_submitters},
     {"precision and physics of each block", blocks_are_what_was_asked_for},
     {"no block is accepted after the end", no_block_is_taken_after_the_end},

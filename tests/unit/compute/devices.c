@@ -441,7 +441,8 @@ static void note_order(struct mo_block *block, void *context)
   atomic_store(&order->place[block - blocks], 1 + atomic_fetch_add(&order->next, 1));
 }
 
-/* Ahead of everything that waits, including a share that has rested and is behind. */
+/* Urgent blocks start before everything that is waiting, including a share that has rested and is
+ * behind. */
 static void urgent_blocks_go_first(void)
 {
   static struct order order;

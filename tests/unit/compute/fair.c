@@ -266,11 +266,11 @@ static void first_in_first_out_and_removal(void)
 }
 
 static const struct check_case cases[] = {
-    {"by weight, whatever blocks cost", by_weight_whatever_blocks_cost},
+    {"by weight, regardless of cost", by_weight_whatever_blocks_cost},
     {"numbers of blocks do not count", numbers_of_blocks_do_not_count},
     {"a rest earns nothing and costs nothing", a_rest_earns_nothing_and_costs_nothing},
     {"short gaps cost nothing", short_gaps_cost_nothing},
-    {"what cannot be used is not saved up", what_cannot_be_used_is_not_saved_up},
+    {"unused time does not accumulate", what_cannot_be_used_is_not_saved_up},
     {"a new weight counts at once", a_new_weight_counts_from_now_on},
     {"estimates spread the workers", estimates_spread_the_workers},
     {"first in, first out, and removal", first_in_first_out_and_removal},

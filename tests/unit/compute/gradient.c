@@ -600,7 +600,7 @@ static const struct check_case cases[] = {
     {"takers compute shards", takers_compute_shards},
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"urgent gradients go first", urgent_gradients_go_first},
-    {"cancelled calls come back", cancelled_calls_come_back},
+    {"cancelled calls return", cancelled_calls_come_back},
     {"failed blocks end the call", failed_blocks_end_the_call},
     {"bodies in another workspace", bodies_of_another_workspace},
     {"one state serves any controller", one_state_takes_any_controller},

@@ -303,7 +303,7 @@ static const struct check_case cases[] = {
     {"one physics at a time", one_physics_at_a_time},
     {"cancelled blocks", cancelled_blocks},
     {"cancelled without a taker", cancelled_without_a_taker},
-    {"the end with blocks waiting", the_end_with_blocks_waiting},
+    {"shutdown with waiting blocks", the_end_with_blocks_waiting},
     {"devices of takers", devices_of_takers},
 };
 CHECK_MAIN_WITH(setup, cases)

@@ -363,6 +363,6 @@ static const struct check_case cases[] = {
     {"gradients along with scores", gradients_beside_scores},
     {"urgent blocks are charged to no share", urgent_blocks_are_charged_to_nobody},
     {"shares come and go", shares_come_and_go},
-    {"the end with blocks waiting", the_end_with_blocks_waiting},
+    {"shutdown with waiting blocks", the_end_with_blocks_waiting},
 };
 CHECK_MAIN_WITH(setup, cases)

@@ -91,6 +91,6 @@ static void closed_form(void)
   CHECK_NEAR(tape.output[2], 0, 0);
 }
 
-static const struct check_case cases[] = {{"closed form", closed_form},
-                                          {"against the textbook", against_textbook}};
+static const struct check_case cases[] = {
+    {"closed form", closed_form}, {"the network against a textbook version", against_textbook}};
 CHECK_MAIN(cases)

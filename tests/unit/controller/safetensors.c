@@ -77,7 +77,7 @@ struct edit {
 
 static const struct edit edits[] = {
     {"dtype", "\"F32\"", "\"F16\"", "tensor net.0.weight has dtype \"F16\"; expected \"F32\""},
-    {"dtype is no text", "\"F32\"", "32", "tensor net.0.weight: expected {\"dtype\""},
+    {"dtype is not text", "\"F32\"", "32", "tensor net.0.weight: expected {\"dtype\""},
     {"shape transposed", "[256,13]", "[13,256]",
      "tensor net.0.weight has shape [13, 256]; expected [256, 13] in a workspace of 1x1x1 voxels"},
     {"shape too short", "[256,13]", "[3328]", "shape [3328]; expected [256, 13]"},
@@ -142,7 +142,7 @@ static const struct edit edits[] = {
      "metadata \"mass_order\" is \"x-major lattice (y*2+x)*2+z\""},
     {"sensor", "\"inverse_sqrt\"", "\"inverse_cube\"",
      "metadata \"sensor\" is \"inverse_cube\"; expected \"inverse_sqrt\" or"},
-    {"sensor is no text", "\"inverse_sqrt\"", "7", "metadata \"sensor\" is not a string"},
+    {"sensor is not text", "\"inverse_sqrt\"", "7", "metadata \"sensor\" is not a string"},
     {"metadata of lists", "\"1x1x1\"", "[1,1,1]", "metadata \"workspace\" is not a string"},
     {"workspace of two", "\"1x1x1\"", "\"1x1\"", "metadata \"workspace\" is \"1x1\""},
     {"workspace of four", "\"1x1x1\"", "\"1x1x1x1\"", "metadata \"workspace\""},
@@ -399,7 +399,7 @@ static void bootstrap(void)
   const struct mo_controller *c = make_shipped_controller("bootstrap");
   CHECK_INT(c->n_parameters, 620912);
   CHECK_TEXT(mo_controller_get_metadata(c, "sensor"), "inverse_sqrt");
-  /* Our writer produces the same bytes as the program that trained it. */
+  /* Our writer produces the same bytes as the program that trained this controller. */
   const struct blob ours = make_file(c),
                     theirs = make_read("data/controllers/bootstrap.safetensors");
   CHECK(ours.size == theirs.size && SAME(ours.bytes, theirs.bytes, ours.size));

@@ -107,7 +107,7 @@ static const struct check_case cases[] = {
     {"text for people", text_for_people},
     {"logfmt and priority", logfmt_and_priority},
     {"JSON is JSON", json_is_json},
-    {"texts cannot control a terminal", terminals_are_safe},
+    {"values cannot control a terminal", terminals_are_safe},
     {"an entry stays on one line", a_line_stays_one_line},
     {"levels", levels},
 };

@@ -316,7 +316,7 @@ static const struct check_case cases[] = {
     {"tournaments: pressure grows with size", tournament},
     {"tournaments: odds of each rank", tournament_odds},
     {"novelty: the weighted sum of two ranks", novelty},
-    {"age layers keep the young", age_layers},
-    {"age layers of one age", one_age},
+    {"age layers keep young designs", age_layers},
+    {"age layers with equal ages", one_age},
 };
 CHECK_MAIN(cases)

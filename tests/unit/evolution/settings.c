@@ -166,7 +166,7 @@ static void simultaneous(void)
 }
 
 static const struct check_case cases[] = {
-    {"names and back", names},
+    {"names in both directions", names},
     {"presets", presets},
     {"settings that are refused, and why", refused},
     {"few-shot: each generation's training", few_shot},

@@ -221,7 +221,7 @@ static void champions_by_hand(void)
 
 static const struct check_case cases[] = {
     {"distances as defined, pair by pair", distances},
-    {"distances of fewer than two, and of equals", distances_of_few},
+    {"distances of fewer than two designs, and of equal ones", distances_of_few},
     {"sizes equal those of the body", sizes},
     {"statistics of a population", populations},
     {"champions: the best, even steps, most distinct first", champions},

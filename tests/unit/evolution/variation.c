@@ -438,7 +438,7 @@ static const struct check_case cases[] = {
     {"pairs are random", pairs_are_random},
     {"children are valid and placed", children},
     {"recombinants are the result of their parents", inheritance},
-    {"no design twice, none that is excluded", uniqueness},
+    {"no duplicate and no excluded design", uniqueness},
     {"flips are binomial at one in the number of voxels", rate_of_flips},
     {"the rate grows with each attempt", escalation},
     {"the rate is at most one half", rate_has_an_end},

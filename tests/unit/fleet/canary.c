@@ -64,6 +64,6 @@ static void differs_by_a_gradient(void)
 static const struct check_case cases[] = {
     {"one hash for any number of workers", same_in_a_class},
     {"another hash for each instruction set", differs_between_classes},
-    {"another hash for a wrong bit of a gradient", differs_by_a_gradient},
+    {"a wrong bit of a gradient changes the hash", differs_by_a_gradient},
 };
 CHECK_MAIN(cases)

@@ -209,7 +209,7 @@ static void liars(void)
 }
 
 static const struct check_case cases[] = {
-    {"nobody decides", WITH(decided, 0)},
+    {"no process decides", WITH(decided, 0)},
     {"the process decides", WITH(decided, 1)},
     {"shards of gradients", shards},
     {"liars are detected", liars},

@@ -262,7 +262,7 @@ static const struct check_case cases[] = {
     {"counts stored losses across stops", counts_what_was_stored_through_stops},
     {"starts with given designs", begins_with_what_is_given},
     {"reports its generations", reports_its_generations},
-    {"shows no generation behind its last", shows_no_generation_behind_its_last},
+    {"never shows an outdated generation", shows_no_generation_behind_its_last},
 #endif
 };
 CHECK_MAIN(cases)

@@ -445,7 +445,7 @@ static const struct check_case cases[] = {
     {"computes nothing twice", computes_nothing_twice},
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
-    {"counts through pauses", counts_through_pauses},
+    {"counts correctly across pauses", counts_through_pauses},
     {"survives a late request", survives_a_late_request},
     {"waits for a slow store", waits_for_a_slow_store},
     {"parks at a stop and continues after it", parks_and_goes_on},

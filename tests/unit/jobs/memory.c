@@ -182,7 +182,7 @@ SERVICE_CASE(saves_early_after_a_kill, 1)
 }
 
 static const struct check_case cases[] = {
-    {"refuses what never fits", refuses_what_never_fits},
+    {"refuses jobs that can never fit", refuses_what_never_fits},
     {"waits without blocking others", waits_beside_others},
     {"identifies the job that gets the process killed", finds_who_has_it_killed},
     {"blames the job that has saved nothing", blames_who_has_saved_nothing},

@@ -133,7 +133,7 @@ static void follows(void)
 static const struct check_case cases[] = {
     {"one job alone", alone},
     {"eight jobs at a time", eight_at_a_time},
-    {"a job that waits for its first results", after_a_wait},
+    {"a job without results yet", after_a_wait},
     {"a rate covers the last seconds", follows},
 };
 CHECK_MAIN(cases)

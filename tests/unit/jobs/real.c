@@ -172,7 +172,7 @@ static void evolves(void)
 }
 
 static const struct check_case cases[] = {
-    {"evaluates with the bits of single rollouts", evaluates},
-    {"evolves with the bits of single rollouts", evolves},
+    {"evaluations have the bits of single rollouts", evaluates},
+    {"campaigns have the bits of single rollouts", evolves},
 };
 CHECK_MAIN(cases)

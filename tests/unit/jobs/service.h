@@ -12,8 +12,8 @@
 #include "jobs/trainings.h"
 
 #define END_S 600 /* upper bound for a job, even on a busy machine under a sanitizer */
-/* Immediate effects occur within SOON_S, even on a slow, busy machine. What they must not wait for
- * takes much longer: blocks of LONG_US, and a stop that uses all of its STOP_MS. */
+/* Immediate effects occur within SOON_S, even on a slow, busy machine. Anything that they must not
+ * wait for takes much longer: blocks of LONG_US, and a stop that uses all of its STOP_MS. */
 #define SOON_S  30
 #define LONG_US 120000000
 #define STOP_MS 60000

@@ -315,7 +315,7 @@ static const struct check_case cases[] = {
     {"runs side by side", runs_side_by_side},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"extends", extends},
-    {"does not extend one cosine", does_not_extend_one_cosine},
+    {"does not extend a one-cosine schedule", does_not_extend_one_cosine},
     {"blames crashes on their job", blames_crashes_on_their_job},
 #endif
 };

@@ -241,7 +241,7 @@ static const struct check_case cases[] = {
     {"parks a job whose losses cannot be saved", parks_what_cannot_be_saved},
     {"blames crashes on their job", blames_crashes_on_their_job},
     {"waits for room on the disk", waits_for_room},
-    {"keeps few controllers ready", answers_from_its_cache_of_controllers},
+    {"keeps only a few controllers loaded", answers_from_its_cache_of_controllers},
     {"serves many clients at once", serves_many_clients},
 };
 CHECK_MAIN(cases)

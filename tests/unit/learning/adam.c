@@ -189,10 +189,10 @@ static void bounded(void)
 }
 
 static const struct check_case cases[] = {
-    {"20 steps against plain Adam in float64", against_plain},
+    {"20 steps agree with plain Adam in float64", against_plain},
     {"norms without overflow", norms},
     {"the norm clip", clip},
-    {"a step with a bad gradient is skipped", skipped},
+    {"a step with an invalid gradient is skipped", skipped},
     {"the report of a step, and the order of calls", reported},
     {"weights stay within their limit", bounded},
 };

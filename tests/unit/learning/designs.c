@@ -146,6 +146,6 @@ static const struct check_case cases[] = {
     {"designs are placed", placed},
     {"a training that becomes longer", longer},
     {"a training that becomes shorter, and those that cannot change", shorter_and_never},
-    {"a parent of another workspace", another_workspace},
+    {"a parent for another workspace", another_workspace},
 };
 CHECK_MAIN(cases)

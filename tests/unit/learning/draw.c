@@ -293,7 +293,7 @@ static const struct check_case cases[] = {
     {"an exhausted morphospace", exhausted},
     {"a replay", replay},
     {"robots drawn ahead, on several threads", ahead},
-    {"designs that change after a draw ahead", ahead_of_new_designs},
+    {"designs that change after a step was drawn ahead", ahead_of_new_designs},
 #ifndef __SANITIZE_THREAD__ /* slow there, and of one thread */
     {"20000 bodies are distinct and none is held out", distinct},
     {"exhausted at a held-out form", exhausted_at_a_held_out_form},

@@ -170,7 +170,7 @@ static void known(void)
 static const struct check_case cases[] = {
     {"the paper's schedules and ours, at some steps", rates},
     {"constant rates, short cycles, long cycles", corners},
-    {"the cosine against the C library's", cosine},
+    {"the cosine agrees with the C library's", cosine},
     {"the same bits everywhere", bits},
     {"invalid schedules are refused with a reason", refused},
     {"all built-in schedules are valid", known},

@@ -1,4 +1,4 @@
-/* The reader of designs, and the drawing. */
+/* Reading and drawing of designs. */
 #include "../check.h"
 
 #include <unistd.h>

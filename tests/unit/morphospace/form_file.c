@@ -144,8 +144,8 @@ static void write_errors(void)
 }
 
 static const struct check_case cases[] = {
-    {"the same members", same_members},  {"an empty set, and a small workspace", other_sets},
-    {"damaged files", damage},           {"files of another key or workspace", another_key},
-    {"errors of writing", write_errors},
+    {"the same members", same_members}, {"an empty set, and a small workspace", other_sets},
+    {"damaged files", damage},          {"files of another key or workspace", another_key},
+    {"write errors", write_errors},
 };
 CHECK_MAIN(cases)

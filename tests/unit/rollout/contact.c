@@ -218,7 +218,7 @@ static void never_below(void)
 }
 
 static const struct check_case cases[] = {
-    {"exact impact times against a search", exact_against_search},
+    {"exact impact times agree with a search", exact_against_search},
     {"exact impact times at borders and limits", exact_at_limits},
     {"bisection keeps the lower end", bisection},
     {"a strike on flat ground", strike_flat},

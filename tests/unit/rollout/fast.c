@@ -564,7 +564,7 @@ static const struct check_case cases[] = {
     {"products bit for bit", products},
     {"a lane's bits do not depend on other lanes", lanes_keep_to_themselves},
     {"close to the reference", close_to_reference},
-    {"actuation and contacts as in the reference", channels_agree},
+    {"actuation and contacts agree with the reference", channels_agree},
     {"contacts of a fall", contacts_of_a_fall},
     {"passive bodies", passive_bodies},
     {"divergence stays in its lane", divergence_stays_in_its_lane},

@@ -343,7 +343,7 @@ static void memory(void)
 }
 
 static const struct check_case cases[] = {
-    {"the bound holds at every step, and is exact about it", bounds_every_step},
+    {"the bound holds at every step, exactly", bounds_every_step},
     {"above the bound, the adjoint restarts from where the robot is", restarts},
     {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
     {"gradients add up, weighted, in the same bits", adds_up},

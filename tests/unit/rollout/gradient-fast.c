@@ -173,7 +173,7 @@ static void compare_on(int isa, const struct comparison *c)
   CHECK_INT(fast.counts.zeroed_robots, c->counts.zeroed_robots);
 }
 
-/* With the instruction sets from `first` on. */
+/* Runs the test with the instruction sets from `first` on. */
 static void compare(enum mo_isa first, struct comparison c)
 {
   const struct mo_gradient_options options = {.adjoint_bound = c.bound,

@@ -430,9 +430,9 @@ static void wrong_workspace(void)
 }
 
 static const struct check_case cases[] = {{"no mass below the ground", never_below_ground},
-                                          {"no energy gain", no_energy_gain},
+                                          {"bodies gain no energy", no_energy_gain},
                                           {"starts", starts},
-                                          {"no energy of overhangs", no_energy_of_overhangs},
+                                          {"overhangs gain no energy", no_energy_of_overhangs},
                                           {"translation", translation},
                                           {"divergence", divergence},
                                           {"extremes", extremes},

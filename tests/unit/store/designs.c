@@ -407,7 +407,7 @@ static void stores_long_lists_in_groups(void)
 static const struct check_case cases[] = {
     {"stores long lists in groups", stores_long_lists_in_groups},
     {"shares a design between its orientations", shares_designs_between_orientations},
-    {"turns an id to the best scored orientation", orients_ids},
+    {"resolves an id to the best scored orientation", orients_ids},
     {"keeps every bit of a loss", keeps_every_bit},
     {"keeps the positions of skipped designs", keeps_places_of_skipped_designs},
     {"ranks designs by score", ranks_designs},

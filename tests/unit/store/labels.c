@@ -498,11 +498,11 @@ static const struct check_case cases[] = {
     {"deletes an evaluation", deletes_an_evaluation},
     {"keeps jobs that others need", keeps_what_others_need},
     {"continues a deletion after a stop", goes_on_after_an_end},
-    {"forgets by age", forgets_by_age},
-    {"forgets runs by age", forgets_runs_by_age},
+    {"deletes evaluations by age", forgets_by_age},
+    {"deletes trainings and campaigns by age", forgets_runs_by_age},
     {"distrusts a clock far ahead", doubts_the_clock},
     {"trusts the clock after a sleep", believes_a_clock_that_slept},
     {"decides once for all rules", decides_once_for_all_rules},
-    {"forgets a bounded number at a time", forgets_some_at_a_time},
+    {"deletes a bounded number at a time", forgets_some_at_a_time},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

@@ -226,9 +226,9 @@ void life_follow(struct life *life)
   CHECK_OK(mo_read_integers(life->promised, number_sql, MO_VALUES(), 1, &promised));
   if (mo_read_integers(life->store, number_sql, MO_VALUES(), 1, &is) != MO_OK || is < promised ||
       (promised > 0 && is_other != (is > promised)))
-    life_found(life, "events go on at %lld after %lld", (long long)is, (long long)promised);
+    life_found(life, "events continue at %lld after %lld", (long long)is, (long long)promised);
   if (life->was_stopped && !is_other)
-    life_found(life, "a history goes on after a stop");
+    life_found(life, "a history continues after a stop");
   life->history = history;
   life->was_stopped = false;
   CHECK_OK(mo_write(life->promised, set_number, &is));

@@ -282,7 +282,7 @@ static void pages_of_everything_else(void)
 
 static const struct check_case cases[] = {
     {"pages of jobs cost what they show", pages_of_jobs},
-    {"pages name the states that are shown", pages_name_the_states_that_are_shown},
+    {"pages use the displayed states", pages_name_the_states_that_are_shown},
     {"other pages cost what they show", pages_of_everything_else},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

@@ -350,12 +350,12 @@ static void fails_at_every_call(void)
 }
 
 static const struct check_case cases[] = {
-    {"short: opens after an error of the disk", WITH(opens_in_spite_of_errors, 0)},
-    {"short: opens after a time of errors", WITH(opens_in_spite_of_errors, 1)},
-    {"short: is made after an error of the disk", WITH(opens_in_spite_of_errors, 2)},
-    {"short: is made after a time of errors", WITH(opens_in_spite_of_errors, 3)},
-    {"short: opens after a time without memory", WITH(opens_when_memory_is_short, false)},
-    {"short: is made after a time without memory", WITH(opens_when_memory_is_short, true)},
+    {"short: opens after a disk error", WITH(opens_in_spite_of_errors, 0)},
+    {"short: opens after a period of errors", WITH(opens_in_spite_of_errors, 1)},
+    {"short: is created after a disk error", WITH(opens_in_spite_of_errors, 2)},
+    {"short: is created after a period of errors", WITH(opens_in_spite_of_errors, 3)},
+    {"short: opens after a period without memory", WITH(opens_when_memory_is_short, false)},
+    {"short: is created after a period without memory", WITH(opens_when_memory_is_short, true)},
     {"short: works without an allocation", WITH(works_when_short_of, ONE_ALLOCATION)},
     {"short: works without memory", WITH(works_when_short_of, ALLOCATIONS)},
     {"short: works without room in the database", WITH(works_when_short_of, ROOM_IN_THE_DATABASE)},

@@ -332,10 +332,10 @@ static void stays_short_over_a_restart(void)
 static const struct check_case cases[] = {
     {"survives a small file system", survives_a_small_file_system},
     {"fills the holes of a copy", fills_the_holes_of_a_copy},
-    {"keeps the room for people", keeps_it_for_people},
+    {"keeps the reserve for people", keeps_it_for_people},
     {"grows the index of the log", grows_the_index_of_the_log},
     {"starts when it is full", starts_when_it_is_full},
-    {"stays short over a restart", stays_short_over_a_restart},
+    {"stays short of space across a restart", stays_short_over_a_restart},
 };
 
 /* If nothing can be mounted, the whole program is skipped. */

@@ -304,7 +304,7 @@ static const struct check_case cases[] = {
     {"packs losses with a checksum", packs_losses},
     {"finds losses by environment and class", finds_by_environment_and_class},
     {"continues in a new class", goes_on_in_a_new_class},
-    {"serves no flipped bit", serves_no_flipped_bit},
+    {"never serves a flipped bit", serves_no_flipped_bit},
     {"checks contents", checks_contents},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

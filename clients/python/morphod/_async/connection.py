@@ -34,7 +34,7 @@ class AsyncConnection:
         self.token = token
         self.retry_s = retry_s
         self.answered = False
-        """Whether the service has ever replied."""
+        """True once the service has replied."""
         self._pid = os.getpid()
         self._clients: dict[object, httpx.AsyncClient] = {}
 
