@@ -261,7 +261,7 @@ int bench_gradient_accuracy(const struct bench_options *options)
     restart.restart_weight = i == 0 ? 1 : MO_RESTART_WEIGHT;
     restarted = compare(&scene, scene.random, "random weights", options, restart) && restarted;
   }
-  restart.adjoint_bound = 8; /* from the recipe of the shipped controller */
+  restart.adjoint_bound = 8; /* as for the shipped controller */
   (void)compare(&scene, scene.random, "random weights", options, restart);
   (void)compare(&scene, scene.controller, "trained controller", options, restart);
   printf("\nbound: cosine with clipping, random weights ≥ %.3f %s\n", COSINE_BOUND,

@@ -161,7 +161,7 @@ static void find_newest(const struct side *side, int64_t *newest)
   {
     const json_t *generation = value_at(one, "newest.generation");
     if (generation == NULL)
-      fail(STATUS_NEGATIVE, "campaign %s has no generation yet", text_of(one, "id"));
+      fail(STATUS_NEGATIVE, "campaign %s has no complete generation yet", text_of(one, "id"));
     if (json_integer_value(generation) < *newest)
       *newest = json_integer_value(generation);
   }

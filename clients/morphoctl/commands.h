@@ -103,7 +103,7 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
 void put_json(const json_t *json, size_t flags);
 /* Prints JSON from the API, indented on a terminal. */
 void print_json(const json_t *json);
-/* Prints the reply to a GET: JSON with --json, else what `print` makes of it. */
+/* Prints the reply to a GET: JSON with --json, otherwise the output of `print`. */
 void show(struct ctl *ctl, const char *path,
           void (*print)(const struct ctl *ctl, const json_t *json));
 /* Prints JSON with --json, otherwise a filled template, unless --quiet. */

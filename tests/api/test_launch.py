@@ -39,7 +39,7 @@ def test_a_slurm_job_starts_a_worker(tmp_path):
 
 
 def faults_of(value, kind, place, models):
-    """Returns how a document differs from the models of Kubernetes."""
+    """Returns how a document differs from Kubernetes's models."""
     if kind.startswith(("list[", "dict(")):
         inner = kind[5:-1].split(", ")[-1]
         items = value if isinstance(value, list) else list(value.values())

@@ -52,7 +52,7 @@ def columns(reply):
 
 
 def at(item, name):
-    """Returns the value of a column: names of members and places in arrays, joined by _."""
+    """Returns the value of a column: names of members and indices of arrays, joined by _."""
     if name in item:
         return item[name]
     for key in item:

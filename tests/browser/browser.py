@@ -23,8 +23,8 @@ addEventListener('error', (event) => faults.push('error: ' + event.message));
 addEventListener('unhandledrejection', (event) => faults.push('rejection: ' + event.reason));
 """
 
-# The longest chain of requests, including that for the page, in which each began after the previous
-# one had ended, once the page shows the expected content.
+# Once the page shows the expected content: the longest chain of requests, starting with the page's,
+# in which each began after the previous one had ended.
 CHAIN = """
 if (!(%s)) return null;
 const ends = [];

@@ -141,9 +141,9 @@ async function mountOne(main, id, parameters, app) {
     parts.remark, parts.row);
   const charts = {
     scores: new Chart({ title: 'Score', note: 'lower is better', log: true, height: 260,
-      empty: 'No generation has ended yet.' }),
+      empty: 'No generation is complete yet.' }),
     diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260,
-      empty: 'No generation has ended yet.' }),
+      empty: 'No generation is complete yet.' }),
     operators: new Chart({ title: 'Share of children that survive', minimum: 0, yText: percent }),
     size: new Chart({ title: 'Voxels and footprint', minimum: 0 }),
   };
@@ -258,7 +258,7 @@ async function mountOne(main, id, parameters, app) {
     });
     const newest = rows.at(-1);
     charts.scores.options.empty = emptyText(newest?.population, newest?.score.diverged,
-      'No generation has ended yet.');
+      'No generation is complete yet.');
     charts.scores.set(scores);
     charts.diversity.set([
       { name: 'diversity', x, y: column(rows, (row) => row.diversity), color: '--blue' },

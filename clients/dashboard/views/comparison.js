@@ -35,7 +35,7 @@ export class Comparison {
      */
     this.sides = null;
     this.chart = new Chart({ title: 'Best score, mean and range over replicates', log: true,
-      empty: 'No generation has ended yet.' });
+      empty: 'No generation is complete yet.' });
     this.body = h('tbody');
     this.note = h('p.muted');
     this.element = h('section.grid', { 'aria-label': 'Comparison' }, this.chart.element,

@@ -218,7 +218,7 @@ async function mountOne(main, id, parameters, app) {
   const heading = h('h1');
   const about = h('span.muted');
   const loss = new Chart({ title: 'Mean loss of the batch', xName: 'step', log: true, height: 280,
-    empty: 'No step has ended yet.' });
+    empty: 'No step is complete yet.' });
   const held = new Chart({ title: 'Held-out score', xName: 'step', log: true, height: 280,
     empty: 'No validation yet.' });
   const norm = new Chart({ title: 'Gradient norm', xName: 'step', log: true });
@@ -290,7 +290,8 @@ async function mountOne(main, id, parameters, app) {
         : [{ name: 'least to most', kind: 'band', x, y: x, low, high, color: HUES[i],
           opacity: 0.2 }, line];
     });
-    loss.options.empty = emptyText(batch, steps[0].rows.at(-1)?.diverged, 'No step has ended yet.');
+    loss.options.empty =
+      emptyText(batch, steps[0].rows.at(-1)?.diverged, 'No step is complete yet.');
     loss.set(each(steps, 'mean_loss'));
     norm.set(each(steps, 'gradient_norm'));
     clipped.set(each(steps, 'clipped_share'));

@@ -662,7 +662,7 @@ static const struct check_case cases[] = {
     {"a body that ends sessions", WITH(poison, 3)},
     {"workers that end with a body", WITH(poison, 2)},
     {"a worker that ends with a body of an absent class", WITH(poison_of_absent, 1)},
-    {"a body that ends sessions, seen late", poison_seen_late},
+    {"a body that ends sessions, noticed late", poison_seen_late},
     {"a body that ends sessions, held by two", poison_held_twice},
     {"a suspect and busy sessions", suspected},
     {"blocks that no worker computes", unsupported},

@@ -248,7 +248,7 @@ static void tokens(void)
   REQUIRE(mo_tokens_set(&set, two, 2, &message) == MO_OK);
   for (size_t i = 0; i < sizeof(wrong) / sizeof(wrong[0]); i++)
     CHECK_INT(mo_tokens_check(&set, wrong[i], &caller), 0);
-  CHECK(strcmp(caller.name, "nobody") == 0); /* with a wrong token nothing is filled in */
+  CHECK(strcmp(caller.name, "nobody") == 0); /* a wrong token leaves the fields empty */
   CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef", &caller), 1);
   CHECK(strcmp(caller.name, "anna") == 0 && caller.right == MO_RIGHT_READ);
   CHECK_INT(mo_tokens_check(&set, "bearer  another-token-of-24-bytes", &caller), 1);

@@ -224,7 +224,7 @@ static void strings(void)
   CHECK(!mo_json_string(&json, &word) && !faults.malformed && faults.n == 1);
 }
 
-/* Strings that are longer than those above, and the bytes in them. */
+/* Long strings, and the bytes in them. */
 static void bytes(void)
 {
   static const struct {

@@ -94,7 +94,7 @@ static void takes_turns(void)
   n = train(2, 3, ids, tags);
   for (size_t i = 1; i < n; i++) {
     changes += tags[i] != tags[i - 1];
-    CHECK(i >= STEPS || tags[i] != ids[2]); /* the third waits for a place */
+    CHECK(i >= STEPS || tags[i] != ids[2]); /* the third waits for its turn */
   }
   CHECK(changes > STEPS / 2);
 }
