@@ -72,7 +72,7 @@ def test_founders_that_cannot_be_are_skipped(service, evolved):
     assert refused.status == 422 and refused.pointers() == ["/initial/designs"]
 
 
-def test_settings_are_told_with_their_defaults(service, evolved, learned):
+def test_settings_are_reported_with_their_defaults(service, evolved, learned):
     assert evolved["mode"] == "zero-shot" and evolved["preset"] == "workstation"
     assert evolved["priority"] == "batch" and evolved["name"] is None
     assert evolved["settings"] | {
@@ -191,7 +191,7 @@ def test_a_morphospace_that_is_exhausted(service, workspace, designs):
     assert len(service.pages(done["links"]["phylogeny"])) == designs
 
 
-def test_no_generations_at_all(service):
+def test_no_generations(service):
     done = run_campaign(service, SMALL | {"generations": 0})
     assert done["end"] == "completed"
     assert done["progress"] | {"generation": 0, "designs": 8} == done["progress"]

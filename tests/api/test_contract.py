@@ -51,7 +51,7 @@ def test_every_schema_has_a_name_and_types():
                 assert "$ref" in variant or variant.get("type") != "object", path
 
 
-def test_unions_tell_their_variants_apart():
+def test_variants_of_unions_are_distinguishable():
     """Either a discriminator names all variants, or no two variants share a member."""
     for name, schema in SCHEMAS.items():
         variants = [variant["$ref"] for variant in schema.get("oneOf", [])]

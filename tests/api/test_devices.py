@@ -320,7 +320,7 @@ def cluster(start, tmp_path):
     cluster.close()
 
 
-def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
+def test_only_workers_have_devices(cluster, start, undisturbed, tmp_path):
     """Their class is known once the first one joins. Jobs of this class wait for them, even after a
     restart, and end with the same bits as a service with a device."""
     service = cluster.service
@@ -374,7 +374,7 @@ def test_workers_alone_have_devices(cluster, start, undisturbed, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["trainings", "campaigns"])
-def test_workers_alone_learn(cluster, start, kind):
+def test_only_workers_learn(cluster, start, kind):
     """Shards of gradients go to the devices of workers, and one worker is killed. The sums have the
     same bits as those of a service with a device."""
     requests = {"trainings": {**TRAINING, "batch": 1100, "validation": {"every_steps": 0}},
@@ -430,7 +430,7 @@ def test_known_keys_are_answered_without_devices(start, tmp_path):
         assert "the service has no devices: ask for" in refused.body.decode()
 
 
-def test_another_code_is_told(start, tmp_path):
+def test_another_code_is_reported(start, tmp_path):
     """A training that continues under another version of the module reports it."""
     state = tmp_path / "state"
     service = start(*FLAGS, state=state, environment=fake(delay_ms=300))

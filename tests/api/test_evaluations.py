@@ -61,7 +61,7 @@ def test_physics_are_echoed(service):
     assert service.evaluate({"designs": [DESIGN], "physics": physics}).json()["physics"] == physics
 
 
-def test_divergence_is_told(service):
+def test_divergence_is_reported(service):
     value = service.evaluate({"designs": [DESIGN], "physics": {"dt_s": 0.05,
                                                                "n_steps": 500}}).json()
     result = value["results"][0]

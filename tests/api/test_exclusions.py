@@ -57,7 +57,7 @@ def test_a_lineage_that_cannot_be_read(start):
     assert all("warning" in line.lower() and digits in line for line in lines)
 
 
-def test_a_drawing_is_told_and_handed_over(start):
+def test_a_drawing_is_reported_and_handed_over(start):
     service = start()
     total = 1024 * 200000
     put(service, "long", **pretrained(200000))

@@ -85,7 +85,7 @@ def test_restart_while_they_are_stored(start, tmp_path, bodies):
 
 @pytest.mark.parametrize("damage", ["DELETE FROM waiting_designs",
                                     "UPDATE waiting_designs SET checksum=checksum+1"])
-def test_a_damaged_list_holds_up_nobody(start, tmp_path, bodies, damage):
+def test_a_damaged_list_delays_no_other_job(start, tmp_path, bodies, damage):
     designs = [{"voxels": hexadecimal(body["genotype"])} for body in bodies]
     service = start(state=tmp_path / "state")
     job = service.post("/v1/evaluations", WORLD | {"designs": designs * 3})

@@ -78,7 +78,7 @@ def test_a_deployment_is_one_of_kubernetes():
     assert volume["name"] == mounted["name"] and volume["secret"]["defaultMode"] == 0o440
 
 
-def test_a_unit_has_what_was_asked_for():
+def test_a_unit_has_the_requested_options():
     text = printed("systemd", "--fleet=https://lab:8766", "--cpus=3",
                    "--worker-token-file=/etc/token")
     for line in ("Environment=MORPHOD_WORKER_SERVER=https://lab:8766", "CPUQuota=300%",

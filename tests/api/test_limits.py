@@ -144,7 +144,7 @@ FLOODS = {
 
 @pytest.mark.parametrize("flood", FLOODS)
 @pytest.mark.parametrize("who", ["user", "token"])
-def test_who_computes_much_keeps_nobody_waiting(start, tmp_path, flood, who):
+def test_a_heavy_client_delays_no_other_client(start, tmp_path, flood, who):
     """While requests of one client compute, another client gets its lists, rollouts and bodies."""
     if who == "user" and os.geteuid() != 0:
         pytest.skip("connections of several users need root")

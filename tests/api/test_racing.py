@@ -171,7 +171,7 @@ def test_few_children_on_a_device(start, whole):
         lives(row) for row in other.pages(f"/v1/campaigns/{same}/phylogeny")]
 
 
-def test_nobody_waits_in_vain(start):
+def test_no_client_waits_in_vain(start):
     """Children that do not race are scored in one call with parents that have learned."""
     request = {"mode": "simultaneous", "population": 12, "generations": 4, "device": "cuda",
                "controller": "default", "exclude_pretraining": False, "learning": {"batch": 4},

@@ -62,7 +62,7 @@ def test_equal_images_have_the_smallest_number(service, design, n):
     assert len(set(robots.values())) == n
 
 
-def test_what_an_id_alone_means(service):
+def test_meaning_of_an_id_without_an_orientation(service):
     cells = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [2, 1, 1]]
     world = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.02, "seed": 3}]
     rows = list(images(service.post("/v1/bodies/canonical", {"designs": [{"cells": cells}]})

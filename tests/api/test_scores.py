@@ -233,7 +233,7 @@ def test_a_host_is_no_format(start, file):
             if event["type"] == "scores.imported"] == ["%s%n%p"]
 
 
-def test_other_bits_are_told_and_not_stored(home, start, file):
+def test_other_bits_are_reported_and_not_stored(home, start, file):
     """Losses from a liar do not replace stored ones. If they arrive first, they are stored with
     their origin, which makes it possible to find and repair them."""
     first = blocks(file)[0]

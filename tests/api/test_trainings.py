@@ -48,7 +48,7 @@ def trained(service):
     return train(service, TRAIN | {"name": "small", "schedule": "paper-pretrain"})
 
 
-def test_settings_are_told_with_their_defaults(trained):
+def test_settings_are_reported_with_their_defaults(trained):
     settings = trained["settings"]
     assert settings | {
         "schedule": {"kind": "restarts", "peak": 0.001, "floor": 1e-05, "decay": 0.7,

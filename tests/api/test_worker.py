@@ -185,7 +185,7 @@ def test_a_daemon_that_starts_again_costs_little(daemon, launch, known):
     assert again.done((2, 0)) == losses(known) and worker.stop() == 0
 
 
-def test_what_is_hostile_is_refused_and_the_worker_goes_on(daemon, launch, known):
+def test_hostile_leases_are_refused_and_the_worker_continues(daemon, launch, known):
     good = message(b"L", [lease(known, 99).encode()])
     bad_world = lease(known, 99, environments=[[float("nan")] * 66] * 10).encode()
     many = [lease(known, n, designs=(3, ), n_steps=4000).encode() for n in range(90, 94)]
@@ -270,7 +270,7 @@ def test_a_worker_with_other_arithmetic_is_refused(launch, start):
 
 
 @pytest.mark.parametrize("reply", [429, 500, 503])
-def test_a_daemon_that_cannot_now_is_asked_again(daemon, launch, known, reply):
+def test_a_busy_daemon_is_asked_again(daemon, launch, known, reply):
     daemon.answers["/sessions"] = lambda handler: (daemon.answers.clear(), handler.problem(reply))
     launch(Worker, daemon.url)
     daemon.give(lease(known, 0))

@@ -38,7 +38,7 @@ def roll(service, value, **headers):
     return service.request("POST", "/v1/rollouts", value, headers=headers)
 
 
-def test_environments_are_told(service):
+def test_environments_are_reported(service):
     items = service.get("/v1/environment-sets/paper-test")["items"]
     assert len(items) == 10
     for item in items:
@@ -56,7 +56,7 @@ def test_environments_are_told(service):
         service.refuses("/v1/" + path, "", status=404)
 
 
-def test_a_score_can_be_computed_again_by_http_alone(service):
+def test_a_score_can_be_recomputed_with_only_http(service):
     evaluation = service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 37}}).json()
     result = evaluation["results"][0]
     design = service.get("/v1/designs/" + result["id"])

@@ -216,7 +216,7 @@ def test_replicates_are_one_row(service, browser):
 # ---- questionable results ----
 
 
-def test_warnings_stand_beside_the_state(start):
+def test_warnings_appear_next_to_the_state(start):
     """Warnings about robots that all diverged, and about a campaign that found no new bodies."""
     other = start()
     stiff = {"n_steps": 20, "stiffness_n_per_m": 1e6}

@@ -126,7 +126,7 @@ def test_small_memory(folder, cgroup):
         assert one.stop()[0] == 0
 
 
-def test_killed_again_and_again(daemon):
+def test_killed_repeatedly(daemon):
     """A campaign fails with an explanation if the process is killed three times while it draws
     bodies. A power cut does not count."""
     one = daemon("one").start()

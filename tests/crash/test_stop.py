@@ -157,7 +157,7 @@ def test_crash_counts_against_its_job(daemon, seed):
     one.end()
 
 
-def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
+def test_crash_during_a_gradient_counts(daemon, monkeypatch):
     """The same for a fault on the thread that lays out the next robots while a device computes."""
     monkeypatch.setenv("MORPHO_FAKE_FAULT", "1")
     one = daemon("beside", devices="auto",

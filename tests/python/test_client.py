@@ -66,7 +66,7 @@ def test_diverged_rollouts_are_nan(m):
         assert objective(DESIGN["cells"]) == 3.0
 
 
-def test_repair_is_told(m):
+def test_repair_is_reported(m):
     apart = [[0, 0, 0], [1, 0, 0], [4, 0, 0]]
     with pytest.raises(morphod.InvalidError) as caught:
         m.evaluate([apart])
@@ -77,7 +77,7 @@ def test_repair_is_told(m):
     assert evaluation[0].genotype.count("1") == 2
 
 
-def test_faults_are_told_per_design(m):
+def test_faults_are_reported_per_design(m):
     """Whether a fault is found by the package or by the service, designs keep their positions, also
     in recordings and tables."""
     bodies = [np.ones((7, 1, 1)), [[0, 0, 0]], [[0, 0, 0], [4, 0, 0]], np.zeros((6, 6, 4)),
@@ -360,7 +360,7 @@ def test_a_phylogeny_with_lower_bounds(m, service):
     assert m.get_campaign(id).curve()["children_cut"].sum() == phylogeny.lower_bound.sum()
 
 
-def test_a_campaign_goes_on(m, capsys):
+def test_a_campaign_continues(m, capsys):
     group = m.campaign("zero-shot", preset="demo", population=8, generations=1, physics=SHORT,
                        initial=[DESIGN], environments=WORLD)
     assert group.live() is group and "2 of 2" not in capsys.readouterr().out

@@ -97,7 +97,7 @@ def refused(client):
     client.evaluation(10**9)
 
 
-def test_errors_come_back_from_a_pool(m):
+def test_errors_return_from_a_pool(m):
     with multiprocessing.get_context("fork").Pool(1) as pool, pytest.raises(
             morphod.NotFoundError) as caught:
         pool.map_async(refused, [m]).get(60)
@@ -178,7 +178,7 @@ LONG = """
     ("client.campaign('zero-shot', preset='demo', generations=100000,"
      " exclude_pretraining=False).live()", "campaign"),
 ])
-def test_an_interrupt_names_the_job_that_goes_on(service, m, tmp_path, what, noun):
+def test_an_interrupt_names_the_continuing_job(service, m, tmp_path, what, noun):
     address = f"http://{service.host}:{service.port}"
     process = script(tmp_path, LONG.format(address=address, what=what))
     assert process.stdout.readline() == "ready\n"

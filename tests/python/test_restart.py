@@ -70,7 +70,7 @@ def test_kill_and_restart_under_a_client(start, tmp_path):
         "an event was lost or came twice"
 
 
-def test_local_starts_goes_on_and_ends(tmp_path):
+def test_local_starts_continues_and_ends(tmp_path):
     options = {"binary": BINARY, "default_controller": BOOTSTRAP, "devices": "none", "workers": 1}
     with morphod.local(tmp_path / "state", **options) as m:
         first = m.evaluate([[[0, 0, 0]]], physics={"n_steps": 20})

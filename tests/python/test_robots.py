@@ -52,7 +52,7 @@ def test_what_takes_a_robot(m):
             morphod.Body.of(row.id + wrong)
 
 
-def test_what_has_no_result_warns_of_ids_alone(m):
+def test_ids_without_an_orientation_warn_if_there_is_no_result(m):
     [row] = m.evaluate([[[0, 0, 0], [1, 0, 0], [1, 1, 0]]], physics=QUICK)
     short = {"population": 2, "generations": 0, "physics": QUICK, "exclude_pretraining": False}
     with pytest.warns(UserWarning, match=f"without an orientation: using {row.robot}"):

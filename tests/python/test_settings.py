@@ -52,7 +52,7 @@ def test_settings_of_numpy(m):
         assert m.study("of numpy", population=8, seed=3).id == study.id and len(batch) == 2
 
 
-def test_what_is_none_is_absent(m):
+def test_none_is_absent(m):
     plain = m.evaluate([DESIGN], physics={"n_steps": 5})
     other = m.evaluate([DESIGN], physics={"n_steps": 5, "friction": None}, best=None, label=None,
                        repair=None, priority=None)

@@ -55,7 +55,7 @@ def climb(m, name, batches, dies):
     return study, climber
 
 
-def test_a_search_goes_on_where_it_died(m, start, tmp_path):
+def test_a_search_continues_where_it_died(m, start, tmp_path):
     """Either side crashes, but the result is the same. The study is found by its name."""
     study, climber = climb(m, "undisturbed", 8, lambda batch: None)
     running, deaths = start(state=tmp_path / "state"), []

@@ -117,7 +117,7 @@ def test_a_campaign_survives_what_slurm_does(slurm, start, tmp_path):
     assert (status["lost"], status["audits_failed"]) == (1, 0)
 
 
-def test_an_upgrade_starts_the_job_again(slurm, start, tmp_path):
+def test_an_upgrade_restarts_the_job(slurm, start, tmp_path):
     service, command = a_daemon(start, tmp_path)
     install(slurm, pathlib.Path(BINARY).parents[2] / "tests" / "morphod-older")
     job = submit_job(slurm, command, "--workers=1", "--idle=1h")

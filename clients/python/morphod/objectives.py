@@ -14,7 +14,7 @@ from .errors import BodyError
 
 _PATH = "path_length_m"
 _VOXELS = 144
-_SHAPES = "(144,) or (6, 6, 4) for one solution, (n, 144) or (n, 6, 6, 4) for many,"
+_SHAPES = "(144,) or (6, 6, 4) for one solution, (n, 144) or (n, 6, 6, 4) for many"
 _OF_BODY: dict[str, Callable[[Body], float]] = {
     "voxels": lambda body: float(len(body)),
     "footprint": lambda body: float(body.footprint()),
@@ -70,8 +70,7 @@ class Plan:
             solution = np.asarray(solution)  # of a table or a tensor
         if isinstance(solution, np.ndarray):
             if solution.ndim != 3 and solution.shape != (_VOXELS, ):
-                raise BodyError(f"got an array of the shape {solution.shape}; {_SHAPES} are "
-                                "expected")
+                raise BodyError(f"an array of the shape {solution.shape}; the shape must be {_SHAPES}")
             voxels = above_half(solution)
             solution = voxels.reshape(WORKSPACE) if voxels.ndim == 1 else voxels
             if not voxels.any():
@@ -127,7 +126,7 @@ def _listed(solutions: Any) -> Any:
             isinstance(solutions, np.ndarray) and solutions.ndim > 0):
         return solutions
     if not isinstance(solutions, Iterable) or isinstance(solutions, np.ndarray):
-        raise BodyError(f"{type(solutions).__name__} is not a solution: {_SHAPES} are expected")
+        raise BodyError(f"{type(solutions).__name__} is not a solution: give an array of the shape {_SHAPES}")
     return list(solutions)
 
 

@@ -46,7 +46,7 @@ def test_pace_of_an_evaluation():
         assert re.search(rf"rollouts +{words}\n", ask([job], "job show 7")[0])
 
 
-def test_text_of_others_is_not_obeyed():
+def test_text_from_elsewhere_is_not_interpreted():
     """Any submitter can choose a label, and a terminal must not interpret its control
     characters."""
     evil = "x\033]0;owned\007\033[2J\u009b31m\x7f\ry"
@@ -196,7 +196,7 @@ def test_token():
             assert seen[0][2].get("Authorization") == sent
 
 
-def test_watch_goes_on_after_a_break():
+def test_watch_continues_after_a_break():
     running = {**JOB, "state": "running"}
     out, _, seen = ask([
         running,
@@ -264,7 +264,7 @@ def step_rows(first, last):
     return {"items": rows, "next_cursor": None}
 
 
-def test_train_start_sends_what_was_asked_for():
+def test_train_start_sends_the_options():
     out, err, seen = ask(
         [reply(202, TRAINING)],
         "train start pretrain --name walker --steps 1400 -b 256 --seed 3 --sensor inverse_square "
@@ -342,7 +342,7 @@ def test_train_start_that_makes_no_sense():
         assert out == "" and err.startswith("morphoctl: ") and seen == [], (words, err)
 
 
-def test_train_watch_goes_on_after_a_break():
+def test_train_watch_continues_after_a_break():
     progress = {"id": "7", "step": 4, "steps": 1400, "mean_loss": 0.5, "gradient_norm": 0.25,
                 "rate": 0.002, "clipped_share": 0.125, "bodies_per_s": 123.4,
                 "seconds_left": 90061.0}
@@ -373,7 +373,7 @@ def test_train_watch_goes_on_after_a_break():
                        ("/v1/events?job=7", "45")]
 
 
-def test_wait_where_nobody_waits():
+def test_wait_if_the_server_does_not_wait():
     """A server or proxy that drops Prefer and replies at once must not be polled without a
     pause."""
     running = JOB | {"state": "running"}
@@ -547,7 +547,7 @@ def test_train_compare():
         assert words in ask(replies, "train compare a b")[0]
 
 
-def test_watch_tells_what_happened():
+def test_watch_reports_what_happened():
     received = [
         ("training.progress", {"step": 2, "steps": 9, "mean_loss": 0.5, "gradient_norm": 1,
                                "rate": 0.1, "clipped_share": 0},
