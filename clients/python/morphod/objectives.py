@@ -70,7 +70,8 @@ class Plan:
             solution = np.asarray(solution)  # of a table or a tensor
         if isinstance(solution, np.ndarray):
             if solution.ndim != 3 and solution.shape != (_VOXELS, ):
-                raise BodyError(f"an array of the shape {solution.shape}; the shape must be {_SHAPES}")
+                raise BodyError(f"an array of the shape {solution.shape}; the shape must be "
+                                f"{_SHAPES}")
             voxels = above_half(solution)
             solution = voxels.reshape(WORKSPACE) if voxels.ndim == 1 else voxels
             if not voxels.any():
@@ -126,7 +127,8 @@ def _listed(solutions: Any) -> Any:
             isinstance(solutions, np.ndarray) and solutions.ndim > 0):
         return solutions
     if not isinstance(solutions, Iterable) or isinstance(solutions, np.ndarray):
-        raise BodyError(f"{type(solutions).__name__} is not a solution: give an array of the shape {_SHAPES}")
+        raise BodyError(f"{type(solutions).__name__} is not a solution: give an array of the shape "
+                        f"{_SHAPES}")
     return list(solutions)
 
 
