@@ -157,7 +157,7 @@ static void print_help(const struct row *row)
            row->fallback);
 }
 
-/* What the value is called, and how morphoctl reads it. */
+/* Returns the name of the value in the help, and how morphoctl reads it. */
 static const char *reader(const struct mo_field *field)
 {
   return field->type == MO_FIELD_NUMBER                                  ? "REAL"

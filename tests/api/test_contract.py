@@ -1,4 +1,4 @@
-"""What generators of clients need from the contract: names, types, descriptions, links.
+"""Requirements of client generators on the contract: names, types, descriptions, links.
 
 tests/peers/ calls the Python and Java clients that two generators make from it."""
 

@@ -25,14 +25,14 @@ parameters = {{ "query.format" = "json" }}   # a stream has no end
 include-operation-id = ["askStudy", "tellStudy", "getStudyBatch", "getStudySampler", "finishStudy"]
 checks.ensure_resource_availability.enabled = false
 [checks]
-positive_data_acceptance.enabled = false   # generated_rules.py knows which refusals are right
+positive_data_acceptance.enabled = false   # generated_rules.py checks the refusals
 use_after_free.enabled = false   # DELETE of a job cancels it; the job stays
 """
 
 
-@pytest.mark.skipif(not SECONDS, reason="MORPHO_GENERATED does not say for how many seconds")
+@pytest.mark.skipif(not SECONDS, reason="MORPHO_GENERATED is not a number of seconds")
 @pytest.mark.skipif(
-    not PROGRAM, reason="schemathesis is not installed, and MORPHO_SCHEMATHESIS does not name it")
+    not PROGRAM, reason="schemathesis is not installed, and MORPHO_SCHEMATHESIS is not its path")
 def test_generated_requests(start, tmp_path):
     service = start()
     config = tmp_path / "schemathesis.toml"

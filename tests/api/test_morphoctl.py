@@ -140,7 +140,7 @@ def test_verify(ctl):
     status, out, err = ctl(f"verify {SHORT} {evaluation['results'][0]['id']}")
     assert status == 0 and "the same" in out, (out, err)
     status, out, err = ctl("verify --physics n_steps=7 -", input_text=CELLS)
-    assert status == 3 and "nothing" in err, (out, err)
+    assert status == 3 and "no stored scores" in err, (out, err)
 
 
 def test_designs(ctl):

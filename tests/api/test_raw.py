@@ -63,7 +63,7 @@ REFUSED = {
         True),
     "negative chunk size": (POST + b"Transfer-Encoding: chunked\r\n\r\n-2\r\n{}\r\n0\r\n\r\n",
                             {400}, True),
-    "chunk longer than said": (POST + b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}{}{}\r\n0\r\n\r\n",
+    "chunk beyond its size": (POST + b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}{}{}\r\n0\r\n\r\n",
                                {400}, True),
     "NUL escaped in the path": (b"GET /healthz%00 HTTP/1.1\r\n" + HOST + END, {400}, True),
     "NUL escaped in the query": (b"GET /v1/jobs?state=%00 HTTP/1.1\r\n" + HOST + END, {400}, True),
@@ -105,7 +105,7 @@ REFUSED = {
     "bytes above ASCII in the target": (b"GET /\xff HTTP/1.1\r\n" + HOST + END, {400}, True),
     "target without a slash": (b"GET healthz HTTP/1.1\r\n" + HOST + END, {400}, True),
     "unknown expectation": (POST + b"Expect: magic\r\nContent-Length: 2\r\n\r\n{}", {417}, True),
-    "more body than said": (GET + b"\r\n" + b"\x00\x01garbage\r\n\r\n", {200}, False),
+    "body longer than declared": (GET + b"\r\n" + b"\x00\x01garbage\r\n\r\n", {200}, False),
 }
 
 ANSWERED = {

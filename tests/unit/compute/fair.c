@@ -156,7 +156,7 @@ static void a_rest_earns_nothing_and_costs_nothing(void)
   run_until(110);
   rests->off = false;
   forget();
-  run_until(110.5); /* two worker seconds: at most the credit, in advance of half of them */
+  run_until(110.5); /* two worker seconds: half of them, less the credit */
   CHECK(steady->got_s > (2 - 4 * MO_FAIR_CREDIT_S) / 2 - 0.2);
   CHECK(rests->got_s > 0.8);
   forget();

@@ -130,7 +130,7 @@ static void kernels(void)
 static void reference(void)
 {
   if (strcmp(gnu_get_libc_version(), "2.36") != 0 || mo_isa_best() < MO_ISA_AVX2) {
-    printf("# another C library or processor than the hash was made with\n");
+    printf("# the hash was made with another C library or processor\n");
     return;
   }
   uint64_t h = FNV_START;
