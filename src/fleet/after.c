@@ -1,5 +1,5 @@
-/* after.c: see after.h. Blocks that are put back go to the front of their share, so the last one
- * goes first: they come to stand there in their order. */
+/* after.c: see after.h. mo_after_run puts blocks back at the front of their share, the last block
+ * first, so that they end up in their original order. */
 #include "fleet/after.h"
 
 #include <stdlib.h>

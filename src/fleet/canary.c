@@ -1,10 +1,11 @@
-/* canary.c: frozen rollouts and a frozen gradient, which have the same bits wherever a class is
- * computed. A machine with other bits is refused before it computes anything that counts.
+/* canary.c: frozen rollouts and a frozen gradient. Every machine of a class must compute the same
+ * bits for them. A machine that computes other bits is refused before it computes anything that
+ * counts.
  *
- * Half of the bodies live by the usual physics. The others fall from high on slippery ground, so
- * that masses leave their cells of the terrain: the reference, not the kernels, computes such
- * moves. The robots of the gradient stand on the ground, so that few steps have contacts; they fill
- * one block of the CPU and a part of another. */
+ * Half of the bodies use the usual physics. The others fall from a height onto slippery ground, so
+ * that masses leave their terrain cells: the reference, not the kernels, computes these moves. The
+ * robots of the gradient stand on the ground, so that few steps have contacts. They fill one CPU
+ * block and part of another. */
 #include <stdlib.h>
 
 #include "fleet/fleet.h"
@@ -12,7 +13,7 @@
 #define SEED   UINT64_C(0x6d6f72706866)
 #define BODIES 8
 #define ROBOTS (MO_GRADIENT_ROBOTS + 8)
-#define STEPS  50 /* of the gradient */
+#define STEPS  50 /* for the gradient */
 
 struct canary {
   struct mo_lattice *lattice;
@@ -61,7 +62,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .n_environments = MO_BLOCK_LANES,
                                .physics = physics_of(b),
                                .precision = MO_FLOAT32,
-                               .urgency = MO_INTERACTIVE, /* remote takers get none */
+                               .urgency = MO_INTERACTIVE, /* not given to remote takers */
                                .back_end = back_end};
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
@@ -120,7 +121,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   for (uint32_t i = 0; i < ROBOTS; i++)
     mo_body_free(canary->bodies[i]);
   free(batch.d_parameters);
-  mo_compute_trim(compute); /* it may never compute another gradient */
+  mo_compute_trim(compute); /* a worker may never compute another gradient */
   return error;
 }
 

@@ -8,14 +8,14 @@
 #include "fleet/content.h"
 #include "store/scores.h"
 
-#define NEW_LEASES     500 /* of a session: after these it is audited less */
-#define AUDITS_NEW     10  /* one lease in so many */
+#define NEW_LEASES     500 /* results of a session; after these it is audited less often */
+#define AUDITS_NEW     10  /* one lease in this many is audited */
 #define AUDITS_TRUSTED 200
-#define CHOOSY_NS      (2 * MO_S_NS) /* an audit waits so long for another name and host */
+#define CHOOSY_NS      (2 * MO_S_NS) /* an audit waits this long for another name and host */
 
 /* ---- votes ---- */
 
-/* 10 ms for a gradient. */
+/* For a gradient, takes 10 ms. */
 static struct mo_sha256 sum_of(const struct mo_wire_result *result)
 {
   struct mo_sha256 hashes[2] = {{{0}}}, hash = {{0}};
@@ -27,7 +27,7 @@ static struct mo_sha256 sum_of(const struct mo_wire_result *result)
   return hash;
 }
 
-/* Returns the vote of a session; its arrays are the result's. */
+/* Returns the vote of a session. Its arrays belong to the result. */
 static struct mo_vote vote_of(const struct mo_session *session, const struct mo_wire_result *result)
 {
   struct mo_vote vote = {.session = session->id,
@@ -58,7 +58,8 @@ static bool add_vote(struct mo_lease *lease, const struct mo_vote *vote)
   return true;
 }
 
-/* Returns the first row that differs, or n. Gradients that differ in their sums alone: 0. */
+/* Returns the first row that differs, or n. Returns 0 for gradients that differ only in their
+ * sums. */
 static uint32_t first_difference(const struct mo_vote *a, const struct mo_vote *b, uint32_t n)
 {
   uint32_t row = 0;
@@ -68,7 +69,7 @@ static uint32_t first_difference(const struct mo_vote *a, const struct mo_vote *
   return row == n && !mo_sha256_equal(&a->sum, &b->sum) ? 0 : row;
 }
 
-/* Keeps n blocks from the first on, and their rows of the votes. */
+/* Keeps n blocks, starting with `first`, and their rows of the votes. */
 static void cut(struct mo_lease *lease, uint32_t first, uint32_t n)
 {
   const uint32_t row = mo_content_cut(&lease->content, first, n), rows = lease->content.n_rows;
@@ -107,7 +108,7 @@ bool mo_check_suits(const struct mo_lease *lease, const struct mo_session *sessi
 
 /* ---- beginning ---- */
 
-/* The choice depends on the number of the lease only, which a session cannot choose. */
+/* The choice depends only on the lease number, which a session cannot influence. */
 static bool is_drawn(const struct mo_fleet *fleet, const struct mo_lease *lease,
                      const struct mo_session *session)
 {
@@ -183,11 +184,11 @@ static bool judge(struct mo_fleet *fleet, const struct mo_lease *lease, const st
   if (row == rows)
     return true;
   if (lease->content.n_parameters > 0)
-    snprintf(why, sizeof(why), "gave another gradient of %" PRIu32 " robots than another worker",
-             rows);
+    snprintf(why, sizeof(why),
+             "returned a different gradient of %" PRIu32 " robots than another worker", rows);
   else
     snprintf(why, sizeof(why),
-             "gave a loss of %.17g (step of divergence %" PRIu32 ") where %s %.17g (%" PRIu32 ")",
+             "returned a loss of %.17g (divergence step %" PRIu32 ") where %s %.17g (%" PRIu32 ")",
              vote->losses[row], vote->diverged_steps[row],
              other->session == 0 ? "this machine computed" : "another worker gave",
              other->losses[row], other->diverged_steps[row]);
@@ -201,7 +202,7 @@ static bool can_decide(const struct mo_fleet *fleet, const struct mo_lease *leas
          !fleet->config.classes[lease->content.back_end].is_absent;
 }
 
-/* Two sessions gave different rows: this process computes the block of the first one again. */
+/* Two sessions returned different rows, so this process recomputes the first block that differs. */
 static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row, uint64_t now_ns,
                     struct mo_after *after)
 {
@@ -246,7 +247,7 @@ void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_s
       mo_lease_end(fleet, lease, after);
     return;
   }
-  /* The same bits, or nobody knows which are wrong. */
+  /* Either the bits are the same, or it is not known which ones are wrong. */
   fleet->counts.audits++;
   fleet->counts.audits_failed += row < rows;
   (void)judge(fleet, lease, first, &second, now_ns, after);

@@ -1,5 +1,6 @@
-/* content.c: see content.h. Blocks of one job point to the same environments, so these are told
- * apart by their addresses: comparing 528 bytes per row would cost more than sending some twice. */
+/* content.c: see content.h. Blocks of one job point to the same environments, so environments are
+ * told apart by their addresses: comparing 528 bytes for each row would cost more than sending some
+ * environments twice. */
 #include "fleet/content.h"
 
 #include <stdlib.h>
@@ -8,7 +9,7 @@
 /* Bodies and controllers are of the service's workspace. */
 #define GENOTYPE_BYTES (MO_DEFAULT_WORDS * sizeof(uint64_t))
 
-/* Numbers of environments by address, with open addressing. */
+/* Maps addresses of environments to their numbers, with open addressing. */
 struct numbers {
   uint32_t mask;
   struct number {
@@ -17,7 +18,7 @@ struct numbers {
   } * slots;
 };
 
-/* Returns the number of an environment, which is added if it is new. MO_ERR_LIMIT: there are too
+/* Returns the number of an environment, and adds it if it is new. MO_ERR_LIMIT: there are too
  * many. */
 static int number_of(struct numbers *numbers, struct mo_wire_lease *content,
                      const struct mo_environment *environment)
@@ -54,7 +55,7 @@ static int copy_blocks(const struct mo_taken *taken, struct numbers *numbers,
   return MO_OK;
 }
 
-/* A robot of a shard is a block. */
+/* Each robot of a shard is a block. */
 static int copy_robots(const struct mo_gradient_batch *shard, struct numbers *numbers,
                        struct mo_wire_lease *content)
 {

@@ -1,4 +1,4 @@
-/* exchange.c: what a session asks for: an exchange, its orders, a controller. */
+/* exchange.c: serves the requests of a session: an exchange, its orders, a controller. */
 #include <string.h>
 
 #include "fleet/give.h"
@@ -6,7 +6,7 @@
 
 /* ---- exchange ---- */
 
-/* Encodes those of the leases that the session still holds. Without memory it gives them back. */
+/* Encodes the leases that the session still holds. If memory runs out, puts them back. */
 static int encode(struct mo_fleet *fleet, struct mo_session *session, const uint64_t *numbers,
                   uint32_t n, uint64_t now_ns, struct mo_after *after, uint8_t **down,
                   size_t *down_size, uint32_t *n_leases)
@@ -28,7 +28,7 @@ static int encode(struct mo_fleet *fleet, struct mo_session *session, const uint
   return error;
 }
 
-/* Lets the session wait where it could hold more. */
+/* Lets the session wait for work of each back end where it could hold more leases. */
 static void wait_for_more(struct mo_fleet *fleet, struct mo_session *session)
 {
   for (uint32_t b = 0; b < 2; b++)
@@ -53,9 +53,10 @@ static int give(struct mo_fleet *fleet, struct mo_session *session, uint64_t now
   return encode(fleet, session, numbers, n, now_ns, after, down, down_size, n_leases);
 }
 
-/* Locked, but not while it calls. Gives the session its origin before its first result is
- * delivered, and not before: a row of the store, which stays. Returns the session; NULL: it ended
- * meanwhile, or *error says why its results are refused. */
+/* Call it with the lock held; releases the lock while it calls the configured function. Assigns an
+ * origin, a permanent row in the store, to the session just before its first result is delivered.
+ * Returns the session. NULL: the session ended while the lock was free, or *error says why its
+ * results are refused. */
 static struct mo_session *name_origin(struct mo_fleet *fleet, struct mo_session *session,
                                       const struct mo_wire_results *results, int *error)
 {
@@ -92,13 +93,13 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
     session = name_origin(fleet, session, &results, &error);
   if (error != MO_OK) {
     session = mo_session_find(fleet, id);
-    if (session != NULL) /* the worker may end now, which is not the bodies' fault */
+    if (session != NULL) /* the worker may end now, and its bodies are not to blame */
       mo_session_release(fleet, session, false, now_ns, &after);
-    mo_fail(message, error, "the origin of the results was not stored");
+    mo_fail(message, error, "the service could not store the origin of the results; try again");
   } else if (session == NULL) {
-    error = mo_fail(message, MO_ERR_NOT_FOUND, "no such session is open: join again");
+    error = mo_fail(message, MO_ERR_NOT_FOUND, "the session is not open; join again");
   } else if (session->state == MO_SESSION_REFUSED) {
-    error = mo_fail(message, MO_ERR_CONFLICT, "the session of \"%s\" is refused: it %s",
+    error = mo_fail(message, MO_ERR_CONFLICT, "session \"%s\" is refused because it %s",
                     session->offer.name, session->why);
   } else {
     session->heard_ns = now_ns;
@@ -116,7 +117,7 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
 
 /* ---- orders and weights ---- */
 
-/* A session that was told to drop a lease has the room for another one. */
+/* A session that was told to drop a lease has room for another one. */
 static void end_told(struct mo_fleet *fleet, struct mo_session *session,
                      const struct mo_fleet_orders *orders, uint64_t now_ns, struct mo_after *after)
 {
@@ -171,7 +172,7 @@ int mo_fleet_controller(struct mo_fleet *fleet, const struct mo_sha256 *hash,
 
 void mo_fleet_file_release(void *file)
 {
-  struct mo_weights *weights = file; /* of which the file is the first member */
+  struct mo_weights *weights = file; /* the file is its first member */
   struct mo_fleet *fleet = weights->file.fleet;
   MO_GUARD(&fleet->mutex);
   weights->n_readers--;

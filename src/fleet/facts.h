@@ -1,4 +1,4 @@
-/* facts.h: what there is to see of the fleet. Any thread may ask. */
+/* facts.h: the state of the fleet as operators see it. Call the functions from any thread. */
 #ifndef MORPHO_FLEET_FACTS_H
 #define MORPHO_FLEET_FACTS_H
 
@@ -8,22 +8,22 @@ struct mo_session_status {
   uint64_t id;
   struct mo_fleet_offer offer;
   enum mo_session_state state;
-  bool is_older;                          /* its version, than this program's */
-  char why[128];                          /* it ended, or is refused; "": works */
-  uint64_t joined_ns, heard_ns, ended_ns; /* ended 0: open */
-  uint32_t leases, rows_out;              /* held now */
-  double rows_per_s;                      /* of about the last ten leases */
+  bool is_older;                          /* its version is older than this program's */
+  char why[128];                          /* why it ended or was refused; "": it is working */
+  uint64_t joined_ns, heard_ns, ended_ns; /* ended_ns: 0 if open */
+  uint32_t leases, rows_out;              /* held at the moment */
+  double rows_per_s;                      /* over about the last ten leases */
   double busy_s;
   uint64_t leases_done, leases_lost, rows_done, audits, audits_failed;
 };
 struct mo_fleet_status {
-  uint32_t n_sessions, n_threads, n_devices; /* open ones */
-  uint32_t n_older;                          /* open ones of an older version */
-  uint32_t n_serving[2];                     /* by enum mo_back_end: active ones */
+  uint32_t n_sessions, n_threads, n_devices; /* that are open */
+  uint32_t n_older;                          /* open sessions with an older version */
+  uint32_t n_serving[2];                     /* active sessions, by enum mo_back_end */
   uint32_t leases, rows_out;
   double rows_per_s;
   uint64_t joined, lost, leases_done, leases_again, rows_done, rows_twice, audits, audits_failed;
-  uint64_t results_ignored; /* of leases that their session did not hold */
+  uint64_t results_ignored; /* for leases that their session did not hold */
 };
 void mo_fleet_status(struct mo_fleet *fleet, struct mo_fleet_status *status);
 /* Lists open sessions and the newest 256 ended ones, open ones first (malloc). MO_ERR_NO_MEMORY. */

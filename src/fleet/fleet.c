@@ -1,4 +1,4 @@
-/* fleet.c: creates and frees the fleet, lets sessions in and out, and turns its clock. */
+/* fleet.c: creates and frees the fleet, opens and closes sessions, and advances its clock. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,8 +7,8 @@
 #include "fleet/decide.h"
 #include "fleet/give.h"
 
-#define BLOCK_STEPS 16000.0 /* until blocks were seen */
-#define REFUSED_NS  MO_S_NS /* one event of refusal in this time */
+#define BLOCK_STEPS 16000.0 /* until some blocks were seen */
+#define REFUSED_NS  MO_S_NS /* at most one event about refusals in this time */
 
 /* ---- life ---- */
 
@@ -66,7 +66,7 @@ void mo_fleet_free(struct mo_fleet *fleet)
 
 /* ---- joining ---- */
 
-/* Locked. Says that no worker of an absent class has joined yet. */
+/* Call it with the lock held. Returns whether no worker of an absent class has joined yet. */
 static bool lacks_canary(const struct mo_fleet *fleet, uint32_t back_end)
 {
   static const struct mo_sha256 none;
@@ -74,7 +74,7 @@ static bool lacks_canary(const struct mo_fleet *fleet, uint32_t back_end)
          mo_sha256_equal(&fleet->config.classes[back_end].canary, &none);
 }
 
-/* Locked. Chooses the classes that a session serves. */
+/* Call it with the lock held. Chooses the classes that a session serves. */
 static int choose_classes(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                           bool serves[2], struct mo_message *message)
 {
@@ -99,7 +99,7 @@ static int choose_classes(const struct mo_fleet *fleet, const struct mo_fleet_of
   const char *const device = config->classes[MO_ON_DEVICE].scores;
   return mo_fail(
       message, MO_ERR_UNSUPPORTED,
-      "version %s with class \"%.60s\"%s%.60s%s is wanted, got version %s with \"%.60s\"",
+      "the worker must be version %s with class \"%.60s\"%s%.60s%s, got version %s with \"%.60s\"",
       config->version, config->classes[MO_ON_CPU].scores, device != NULL ? " or \"" : "",
       device != NULL ? device : "", device != NULL ? "\"" : "", offer->version,
       offer->classes[MO_ON_CPU].scores);
@@ -116,14 +116,15 @@ static void note_refusal(struct mo_fleet *fleet, const struct mo_fleet_offer *of
   mo_after_event(after, "fleet.refused", &text);
 }
 
-/* Draws an id that nobody can guess and no session has. 0: no random numbers. */
+/* Draws a random id that cannot be guessed and that no session has. Returns 0 if the system has no
+ * random numbers. */
 static uint64_t draw_id(struct mo_fleet *fleet)
 {
   uint64_t id = 0;
   do {
     if (getrandom(&id, sizeof(id), 0) != (ssize_t)sizeof(id))
       return 0;
-    id >>= 5; /* below 10^18, as all ids of the API */
+    id >>= 5; /* below 10^18, like all ids of the API */
   } while (id == 0 || mo_session_find(fleet, id) != NULL);
   return id;
 }
@@ -139,26 +140,27 @@ static uint64_t hash_of(const char *user, const char *origin)
   return start;
 }
 
-/* Locked. */
+/* Call it with the lock held. */
 static int admit(const struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                  struct mo_message *message)
 {
   if (fleet->n_sessions == MO_FLEET_SESSIONS_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "at most %d sessions can be open", MO_FLEET_SESSIONS_MAX);
+    return mo_fail(message, MO_ERR_LIMIT, "%d sessions are open, which is the limit",
+                   MO_FLEET_SESSIONS_MAX);
   if (offer->user[0] == '\0' || fleet->n_sessions < MO_FLEET_TOKEN_MAX)
     return MO_OK;
   uint32_t n = 0;
   const struct mo_session *session;
   TAILQ_FOREACH(session, &fleet->sessions, all) n += strcmp(session->offer.user, offer->user) == 0;
-  return n < MO_FLEET_TOKEN_MAX
-             ? MO_OK
-             : mo_fail(
-                   message, MO_ERR_LIMIT,
-                   "at most %d sessions of one token can be open; give some workers another one",
-                   MO_FLEET_TOKEN_MAX);
+  return n < MO_FLEET_TOKEN_MAX ? MO_OK
+                                : mo_fail(message, MO_ERR_LIMIT,
+                                          "the token has %d open sessions, which is the limit; "
+                                          "give some workers another token",
+                                          MO_FLEET_TOKEN_MAX);
 }
 
-/* Locked, but not while it calls. Gives names to the absent classes that an offer has. */
+/* Call it with the lock held; releases the lock while it calls the configured function. Names the
+ * absent classes that an offer has. */
 static int name_classes(struct mo_fleet *fleet, const struct mo_fleet_offer *offer,
                         struct mo_message *message)
 {
@@ -177,13 +179,14 @@ static int name_classes(struct mo_fleet *fleet, const struct mo_fleet_offer *off
       config->classes[b].scores = names[0];
       config->classes[b].gradients = names[1];
     } else if (error == MO_ERR_LIMIT) {
-      error = mo_fail(message, MO_ERR_UNSUPPORTED, "the fingerprints of a class are shorter");
+      error = mo_fail(message, MO_ERR_UNSUPPORTED, "the fingerprints of a class are too long");
     }
   }
   return error;
 }
 
-/* Locked. Opens the session, which is the measure of an absent class if it is its first. */
+/* Call it with the lock held. Opens the session. The first session of an absent class sets the
+ * canary that later ones must have. */
 static void open_session(struct mo_fleet *fleet, struct mo_session *session, struct mo_after *after)
 {
   for (uint32_t b = 0; b < 2; b++)
@@ -214,7 +217,7 @@ int64_t mo_fleet_join(struct mo_fleet *fleet, const struct mo_fleet_offer *offer
   if (error == MO_OK)
     error = admit(fleet, offer, &message);
   if (error == MO_OK && (session->id = draw_id(fleet)) == 0)
-    error = mo_fail(&message, MO_ERR_IO, "there are no random numbers");
+    error = mo_fail(&message, MO_ERR_IO, "the system has no random numbers; try again");
   if (error == MO_ERR_CONFLICT || error == MO_ERR_UNSUPPORTED)
     note_refusal(fleet, offer, now_ns, &message, &after);
   const int64_t id = error == MO_OK ? (int64_t)session->id : error;
@@ -254,9 +257,9 @@ int mo_fleet_leave(struct mo_fleet *fleet, uint64_t id, bool is_lost, uint64_t n
 int mo_fleet_drain(struct mo_fleet *fleet, uint64_t id, bool for_upgrade)
 {
   struct mo_after after = {0};
-  char why[64] = "an operator asked for it";
+  char why[64] = "an operator requested it";
   if (for_upgrade)
-    snprintf(why, sizeof(why), "for an upgrade to version %s", fleet->config.version);
+    snprintf(why, sizeof(why), "to upgrade to version %s", fleet->config.version);
   pthread_mutex_lock(&fleet->mutex);
   struct mo_session *session = mo_session_find(fleet, id);
   if (session != NULL && session->state == MO_SESSION_ACTIVE)

@@ -4,26 +4,27 @@
 #include "fleet/checks.h"
 #include "fleet/content.h"
 
-#define FIRST_STEPS        16000   /* rollout steps per thread of the first lease: some 40 ms */
+#define FIRST_STEPS        16000   /* rollout steps per thread in the first lease: about 40 ms */
 #define FIRST_DEVICE_STEPS 2000000 /* per device */
-#define GROWTH             8       /* of a lease over the one before */
-#define LEAST_S            0.05    /* of a lease near the end of a queue */
-#define PATIENCE_NS        (10 * MO_S_NS) /* a late lease waits so long for a session of its size */
-#define SCANNED            64
-#define READY_S            4.0
-#define READY_BLOCKS_MAX   (1u << 17)
-#define OFFERED_MAX        256 /* threads, and devices, that count before a session is measured */
+#define GROWTH             8       /* factor by which a lease may exceed the previous one */
+#define LEAST_S            0.05    /* duration of a lease near the end of a queue */
+/* How long a late lease waits for a session of its size. */
+#define PATIENCE_NS      (10 * MO_S_NS)
+#define SCANNED          64
+#define READY_S          4.0
+#define READY_BLOCKS_MAX (1u << 17)
+#define OFFERED_MAX      256 /* threads and devices counted before a session is measured */
 
 /* ---- sizes ---- */
 
-/* The rollout steps of a session's next lease: `most`, or fewer where fewer wait, of which `share`
- * is this session's. */
+/* The rollout steps of a session's next lease: `most`, or fewer if less work is waiting. `share` is
+ * this session's share of that work. */
 struct size {
   uint64_t most, least;
   double share;
 };
 
-/* What a session offers is its word. */
+/* The threads and devices that a session reports are not verified, so they are capped. */
 static uint64_t first_steps(const struct mo_session *session, enum mo_back_end back_end)
 {
   const uint64_t steps = back_end == MO_ON_DEVICE ? FIRST_DEVICE_STEPS : FIRST_STEPS;
@@ -44,8 +45,8 @@ static struct size size_of(const struct mo_fleet *fleet, const struct mo_session
                        rate < class->steps_per_s ? rate / class->steps_per_s : 1.0};
 }
 
-/* Half of its share of what waits: leases become smaller towards the end of a queue, so that all
- * sessions end at about the same time. */
+/* Returns half of the session's share of the waiting work. Leases become smaller toward the end of
+ * a queue, so that all sessions finish at about the same time. */
 static uint64_t spread(const struct mo_fleet_source *source, enum mo_back_end back_end,
                        const struct size *size)
 {
@@ -80,8 +81,9 @@ static bool fits(const struct mo_fleet *fleet, const struct mo_lease *lease,
          (lease->is_listed && now_ns > lease->listed_ns + PATIENCE_NS);
 }
 
-/* Suspects go back first, to be leased among fewer: with sessions that are noticed late to be lost,
- * somebody would always hold the lease. */
+/* A lease with suspects is not repeated: its blocks are put back first, and then leased among
+ * fewer. It often takes long until a lost session is noticed, so otherwise some session would
+ * always hold the lease. */
 static bool may_repeat(const struct mo_fleet *fleet, const struct mo_lease *lease,
                        const struct mo_session *session)
 {
@@ -130,7 +132,7 @@ struct mo_lease *mo_give_overdue(struct mo_fleet *fleet, const struct mo_session
 
 /* ---- new leases ---- */
 
-/* Splits taken blocks until there are at most n. false: without memory. */
+/* Splits taken blocks until there are at most n. Returns false if memory runs out. */
 static bool trim(const struct mo_fleet_source *source, struct mo_taken *taken, uint32_t n)
 {
   while (taken->n_blocks > n) {
@@ -142,7 +144,7 @@ static bool trim(const struct mo_fleet_source *source, struct mo_taken *taken, u
   return true;
 }
 
-/* Copies what fits into a lease; what does not goes back. */
+/* Copies into a lease what fits, and puts the rest back. */
 static int copy(struct mo_fleet *fleet, struct mo_taken *taken, struct mo_wire_lease *content)
 {
   const struct mo_fleet_source *source = &fleet->config.source;
@@ -152,8 +154,8 @@ static int copy(struct mo_fleet *fleet, struct mo_taken *taken, struct mo_wire_l
   return error;
 }
 
-/* Takes blocks and makes them a lease. Without the lock; returns with it. NULL: there are none that
- * workers can compute, or no memory. */
+/* Takes blocks and makes a lease of them. Called without the lock; returns with it. Returns NULL if
+ * there are no blocks that workers can compute, or no memory. */
 static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back_end,
                                    uint64_t steps, struct mo_weights **weights)
 {
@@ -188,7 +190,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
     return lease;
   }
   if (*weights != NULL && (*weights)->n_parcels == 0)
-    (*weights)->identity = NULL; /* the address may become that of another controller */
+    (*weights)->identity = NULL; /* the address may be reused for another controller */
   mo_weights_release(fleet, *weights);
   if (taken == NULL)
     return NULL;
@@ -199,7 +201,7 @@ static struct mo_lease *take_lease(struct mo_fleet *fleet, enum mo_back_end back
   return NULL;
 }
 
-/* A session that holds the lease of a suspect gets no other. */
+/* A session that holds a lease with a suspect gets no other lease. */
 static bool has_room(const struct mo_session *session, enum mo_back_end back_end)
 {
   for (uint32_t b = 0; b < 2; b++)
@@ -209,7 +211,8 @@ static bool has_room(const struct mo_session *session, enum mo_back_end back_end
          session->n_held[back_end] + session->n_taking[back_end] < MO_FLEET_LEASES;
 }
 
-/* Returns the session, NULL: it ended. *number: of the new lease; 0: there is none. */
+/* Returns the session, or NULL if it ended. *number: the number of the new lease, or 0 if there is
+ * none. */
 static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *session,
                                    enum mo_back_end back_end, uint64_t now_ns,
                                    struct mo_after *after, uint64_t *number)
@@ -218,7 +221,7 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   const uint64_t id = session->id;
   struct mo_weights *weights = NULL;
   session->n_taking[back_end]++;
-  fleet->classes[back_end].may_have_work = false; /* what arrives from now on says so */
+  fleet->classes[back_end].may_have_work = false; /* work that arrives from now on sets it again */
   pthread_mutex_unlock(&fleet->mutex);
   const uint64_t steps = spread(&fleet->config.source, back_end, &size);
   struct mo_lease *lease = take_lease(fleet, back_end, steps, &weights);
@@ -232,7 +235,7 @@ static struct mo_session *give_new(struct mo_fleet *fleet, struct mo_session *se
   mo_lease_insert(fleet, lease, weights);
   if (session == NULL || session->state != MO_SESSION_ACTIVE ||
       (lease->is_only && !mo_session_is_free(session))) {
-    mo_lease_end(fleet, lease, after); /* its blocks go back */
+    mo_lease_end(fleet, lease, after); /* its blocks are put back */
     return session;
   }
   mo_lease_hold(fleet, lease, session, now_ns);
@@ -254,12 +257,12 @@ struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
     struct mo_lease *lease = find_listed(fleet, session, back_end, now_ns);
     uint64_t number = 0;
     if (lease == NULL && is_second(session, back_end) && !TAILQ_EMPTY(&class->idle))
-      break; /* a session that has none comes first */
+      break; /* a session that holds nothing comes first */
     if (lease == NULL) {
       session = give_new(fleet, session, back_end, now_ns, after, &number);
       if (session == NULL)
         return NULL;
-      /* It can have been refused or drained meanwhile. */
+      /* It may have been refused or drained in the meantime. */
       if (number == 0 && session->state == MO_SESSION_ACTIVE && session->n_held[back_end] == 0)
         lease = mo_give_overdue(fleet, session, back_end, now_ns);
     }
@@ -274,7 +277,7 @@ struct mo_session *mo_give(struct mo_fleet *fleet, struct mo_session *session,
       break;
     numbers[(*n)++] = number;
   }
-  /* What others may still find is said to two of them, who say it to the next. */
+  /* If more work may be left, two other sessions are woken, which then wake the next ones. */
   if (session != NULL && *n > 0 && class->may_have_work)
     for (uint32_t i = 0; i < 2; i++)
       mo_class_wake(fleet, back_end, after);

@@ -3,13 +3,13 @@
 
 #include <stdlib.h>
 
-#define LATE                5 /* times the expected time: the lease is given out again */
+#define LATE                5 /* times the expected time: then another session gets it */
 #define LATE_NS             (2 * MO_S_NS)
-#define HUNG                20 /* times the expected time: the session has it no more */
+#define HUNG                20 /* times the expected time: then the session loses the lease */
 #define HUNG_NS             (60 * MO_S_NS)
-#define UNKNOWN_STEPS_PER_S 1e5  /* and thread, of a session that was not measured */
-#define GRADIENT_COST       27   /* a step of a gradient, in steps of a rollout */
-#define MEAN_PART           0.05 /* of a new lease in the mean of block sizes */
+#define UNKNOWN_STEPS_PER_S 1e5  /* per thread, for a session that was not measured */
+#define GRADIENT_COST       27   /* cost of a gradient step, in rollout steps */
+#define MEAN_PART           0.05 /* weight of a new lease in the mean block size */
 
 static uint64_t later(uint64_t now_ns, double seconds, uint64_t least_ns)
 {
@@ -203,8 +203,8 @@ static void free_lease(struct mo_fleet *fleet, struct mo_lease *lease)
   free(lease);
 }
 
-/* Wakes a session that may take the lease of a suspect. Others would put it back, and wake the
- * next; they come by themselves when they hold nothing. */
+/* Wakes a session that may take a lease with a suspect. Other sessions would put it back and wake
+ * the next one; they look for work anyway when they hold nothing. */
 static void wake_free(struct mo_fleet *fleet, enum mo_back_end back_end, struct mo_after *after)
 {
   struct mo_session *session;

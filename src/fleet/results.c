@@ -3,16 +3,16 @@
 
 #include "fleet/checks.h"
 
-#define MEMORY       0.9 /* of the sums of a pace, per message: about ten leases */
-#define FAILURES_MAX 5   /* leases in a row, until a session gets no more */
-#define REFUSALS_MAX 10  /* likewise, whose seconds of rest grow */
+#define MEMORY       0.9 /* share of the sums of a pace that each message keeps: about ten leases */
+#define FAILURES_MAX 5   /* failed leases in a row, after which a session gets no more */
+#define REFUSALS_MAX 10  /* refused leases in a row, up to which the rest grows */
 
-/* What the results of one message add to the pace of a session on one back end. */
+/* Adds up the results of one message for the pace of a session on one back end. */
 struct part {
   uint64_t steps, rows, begun_ns;
 };
 
-/* Returns the lease that a result is of, if the session holds it. */
+/* Returns the lease that a result belongs to, if the session holds it. */
 static struct mo_lease *held_lease(struct mo_fleet *fleet, const struct mo_session *session,
                                    struct mo_lease_id id, uint32_t *place)
 {
@@ -41,14 +41,15 @@ static int check(struct mo_fleet *fleet, const struct mo_session *session,
                      lease->content.n_parameters, result->n_parameters);
     for (uint32_t row = 0; row < result->n_rows; row++)
       if (result->diverged_steps[row] > lease->content.physics.scheme.n_steps)
-        return mo_fail(message, MO_ERR_FORMAT, "result %u, row %u: diverged in step %u of %u", i,
-                       row, result->diverged_steps[row], lease->content.physics.scheme.n_steps);
+        return mo_fail(message, MO_ERR_FORMAT,
+                       "result %u, row %u: divergence step must be at most %u, got %u", i, row,
+                       result->diverged_steps[row], lease->content.physics.scheme.n_steps);
   }
   return MO_OK;
 }
 
-/* What a worker says of its time is charged to a share: at most all of its threads and devices
- * since it got the lease. */
+/* Returns the time that is charged to a share. This is the time that the worker reports, limited to
+ * the time of all its threads and devices since it got the lease. */
 static double busy_s_of(const struct mo_session *session, const struct mo_wire_result *result,
                         uint64_t given_ns, uint64_t now_ns)
 {
@@ -88,8 +89,8 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
   mo_check_begin(fleet, lease, session, result, now_ns, after);
 }
 
-/* A worker that cannot compute gets a second of rest per failure, so that another one takes the
- * bodies, and in the end no more work. */
+/* A worker that cannot compute a lease must rest for one second per failure, so that another worker
+ * takes the bodies. After several failures it gets no more work. */
 static void take_failure(struct mo_fleet *fleet, struct mo_session *session, uint64_t now_ns,
                          struct mo_after *after)
 {
@@ -98,16 +99,17 @@ static void take_failure(struct mo_fleet *fleet, struct mo_session *session, uin
     mo_session_drain(fleet, session, "failed five leases in a row", after);
 }
 
-/* What a worker cannot compute is computed here. One that says so of one lease after the other
- * would empty the queue: it rests, too, longer each time, and goes on. */
+/* Bodies that a worker cannot compute are computed by this process. A worker that refuses one lease
+ * after another would empty the queue, so it must rest for longer each time, but it gets more
+ * leases. */
 static void take_refusal(struct mo_session *session, uint64_t now_ns)
 {
   session->rest_ns = now_ns + session->n_refusals * MO_S_NS;
   session->n_refusals += session->n_refusals < REFUSALS_MAX;
 }
 
-/* The time of a session is that of this process: since its result before, or since it got the
- * lease. */
+/* Measures the pace of a session by this process's clock: since its previous result, or since it
+ * got the lease. */
 static void keep_pace(struct mo_pace *pace, const struct part *part, uint64_t now_ns)
 {
   const uint64_t since_ns = part->begun_ns > pace->result_ns ? part->begun_ns : pace->result_ns;
@@ -146,7 +148,8 @@ int mo_results_take(struct mo_fleet *fleet, struct mo_session *session,
       continue;
     }
     if (result->state != MO_RESULT_DONE) {
-      /* What devices cannot compute the daemon's processors can; theirs can do all. */
+      /* The daemon's processors can compute blocks that devices cannot. A worker's processors can
+       * compute all blocks. */
       const bool is_shard = lease->content.n_parameters > 0 && lease->content.back_end == MO_ON_CPU;
       const bool has_failed =
           result->state == MO_RESULT_FAILED || (result->state == MO_RESULT_UNSUPPORTED && is_shard);

@@ -17,7 +17,7 @@ struct mo_session *mo_session_find(struct mo_fleet *fleet, uint64_t id)
   return session;
 }
 
-/* One event for a fleet of them: for the first. */
+/* Creates an event for the first older worker only, not for each worker of an older fleet. */
 static void note_older(const struct mo_fleet *fleet, const struct mo_session *session,
                        struct mo_after *after)
 {
@@ -51,7 +51,7 @@ void mo_session_insert(struct mo_fleet *fleet, struct mo_session *session, struc
 
 /* ---- ends ---- */
 
-/* A session that was active becomes another thing: it gets no leases. */
+/* An active session changes its state and gets no more leases. */
 static void deactivate(struct mo_fleet *fleet, struct mo_session *session,
                        enum mo_session_state state, const char *why, struct mo_after *after)
 {
@@ -73,7 +73,7 @@ void mo_session_drain(struct mo_fleet *fleet, struct mo_session *session, const 
   mo_after_wake(after, session->id);
 }
 
-/* The oldest lease first: mo_after_run puts it back last, in front of the others. */
+/* The oldest lease comes first here. mo_after_run puts it back last, in front of the others. */
 void mo_session_release(struct mo_fleet *fleet, struct mo_session *session, bool is_lost,
                         uint64_t now_ns, struct mo_after *after)
 {
@@ -113,7 +113,7 @@ void mo_session_end(struct mo_fleet *fleet, struct mo_session *session, enum mo_
 
 /* ---- refusal ---- */
 
-/* Finds a session that has ended, among those that are still remembered. */
+/* Finds a session that has ended, among those that are still in memory. */
 static struct mo_session *find_ended(const struct mo_fleet *fleet, uint64_t id)
 {
   struct mo_session *session;
@@ -136,7 +136,7 @@ void mo_session_refuse(struct mo_fleet *fleet, uint64_t id, const char *name, co
     return;
   mo_event_session(&text, name, host, why);
   mo_after_event(after, "fleet.refused", &text);
-  if (ended != NULL) { /* one event, however many of its results are still to be checked */
+  if (ended != NULL) { /* one event, even if several of its results are still to be checked */
     ended->state = MO_SESSION_REFUSED;
     snprintf(ended->why, sizeof(ended->why), "%s", why);
   }

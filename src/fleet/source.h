@@ -1,4 +1,4 @@
-/* source.h: where the fleet's work comes from and its results go. */
+/* source.h: the interface that the fleet gets work from and delivers results to. */
 #ifndef MORPHO_FLEET_SOURCE_H
 #define MORPHO_FLEET_SOURCE_H
 
@@ -6,8 +6,9 @@
 
 #include "fleet/wire.h"
 
-/* mo_compute's functions for remote takers in the service; others in tests, where `compute` is
- * theirs. Called without locks of the fleet, except is_cancelled, which must only read. */
+/* In the service, these are mo_compute's functions for remote takers. Tests use their own functions
+ * and `compute`. They are called without locks of the fleet, except is_cancelled, which must only
+ * read. */
 struct mo_fleet_source {
   struct mo_compute *compute;
   struct mo_taken *(*take)(struct mo_compute *compute, enum mo_back_end back_end,

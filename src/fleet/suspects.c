@@ -1,5 +1,5 @@
-/* suspects.c: see suspects.h. A table of fixed size: in a full set the entry with the fewest losses
- * gives way, so that what ends sessions again and again stays. */
+/* suspects.c: see suspects.h. A table of fixed size. In a full set, the entry with the fewest
+ * losses is replaced, so that bodies that end sessions repeatedly stay. */
 #include "fleet/suspects.h"
 
 /* Never 0, which marks an empty entry. */
@@ -36,7 +36,7 @@ static struct mo_suspect *find_or_add(struct mo_suspects *suspects, uint64_t has
   return found;
 }
 
-/* A worker counts once, however often it joins. */
+/* A worker counts once, even if it joins several times. */
 static void add_alone(struct mo_suspect *suspect, uint64_t worker)
 {
   for (uint32_t i = 0; i < suspect->n_alone; i++)

@@ -1,10 +1,11 @@
-/* tick.c: what happens when time passes: silence, lateness, cancellation, and who is woken. */
+/* tick.c: handles everything that depends on time: silence, late leases, cancellation, and waking
+ * sessions. */
 #include "fleet/decide.h"
 #include "fleet/give.h"
 
-#define STALE_NS    (30 * MO_S_NS)  /* an audit that nobody computed */
-#define DISPUTED_NS (600 * MO_S_NS) /* the same of a disputed one */
-#define WAKES       4               /* sessions per tick and back end; each wakes others */
+#define STALE_NS    (30 * MO_S_NS)  /* for an audit that no session computed */
+#define DISPUTED_NS (600 * MO_S_NS) /* the same for a disputed audit */
+#define WAKES       4               /* sessions woken per tick and back end; each wakes others */
 
 /* ---- sessions ---- */
 
@@ -35,7 +36,7 @@ static void end_silent(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after 
 
 /* ---- leases ---- */
 
-/* Ends the holds of sessions that have a lease for far too long, or, of a check, too long. false:
+/* Ends the holds of sessions that have kept a lease, or a check, for far too long. Returns false if
  * the lease was freed. */
 static bool check_holds(struct mo_fleet *fleet, struct mo_lease *lease, uint64_t now_ns,
                         struct mo_after *after)
@@ -73,7 +74,7 @@ static void check_leases(struct mo_fleet *fleet, uint64_t now_ns, struct mo_afte
   }
 }
 
-/* ---- who is woken ---- */
+/* ---- waking ---- */
 
 static void wake_waiting(struct mo_fleet *fleet, uint64_t now_ns, struct mo_after *after)
 {
@@ -91,7 +92,7 @@ static void wake_waiting(struct mo_fleet *fleet, uint64_t now_ns, struct mo_afte
   }
 }
 
-/* ---- all of it ---- */
+/* ---- tick ---- */
 
 void mo_fleet_arrived(struct mo_fleet *fleet)
 {

@@ -1,7 +1,7 @@
-/* weights.c: see weights.h. The identity of a controller names it only while its blocks are
- * taken: with the last parcel it is forgotten, since another controller may get it.
- * Weights are then found by comparing them, which takes a fiftieth of the time of making the file.
- */
+/* weights.c: see weights.h. A controller's identity is valid only while blocks of it are taken.
+ * With the last parcel it is forgotten, because another controller may get the same identity. After
+ * that, weights are found by comparing them, which takes a fiftieth of the time needed to make the
+ * file. */
 #include "fleet/weights.h"
 
 #include <stdlib.h>
@@ -45,7 +45,7 @@ static struct mo_weights *use(struct mo_weights *weights)
   return weights;
 }
 
-/* Compares parameters with those of a file, whose end they are. */
+/* Compares parameters with the last bytes of a file. */
 static bool same_weights(const struct mo_weights *weights, const struct mo_controller *controller)
 {
   const size_t bytes = controller->n_parameters * sizeof(*controller->parameters);
@@ -122,7 +122,7 @@ void mo_weights_release(struct mo_fleet *fleet, struct mo_weights *weights)
   uint32_t n_unused = 0;
   if (weights == NULL || --weights->n_users > 0)
     return;
-  LIST_REMOVE(weights, next); /* to the front: the last unused one is the oldest */
+  LIST_REMOVE(weights, next); /* move to the front, so that the last unused one is the oldest */
   LIST_INSERT_HEAD(&fleet->weights, weights, next);
   LIST_FOREACH(other, &fleet->weights, next)
   {

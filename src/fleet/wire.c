@@ -1,8 +1,8 @@
 /* wire.c: encodes and decodes the messages of an exchange.
  *
  * An encoder computes the size first and then writes. A decoder checks every count before it
- * allocates: four leases need at most 100 MB, and memory beyond what the message holds is never
- * touched. Values are checked here as far as they can be without the lease that they belong to. */
+ * allocates: four leases need at most 100 MB, and nothing beyond the message is read. Values are
+ * checked here as far as possible without the lease that they belong to. */
 #include "fleet/wire.h"
 
 #include <math.h>
@@ -36,9 +36,9 @@ _Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 64 &&
 
 #define ON_DEVICE          1u /* flags */
 #define GRADIENT           2u
-#define PHYSICS_SHIFT      8  /* of the version of the packed physics, less 1, in a byte */
-#define GRADIENT_SHIFT     16 /* of the version of the packed options, likewise */
-#define ENVIRONMENT_SHIFT  24 /* of the version of the packed environments, likewise */
+#define PHYSICS_SHIFT      8  /* version of the packed physics, minus 1, in one byte */
+#define GRADIENT_SHIFT     16 /* version of the packed options, minus 1 */
+#define ENVIRONMENT_SHIFT  24 /* version of the packed environments, minus 1 */
 #define DONE_WITH_GRADIENT 3u /* state */
 
 static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
@@ -46,9 +46,9 @@ static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
 /* ---- bytes ---- */
 
 struct codec {
-  uint8_t *to; /* writes */
+  uint8_t *to; /* the write position */
   const uint8_t *from;
-  size_t at, size; /* size: of the whole message */
+  size_t at, size; /* size of the whole message */
 };
 
 static void put(struct codec *codec, const void *value, size_t size)
@@ -57,7 +57,7 @@ static void put(struct codec *codec, const void *value, size_t size)
   codec->at += size;
 }
 
-/* false: fewer bytes are left. */
+/* Returns false if fewer bytes are left. */
 static bool get(struct codec *codec, void *value, size_t size)
 {
   if (size > codec->size - codec->at)
@@ -90,18 +90,19 @@ static int read_header(int kind, uint32_t items_max, struct codec *codec, uint32
 {
   struct header header;
   if (!get(codec, &header, sizeof(header)))
-    return mo_fail(message, MO_ERR_FORMAT, "a message has at least %zu bytes, got %zu",
+    return mo_fail(message, MO_ERR_FORMAT, "a message must have at least %zu bytes, got %zu",
                    sizeof(header), codec->size);
   if (memcmp(header.magic, magics[kind], sizeof(header.magic)) != 0)
     return mo_fail(message, MO_ERR_FORMAT, "the message must begin with \"%s\"", magics[kind]);
   if (header.version != MO_WIRE_VERSION)
-    return mo_fail(message, MO_ERR_UNSUPPORTED, "messages must be of version %d, got %u",
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "the message must have version %d, got %u",
                    MO_WIRE_VERSION, header.version);
   if (header.bytes != codec->size)
-    return mo_fail(message, MO_ERR_FORMAT, "the header says %llu bytes, the message has %zu",
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the header gives a size of %llu bytes, but the message has %zu",
                    (unsigned long long)header.bytes, codec->size);
   if (header.items > items_max)
-    return mo_fail(message, MO_ERR_FORMAT, "a message has at most %u items, got %u", items_max,
+    return mo_fail(message, MO_ERR_FORMAT, "a message may have at most %u items, got %u", items_max,
                    header.items);
   *items = header.items;
   return MO_OK;
@@ -111,12 +112,13 @@ static int read_end(const struct codec *codec, struct mo_message *message)
 {
   if (codec->at == codec->size)
     return MO_OK;
-  return mo_fail(message, MO_ERR_FORMAT, "%zu bytes follow the last item", codec->size - codec->at);
+  return mo_fail(message, MO_ERR_FORMAT, "%zu bytes of trailing data after the last item",
+                 codec->size - codec->at);
 }
 
 static int cut_off(struct mo_message *message, const char *item, uint32_t i)
 {
-  return mo_fail(message, MO_ERR_FORMAT, "%s %u is longer than the message", item, i);
+  return mo_fail(message, MO_ERR_FORMAT, "%s %u extends beyond the message", item, i);
 }
 
 /* ---- leases ---- */
@@ -129,12 +131,12 @@ static size_t genotype_bytes(struct mo_workspace workspace)
 static int check_workspace(struct mo_workspace workspace, struct mo_message *message)
 {
   if (mo_workspace_check(workspace) != MO_OK || mo_workspace_words(workspace) > MO_WIRE_WORDS_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "workers compute bodies of at most %d voxels",
+    return mo_fail(message, MO_ERR_LIMIT, "bodies for workers may have at most %d voxels",
                    MO_WIRE_WORDS_MAX * 64);
   return MO_OK;
 }
 
-/* The bounds of the counts of a lease, for both directions. */
+/* Limits of the counts of a lease, for encoding and decoding. */
 static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_rows)
 {
   return n_environments >= 1 && n_environments <= MO_WIRE_ENVIRONMENTS_MAX && n_blocks >= 1 &&
@@ -142,7 +144,7 @@ static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_ro
          n_rows <= (uint64_t)n_blocks * MO_BLOCK_LANES;
 }
 
-/* The bounds of a gradient, likewise; robots are blocks of one environment. */
+/* Limits of a gradient, also for both. Robots are blocks of one environment. */
 static bool gradient_fits(const struct mo_wire_lease *lease)
 {
   return lease->n_parameters <= MO_WIRE_PARAMETERS_MAX && lease->n_blocks <= MO_GRADIENT_SHARD &&
@@ -244,7 +246,7 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
   return MO_OK;
 }
 
-/* The robots of a gradient stand where they were drawn, other bodies are placed. MO_ERR_FORMAT,
+/* Robots of a gradient stay where they were drawn; other bodies are placed. MO_ERR_FORMAT,
  * MO_ERR_NO_MEMORY. */
 static int check_genotype(const uint64_t *genotype, struct mo_workspace workspace, bool is_placed,
                           struct mo_message *message, uint32_t i, uint32_t b)
@@ -252,20 +254,21 @@ static int check_genotype(const uint64_t *genotype, struct mo_workspace workspac
   const uint32_t voxels = mo_workspace_voxels(workspace), words = mo_workspace_words(workspace);
   uint64_t placed[MO_WIRE_WORDS_MAX];
   if (voxels % 64 != 0 && genotype[words - 1] >> voxels % 64 != 0)
-    return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: bits beyond voxel %u", i, b,
+    return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: bits are set beyond voxel %u", i, b,
                    voxels - 1);
   int contiguous = mo_genotype_is_contiguous(workspace, genotype);
   if (contiguous < 0)
     return contiguous;
   if (contiguous == 0)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "lease %u, block %u: the body is empty or in several pieces", i, b);
+                   "lease %u, block %u: the body must be one connected piece, and not empty", i, b);
   if (!is_placed)
     return MO_OK;
   memcpy(placed, genotype, words * sizeof(uint64_t));
   mo_genotype_place(workspace, placed);
   if (memcmp(placed, genotype, words * sizeof(uint64_t)) != 0)
-    return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: the body is not placed", i, b);
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "lease %u, block %u: the body must be in its canonical place", i, b);
   return MO_OK;
 }
 
@@ -280,14 +283,15 @@ static int get_block(struct codec *codec, struct mo_workspace workspace,
     return cut_off(message, "lease", i);
   if (n < 1 || n > MO_BLOCK_LANES)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "lease %u, block %u: a block has 1 to %d environments, got %u", i, b,
+                   "lease %u, block %u: a block must have 1 to %d environments, got %u", i, b,
                    MO_BLOCK_LANES, n);
   block->n_environments = n;
   if (!get(codec, block->environments, n * sizeof(uint16_t)))
     return cut_off(message, "lease", i);
   for (uint32_t k = 0; k < n; k++)
     if (block->environments[k] >= lease->n_environments)
-      return mo_fail(message, MO_ERR_FORMAT, "lease %u, block %u: environment %u of %u", i, b,
+      return mo_fail(message, MO_ERR_FORMAT,
+                     "lease %u, block %u: environment %u is out of range; the lease has %u", i, b,
                      block->environments[k], lease->n_environments);
   return check_genotype(block->genotype, workspace, lease->n_parameters == 0, message, i, b);
 }
@@ -317,9 +321,10 @@ static int get_gradient(struct codec *codec, struct mo_wire_lease *lease, unsign
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
   if (lease->n_parameters == 0 || !gradient_fits(lease) || lease->gradient.weight == 0 ||
       mo_gradient_options_check(&lease->gradient) != MO_OK)
-    return mo_fail(message, MO_ERR_FORMAT,
-                   "lease %u: a gradient of %u robots and %u parameters, of weight %g", i,
-                   lease->n_blocks, lease->n_parameters, lease->gradient.weight);
+    return mo_fail(
+        message, MO_ERR_FORMAT,
+        "lease %u: a gradient of %u robots and %u parameters with weight %g is out of range", i,
+        lease->n_blocks, lease->n_parameters, lease->gradient.weight);
   return MO_OK;
 }
 
@@ -354,7 +359,8 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *
   if (mo_physics_check(&lease->physics, &why) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: %s", i, why.text);
   if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows))
-    return mo_fail(message, MO_ERR_FORMAT, "lease %u: %u environments, %u blocks, %u rows", i,
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "lease %u: %u environments, %u blocks, %u rows are out of range", i,
                    head.n_environments, head.n_blocks, head.n_rows);
   return head.flags & GRADIENT ? get_gradient(codec, lease, gradient, i, message) : MO_OK;
 }
@@ -370,8 +376,8 @@ static int get_environments(struct codec *codec, struct mo_wire_lease *lease, un
     error = get_packed(codec, &mo_environment_fields, version, environment, i, message);
     if (error == MO_OK && mo_environment_check(environment, &where) != MO_OK)
       error = mo_fail(message, MO_ERR_FORMAT,
-                      "lease %u, environment %u: number %u is not finite or beyond its limit", i, e,
-                      where);
+                      "lease %u, environment %u: number %u must be finite and within its limit", i,
+                      e, where);
   }
   if (error == MO_OK && environment_version(lease) != version)
     error = mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
@@ -396,7 +402,8 @@ static int get_lease(struct codec *codec, struct mo_workspace workspace,
     rows += lease->blocks[b].n_environments;
   }
   if (error == MO_OK && rows != lease->n_rows)
-    error = mo_fail(message, MO_ERR_FORMAT, "lease %u: its blocks have %u rows, not %u", i, rows,
+    error = mo_fail(message, MO_ERR_FORMAT,
+                    "lease %u: its header gives %u rows, but its blocks have %u", i, rows,
                     lease->n_rows);
   return error;
 }
@@ -440,7 +447,7 @@ void mo_wire_free_leases(struct mo_wire_leases *leases)
 
 #define ROW_BYTES (sizeof(double) + sizeof(uint32_t))
 
-/* Done: at least one row; otherwise none. */
+/* MO_RESULT_DONE needs at least one row; other states have none. */
 static bool rows_fit(enum mo_wire_state state, uint32_t n_rows, uint32_t n_parameters)
 {
   if (n_parameters > 0)
@@ -491,7 +498,7 @@ int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, 
   return MO_OK;
 }
 
-/* A rollout either has a finite loss, or diverged at a step. */
+/* A rollout either has a finite loss, or diverged at some step. */
 static bool is_row(double loss, uint32_t diverged_step)
 {
   return diverged_step == 0 ? isfinite(loss) && !signbit(loss)
@@ -546,7 +553,7 @@ static int get_result(struct codec *codec, struct mo_wire_result *result, uint32
   if (head.state > MO_RESULT_UNSUPPORTED)
     return mo_fail(message, MO_ERR_FORMAT, "result %u: unknown state %u", i, head.state);
   if (!rows_fit((enum mo_wire_state)head.state, head.n_rows, 0))
-    return mo_fail(message, MO_ERR_FORMAT, "result %u: state %u with %u rows", i, head.state,
+    return mo_fail(message, MO_ERR_FORMAT, "result %u: state %u cannot have %u rows", i, head.state,
                    head.n_rows);
   if (!is_time(head.busy_s) || !is_time(head.wall_s))
     return mo_fail(message, MO_ERR_FORMAT, "result %u: times must be finite and at least 0", i);
@@ -567,7 +574,7 @@ static int get_result(struct codec *codec, struct mo_wire_result *result, uint32
   for (uint32_t row = 0; row < head.n_rows; row++)
     if (!is_row(result->losses[row], result->diverged_steps[row]))
       return mo_fail(message, MO_ERR_FORMAT,
-                     "result %u, row %u: loss %g with step of divergence %u", i, row,
+                     "result %u, row %u: loss %g contradicts divergence step %u", i, row,
                      result->losses[row], result->diverged_steps[row]);
   return has_gradient ? get_sum(codec, result, i, message) : MO_OK;
 }

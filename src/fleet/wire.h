@@ -1,8 +1,8 @@
 /* wire.h: the messages of an exchange between the daemon and a worker.
  *
- * A worker sends one message of results and receives one message of leases. A lease is work: bodies
- * by their genotypes, the environments and the physics to score them in, and the hash of the
- * weights; or a shard of a gradient, whose robots are blocks of one environment. A result holds the
+ * A worker sends one message of results and receives one message of leases. A lease has the
+ * genotypes of bodies, the environments and physics to score them in, and the hash of the weights;
+ * or it is a gradient shard, in which each robot is a block of one environment. A result has the
  * rows of one lease, and the sum of a shard. Numbers are little-endian, and floats keep their bits.
  *
  *   message    header, then the items one after the other
@@ -22,8 +22,8 @@
  *
  * Physics, options and environments are packed by their rows (base/fields.h); version 1 is shown.
  *
- * A decoder accepts exactly what an encoder writes: every size is bounded, there is nothing
- * after the last item, and values pass the checks of the API. */
+ * A decoder accepts exactly what an encoder writes: every size is bounded, no data follows the last
+ * item, and values pass the API's checks. */
 #ifndef MORPHO_FLEET_WIRE_H
 #define MORPHO_FLEET_WIRE_H
 
@@ -32,30 +32,31 @@
 #include "base/sha256.h"
 
 #define MO_WIRE_VERSION          1
-#define MO_WIRE_LEASES_MAX       4         /* of a message */
-#define MO_WIRE_RESULTS_MAX      8         /* of a message */
-#define MO_WIRE_ROWS_MAX         131072    /* of a lease */
-#define MO_WIRE_ENVIRONMENTS_MAX 4096      /* of a lease */
-#define MO_WIRE_WORDS_MAX        16        /* of a genotype: 1024 voxels */
-#define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* of a gradient */
+#define MO_WIRE_LEASES_MAX       4         /* in a message */
+#define MO_WIRE_RESULTS_MAX      8         /* in a message */
+#define MO_WIRE_ROWS_MAX         131072    /* in a lease */
+#define MO_WIRE_ENVIRONMENTS_MAX 4096      /* in a lease */
+#define MO_WIRE_WORDS_MAX        16        /* in a genotype: 1024 voxels */
+#define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* in a gradient */
 
-/* The epoch is the number of the store's opening. A restarted daemon does not take a result of its
- * previous life for one of its own leases. */
+/* The epoch counts how often the store was opened. So a restarted daemon cannot mistake a result
+ * from its previous run for one of its own leases. */
 struct mo_lease_id {
   uint64_t epoch, number;
 };
 
 struct mo_wire_block {
-  uint64_t genotype[MO_WIRE_WORDS_MAX]; /* placed */
+  uint64_t genotype[MO_WIRE_WORDS_MAX]; /* in its canonical place */
   uint32_t n_environments;              /* 1 … MO_BLOCK_LANES */
   uint16_t environments[MO_BLOCK_LANES];
 };
 struct mo_wire_lease {
   struct mo_lease_id id;
-  struct mo_sha256 controller; /* of the file of mo_controller_encode; zeros: passive bodies */
+  struct mo_sha256 controller; /* hash of the file from mo_controller_encode; zeros: passive
+                                * bodies */
   struct mo_physics physics;
   enum mo_back_end back_end; /* flag 1: on a device */
-  uint32_t n_parameters;     /* flag 2, a gradient; 0: scores */
+  uint32_t n_parameters;     /* flag 2: a gradient; 0: scores */
   struct mo_gradient_options gradient;
   uint32_t n_environments, n_blocks, n_rows;
   struct mo_environment *environments; /* (n_environments) */
@@ -64,9 +65,9 @@ struct mo_wire_lease {
 
 enum mo_wire_state {
   MO_RESULT_DONE = 0,
-  MO_RESULT_GIVEN_BACK = 1, /* not computed: the worker leaves, or the lease was cancelled */
+  MO_RESULT_GIVEN_BACK = 1, /* not computed: the worker is leaving, or the lease was cancelled */
   MO_RESULT_FAILED = 2,     /* the worker failed */
-  MO_RESULT_UNSUPPORTED = 4 /* no worker of its class computes this; not for shards of the CPU */
+  MO_RESULT_UNSUPPORTED = 4 /* no worker of its class computes this; not used for CPU shards */
 };
 struct mo_wire_result {
   struct mo_lease_id id;
@@ -94,8 +95,9 @@ struct mo_wire_results {
 int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace workspace,
                        uint8_t **bytes, size_t *size);
 int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, size_t *size);
-/* Decode a message and check every value. MO_ERR_FORMAT: the message says what is wrong and where;
- * MO_ERR_UNSUPPORTED: another version; MO_ERR_NO_MEMORY. After an error nothing is left to free. */
+/* Decode a message and check every value. MO_ERR_FORMAT: the message says what is wrong, and in
+ * which item; MO_ERR_UNSUPPORTED: another version; MO_ERR_NO_MEMORY. After an error, there is
+ * nothing to free. */
 int mo_wire_get_leases(const uint8_t *bytes, size_t size, struct mo_workspace workspace,
                        struct mo_wire_leases *leases, struct mo_message *message);
 int mo_wire_get_results(const uint8_t *bytes, size_t size, struct mo_wire_results *results,

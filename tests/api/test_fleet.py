@@ -316,7 +316,7 @@ def test_orders_come_at_once(free):
         assert json.loads(held.getresponse().read())["state"] == "draining"
     held.close()
     (shown, ) = [one for one in free.status()["sessions"] if one["id"] == number]
-    assert (shown["state"], shown["why"]) == ("draining", "an operator asked for it")
+    assert (shown["state"], shown["why"]) == ("draining", "an operator requested it")
     assert service.request("POST", "/v1/fleet/sessions/1/drain").status == 404
     free.join()
 
@@ -350,7 +350,7 @@ def test_morphoctl_shows_and_changes_workers(free):
     assert re.search(r"gone +node\.test +[0-9.]+ +left", ctl("fleet", "-a").stdout)
     assert json.loads(ctl("fleet", "--json").stdout)["sessions"] == free.status()["sessions"]
     assert ctl("fleet", "drain", session).stdout == f"{session} gets no more work\n"
-    assert re.search("draining .* an operator asked for it", ctl("fleet").stdout)
+    assert re.search("draining .* an operator requested it", ctl("fleet").stdout)
     assert ctl("fleet", "drain", "x").returncode == 2 and ctl("fleet", "x").returncode == 2
 
 

@@ -510,6 +510,6 @@ def test_fleet(start):
     assert row["classes_cpu_scores"] == fleet.data["classes"]["cpu"]["scores"]
     fleet.drain(session, upgrade=True)
     row = fleet.refresh().sessions.iloc[0]
-    assert row["state"] == "draining" and row["why"].startswith("for an upgrade to version ")
+    assert row["state"] == "draining" and row["why"].startswith("to upgrade to version ")
     with pytest.raises(morphod.NotFoundError):
         fleet.drain("1")

@@ -69,7 +69,7 @@ static void decided(int by_process)
   CHECK(orders_of(ids[0]).state == MO_SESSION_REFUSED);
   CHECK(!by_process || orders_of(ids[1]).state == MO_SESSION_REFUSED);
   CHECK_TEXT(fake->event, "fleet.refused");
-  CHECK_HAS(fake->data, "\",\"why\":\"gave a loss of ");
+  CHECK_HAS(fake->data, "\",\"why\":\"returned a loss of ");
   CHECK_HAS(fake->data, by_process ? "this machine computed" : "another worker gave");
   CHECK(status().audits_failed >= 1 && status().n_sessions == 1);
   /* The same worker may join with a new session. */
@@ -122,7 +122,7 @@ static void shards(void)
     fake_check(fake);
   }
   CHECK(fake_refused(fake, "") == 2 && orders_of(ids[0]).state == MO_SESSION_REFUSED);
-  CHECK_HAS(fake->data, "gave another gradient of 40 robots than another worker");
+  CHECK_HAS(fake->data, "returned a different gradient of 40 robots than another worker");
   CHECK(fake->n_done > 0 && fake->n_wrong > 0 && fake->n_wrong < fake->n_done);
   for (int w = 0; w < 3; w++)
     mo_wire_free_leases(&leases[w]);

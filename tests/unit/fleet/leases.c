@@ -18,7 +18,7 @@ static void refused(void)
   snprintf(offer.version, sizeof(offer.version), "0.9.0");
   snprintf(offer.classes[0].scores, sizeof(offer.classes[0].scores), "cpu avx2");
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_UNSUPPORTED);
-  CHECK_SAYS(message, "version 1.0.0 with class \"cpu fake float32 kernels-1\" is wanted");
+  CHECK_SAYS(message, "must be version 1.0.0 with class \"cpu fake float32 kernels-1\"");
   CHECK_SAYS(message, "got version 0.9.0 with \"cpu avx2\"");
   offer = fake_offer("w", "h");
   offer.classes[0].canary.bytes[0] = 0xab;

@@ -148,11 +148,11 @@ static const struct hostile {
     {true, 8, 4, 2, "version 1, got 2"},
     {true, 12, 4, 5, "at most 4 items"},
     {true, 12, 4, UINT32_MAX, "at most 4 items"},
-    {true, 12, 4, 0, "follow the last item"},
-    {true, 16, 8, UINT64_MAX, "the header says"},
+    {true, 12, 4, 0, "trailing data after the last item"},
+    {true, 16, 8, UINT64_MAX, "the header gives a size"},
     {true, HEADER + 16, 4, 4, "unknown flags"},
     {true, HEADER + 20, 4, 0, "0 environments"},
-    {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX, "longer than the message"},
+    {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX, "extends beyond the message"},
     {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX + 1, "4097 environments"},
     {true, HEADER + 20, 4, UINT32_MAX, "4294967295 environments"},
     {true, HEADER + 24, 4, 0, "0 blocks"},
@@ -164,25 +164,25 @@ static const struct hostile {
     {true, HEADER + 140, 4, 2, "unknown flags"},
     {true, HEADER + 144, 4, 53, "bisections"},
     {true, HEADER + 148, 4, 1, "unknown flags"},
-    {true, HEADER + LEASE + 8, 8, UINT64_C(0x7ff0000000000000), "environment 0: number 1 is not"},
-    {true, HEADER + LEASE + 528, 8, 0, "empty or in several pieces"},
-    {true, HEADER + LEASE + 528 + 17, 1, 0x80, "the body is"},
+    {true, HEADER + LEASE + 8, 8, UINT64_C(0x7ff0000000000000), "environment 0: number 1 must be"},
+    {true, HEADER + LEASE + 528, 8, 0, "one connected piece"},
+    {true, HEADER + LEASE + 528 + 17, 1, 0x80, "the body must be"},
     {true, HEADER + LEASE + 528 + 18, 1, 0, "1 to 16 environments, got 0"},
     {true, HEADER + LEASE + 528 + 18, 1, 17, "1 to 16 environments, got 17"},
-    {true, HEADER + LEASE + 528 + 19, 2, 1, "environment 1 of 1"},
+    {true, HEADER + LEASE + 528 + 19, 2, 1, "environment 1 is out of range"},
     {false, 12, 4, 9, "at most 8 items"},
     {false, HEADER + 16, 4, 5, "unknown state 5"},
-    {false, HEADER + 16, 4, MO_RESULT_DONE, "state 0 with 0 rows"},
-    {false, HEADER + 20, 4, 1, "state 1 with 1 rows"},
+    {false, HEADER + 16, 4, MO_RESULT_DONE, "state 0 cannot have 0 rows"},
+    {false, HEADER + 20, 4, 1, "state 1 cannot have 1 rows"},
     {false, HEADER + 24, 8, UINT64_C(0xbff0000000000000), "times must be"},
     {false, HEADER + 32, 8, UINT64_C(0x7ff8000000000000), "times must be"},
-    {false, HEADER + RESULT + 20, 4, MO_WIRE_ROWS_MAX + 1, "with 131073 rows"},
-    {false, HEADER + RESULT + 20, 4, MO_WIRE_ROWS_MAX, "longer than the message"},
+    {false, HEADER + RESULT + 20, 4, MO_WIRE_ROWS_MAX + 1, "cannot have 131073 rows"},
+    {false, HEADER + RESULT + 20, 4, MO_WIRE_ROWS_MAX, "extends beyond the message"},
     {false, HEADER + 2 * RESULT, 8, UINT64_C(0x7ff8000000000000), "row 0: loss nan"},
     {false, HEADER + 2 * RESULT, 8, UINT64_C(0x7ff0000000000000), "row 0: loss inf"},
     {false, HEADER + 2 * RESULT, 8, UINT64_C(0xbff0000000000000), "row 0: loss -1"},
     {false, HEADER + 2 * RESULT, 8, UINT64_C(0x8000000000000000), "row 0: loss -0"},
-    {false, HEADER + 2 * RESULT + 24, 4, 1, "step of divergence 1"},
+    {false, HEADER + 2 * RESULT + 24, 4, 1, "divergence step 1"},
 };
 
 static void hostile(void)
@@ -206,10 +206,10 @@ static void bodies(void)
   memset(genotype, 0, 4);
   genotype[0] = 1;
   CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
-  CHECK_SAYS(why, "not placed");
+  CHECK_SAYS(why, "canonical place");
   genotype[3] = 0x40;
   CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
-  CHECK_SAYS(why, "bits beyond voxel 29");
+  CHECK_SAYS(why, "bits are set beyond voxel 29");
 }
 
 /* Gradients with out-of-range numbers. */
