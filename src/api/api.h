@@ -34,11 +34,11 @@ struct mo_http *mo_api_http(struct mo_api *api);
 struct mo_api_fleet {
   struct mo_fleet *fleet; /* must outlive the interface */
   uint64_t epoch;         /* as in its configuration */
-  const char *compute;    /* the setting: "both", "local" or "fleet" */
+  const char *compute;    /* the setting `compute`: "both", "local" or "fleet" */
 };
 int mo_api_start_fleet(struct mo_api *api, const struct mo_http_config *config,
                        const struct mo_api_fleet *fleet, struct mo_message *message);
-struct mo_http *mo_api_fleet_http(struct mo_api *api); /* NULL: none */
+struct mo_http *mo_api_fleet_http(struct mo_api *api); /* NULL: no server for workers */
 /* Wakes the waiting requests of a session. It is a callback in the configuration of the fleet. */
 void mo_api_wake_session(struct mo_api *api, uint64_t session);
 /* Stops both servers, as mo_http_stop does. */

@@ -64,7 +64,7 @@ void mo_api_get_asset(struct mo_request *request)
            below);
   const struct mo_asset *asset = strcmp(version, mo_assets_version) == 0 ? find(name) : NULL;
   if (asset == NULL) {
-    mo_reply_problem(request, 404, NULL, "The dashboard has no such file: reload the page.");
+    mo_reply_problem(request, 404, NULL, "The dashboard has no such file; reload the page.");
     return;
   }
   reply_asset(request, asset);

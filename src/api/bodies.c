@@ -1,5 +1,5 @@
 /* bodies.c: makes random, mutated and crossed bodies, and canonical forms, as campaigns do, for
- * searches that run elsewhere. Nothing is stored; the same request gives the same bodies. */
+ * searches that run elsewhere. Nothing is stored; the same request returns the same bodies. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -52,12 +52,12 @@ static void read_pairs(struct mo_json *json, void *value)
       else
         mo_json_skip(json);
     if (given != 2)
-      mo_json_fault_at(json, pair, "", "a pair has exactly two places: [first, second]");
+      mo_json_fault_at(json, pair, "", "a pair must have exactly two places: [first, second]");
     if (n < MO_DESIGNS_MAX)
       parsed->pairs[n] = (struct pair){(uint32_t)places[0], (uint32_t)places[1]};
   }
   if (n < 1 || n > MO_DESIGNS_MAX)
-    mo_json_fault_at(json, depth, "", "%s pairs are given; 1 to %d are expected",
+    mo_json_fault_at(json, depth, "", "%s pairs; their number must be 1 to %d",
                      n == 0 ? "no" : "too many", MO_DESIGNS_MAX);
   parsed->n_pairs = n;
 }
@@ -102,13 +102,12 @@ static int check_designs(struct mo_json *json, void *any)
 {
   struct parsed *parsed = any;
   if (!parsed->parts.has_designs)
-    mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs",
+    mo_json_fault_at(json, 0, "", "designs is missing; it must be an array of 1 to %d designs",
                      MO_DESIGNS_MAX);
   if ((uint64_t)n_given(parsed) * parsed->children > MO_DESIGNS_MAX)
-    mo_json_fault_at(
-        json, 0, "/children",
-        "%u children of each of %u designs are requested; at most %d in all are allowed",
-        parsed->children, n_given(parsed), MO_DESIGNS_MAX);
+    mo_json_fault_at(json, 0, "/children",
+                     "%u children of each of %u designs are too many; request at most %d in all",
+                     parsed->children, n_given(parsed), MO_DESIGNS_MAX);
   return MO_OK;
 }
 
@@ -117,14 +116,15 @@ static int check_pairs(struct mo_json *json, void *any)
   struct parsed *parsed = any;
   const int error = check_designs(json, any);
   if (parsed->n_pairs == 0 && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "pairs is missing: an array of 1 to %d pairs of designs",
+    mo_json_fault_at(json, 0, "",
+                     "pairs is missing; it must be an array of 1 to %d pairs of designs",
                      MO_DESIGNS_MAX);
   for (uint32_t i = 0; i < parsed->n_pairs && i < MO_DESIGNS_MAX; i++) {
     const uint32_t first = parsed->pairs[i].first, second = parsed->pairs[i].second;
     char below[48];
     snprintf(below, sizeof(below), "/pairs/%u/%d", i, first < n_given(parsed));
     if (first >= n_given(parsed) || second >= n_given(parsed))
-      mo_json_fault_at(json, 0, below, "there is no design %u; 0 to %u are given",
+      mo_json_fault_at(json, 0, below, "design %u does not exist; the request has designs 0 to %u",
                        first >= n_given(parsed) ? first : second, n_given(parsed) - 1);
   }
   return error;
@@ -228,7 +228,7 @@ static int check_random(struct mo_json *json, void *any)
   if (parsed->first + parsed->count > MO_RANDOM_BODIES_MAX)
     mo_json_fault_at(
         json, 0, "/first",
-        "bodies %u to %u are requested; a seed has the bodies 0 to %d: use another seed",
+        "bodies %u to %u are out of range; a seed has bodies 0 to %d, so use another seed",
         parsed->first, parsed->first + parsed->count - 1, MO_RANDOM_BODIES_MAX - 1);
   return MO_OK;
 }
@@ -406,7 +406,8 @@ static void make_crossed(struct bodies *bodies)
                                             second->genotype.words, child.words);
     if (error == MO_ERR_EMPTY)
       add_none(bodies, parents, 2, pointer,
-               "the parents are equal: a child has the voxels that only one of them has");
+               "the parents are equal, so their child is empty: it has only the voxels that one "
+               "parent has and the other lacks");
     else if (error == MO_OK)
       add(bodies, &child, parents, 2, NULL);
     else

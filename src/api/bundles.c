@@ -29,7 +29,7 @@ static bool check_ended(struct mo_request *request, int64_t id, struct mo_campai
   return false;
 }
 
-/* Checks that a service would import that many recordings. */
+/* Checks that a service would import this many recordings. */
 static bool check_recordings(struct mo_request *request, const int64_t *ids, uint32_t n)
 {
   uint64_t sum = 0;

@@ -21,7 +21,7 @@ static void read_learning(struct mo_json *json, void *value)
 
 static void read_initial(struct mo_json *json, void *value)
 {
-  static const char words[] = "\"random\", or an object with designs or campaign, is expected";
+  static const char words[] = "must be \"random\", or an object with designs or campaign";
   struct mo_parsed_campaign *parsed = value;
   enum mo_json_kind next = mo_json_peek(json);
   unsigned depth = json->depth, ways = 0;
@@ -54,8 +54,8 @@ static void read_initial(struct mo_json *json, void *value)
   }
   if (!json->stop && ways != 1)
     mo_json_fault_at(json, depth, "",
-                     "an initial population is random, or comes from exactly one of designs and "
-                     "campaign; random bodies fill it up");
+                     "must be \"random\", or have exactly one of designs and campaign; random "
+                     "bodies fill up the population");
 }
 
 /* Finds the size of the body in voxels along x, y, z; zeros for an empty body. */
@@ -141,8 +141,8 @@ static void check_sizes(struct founders *founders, struct mo_workspace workspace
     extent(&genotypes[i], size);
     if (size[0] > workspace.nx || size[1] > workspace.ny || size[2] > workspace.nz) {
       leave_out(founders, i,
-                "the body takes %u × %u × %u voxels; the workspace of the campaign has "
-                "%u × %u × %u",
+                "the body takes %u × %u × %u voxels and does not fit the campaign's workspace, "
+                "which has %u × %u × %u",
                 size[0], size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
     } else if (size[0] > 0) {
       struct listed *listed = &founders->listed[founders->n_listed++];
@@ -152,7 +152,7 @@ static void check_sizes(struct founders *founders, struct mo_workspace workspace
   }
 }
 
-/* Leaves out designs that repeat an earlier one, in the order of the request. */
+/* Leaves out duplicates of earlier designs, in the order of the request. */
 static void check_repeats(struct founders *founders, uint32_t *first)
 {
   const struct listed *listed = founders->listed;
@@ -165,7 +165,7 @@ static void check_repeats(struct founders *founders, uint32_t *first)
   for (uint32_t i = 0; i < founders->parts->n_designs; i++)
     if (first[i] != i)
       leave_out(founders, i,
-                "the design is given twice: it has the form of design %u; each design is born once",
+                "duplicate design: it has the same form as design %u; list each design once",
                 founders->places[first[i]]);
 }
 
@@ -202,7 +202,7 @@ static int check_listed(struct mo_json *json, struct mo_parsed_campaign *parsed)
     close_gaps(parts);
   if (parts->n_designs == 0 && parts->n_skipped > 0)
     mo_json_fault_at(json, 0, "/initial/designs",
-                     "all %u designs are skipped: %s; at least one body is expected",
+                     "all %u designs are skipped: %s; give at least one valid body",
                      parts->n_skipped, parts->notes[0].fault.detail);
   free(founders.listed);
   free(founders.places);
@@ -241,13 +241,13 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
   bool random = mo_modes[mode].starts_untrained && (!parts->has_controller || parts->no_controller);
   if (!mo_modes[mode].starts_untrained && parts->no_controller)
     mo_json_fault_at(json, 0, "/controller",
-                     "null is given; a %s campaign needs a controller: its name, or sha256: and 64 "
-                     "hexadecimal digits, is expected",
+                     "must not be null, because a %s campaign needs a controller; give its name, "
+                     "or sha256: and 64 hexadecimal digits",
                      mo_campaign_mode_words[mode]);
   if (!mo_modes[mode].learns && parsed->has_learning)
     mo_json_fault_at(json, 0, "/learning",
-                     "a %s campaign does not learn; settings of learning are for few-shot and "
-                     "simultaneous campaigns only",
+                     "a %s campaign does not learn; only few-shot and simultaneous campaigns have "
+                     "learning settings",
                      mo_campaign_mode_words[mode]);
   else if (parsed->has_sensor && !random)
     mo_json_fault_at(
@@ -255,12 +255,12 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
         "the campaign starts from a controller, which determines the sensor; omit it here");
   if (!mo_modes[mode].learns && parsed->request.record.name[0] != '\0')
     mo_json_fault_at(json, 0, "/name",
-                     "a %s campaign makes no controller; a name for one is for few-shot and "
-                     "simultaneous campaigns only",
+                     "a %s campaign does not create a controller; only few-shot and simultaneous "
+                     "campaigns can name one",
                      mo_campaign_mode_words[mode]);
 }
 
-/* Checks that a study is not asked to do the work of its client. */
+/* Checks that a study is not asked to do its client's work. */
 static void check_study(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   static const char words[] =
@@ -282,11 +282,10 @@ static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaig
   if (parsed->if_exists == 0)
     return;
   if (mo_modes[parsed->request.record.settings.mode].makes_children)
-    mo_json_fault_at(json, 0, "/if_exists",
-                     "\"return\" is for studies only; \"create\" is expected");
+    mo_json_fault_at(json, 0, "/if_exists", "only studies support \"return\"; use \"create\"");
   else if (parsed->parts.label[0] == '\0')
     mo_json_fault_at(json, 0, "/if_exists",
-                     "the study to return is found by its label; give a label, too");
+                     "the study to return is found by its label; add a label");
 }
 
 /* Checks the sizes of a campaign that learns. */
@@ -295,17 +294,16 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
   const uint64_t of_both = (uint64_t)settings->parent_steps + settings->child_steps;
   const uint64_t steps = settings->child_steps + of_both * settings->generations;
   if (settings->population > MO_TRAINING_DESIGNS_MAX)
-    mo_json_fault_at(json, 0, "/population", "%u is given; a campaign that learns has at most %d",
-                     settings->population, MO_TRAINING_DESIGNS_MAX);
+    mo_json_fault_at(json, 0, "/population", "must be at most %d in a campaign that learns, got %u",
+                     MO_TRAINING_DESIGNS_MAX, settings->population);
   if (of_both == 0)
     mo_json_fault_at(json, 0, "/learning",
-                     "neither parent_steps nor child_steps is above 0; a campaign that learns "
-                     "takes a step in each generation");
+                     "parent_steps and child_steps are both 0; a campaign that learns needs a step "
+                     "in each generation");
   if (mo_modes[settings->mode].inherits_learning && steps > MO_TRAINING_STEPS_MAX)
-    mo_json_fault_at(
-        json, 0, "/learning",
-        "%llu steps of learning are requested in all generations together; at most %d are allowed",
-        (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
+    mo_json_fault_at(json, 0, "/learning",
+                     "all generations together have %llu learning steps; at most %d are allowed",
+                     (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
 }
 
 /* Checks what depends on several fields. The sensor is negative unless it was given. */
@@ -317,9 +315,9 @@ static int check(struct mo_json *json, void *any)
   uint64_t designs = (uint64_t)settings->population * ((uint64_t)settings->generations + 1);
   parsed->has_sensor = (int)settings->sensor >= 0;
   if (!parsed->has_mode)
-    mo_json_fault_at(json, 0, "",
-                     "mode is missing: \"zero-shot\", \"few-shot\", \"simultaneous\" or "
-                     "\"study\"");
+    mo_json_fault_at(
+        json, 0, "",
+        "mode is missing; it must be \"zero-shot\", \"few-shot\", \"simultaneous\" or \"study\"");
   if (parsed->mode >= 0)
     check_mode(json, parsed);
   if (!mo_modes[settings->mode].makes_children)
@@ -327,21 +325,22 @@ static int check(struct mo_json *json, void *any)
   check_if_exists(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
-                     "%u designs in each of %u generations and the initial population are %llu; at "
-                     "most %llu are allowed",
+                     "%u designs in each of %u generations and in the initial population make "
+                     "%llu; at most %llu are allowed",
                      settings->population, settings->generations, (unsigned long long)designs,
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
   if (mo_modes[settings->mode].learns)
     check_learning(json, settings);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
-    mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates, from %llu on, exceed %lld",
+    mo_json_fault_at(json, 0, "/seed",
+                     "the seeds of %u replicates, starting at %llu, exceed %lld; lower the seed",
                      record->replicates, (unsigned long long)settings->seed,
                      (long long)MO_SEED_MAX);
   const int error = check_listed(json, parsed);
   if (parsed->parts.n_designs > settings->population)
     mo_json_fault_at(json, 0, "/initial/designs",
-                     "%u designs are given; at most the population, which is %u, is allowed",
-                     parsed->parts.n_designs, settings->population);
+                     "must be at most the population, which is %u, got %u designs",
+                     settings->population, parsed->parts.n_designs);
   return error;
 }
 

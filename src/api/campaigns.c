@@ -49,7 +49,7 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_status
   if (settings->batch == 0)
     settings->batch = settings->population;
   if (status->job.has_controller)
-    settings->sensor = (enum mo_sensor) - 1; /* null: that of the controller */
+    settings->sensor = (enum mo_sensor) - 1; /* null: the sensor of the controller */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_campaign_record_fields, &shown);
   mo_member_environments(text, record->environment_set, record->n_environments);
@@ -213,9 +213,9 @@ const struct mo_resource mo_campaign_resource = {.kind = MO_JOB_CAMPAIGN,
 
 /* ---- submission ---- */
 
-/* Checks that the study with this label has the requested settings. Only then stores the key: the
- * key of a refused request would answer the next one. reference: the requested controller; NULL:
- * none. */
+/* Checks that the study with this label has the requested settings. Only then stores the key,
+ * because the key of a refused request would answer the next one. reference: the requested
+ * controller, or NULL. */
 static int check_found(struct mo_request *request, struct mo_post *post, const char *reference)
 {
   struct mo_store *store = mo_api_of(request)->store;
@@ -237,7 +237,7 @@ static int check_found(struct mo_request *request, struct mo_post *post, const c
   if (error != MO_OK || post->faults.n == 0)
     return error;
   mo_reply_problem(request, 409, &post->faults,
-                   "Study %lld has the label, but other settings than the request. Use its "
+                   "Study %lld has this label, but its settings differ from the request. Use its "
                    "settings or another label, or finish it first.",
                    (long long)request->kept);
   return MO_ERR_CONFLICT;
@@ -281,7 +281,7 @@ void mo_api_post_campaign(struct mo_request *request)
 static int check_extension(struct mo_json *json, void *generations)
 {
   if (*(uint32_t *)generations == 0 && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "generations is missing: a positive integer");
+    mo_json_fault_at(json, 0, "", "generations is missing; it must be a positive integer");
   return MO_OK;
 }
 
@@ -292,8 +292,8 @@ static void reply_not_extended(struct mo_request *request, int64_t id, int error
     mo_reply_error(request, error, "campaign");
   else if (status.end == MO_CAMPAIGN_EXHAUSTED)
     mo_reply_problem(request, 409, NULL,
-                     "The campaign cannot be extended: it has exhausted its morphospace, so that "
-                     "no new design is left.");
+                     "The campaign cannot be extended: it has exhausted its morphospace, and no "
+                     "new design is left.");
   else
     mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: it is %s.",
                      mo_job_state_name(status.job.state));

@@ -31,7 +31,7 @@ void mo_api_get_campaign_champions(struct mo_request *request)
   if (error == MO_ERR_NOT_FOUND && known) {
     mo_reply_problem(request, 404, NULL,
                      status.generation < 0 ? "The campaign has no population yet."
-                                           : "The campaign has no such generation.");
+                                           : "The campaign does not have this generation.");
   } else {
     struct mo_text text = {0};
     mo_text_format(&text, "{\"generation\":%lld,\"items\":[", (long long)generation);

@@ -131,7 +131,7 @@ void mo_api_put_controller_file(struct mo_request *request)
   if (code == MO_ERR_FORMAT) {
     mo_faults_add(
         &faults, MO_FAULT_PARAMETER, "name",
-        "1 to 64 of a-z, 0-9, '.', '_' and '-', beginning with a letter or digit, are expected");
+        "must be 1 to 64 of a-z, 0-9, '.', '_' and '-', beginning with a letter or digit");
     mo_reply_problem(request, 422, &faults, NULL);
     return;
   }

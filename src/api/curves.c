@@ -1,6 +1,6 @@
 /* curves.c: the curves of a job: steps and validations of a training; generations and learning of a
- * campaign; the generations of a group of replicates, and of any campaigns, one after the other.
- * Replies with pages of JSON, from which tables.c makes the other forms. */
+ * campaign; the generations of a group of replicates; and the generations of any campaigns, one
+ * campaign after another. Replies with pages of JSON, which tables.c converts to other formats. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -10,7 +10,7 @@
 #include "exchange/columns.h"
 
 #define PLACE_MAX     INT64_C(9999999999)
-#define ROWS_READ_MAX 5000 /* for one page of replicates, of all of them together; 10 µs each */
+#define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them; 10 µs each */
 
 struct curve;
 
@@ -33,13 +33,13 @@ struct curve {
   const struct curve_kind *kind;
   int64_t id;
   int64_t after;  /* step, generation or campaign; −1: none */
-  uint32_t step;  /* in that generation; where `after` is a campaign, its generation */
+  uint32_t step;  /* within that generation; where `after` is a campaign, its generation */
   int64_t stride; /* of steps or generations */
   int64_t limit;  /* rows of a page */
   /* The campaigns to read, ascending. Replicates: only those that count; `newest` is the newest
    * generation that all of them have. */
   int64_t *members;
-  uint32_t n_members, member; /* member: the index of the one that is read */
+  uint32_t n_members, member; /* member: the index of the one being read */
   int64_t newest;
   struct {
     int64_t id;
@@ -268,12 +268,12 @@ static int find_members(struct curve *curve)
   return n < 0 ? (int)n : MO_OK;
 }
 
-/* Finds the campaigns that the query names. Returns false if it has replied. */
+/* Finds the campaigns that the query selects. Returns false if it has replied. */
 static bool find_exported(struct mo_request *request, struct curve *curve)
 {
   if (!mo_find_campaigns(request, &curve->members, &curve->n_members))
     return false;
-  /* Continue after the cursor: skip the campaigns before the one that it names. */
+  /* Continue after the cursor: skip the campaigns before the cursor's campaign. */
   while (curve->member < curve->n_members && curve->members[curve->member] < curve->after)
     curve->member++;
   return true;

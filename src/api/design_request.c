@@ -1,6 +1,6 @@
-/* design_request.c: reads the designs in the bodies of requests. Every fault names its place: a
- * cell out of bounds is at /designs/3/cells/7/0. If the request says so, an invalid design is
- * skipped, and a body in several pieces is reduced to its largest piece. A note records this. */
+/* design_request.c: reads the designs in request bodies. Every fault has its place: a cell out of
+ * bounds is at /designs/3/cells/7/0. If the request says so, an invalid design is skipped, and a
+ * body in several pieces is reduced to its largest piece. A note records this. */
 #include "api/requests.h"
 
 #include <stdio.h>
@@ -9,7 +9,7 @@
 
 #include "base/text.h"
 
-/* Skips the next item and all after it. */
+/* Skips the next item and all later ones. */
 static void skip_rest(struct mo_json *json)
 {
   do
@@ -50,21 +50,19 @@ static void cell_fault(struct mo_json *json, unsigned depth, int code,
   snprintf(below, sizeof(below), "/%zu", fault->cell);
   switch (code) {
   case MO_ERR_EMPTY:
-    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one cell is expected");
+    mo_json_fault_at(json, depth, "", "the body has no voxels; it needs at least one cell");
     break;
   case MO_ERR_RANGE:
     snprintf(below, sizeof(below), "/%zu/%d", fault->cell, fault->axis);
-    mo_json_fault_at(json, depth, below, "outside the workspace; a coordinate along %s is expected",
-                     sides[fault->axis]);
+    mo_json_fault_at(json, depth, below, "outside the workspace; use %s", sides[fault->axis]);
     break;
   case MO_ERR_DUPLICATE:
-    mo_json_fault_at(json, depth, below, "the cell is given twice: it equals cell %zu",
-                     fault->other);
+    mo_json_fault_at(json, depth, below, "duplicate cell: it equals cell %zu", fault->other);
     break;
   case MO_ERR_NOT_CONTIGUOUS:
     mo_json_fault_at(
         json, depth, below,
-        "the cell is not connected to cell 0; a body in one piece (through faces) is expected");
+        "the cell is not connected to cell 0; a body must be one piece, connected through faces");
     break;
   default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
   }
@@ -79,7 +77,7 @@ static bool read_cells(struct mo_json *json, struct shape *shape)
     return false;
   while (mo_json_item(json)) {
     if (n == MO_DEFAULT_VOXELS) {
-      mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d",
+      mo_json_fault_at(json, depth, "", "there are more than %d cells; the workspace has %d",
                        MO_DEFAULT_VOXELS, MO_DEFAULT_VOXELS);
       skip_rest(json);
       return false;
@@ -97,7 +95,7 @@ static bool read_cells(struct mo_json *json, struct shape *shape)
       axis += axis < 4;
     }
     if (axis != 3)
-      mo_json_fault_at(json, cell, "", "a cell has exactly three coordinates: [x, y, z]");
+      mo_json_fault_at(json, cell, "", "a cell must have exactly three coordinates: [x, y, z]");
     n++;
   }
   if (json->stop || json->faults->n > before)
@@ -147,19 +145,19 @@ static bool read_voxels(struct mo_json *json, struct shape *shape)
   case MO_OK: break;
   case MO_ERR_RANGE:
     mo_json_fault_at(json, depth, "",
-                     "%zu characters are given; exactly %d are expected, or %d hexadecimal digits",
-                     text.size, MO_DEFAULT_VOXELS, MO_DEFAULT_ID_DIGITS);
+                     "must have exactly %d characters, or %d hexadecimal digits, got %zu",
+                     MO_DEFAULT_VOXELS, MO_DEFAULT_ID_DIGITS, text.size);
     break;
   case MO_ERR_FORMAT:
-    mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell);
+    mo_json_fault_at(json, depth, "", "character %zu (counting from 0) must be 0 or 1", fault.cell);
     break;
   case MO_ERR_EMPTY:
-    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one 1 is expected");
+    mo_json_fault_at(json, depth, "", "the body has no voxels; it needs at least one 1");
     break;
   case MO_ERR_NOT_CONTIGUOUS:
     mo_json_fault_at(json, depth, "",
-                     "voxel %zu (from 0) is not connected to the first one; a body in one piece "
-                     "(through faces) is expected",
+                     "voxel %zu (counting from 0) is not connected to the first one; a body must "
+                     "be one piece, connected through faces",
                      fault.cell);
     break;
   default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
@@ -187,11 +185,11 @@ static bool read_id(struct mo_json *json, struct shape *shape)
   int code = mo_robot_read(text.bytes, text.size, &read, &orientation);
   memcpy(shape->bits->words, read.words, sizeof(read.words));
   if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
-    mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
+    mo_json_fault_at(json, depth, "", "the id encodes a body that is empty or in several pieces");
   else if (code != MO_OK)
     mo_json_fault_at(json, depth, "",
-                     "not a design's id; %d hexadecimal digits of a canonical form are expected, "
-                     "optionally with an orientation: @0 to @7",
+                     "not a design id; it must be the %d hexadecimal digits of a canonical form, "
+                     "optionally with an orientation, @0 to @7",
                      MO_DEFAULT_ID_DIGITS);
   if (orientation < 0)
     shape->orientation = MO_ORIENTATION_CANONICAL;
@@ -218,7 +216,7 @@ static void read_design(struct mo_json *json, struct shape *shape)
     forms++;
   }
   if (forms != 1)
-    mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
+    mo_json_fault_at(json, depth, "", "a design must have exactly one of cells, voxels and id");
 }
 
 /* ---- lists of designs ---- */
@@ -278,12 +276,13 @@ bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t plac
   return true;
 }
 
-/* Refuses the first design that would need a note: there are too many designs for notes. */
+/* Refuses the first design that would need a note, because there are too many designs for notes. */
 static void refuse_note(struct mo_json *json, unsigned depth, const struct mo_design_note *note)
 {
   char below[24];
   snprintf(below, sizeof(below), "/%u", note->place);
-  mo_json_fault_at(json, depth, below, "more than %d designs are given, and this one %s; give %s",
+  mo_json_fault_at(json, depth, below,
+                   "a list of more than %d designs cannot have a design that %s; give %s",
                    MO_DESIGNS_MAX,
                    mo_is_skipped(note) ? "is not valid"
                    : note->dropped > 0 ? "is in several pieces"
@@ -304,7 +303,7 @@ static void read_designs(struct mo_json *json, void *value)
     return;
   for (; mo_json_item(json); n++) {
     if (n == most) {
-      mo_json_fault_at(json, depth, "", "more than %u designs are given; at most %u are expected",
+      mo_json_fault_at(json, depth, "", "there are more than %u designs; at most %u are allowed",
                        most, most);
       skip_rest(json);
       break;
@@ -322,7 +321,7 @@ static void read_designs(struct mo_json *json, void *value)
     }
   }
   if (n == 0)
-    mo_json_fault_at(json, depth, "", "no designs are given; 1 to %u are expected", most);
+    mo_json_fault_at(json, depth, "", "the list is empty; it must have 1 to %u designs", most);
 }
 const struct mo_field_own mo_designs_field = {.read = read_designs};
 

@@ -28,8 +28,8 @@ static int write_head(struct mo_api *api, struct mo_text *text, const struct mo_
   return error;
 }
 
-/* Returns whether some losses of the set are unknown, for example because the design was cut short.
- */
+/* Returns whether some losses of the set are unknown, for example because the design was cut
+ * short. */
 static bool is_partial(const struct mo_design_score *score)
 {
   bool is_finite = true, is_whole = true;
@@ -117,8 +117,8 @@ void mo_api_get_design(struct mo_request *request)
   int orientation;
   if (mo_robot_read(id, strlen(id), &genotype, &orientation) != MO_OK) {
     mo_reply_problem(request, 404, NULL,
-                     "There is no such design: an id has %d hexadecimal digits of a canonical "
-                     "form, and an orientation after it is @0 to @7.",
+                     "There is no such design: an id must have the %d hexadecimal digits of a "
+                     "canonical form, optionally with an orientation, @0 to @7.",
                      MO_DEFAULT_ID_DIGITS);
     return;
   }
@@ -130,7 +130,7 @@ void mo_api_get_design(struct mo_request *request)
   mo_reply_text(request, error, &text, "design");
 }
 
-/* Reads the cursor: for sort=id a row, for sort=score the bits of the score and a row. */
+/* Reads the cursor: a row for sort=id, or the bits of the score and a row for sort=score. */
 static bool read_cursor(const char *text, struct mo_design_query *query)
 {
   if (query->sort == MO_DESIGNS_BY_ID)
@@ -210,19 +210,19 @@ void mo_api_list_designs(struct mo_request *request)
   query.is_descending = order == 1;
   for (size_t i = 0; i < 3; i++)
     if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
-      mo_reply_bad_parameter(request, of_score[i], "this parameter is only for sort=score");
+      mo_reply_bad_parameter(request, of_score[i], "only sort=score supports this parameter");
       return;
     }
   if (!mo_query_word(request, "environments", sets, &set))
     return;
   if (class != NULL && !is_class(class)) {
-    mo_reply_bad_parameter(request, "class", "a fingerprint is expected, as scores show it");
+    mo_reply_bad_parameter(request, "class", "must be a fingerprint, as shown with scores");
     return;
   }
   if (cursor != NULL && !read_cursor(cursor, &query)) {
     mo_reply_bad_parameter(
         request, "cursor",
-        "the next_cursor of an earlier page of the same sort and order is expected");
+        "must be the next_cursor of an earlier page with the same sort and order");
     return;
   }
   if (query.sort == MO_DESIGNS_BY_SCORE) {

@@ -1,5 +1,5 @@
-/* evaluation_request.c: the body of POST /v1/evaluations. Every fault names its place: a cell out
- * of bounds is at /designs/3/cells/7/0. */
+/* evaluation_request.c: the body of POST /v1/evaluations. Every fault has its place: a cell out of
+ * bounds is at /designs/3/cells/7/0. */
 #include <string.h>
 
 #include "api/requests.h"
@@ -20,9 +20,9 @@ static void read_channels(struct mo_json *json, void *value)
     while (i < MO_CHANNELS && !mo_json_is(what, mo_channel_words[i]))
       i++;
     if (i == MO_CHANNELS)
-      mo_json_fault(json, "%s is expected", mo_words_list(mo_channel_words, list));
+      mo_json_fault(json, "must be %s", mo_words_list(mo_channel_words, list));
     else if (read >> i & 1)
-      mo_json_fault(json, "this is given twice");
+      mo_json_fault(json, "duplicate array; list it once");
     else
       read |= 1U << i;
   }
@@ -50,7 +50,7 @@ static void read_random(struct mo_json *json, void *value)
   parts->has_random = true;
   mo_fields_read(json, &random_fields, random);
   if (random->count == 0 && json->faults->n == before)
-    mo_json_fault_at(json, depth, "", "count is missing: the number of bodies, 1 to %d",
+    mo_json_fault_at(json, depth, "", "count is missing; it must be the number of bodies, 1 to %d",
                      MO_RANDOM_BODIES_MAX);
 }
 
@@ -70,8 +70,8 @@ static const struct mo_field rollout_rows[] = {
     {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
 };
 const struct mo_fields mo_rollouts_request_fields = MO_FIELDS(rollout_rows);
-/* An evaluation has the same fields except the controller, which is one of the parts of every job.
- */
+/* An evaluation has the same fields, except for the controller, which is one of the parts of every
+ * job. */
 static const struct mo_fields scored = {rollout_rows,
                                         sizeof(rollout_rows) / sizeof(rollout_rows[0]) - 1};
 static const struct mo_field rows[] = {
@@ -101,15 +101,16 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
   if (random->count > 0 && random->first + random->count > MO_RANDOM_BODIES_MAX)
     mo_json_fault_at(
         json, 0, "/random/first",
-        "bodies %u to %u are requested; a seed has the bodies 0 to %d: use another seed",
+        "bodies %u to %u are out of range; a seed has bodies 0 to %d, so use another seed",
         random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
   if (n * n_environments > MO_LARGE_ROLLOUTS_MAX)
-    mo_json_fault_at(
-        json, 0, random->count > 0 ? "/random/count" : place,
-        "these are %llu rollouts; at most %d are allowed: use fewer bodies or fewer environments",
-        (unsigned long long)n * n_environments, MO_LARGE_ROLLOUTS_MAX);
+    mo_json_fault_at(json, 0, random->count > 0 ? "/random/count" : place,
+                     "the request has %llu rollouts, and at most %d are allowed; use fewer bodies "
+                     "or fewer environments",
+                     (unsigned long long)n * n_environments, MO_LARGE_ROLLOUTS_MAX);
   if (parsed->request.verify || parsed->request.record != 0)
-    mo_json_fault_at(json, 0, place, "this is given with %s, which needs at most %d listed designs",
+    mo_json_fault_at(json, 0, place,
+                     "cannot be combined with %s, which supports at most %d listed designs",
                      parsed->request.verify ? "verify" : "record", MO_DESIGNS_MAX);
 }
 
@@ -125,24 +126,22 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/physics", "%s", message.text);
   if (!parsed->parts.has_designs && !parsed->parts.has_random)
     mo_json_fault_at(json, 0, "",
-                     "designs is missing: an array of 1 to %d designs, or random, with the count "
-                     "of random bodies",
+                     "designs is missing; give an array of 1 to %d designs, or random with the "
+                     "count of random bodies",
                      MO_LARGE_MAX);
   if (parsed->parts.has_designs && parsed->parts.has_random)
-    mo_json_fault_at(json, 0, "/random", "this is given with designs; give only one of them");
+    mo_json_fault_at(json, 0, "/random", "cannot be combined with designs; give only one of them");
   check_large(json, parsed);
   if (parsed->parts.no_controller)
-    mo_json_fault_at(json, 0, "/controller", "null is given; a controller's name is expected");
+    mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (request->record_stride > steps)
-    mo_json_fault_at(json, 0, "/record_stride",
-                     "%u is given; at most n_steps, which is %u, is allowed",
-                     request->record_stride, steps);
+    mo_json_fault_at(json, 0, "/record_stride", "must be at most n_steps, which is %u, got %u",
+                     steps, request->record_stride);
   if (n_designs > 0 && request->best > n_designs)
-    mo_json_fault_at(json, 0, "/best",
-                     "%u is given; at most the number of designs, which is %u, is allowed",
-                     request->best, n_designs);
+    mo_json_fault_at(json, 0, "/best", "must be at most the number of designs, which is %u, got %u",
+                     n_designs, request->best);
   if (request->best > 0 && (request->verify || request->record != 0))
-    mo_json_fault_at(json, 0, "/best", "this is given with %s; give only one of them",
+    mo_json_fault_at(json, 0, "/best", "cannot be combined with %s; give only one of them",
                      request->verify ? "verify" : "record");
   if (request->record_stride == 0)
     request->record_stride = steps < 10 ? steps : 10;

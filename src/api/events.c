@@ -8,7 +8,7 @@
 #include "http/pool.h"
 #include "http/stream.h"
 
-/* Writes an event as JSON, after the brace that opens the object. */
+/* Writes an event as JSON, after the opening brace of the object. */
 static void write_event(struct mo_text *text, const struct mo_event *event)
 {
   mo_text_member_id(text, "id", event->sequence);
@@ -77,7 +77,7 @@ static int64_t fill(struct mo_request *request, struct mo_stream_place *place,
   if (n == MO_ERR_CORRUPT)
     mo_request_note(request, "the events cannot be read: %s", mo_error_text((int)n));
   if (n >= 0 && (place->after < oldest - 1 || known != place->after)) {
-    /* The sequence is unknown (pruned, or of another history): the client must start again. */
+    /* The sequence is unknown (pruned, or of another history), so the client must restart. */
     place->after = place->after < oldest - 1 ? oldest - 1 : known;
     mo_text_format(frames,
                    "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
@@ -99,7 +99,7 @@ static void open_stream(struct mo_request *request, int64_t after, int64_t job)
   if (mo_accept_choose(request->framing.accept, stream_type, 1) != 0) {
     mo_reply_problem(request, 406, NULL,
                      "This path returns text/event-stream, which the Accept field does not allow; "
-                     "format=json gives a page.");
+                     "format=json returns a page.");
     return;
   }
   if (request->method == MO_HEAD) {
@@ -182,7 +182,7 @@ void mo_api_get_events(struct mo_request *request)
 {
   static const char *const json[] = {"application/json", NULL};
   static const char *const formats[] = {"stream", "json", "csv", "ndjson", "columns", NULL};
-  static const char place[] = "the id of an event, in decimal digits, is expected";
+  static const char place[] = "must be the id of an event, in decimal digits";
   const char *from = mo_query(request, "after");
   const char *last = request->framing.last_event_id;
   const char *cursor = mo_query(request, "cursor");
@@ -197,7 +197,7 @@ void mo_api_get_events(struct mo_request *request)
     return;
   }
   if (!mo_query_limit(request, &limit) ||
-      !mo_query_id(request, "job", "the id of a job, in decimal digits, is expected", &job))
+      !mo_query_id(request, "job", "must be the id of a job, in decimal digits", &job))
     return;
   if (job > 0 && !has_job(request, job))
     return;
@@ -208,7 +208,7 @@ void mo_api_get_events(struct mo_request *request)
   else if (cursor != NULL &&
            (!is_page || !mo_decimal(cursor, strlen(cursor), 0, INT64_MAX, &after)))
     mo_reply_bad_parameter(request, "cursor",
-                           "the next_cursor of an earlier page is expected, with format=json");
+                           "must be the next_cursor of an earlier page with format=json");
   else if (!is_page)
     open_stream(request, after, job);
   else if (mo_accept(request, json, &form))

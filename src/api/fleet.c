@@ -1,8 +1,8 @@
 /* fleet.c: the routes of workers: sessions, leases and results, orders, weights.
  *
- * A request for leases or orders waits under its session's id, which mo_api_wake_session wakes. A
- * request that wakes for nothing waits on. The orders that a worker keeps asking for are its sign
- * of life: when the client of such a request leaves, the session is lost at once. */
+ * A request for leases or orders waits under its session's id, and mo_api_wake_session wakes it. If
+ * there is nothing for it, it continues to wait. A worker always has a request for orders open as
+ * its sign of life: when the client of this request leaves, the session is lost at once. */
 #include "api/fleet.h"
 
 #include <stdio.h>
@@ -34,8 +34,8 @@ struct mo_fleet *mo_path_session(struct mo_request *request, uint64_t *session)
   return NULL;
 }
 
-/* Finds the session in the path of a worker's request. It is the worker's only if it was opened
- * with the same token: another token gets 404, even with the right id. NULL: the reply is made. */
+/* Finds the session in the path of a worker's request. The session must have been opened with the
+ * same token; any other token gets 404, even with the right id. Returns NULL after a reply. */
 static struct mo_fleet *own_session(struct mo_request *request, uint64_t *session)
 {
   struct mo_fleet *fleet = mo_path_session(request, session);
@@ -57,7 +57,8 @@ static void read_wait(struct mo_request *request)
   request->wait_deadline_us = mo_clock_us() + (int64_t)wait_s * 1000000;
 }
 
-/* Begins to wait, if there is time left. Do this before looking: what comes then is not missed. */
+/* Begins to wait, if there is time left. Call it before looking for work, so that work that arrives
+ * in between is not missed. */
 static bool begin_wait(struct mo_request *request, uint64_t session)
 {
   const bool may_wait = request->wait_s > 0 && request->wait_deadline_us > mo_clock_us() &&
@@ -111,19 +112,20 @@ static int check_offer(struct mo_json *json, void *any)
   if (json->faults->n > 0)
     return MO_OK;
   if (offer->name[0] == '\0' || offer->host[0] == '\0' || offer->version[0] == '\0')
-    mo_json_fault_at(json, 0, "", "protocol, name, host, version and classes are expected");
+    mo_json_fault_at(json, 0, "", "protocol, name, host, version and classes are required");
   bool serves = false;
   for (size_t i = 0; i < 2; i++) {
     const bool scores = offer->classes[i].scores[0] != '\0';
     serves |= scores;
     if (scores != (offer->classes[i].gradients[0] != '\0'))
-      mo_json_fault_at(json, 0, places[i], "scores, gradients and canary are expected");
+      mo_json_fault_at(json, 0, places[i], "scores, gradients and canary are required");
     if (strpbrk(offer->classes[i].scores, "\"\\") != NULL ||
-        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* it stands in events, as it is */
-      mo_json_fault_at(json, 0, places[i], "a class has no quotation mark and no backslash");
+        strpbrk(offer->classes[i].gradients, "\"\\") != NULL) /* it is copied into events without
+                                                               * escapes */
+      mo_json_fault_at(json, 0, places[i], "a class must not have quotation marks or backslashes");
   }
   if (!serves)
-    mo_json_fault_at(json, 0, "/classes", "at least one of cpu and device is expected");
+    mo_json_fault_at(json, 0, "/classes", "at least one of cpu and device is required");
   return MO_OK;
 }
 
@@ -151,12 +153,12 @@ void mo_api_post_session(struct mo_request *request)
   struct parsed parsed = {.protocol = MO_FLEET_PROTOCOL};
   if (!mo_check_content(request, "application/json", NULL))
     return;
-  /* A body of another protocol is not looked at further. */
+  /* If the protocol differs, the rest of the body is not checked. */
   mo_read_words(request->body, request->body_size, &protocol_field, &parsed, NULL);
   if (parsed.protocol != MO_FLEET_PROTOCOL) {
     mo_faults_add(&faults, MO_FAULT_BODY, "/protocol",
-                  "the worker speaks protocol %u; %d is wanted, of morphod %s", parsed.protocol,
-                  MO_FLEET_PROTOCOL, mo_api_of(request)->version);
+                  "must be %d, the protocol of morphod %s, got %u", MO_FLEET_PROTOCOL,
+                  mo_api_of(request)->version, parsed.protocol);
     mo_reply_problem(request, 422, &faults, NULL);
     return;
   }
@@ -248,7 +250,7 @@ static void reply_bytes(struct mo_request *request, uint8_t *bytes, size_t size)
   add_digest(request, &hash);
 }
 
-/* Checks what a worker sends. False: the reply is made. */
+/* Checks what a worker sends. Returns false after a reply. */
 static bool check_results(struct mo_request *request)
 {
   if (!mo_check_content(request, "application/octet-stream", NULL))
@@ -256,14 +258,14 @@ static bool check_results(struct mo_request *request)
   if (mo_content_digest_matches(request->framing.content_digest, request->body, request->body_size))
     return true;
   mo_reply_bad_header(request, "Content-Digest",
-                      "sha-256 of the body is expected, as in sha-256=:…:; nothing was taken");
+                      "must be the SHA-256 of the body, as in sha-256=:…:; nothing was taken");
   return false;
 }
 
 static void reply_refusal(struct mo_request *request, int error, const struct mo_message *message)
 {
   if (error == MO_ERR_FORMAT)
-    mo_reply_problem(request, 400, NULL, "The exchange is not well formed: %s. Nothing was taken.",
+    mo_reply_problem(request, 400, NULL, "The exchange is invalid: %s. Nothing was taken.",
                      message->text);
   else if (error == MO_ERR_UNSUPPORTED)
     mo_reply_problem(request, 422, NULL, "%s.", message->text);
@@ -285,7 +287,7 @@ void mo_api_post_exchange(struct mo_request *request)
   if (fleet == NULL || (!request->wait_over && !check_results(request)))
     return;
   read_wait(request);
-  /* No lease for nobody, and none of a daemon that ends. */
+  /* Do not lease to a client that has left, or while shutting down. */
   const bool has_left = mo_connection_has_left(request->connection);
   if (request->wait_over && (has_left || !mo_http_is_ready(request->http))) {
     mo_reply_error(request, has_left ? MO_ERR_NOT_FOUND : MO_ERR_CANCELLED, "session");
@@ -295,7 +297,8 @@ void mo_api_post_exchange(struct mo_request *request)
   const int error =
       mo_fleet_exchange(fleet, session, (const uint8_t *)request->body, request->body_size,
                         mo_clock_ns(), &down, &down_size, &n_leases, &message);
-  mo_request_drop_body(request); /* taken, and not needed while the request waits */
+  mo_request_drop_body(request); /* its results were taken; the body is not needed during the
+                                  * wait */
   if (error == MO_OK && n_leases == 0 && may_wait) {
     free(down);
     return;

@@ -1,5 +1,5 @@
-/* handlers.h: what the files of this room share: the interface's state, and the handlers, which run
- * on API threads, or on I/O threads where their route is direct. */
+/* handlers.h: shared by the files of this room: the interface's state, and the handlers, which run
+ * on API threads, or on I/O threads if their route is direct. */
 #ifndef MORPHO_API_HANDLERS_H
 #define MORPHO_API_HANDLERS_H
 
@@ -28,7 +28,7 @@ struct mo_load {
  * next bodies need not draw all earlier ones again. */
 struct mo_random_stream {
   pthread_mutex_t mutex;
-  struct mo_body_stream *stream; /* NULL: none, or a request is using it */
+  struct mo_body_stream *stream; /* NULL: no stream, or a request is using it */
   uint64_t seed;
   uint32_t next; /* the number of its next body */
 };

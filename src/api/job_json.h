@@ -7,7 +7,7 @@
 #include "jobs/campaigns.h"
 #include "jobs/trainings.h"
 
-/* Writes how the orientation of a design was chosen; null: the request gave it. */
+/* Writes how the orientation of a design was chosen, or null if the request gave it. */
 void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation);
 /* Writes the members of a design of a request: id, robot, genotype, sizes, and the content of its
  * note (nullable). If the genotype is empty, id, robot, genotype and sizes are null. May fail with

@@ -91,12 +91,12 @@ static bool read_text(struct mo_request *request, const char *name, size_t most,
   return false;
 }
 
-/* Reads the name of a token, as token files allow it. *name is NULL if the parameter is not given.
- */
+/* Reads a token's name, in the form that token files allow. *name is NULL if the parameter is not
+ * given. */
 static bool read_user(struct mo_request *request, const char **name)
 {
   static const char words[] =
-      "the name of a token, 1 to 64 printable ASCII characters without blanks, is expected";
+      "must be a token's name: 1 to 64 printable ASCII characters without blanks";
   if (!read_text(request, "submitted_by", MO_USER_BYTES_MAX, words, name))
     return false;
   for (const char *c = *name; c != NULL && *c != '\0'; c++)
@@ -114,11 +114,9 @@ bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
   int which = 0;
   if (!mo_query_word(request, "state", mo_job_state_words, &query->state) ||
       !read_text(request, "label", 200,
-                 "the label of a job, of 1 to 200 characters, or its beginning and a star, is "
-                 "expected",
+                 "must be a job's label, of 1 to 200 characters, or its beginning and a star",
                  &query->label) ||
-      !read_text(request, "experiment", 100,
-                 "the name of an experiment, of 1 to 100 characters, is expected",
+      !read_text(request, "experiment", 100, "must be an experiment's name, of 1 to 100 characters",
                  &query->experiment) ||
       !read_user(request, &query->submitted_by) ||
       !mo_query_word(request, "archived", archived, &which))
@@ -148,8 +146,7 @@ void mo_api_list_jobs(struct mo_request *request)
   if (!mo_query_limit(request, &limit) || !mo_read_job_filters(request, &query, label) ||
       !mo_query_id(request, "cursor", MO_CURSOR_WORDS, &query.before) ||
       !mo_query_word(request, "kind", mo_job_kind_words, &query.kind) ||
-      !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
-                   &query.group))
+      !mo_query_id(request, "group", "must be the id of a group, in decimal digits", &query.group))
     return;
   const size_t size = listed != NULL ? listed->status_size : sizeof(struct mo_job);
   char *page = malloc(limit * size);
@@ -188,7 +185,7 @@ static void reply_changed(struct mo_request *request, int64_t id, int error, con
     mo_reply_job(request, 200, kinds[job.kind], id, false);
 }
 
-/* Pauses, resumes or cancels a job, depending on the end of the route. */
+/* Pauses, resumes or cancels a job, depending on the last part of the route. */
 void mo_api_change_job(struct mo_request *request)
 {
   static const struct {
@@ -210,7 +207,7 @@ void mo_api_change_job(struct mo_request *request)
 static int check_weight(struct mo_json *json, void *weight)
 {
   if (isnan(*(double *)weight) && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s",
+    mo_json_fault_at(json, 0, "", "weight is missing; it must be a number from %s to %s",
                      MO_NUMBER(MO_WEIGHT_MIN), MO_NUMBER(MO_WEIGHT_MAX));
   return MO_OK;
 }
@@ -230,7 +227,8 @@ static int check_edit(struct mo_json *json, void *any)
   const struct mo_job_edit *edit = &((struct mo_parsed_edit *)any)->edit;
   if (!edit->has_label && !edit->has_experiment && !edit->has_note && !edit->has_archived &&
       json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "nothing is changed: give label, experiment, note or archived");
+    mo_json_fault_at(json, 0, "",
+                     "the request changes nothing; give label, experiment, note or archived");
   return MO_OK;
 }
 
@@ -253,7 +251,7 @@ static void write_staying(struct mo_text *text, const char *what, const char *wh
   mo_text_add(text, "}");
 }
 
-/* Reports a deleted job: what was removed with it, and what stays. */
+/* Reports a deleted job: what was removed with it, and what was kept. */
 static void write_deleted(struct mo_text *text, const union mo_job_status *status,
                           const struct mo_deleted *deleted)
 {
@@ -267,7 +265,7 @@ static void write_deleted(struct mo_text *text, const union mo_job_status *statu
   mo_text_member_count(text, "checkpoint_bytes", deleted->checkpoint_bytes);
   mo_text_add(text, ",\"stays\":[");
   write_staying(text, "designs", "all jobs with these designs share them");
-  write_staying(text, "scores", "later jobs reuse them instead of computing them again");
+  write_staying(text, "scores", "later jobs reuse them instead of recomputing them");
   if (job->has_result) {
     snprintf(what, sizeof(what), "controller %s",
              mo_result_name(job,

@@ -38,15 +38,15 @@ extern const struct mo_resource mo_evaluation_resource, mo_training_resource, mo
 
 /* Reads the current state of a job; nothing if it has ended. */
 void mo_read_live(struct mo_api *api, const struct mo_job *job, struct mo_live *live);
-/* Replies with a job as it stands now: whole, or as an item of the list of jobs. Replies to an
- * error, and returns it. */
+/* Replies with a job as it stands now: whole, or as an item of the list of jobs. On an error,
+ * replies with it and returns it. */
 int mo_reply_job(struct mo_request *request, unsigned http_status, const struct mo_resource *kind,
                  int64_t id, bool whole);
 /* Replies 202 to a submission, or 200 if the job is done and the client waited. */
 void mo_reply_submitted(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                         bool done);
-/* Reads a job, or lets the request wait for its end if its Prefer field says so. Returns false if
- * the request waits or has its reply. kind NULL: any. */
+/* Reads a job, or lets the request wait until the job ends if its Prefer field says so. Returns
+ * false if the request is waiting or has its reply. kind NULL: any kind. */
 bool mo_await_job(struct mo_request *request, const struct mo_resource *kind, int64_t id,
                   struct mo_job *job);
 /* Reads a job of this kind. Returns false if it has replied. */
@@ -55,19 +55,19 @@ bool mo_job_of_kind(struct mo_request *request, const struct mo_resource *kind, 
 
 /* ---- jobs.c ---- */
 
-/* Returns the kind whose path the request's route begins with; NULL: none. */
+/* Returns the kind whose path begins the request's route, or NULL if there is none. */
 const struct mo_resource *mo_resource_of(const struct mo_request *request);
 /* Reads the id in the path of a job of the route's kind. Returns false after replying with a 404.
  */
 bool mo_path_job(struct mo_request *request, int64_t *id);
-/* Reads the filters that lists of all kinds have. label: a buffer for a label without its star.
- * Returns false if it has replied. */
+/* Reads the filters that the lists of all kinds share. label: a buffer for a label without its
+ * star. Returns false if it has replied. */
 bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
                          char label[MO_LABEL_BYTES_MAX + 1]);
 
 /* ---- several.c ---- */
 
-/* Finds the campaigns that the parameters campaigns, group, label or experiment name, or all
+/* Finds the campaigns that the parameters campaigns, group, label or experiment select, or all
  * campaigns, in ascending order: (n), malloc. Returns false if it has replied. */
 bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n);
 

@@ -42,7 +42,7 @@ static int export_checkpoint(struct mo_api *api, const struct mo_training_status
 }
 
 /* Replies that the file of the training's result, or of a checkpoint (step 0: the newest), is
- * missing or damaged, so that it does not match its row. */
+ * missing or damaged, and does not match its row. */
 static void reply_damaged(struct mo_request *request, const struct mo_training_status *status,
                           bool result, uint32_t step)
 {
@@ -86,13 +86,13 @@ void mo_api_get_training_controller(struct mo_request *request)
     code = export_checkpoint(api, &status, (uint32_t)step, &bytes, &size, &at);
   if (code == MO_ERR_NOT_FOUND && named)
     mo_reply_problem(request, 404, NULL,
-                     "The training keeps no checkpoint of step %lld; GET "
-                     "/v1/trainings/%lld/checkpoints lists them.",
+                     "The training has no checkpoint of step %lld; GET "
+                     "/v1/trainings/%lld/checkpoints lists its checkpoints.",
                      (long long)step, (long long)id);
   else if (code == MO_ERR_NOT_FOUND)
     mo_reply_problem(request, 404, NULL,
                      mo_job_state_is_final(status.job.state)
-                         ? "The training has ended without a result and keeps no checkpoint."
+                         ? "The training has ended without a result, and has no checkpoint."
                          : "The training has no checkpoint yet.");
   else if (code == MO_ERR_CORRUPT)
     reply_damaged(request, &status, result, (uint32_t)step);

@@ -1,5 +1,5 @@
-/* metrics.c: the page /metrics (Prometheus text format). Uses only what is in memory, and waits for
- * neither computation nor the store. */
+/* metrics.c: the page /metrics (Prometheus text format). Uses only data in memory, and never waits
+ * for computations or the store. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -115,10 +115,11 @@ void mo_api_get_campaign_population(struct mo_request *request)
                                                        rows, limit, &size)
                         : MO_ERR_NOT_FOUND;
   if (n == MO_ERR_NOT_FOUND && known && generation < 0) {
-    mo_reply_problem(request, 404, NULL,
-                     "The campaign has no population yet: its first one has not been scored.");
+    mo_reply_problem(
+        request, 404, NULL,
+        "The campaign has no population yet, because its first population has not been scored.");
   } else if (n == MO_ERR_NOT_FOUND && known) {
-    mo_reply_problem(request, 404, NULL, "The campaign has no generation %lld: the newest is %lld.",
+    mo_reply_problem(request, 404, NULL, "The campaign has no generation %lld; the newest is %lld.",
                      (long long)generation, (long long)status.generation);
   } else {
     struct mo_text text = {0};
@@ -158,7 +159,7 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
       !mo_decimal(text, strlen(text), 0, UINT32_MAX - 1, &number)) {
     mo_reply_problem(
         request, 404, NULL,
-        "There is no such design: its number in the campaign, in decimal digits, is expected.");
+        "There is no such design: give its number in the campaign, in decimal digits.");
     return false;
   }
   int code = mo_store_campaign_descents(mo_api_of(request)->store, lineage->id, &lineage->descents,
@@ -171,8 +172,7 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
     mo_reply_problem(request, 404, NULL, "The campaign has no designs yet.");
   else if (number >= lineage->n)
     mo_reply_problem(request, 404, NULL,
-                     "There is no such design: the campaign has the numbers 0 to %u.",
-                     lineage->n - 1);
+                     "There is no such design: the campaign has designs 0 to %u.", lineage->n - 1);
   lineage->number = (uint32_t)number;
   return code == MO_OK && number < lineage->n;
 }
@@ -253,7 +253,7 @@ void mo_api_get_campaign_design(struct mo_request *request)
   free(lineage.descents);
 }
 
-/* Replies with ancestors or descendants, by the end of the route. */
+/* Replies with ancestors or descendants, depending on the last part of the route. */
 void mo_api_get_campaign_relatives(struct mo_request *request)
 {
   const bool up = strstr(request->route->path, "/ancestors") != NULL;
@@ -294,7 +294,7 @@ static void reply_page(struct mo_request *request, const struct mo_campaign_stat
   free(rows);
 }
 
-/* Writes as CSV lines the designs that existed when the reply began. */
+/* Writes the designs that existed when the reply began, as CSV lines. */
 struct lines {
   struct mo_store *store;
   struct mo_phylogeny_shape shape;
@@ -409,7 +409,7 @@ static void reply_newick(struct mo_request *request, const struct mo_campaign_st
 
 enum form { JSON, CSV, NEWICK, COLUMNS, NDJSON };
 
-/* The parameters of a query, except the form. */
+/* The parameters of a query, except the format. */
 struct wanted {
   int64_t since; /* columns: they begin after this number */
   int lineages;  /* columns: 1: only the living and their ancestors */
@@ -417,19 +417,20 @@ struct wanted {
   int64_t root;  /* CSV: 1: with a root from which all designs descend */
 };
 
-/* Reads the parameters that only some forms accept. Returns false if it has replied. */
+/* Reads the parameters that only some formats support. Returns false if it has replied. */
 static bool read_wanted(struct mo_request *request, int form, struct wanted *wanted)
 {
   static const struct {
     const char *name, *words;
-    unsigned forms; /* that accept it */
-  } own[] = {
-      {"limit", "this parameter is only for JSON: the other forms are complete", 1U << JSON},
-      {"cursor", "this parameter is only for JSON: the other forms are complete", 1U << JSON},
-      {"keep", "this parameter is only for format=columns", 1U << COLUMNS},
-      {"after", "this parameter is only for format=columns", 1U << COLUMNS},
-      {"parents", "this parameter is only for format=csv", 1U << CSV},
-      {"root", "this parameter is only for format=csv", 1U << CSV}};
+    unsigned forms; /* formats that support it */
+  } own[] = {{"limit", "only JSON supports this parameter, because the other formats are complete",
+              1U << JSON},
+             {"cursor", "only JSON supports this parameter, because the other formats are complete",
+              1U << JSON},
+             {"keep", "only format=columns supports this parameter", 1U << COLUMNS},
+             {"after", "only format=columns supports this parameter", 1U << COLUMNS},
+             {"parents", "only format=csv supports this parameter", 1U << CSV},
+             {"root", "only format=csv supports this parameter", 1U << CSV}};
   static const char *const keeps[] = {"all", "lineages", NULL}, *const all[] = {"all", "first",
                                                                                 NULL};
   for (size_t i = 0; i < sizeof(own) / sizeof(own[0]); i++)

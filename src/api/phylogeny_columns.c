@@ -1,6 +1,6 @@
-/* phylogeny_columns.c: the phylogeny as columns, for programs that draw it whole: 19 bytes per
- * design instead of 243 as CSV. The form is that of a scene: a JSON header that describes arrays.
- */
+/* phylogeny_columns.c: the phylogeny as columns, for programs that draw all of it: 19 bytes per
+ * design instead of 243 as CSV. The format is the same as for scenes: a JSON header that describes
+ * arrays. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -73,7 +73,7 @@ static void write_generations(struct mo_text *text, struct mo_text *arrays, cons
   write_column(text, arrays, name, narrow ? "uint16" : "uint32", generations, narrow ? 2 : 4, n);
 }
 
-/* numbers: NULL if the numbers are consecutive, so that they need not be written. */
+/* numbers: NULL if the numbers are consecutive and need not be written. */
 static void write_columns(struct mo_text *text, struct mo_text *arrays,
                           struct mo_campaign_columns *columns, const uint32_t *numbers,
                           uint32_t total)
@@ -134,7 +134,8 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
   free(numbers);
   free(kept);
   if (error == MO_ERR_LIMIT) {
-    mo_reply_bad_parameter(request, "format", "columns hold at most 4194304 designs; use csv");
+    mo_reply_bad_parameter(request, "format",
+                           "format=columns supports at most 4194304 designs; use csv");
     return;
   }
   if (error != MO_OK) {

@@ -1,7 +1,7 @@
 /* recordings.c: everything that an evaluation recorded in one channel, as one NumPy array:
  * (designs, environments, frames, …). Designs have different numbers of masses and springs, so the
- * last dimensions are those of the largest one. The rest is padded with values that no recording
- * has, and so are designs that were skipped. The array is read and sent rollout by rollout. */
+ * last dimensions fit the largest design. The rest is padded with values that no recording has, and
+ * so are designs that were skipped. The array is read and sent rollout by rollout. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -100,7 +100,8 @@ static int more_rollouts(void *context, struct mo_text *text)
   return error != MO_OK ? error : all->next < n;
 }
 
-/* Chooses the channel that the query names, or the usual one. Returns false if it has replied. */
+/* Chooses the channel that the query specifies, or the default one. Returns false if it has
+ * replied. */
 static bool choose(struct mo_request *request, const struct mo_job *job, enum mo_channel *channel)
 {
   int asked = -1;

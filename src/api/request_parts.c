@@ -1,4 +1,4 @@
-/* request_parts.c: what the bodies of several requests share, except designs (design_request.c). */
+/* request_parts.c: parts that several request bodies share, except designs (design_request.c). */
 #include "api/requests.h"
 
 #include <math.h>
@@ -69,8 +69,8 @@ static void check_light(struct mo_json *json, unsigned depth, const double light
 {
   if (hypot(light_xy_m[0] - MO_WORLD_CENTER_M, light_xy_m[1] - MO_WORLD_CENTER_M) < MO_VOXEL_M)
     mo_json_fault_at(json, depth, "",
-                     "the light is within a voxel of (2.5, 2.5), where robots start, so losses "
-                     "would be divided by almost zero: it must be at least %g m away",
+                     "must be at least %g m from (2.5, 2.5), where robots start; closer, losses "
+                     "would be divided by almost zero",
                      MO_VOXEL_M);
 }
 
@@ -104,11 +104,12 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
     }
   }
   if (!light)
-    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in meters");
+    mo_json_fault_at(json, depth, "",
+                     "light_xy_m is missing; it must be [x, y] of the light in meters");
   if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
     mo_json_fault_at(
         json, depth, "",
-        "the terrain is given either by terrain_heights_m, or by terrain_sigma_m and seed");
+        "give the terrain either as terrain_heights_m, or as terrain_sigma_m and seed");
   else if (!heights)
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
   if (json->faults->n == before && mo_environment_check(environment, NULL) != MO_OK)
@@ -126,11 +127,12 @@ static void read_environments(struct mo_json *json, void *value)
   parts->has_environments = true;
   if (kind == MO_JSON_STRING) {
     if (mo_json_string(json, &name) && !mo_json_is(name, "paper-test"))
-      mo_json_fault_at(json, depth, "", "unknown set of environments; \"paper-test\" is expected");
+      mo_json_fault_at(json, depth, "",
+                       "unknown set of environments; the only set is \"paper-test\"");
     return;
   }
   if (kind != MO_JSON_ARRAY) {
-    mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected",
+    mo_json_fault(json, "must be \"paper-test\" or an array of 1 to %d environments",
                   MO_ENVIRONMENTS_MAX);
     mo_json_skip(json);
     return;
@@ -150,7 +152,7 @@ static void read_environments(struct mo_json *json, void *value)
     n += n <= MO_ENVIRONMENTS_MAX;
   }
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
-    mo_json_fault_at(json, depth, "", "%s environments are given; 1 to %d are expected",
+    mo_json_fault_at(json, depth, "", "%s environments; their number must be 1 to %d",
                      n == 0 ? "no" : "too many", MO_ENVIRONMENTS_MAX);
   parts->n_environments = n;
 }
@@ -188,7 +190,7 @@ static void read_controller(struct mo_json *json, void *value)
       memcpy(parts->controller, text, sizeof(text));
     else
       mo_json_fault_at(json, depth, "",
-                       "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
+                       "must be a controller's name, or sha256: and 64 hexadecimal digits");
   }
 }
 
@@ -203,7 +205,7 @@ static void read_name(struct mo_json *json, void *value)
     memcpy(value, text, strlen(text) + 1);
   else
     mo_json_fault_at(json, depth, "",
-                     "a controller's name is expected: 1 to %d of a-z, 0-9, '.', '_' and '-', "
+                     "must be a controller's name: 1 to %d of a-z, 0-9, '.', '_' and '-', "
                      "beginning with a letter or digit",
                      MO_NAME_BYTES_MAX);
 }
@@ -219,8 +221,8 @@ static bool read_text(struct mo_json *json, size_t least, size_t most, char *tex
     return false;
   const size_t characters = mo_utf8_length(words.bytes, words.size);
   if (characters < least || characters > most) {
-    mo_json_fault_at(json, depth, "", "%zu characters are given; %s%zu are expected", characters,
-                     least > 0 ? "1 to " : "at most ", most);
+    mo_json_fault_at(json, depth, "", "must have %s%zu characters, got %zu",
+                     least > 0 ? "1 to " : "at most ", most, characters);
     return false;
   }
   memcpy(text, words.bytes, words.size);
@@ -242,7 +244,7 @@ static void read_experiment(struct mo_json *json, void *value)
     parts->job.experiment = parts->experiment;
 }
 
-/* Reads a text, or null, which removes it. has, words: members of the edit. */
+/* Reads a text, or null, which removes the text. has, words: members of the edit. */
 static void read_edit(struct mo_json *json, size_t least, size_t most, char *text, bool *has,
                       const char **words)
 {
@@ -300,8 +302,8 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
   if (digits.size > 0 && digits.bytes[0] != '0' &&
       mo_decimal(digits.bytes, digits.size, 1, INT64_MAX, id))
     return true;
-  mo_json_fault_at(json, depth, "",
-                   "the id of %s, a positive integer in decimal digits, is expected", what);
+  mo_json_fault_at(json, depth, "", "must be the id of %s, a positive integer in decimal digits",
+                   what);
   return false;
 }
 

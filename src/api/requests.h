@@ -2,9 +2,9 @@
  *
  * Each function parses `size` bytes (text[size] must be NUL). MO_OK: complete, with all defaults;
  * MO_ERR_FORMAT: not JSON (faults->malformed); MO_ERR_INVALID: see the faults; MO_ERR_NO_MEMORY.
- * Free `parts` in every case. With MO_ERR_INVALID, what the request names (controller, population,
- * initial campaign) still holds valid values, so that the caller can look it up and report all
- * faults at once. mo_post_sign completes `job`. */
+ * Free `parts` in every case. Even with MO_ERR_INVALID, the resources of the request (controller,
+ * population, initial campaign) have valid values, so that the caller can look them up and report
+ * all faults at once. mo_post_sign completes `job`. */
 #ifndef MORPHO_API_REQUESTS_H
 #define MORPHO_API_REQUESTS_H
 
@@ -17,11 +17,11 @@
 
 /* ---- what several bodies share (request_parts.c, design_request.c) ---- */
 
-/* How to treat an invalid design, and one in several pieces. */
+/* How to treat invalid designs and designs in several pieces. */
 enum mo_on_fault { MO_FAULT_REFUSE = 0, MO_FAULT_SKIP = 1 };
 enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 
-/* What a submission of any kind may ask for. */
+/* Everything that a submission of any kind may request. */
 struct mo_parts {
   struct mo_submission job; /* priority −1: not given */
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
@@ -49,9 +49,10 @@ extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_rep
 extern const struct mo_field_own mo_name_field;
 
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
- * placed, unless it was skipped. False: no memory. */
+ * placed, unless it was skipped. Returns false if memory runs out. */
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
-/* Adds a note on a design; one with a fault says that it was skipped. False: no memory. */
+/* Adds a note about a design. A note with a fault means that the design was skipped. Returns false
+ * if memory runs out. */
 bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
 /* Reads a robot's notation or an id, perhaps after the letter d as in CSV files, into the words of
  * a genotype with a workspace: placed. Errors and *orientation as in mo_genotype_from_robot. */
@@ -68,7 +69,7 @@ int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, 
                  struct mo_parts *parts, int (*check)(struct mo_json *json, void *parsed),
                  struct mo_faults *faults);
 
-/* Read, in a first pass, the members that others depend on: those of a whole text, or of the next
+/* Read, in a first pass, the members that others depend on, from a whole text or from the next
  * object. *given (nullable) is set if the key of the first row is present. They add no faults. */
 void mo_read_words(const char *text, size_t size, const struct mo_fields *fields, void *parsed,
                    bool *given);
@@ -106,7 +107,7 @@ struct mo_parsed_training {
   struct mo_parts parts;
   enum mo_learning_preset preset;
   bool has_kind, has_population;
-  enum mo_job_kind population_kind; /* of the job that gives the designs, if there is one */
+  enum mo_job_kind population_kind; /* kind of the job that provides the designs, if there is one */
 };
 int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed,
                       struct mo_faults *faults);
@@ -141,7 +142,7 @@ int mo_ask_parse(const char *text, size_t size, struct mo_parsed_ask *parsed,
 
 /* The body of PATCH /v1/jobs/{id}. */
 struct mo_parsed_edit {
-  struct mo_job_edit edit; /* its texts are those below */
+  struct mo_job_edit edit; /* its texts are the buffers below */
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1],
       note[MO_NOTE_BYTES_MAX + 1];
 };

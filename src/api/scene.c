@@ -191,7 +191,7 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 
 /* ---- whole scenes ---- */
 
-/* Writes numbers in rows as an array of float32. */
+/* Writes rows of numbers as an array of float32. */
 static void write_table(struct mo_text *text, struct mo_text *arrays, const struct mo_field *field,
                         const struct mo_environment *environment)
 {

@@ -19,12 +19,12 @@ struct mo_scene_array {
   uint32_t shape[3];
   unsigned dimensions;
 };
-/* Describes a channel of a recording of `frames` frames. False: it is not recorded. */
+/* Describes a channel of a recording of `frames` frames. Returns false if it was not recorded. */
 bool mo_scene_channel(const struct mo_recording *recording, enum mo_channel channel,
                       uint32_t frames, uint32_t n_masses, uint32_t n_springs,
                       struct mo_scene_array *array);
 /* Writes an array as a member of an object: a description, with the numbers at the end of `arrays`,
- * or, if that is NULL, the array as JSON. */
+ * or the array itself as JSON if `arrays` is NULL. */
 void mo_scene_write_array(struct mo_text *text, struct mo_text *arrays,
                           const struct mo_scene_array *array);
 /* Writes the arrays of a body's geometry, as members of an object: masses, springs, rest_lengths_m,
@@ -38,24 +38,25 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
 void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
                        bool as_scene);
 /* Replies with the phylogeny of a campaign as columns: the designs after number `after` (−1: all).
- * lineages: of these, only the living and their ancestors. tag: the ETag. */
+ * lineages: only the living ones and their ancestors. tag: the ETag. */
 void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,
                           const char *tag);
 
 /* ---- recordings ---- */
 
-/* Returns the array to send by default: masses, or else the first that is recorded. */
+/* Returns the array to send by default: masses, or else the first one that was recorded. */
 static inline unsigned mo_usual_channel(unsigned record)
 {
   return (unsigned)__builtin_ctz(record & MO_RECORD_MASSES ? MO_RECORD_MASSES : record);
 }
-/* Replies with the reason why there is no such recording: it was removed, is not made yet, or was
- * never made. */
+/* Replies with the reason why a recording does not exist: it was removed, has not been made yet, or
+ * was never made. */
 void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job, int error);
 
 /* ---- joining ---- */
 
-/* Joins header and arrays; *size bytes, malloc. NULL: no memory. Frees both. */
+/* Joins header and arrays, and frees both. Returns *size bytes (malloc), or NULL if memory runs
+ * out. */
 char *mo_scene_join(struct mo_text *header, struct mo_text *arrays, size_t *size);
 
 #endif

@@ -49,8 +49,7 @@ static bool read_since(struct mo_request *request, int64_t *since_us)
   if (end != NULL && *end == '.')
     end += 1 + strspn(end + 1, "0123456789");
   if (end == NULL || strcmp(end, "Z") != 0) {
-    mo_reply_bad_parameter(request, "since",
-                           "a time is expected, in UTC, such as 2026-11-21T11:34:04Z");
+    mo_reply_bad_parameter(request, "since", "must be a time in UTC, such as 2026-11-21T11:34:04Z");
     return false;
   }
   *since_us = (int64_t)timegm(&parts) * 1000000;
@@ -85,7 +84,7 @@ void mo_api_get_scores(struct mo_request *request)
 struct entering {
   struct mo_score_block *block;
   struct mo_scores_imported *entered;
-  uint32_t n; /* blocks that were entered */
+  uint32_t n; /* blocks that were imported */
   size_t at;  /* where the next one begins */
 };
 

@@ -22,12 +22,11 @@ static void reply_health(struct mo_request *request, const char *status)
   mo_text_object(&text);
   mo_text_member(&text, "status", status);
   mo_text_member(&text, "version", mo_api_of(request)->version);
-  mo_text_member(
-      &text, "notice",
-      store.clock_ahead_us > 0
-          ? "the clock is not credible, and nothing is deleted by age: set the clock, or "
-            "confirm it with morphod store accept-clock"
-          : NULL);
+  mo_text_member(&text, "notice",
+                 store.clock_ahead_us > 0
+                     ? "the clock is not credible, so no jobs are deleted by age; set the clock, "
+                       "or confirm it with morphod store accept-clock"
+                     : NULL);
   mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
 }

@@ -1,5 +1,5 @@
-/* several.c: finds the campaigns that a request names: by ids, label, experiment or group, or all.
- */
+/* several.c: finds the campaigns that a request selects: by ids, label, experiment or group, or all
+ * campaigns. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -38,7 +38,7 @@ static bool read_ids(struct mo_request *request, const char *text, int64_t *ids,
     snprintf(id, sizeof(id), "%.*s", (int)(size < sizeof(id) ? size : sizeof(id) - 1), text);
     if (!mo_id(id, member) || (*n > 0 && *member <= member[-1])) {
       mo_reply_bad_parameter(request, "campaigns",
-                             "ascending ids of campaigns, separated by commas, are expected");
+                             "must be ascending ids of campaigns, separated by commas");
       return false;
     }
     if (!mo_job_of_kind(request, &mo_campaign_resource, *member, &job))
@@ -58,13 +58,12 @@ bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n)
   *ids = NULL;
   *n = 0;
   if (!mo_read_job_filters(request, &query, label) ||
-      !mo_query_id(request, "group", "the id of a group, in decimal digits, is expected",
-                   &query.group))
+      !mo_query_id(request, "group", "must be the id of a group, in decimal digits", &query.group))
     return false;
   if ((listed != NULL) + (query.label != NULL) + (query.experiment != NULL) + (query.group > 0) >
       1) {
     mo_reply_bad_parameter(request, "campaigns",
-                           "only one of campaigns, group, label and experiment is expected");
+                           "give only one of campaigns, group, label and experiment");
     return false;
   }
   int64_t *found = malloc(CAMPAIGNS_MAX * sizeof(*found));
@@ -77,7 +76,7 @@ bool mo_find_campaigns(struct mo_request *request, int64_t **ids, uint32_t *n)
     good = error == MO_OK;
     if (error == MO_ERR_LIMIT)
       mo_reply_bad_parameter(request, query.label != NULL ? "label" : "campaigns",
-                             "more than 10,000 campaigns match; name fewer");
+                             "more than 10,000 campaigns match; select fewer");
     else if (error != MO_OK)
       mo_reply_error(request, error, "campaign");
   }

@@ -249,7 +249,7 @@ static int ask(struct mo_request *request, struct mo_post *post)
   if (error == MO_OK)
     mo_reply_json(request, 200, &text);
   else if (post->parsed && error == MO_ERR_CONFLICT)
-    mo_reply_problem(request, 409, NULL, "No bodies can be asked for: %s.",
+    mo_reply_problem(request, 409, NULL, "The study cannot be asked for bodies: %s.",
                      mo_post_words(post, error));
   else if (error == MO_ERR_NOT_FOUND)
     mo_reply_error(request, error, "study");
@@ -284,8 +284,7 @@ void mo_api_get_study_sampler(struct mo_request *request)
     return;
   }
   if (bytes == NULL) {
-    mo_reply_problem(request, 404, NULL,
-                     "The newest batch was told without a state of its sampler.");
+    mo_reply_problem(request, 404, NULL, "The newest batch was told without a sampler state.");
     return;
   }
   mo_sha256_of(bytes, size, &status.sampler_sha256);

@@ -1,7 +1,7 @@
 /* study_compare.c: see study_compare.h.
  *
- * The body is read once more, over the settings of the study instead of the defaults. A setting
- * that differs afterwards was given with another value. */
+ * The body is read a second time, over the study's settings instead of the defaults. If a setting
+ * differs afterward, the request gave it another value. */
 #include "api/study_compare.h"
 
 #include <stdio.h>
@@ -35,7 +35,7 @@ static void add(struct comparison *comparison, const char *pointer, const char *
                 const char *known)
 {
   char texts[2][VALUE_SHOWN + 4];
-  mo_faults_add(comparison->faults, MO_FAULT_BODY, pointer, "%s is given; study %lld has %s",
+  mo_faults_add(comparison->faults, MO_FAULT_BODY, pointer, "got %s, but study %lld has %s",
                 cut(given, texts[0]), (long long)comparison->status->job.id, cut(known, texts[1]));
 }
 
@@ -77,8 +77,8 @@ static void show(const double *numbers, uint32_t n, char text[VALUE_SHOWN])
     snprintf(text + at, VALUE_SHOWN - at, "]");
 }
 
-/* Of a table only the first number that differs is shown: those of a terrain that is drawn all
- * do. */
+/* For a table, shows only the first number that differs, because all numbers of a drawn terrain
+ * would differ. */
 static void compare_numbers(struct comparison *comparison, const struct mo_field *field,
                             uint32_t place, const double *given, const double *known)
 {
@@ -130,7 +130,7 @@ static void compare_environments(struct comparison *comparison, const struct mo_
       compare_environment(comparison, i, &parts->environments[i], &known[i]);
 }
 
-/* ---- settings that are not of the search ---- */
+/* ---- settings that do not belong to the search ---- */
 
 static void compare_job(struct comparison *comparison, const struct mo_parsed_campaign *parsed)
 {
@@ -177,7 +177,8 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
   comparison.error =
       mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
   given = in_numbers(&parsed.request.record);
-  given.settings.generations = known.settings.generations; /* as many as the client sends */
+  given.settings.generations = known.settings.generations; /* the client can send any number of
+                                                            * them */
   if (comparison.error == MO_OK) {
     mo_fields_compare(&mo_campaign_record_fields, "", &given, &known, differs, &comparison);
     if (parsed.preset >= 0)

@@ -6,9 +6,9 @@
 #include "store/campaign_records.h"
 
 /* Compares a request that mo_campaign_parse has read with the study of its label. Adds a fault for
- * each setting that is given and differs from the study's. Settings that are not given are taken
- * from the study. environments: (status->record.n_environments) those of the study; controller: the
- * hash of the controller that the request names, if it names one. MO_OK, with or without faults;
+ * each setting in the request that differs from the study's. Missing settings are taken from the
+ * study. environments: (status->record.n_environments) the study's environments; controller: the
+ * hash of the request's controller, if it has one. MO_OK, with or without faults;
  * MO_ERR_NO_MEMORY. */
 int mo_study_compare(const char *text, size_t size, const struct mo_campaign_status *status,
                      const struct mo_environment *environments, const struct mo_sha256 *controller,

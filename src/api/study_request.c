@@ -1,4 +1,4 @@
-/* study_request.c: the bodies of POST …/tell and …/ask. Every fault names its place: a voxel out of
+/* study_request.c: the bodies of POST …/tell and …/ask. Every fault has its place: a voxel out of
  * bounds is at /children/3/body/cells/7/0. */
 #include <math.h>
 #include <stdio.h>
@@ -11,7 +11,8 @@
 
 /* ---- words ---- */
 
-/* Finds a word among those of the batch, or adds it. Returns its place; −1: a fault was added. */
+/* Finds a word among those of the batch, or adds it. Returns its place, or −1 after adding a
+ * fault. */
 static int place_word(struct mo_json *json, struct mo_json_slice word, unsigned depth,
                       char words[][MO_STUDY_WORD_MAX + 1], uint32_t *n, uint32_t most)
 {
@@ -22,14 +23,15 @@ static int place_word(struct mo_json *json, struct mo_json_slice word, unsigned 
     memcpy(text, word.bytes, word.size);
   if (text[0] == '\0' || strspn(text, letters) != word.size) {
     mo_json_fault_at(json, depth, "",
-                     "a word of 1 to %d of A-Z, a-z, 0-9, '_', '.' and '-' is expected",
+                     "must be a word of 1 to %d of A-Z, a-z, 0-9, '_', '.' and '-'",
                      MO_STUDY_WORD_MAX);
     return -1;
   }
   while (i < *n && strcmp(words[i], text) != 0)
     i++;
   if (i == most) {
-    mo_json_fault_at(json, depth, "", "more than %u of these words are given", (unsigned)most);
+    mo_json_fault_at(json, depth, "", "there may be at most %u different words of this kind",
+                     (unsigned)most);
     return -1;
   }
   if (i == *n)
@@ -62,7 +64,7 @@ static void read_parents(struct mo_json *json, uint32_t parents[2])
   uint32_t n = 0;
   mo_json_counts(json, MO_NO_PARENT - 1, parents, 2, &n);
   if (n > 2)
-    mo_json_fault_at(json, depth, "", "%u parents are given; at most 2 are expected", n);
+    mo_json_fault_at(json, depth, "", "must be at most 2 parents, got %u", n);
 }
 
 /* measures: (MO_STUDY_MEASURES_MAX) */
@@ -82,7 +84,7 @@ static void read_measures(struct mo_json *json, struct mo_study_words *words, do
 }
 
 /* Skips or refuses the child that was read last if its body does not fit the workspace. Returns
- * false without memory. */
+ * false if memory runs out. */
 static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t place)
 {
   const struct mo_workspace w = parsed->workspace;
@@ -97,8 +99,8 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
     return true;
   snprintf(note.fault.where, sizeof(note.fault.where), "/children/%u/body", place);
   snprintf(note.fault.detail, sizeof(note.fault.detail),
-           "the body does not fit the workspace of the study, which has %u × %u × %u voxels, and "
-           "bodies are not turned",
+           "the body does not fit the study's workspace, which has %u × %u × %u voxels; bodies are "
+           "not rotated to fit",
            w.nx, w.ny, w.nz);
   if (parts->on_fault != MO_FAULT_SKIP) {
     mo_json_fault(json, "%s", note.fault.detail);
@@ -110,7 +112,7 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
   return mo_parts_note(parts, &note);
 }
 
-/* Reads a child. *is_kept: it was not skipped. Returns false without memory. */
+/* Reads a child. *is_kept: it was not skipped. Returns false if memory runs out. */
 static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
                        struct mo_study_child *child, double *measures, bool *is_kept)
 {
@@ -138,7 +140,7 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
       mo_fields_unknown(json, "body, parents, operator or measures", NULL);
   }
   if (!json->stop && !has_body)
-    mo_json_fault_at(json, depth, "", "body is missing: a design");
+    mo_json_fault_at(json, depth, "", "body is missing; it must be a design");
   *is_kept = parsed->parts.n_designs > before;
   if (*is_kept)
     child->genotype = mo_genotype_of(MO_STORE_WORKSPACE, &parsed->parts.genotypes[before]);
@@ -179,8 +181,7 @@ static void read_children(struct mo_json *json, void *value)
     batch->n_children += is_kept;
   }
   if (n > MO_DESIGNS_MAX)
-    mo_json_fault_at(json, depth, "", "%u children are given; at most %d are expected", n,
-                     MO_DESIGNS_MAX);
+    mo_json_fault_at(json, depth, "", "must be at most %d children, got %u", MO_DESIGNS_MAX, n);
 }
 
 /* Packs the measures: while they are read, each child has room for the largest number of measures.
@@ -195,7 +196,7 @@ static void pack_measures(struct mo_study_batch *batch, uint32_t n_measures)
 
 /* ---- the other members ---- */
 
-/* Reads numbers of designs (malloc). Returns false without memory. */
+/* Reads numbers of designs (malloc). Returns false if memory runs out. */
 static bool read_numbers(struct mo_json *json, uint32_t most, uint32_t **numbers, uint32_t *ret_n)
 {
   const unsigned depth = json->depth;
@@ -215,7 +216,7 @@ static bool read_numbers(struct mo_json *json, uint32_t most, uint32_t **numbers
     }
   }
   if (n > most)
-    mo_json_fault_at(json, depth, "", "%u numbers are given; at most %u are expected", n, most);
+    mo_json_fault_at(json, depth, "", "must be at most %u numbers, got %u", most, n);
   *ret_n = n < most ? n : most;
   return memory;
 }
@@ -245,7 +246,7 @@ static void read_sampler(struct mo_json *json, void *value)
   if (!mo_json_text(json, &text))
     return;
   if (text.size / 4 * 3 > MO_SAMPLER_BYTES_MAX + 2) {
-    mo_json_fault_at(json, depth, "", "more than %zu bytes are given", MO_SAMPLER_BYTES_MAX);
+    mo_json_fault_at(json, depth, "", "must be at most %zu bytes", MO_SAMPLER_BYTES_MAX);
     return;
   }
   uint8_t *bytes = malloc(text.size / 4 * 3 + 1);
@@ -253,7 +254,7 @@ static void read_sampler(struct mo_json *json, void *value)
     parsed->parts.error = MO_ERR_NO_MEMORY;
   else if (!mo_base64_decode(text.bytes, text.size, bytes, &parsed->telling.sampler_size) ||
            parsed->telling.sampler_size == 0 || parsed->telling.sampler_size > MO_SAMPLER_BYTES_MAX)
-    mo_json_fault_at(json, depth, "", "1 to %zu bytes in Base64, with its padding, are expected",
+    mo_json_fault_at(json, depth, "", "must be 1 to %zu bytes in Base64 with padding",
                      MO_SAMPLER_BYTES_MAX);
   parsed->telling.sampler = bytes;
 }
@@ -277,9 +278,9 @@ static int check(struct mo_json *json, void *any)
 {
   const struct mo_parsed_telling *parsed = any;
   if (parsed->telling.batch.number == UINT32_MAX)
-    mo_json_fault_at(json, 0, "", "batch is missing: the number of the next batch");
+    mo_json_fault_at(json, 0, "", "batch is missing; it must be the number of the next batch");
   if (!parsed->has_children)
-    mo_json_fault_at(json, 0, "", "children is missing: an array of at most %d children",
+    mo_json_fault_at(json, 0, "", "children is missing; it must be an array of at most %d children",
                      MO_DESIGNS_MAX);
   return MO_OK;
 }
@@ -336,7 +337,7 @@ static int check_ask(struct mo_json *json, void *any)
 {
   const struct mo_parsed_ask *parsed = any;
   if (parsed->ask.n == 0 && json->faults->n == 0)
-    mo_json_fault_at(json, 0, "", "n is missing: the number of bodies");
+    mo_json_fault_at(json, 0, "", "n is missing; it must be the number of bodies");
   return parsed->error;
 }
 

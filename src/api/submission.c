@@ -18,8 +18,7 @@ static bool begin(struct mo_request *request, struct mo_post *post)
   if (field == NULL)
     return true;
   if (!mo_idempotency_key(field, post->key_text)) {
-    mo_reply_bad_header(request, "Idempotency-Key",
-                        "1 to 255 printable ASCII characters are expected");
+    mo_reply_bad_header(request, "Idempotency-Key", "must be 1 to 255 printable ASCII characters");
     return false;
   }
   post->key.text = post->key_text;
@@ -129,7 +128,7 @@ static void reply_not_stored(struct mo_request *request, struct mo_post *post, i
     pointer = pointers->conflict;
     break;
   case MO_ERR_BUSY:
-    mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
+    mo_reply_problem(request, 503, NULL, "The queue is full; try again when some jobs have ended.");
     request->reply.retry_after_s = 10;
     return;
   default: mo_reply_error(request, error, post->what); return;
@@ -168,16 +167,16 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
   int code = reference != NULL ? mo_store_controller(store, reference, &controller) : MO_OK;
   if (code == MO_ERR_NOT_FOUND)
     mo_faults_add(faults, MO_FAULT_BODY, "/controller",
-                  "there is no controller \"%.80s\"; GET /v1/controllers lists those that exist",
+                  "controller \"%.80s\" does not exist; GET /v1/controllers lists all controllers",
                   reference);
   else if (reference != NULL && code == MO_OK &&
            (controller.workspace.nx != ours.nx || controller.workspace.ny != ours.ny ||
             controller.workspace.nz != ours.nz))
-    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
-                  "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; one for %u × %u "
-                  "× %u is expected",
-                  reference, controller.workspace.nx, controller.workspace.ny,
-                  controller.workspace.nz, ours.nx, ours.ny, ours.nz);
+    mo_faults_add(
+        faults, MO_FAULT_BODY, "/controller",
+        "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; use one for %u × %u × %u",
+        reference, controller.workspace.nx, controller.workspace.ny, controller.workspace.nz,
+        ours.nx, ours.ny, ours.nz);
 }
 
 void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,
@@ -186,6 +185,6 @@ void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
   struct mo_job job;
   int code = id > 0 ? mo_store_job(store, id, &job) : MO_ERR_EMPTY;
   if (code == MO_ERR_NOT_FOUND || (code == MO_OK && job.kind != kind))
-    mo_faults_add(faults, MO_FAULT_BODY, pointer, "there is no %s %lld; the id of one is expected",
-                  mo_job_kind_name(kind), (long long)id);
+    mo_faults_add(faults, MO_FAULT_BODY, pointer, "%s %lld does not exist", mo_job_kind_name(kind),
+                  (long long)id);
 }

@@ -1,4 +1,4 @@
-/* submission.h: what all submissions of work have in common. */
+/* submission.h: shared by all submissions of work. */
 #ifndef MORPHO_API_SUBMISSION_H
 #define MORPHO_API_SUBMISSION_H
 
@@ -19,7 +19,7 @@ struct mo_post {
   bool parsed;               /* the body is valid: later faults are found by storing it */
   struct mo_refusal_pointers pointers;
   struct mo_message message; /* why it was not stored */
-  struct mo_faults faults;   /* of the body, and of the resources that it names */
+  struct mo_faults faults;   /* faults in the body, and in the resources that it refers to */
 };
 
 /* Handles a whole submission: checks what every submission must satisfy (JSON, a service that takes
@@ -28,7 +28,7 @@ struct mo_post {
  * memory of the body is then freed. */
 bool mo_handle_submission(struct mo_request *request, const char *what,
                           int (*submit)(struct mo_request *request, struct mo_post *post));
-/* Returns the name of the caller's token; NULL: the request came without one. */
+/* Returns the name of the caller's token, or NULL if the request has no token. */
 const char *mo_user_of(const struct mo_request *request);
 /* Sets who submits a job, and the key. */
 void mo_post_sign(const struct mo_request *request, const struct mo_post *post,
@@ -36,7 +36,7 @@ void mo_post_sign(const struct mo_request *request, const struct mo_post *post,
 /* Returns why the submission was not stored. */
 const char *mo_post_words(const struct mo_post *post, int error);
 /* Returns the key of a request about job `id`, filled into `known`. The same body for another job,
- * or for another action (`what`), counts as another request. NULL: no key was sent. */
+ * or for another action (`what`), counts as another request. Returns NULL if no key was sent. */
 const struct mo_request_key *mo_post_key_of(const struct mo_post *post, const char *what,
                                             int64_t id, struct mo_request_key *known);
 
@@ -50,11 +50,11 @@ void mo_reply_parse_error(struct mo_request *request, int error, const struct mo
                           const char *what);
 void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);
 
-/* Returns whether to look up what a request names: storing it did not find something, or the body
- * is invalid and the client should get all faults at once. */
+/* Returns whether to look up the resources of a request: if storing the job did not find one of
+ * them, or if the body is invalid and the client should get all faults at once. */
 bool mo_names_unknown(const struct mo_post *post, int error);
-/* Look up what a request names: a controller of the service's workspace (NULL: none), or a job of
- * this kind (0: none). Add a fault if it does not exist. */
+/* Look up a resource of a request: a controller for the service's workspace (NULL: none), or a job
+ * of this kind (0: none). Add a fault if it does not exist. */
 void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults);
 void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,
                     struct mo_faults *faults);

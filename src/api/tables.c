@@ -1,6 +1,6 @@
-/* tables.c: lists and curves in forms other than JSON. The handler of a list makes its pages as
- * JSON. Lines and columns are made from these, page by page, so that any number of lines needs the
- * memory of one page. See tables.h. */
+/* tables.c: lists and curves in formats other than JSON. The handler of a list makes its pages as
+ * JSON. Lines and columns are made from these pages one by one, so that any number of lines needs
+ * the memory of only one page. See tables.h. */
 #include "api/tables.h"
 
 #include <math.h>
@@ -17,7 +17,7 @@
 #define COLUMNS_SIZE ((size_t)64 << 20) /* bytes of all columns of a reply */
 #define PATH_BYTES   96
 
-/* ---- forms ---- */
+/* ---- formats ---- */
 
 static const char *const forms[] = {"json", "csv", "ndjson", "columns", NULL};
 static const char *const types[] = {"application/json", "text/csv", "application/x-ndjson",
@@ -64,7 +64,7 @@ struct table {
   char *body;              /* of a page, malloc; NULL: not read yet */
   size_t size;
   char cursor[256], limit[24];
-  uint64_t left; /* rows that may still be taken */
+  uint64_t left; /* rows that may still be added */
   uint32_t n_rows;
   unsigned n;
   struct column columns[COLUMNS_MAX];
@@ -150,7 +150,7 @@ static bool leads_to(const struct column *column, const char *path, size_t size)
   return column->size > size && memcmp(column->path, path, size) == 0 && column->path[size] == '.';
 }
 
-/* Keeps the value: in CSV strings are decoded; anything else is kept as it is written. */
+/* Keeps the value. For CSV, strings are decoded; anything else is kept as written. */
 static void keep(struct table *table, struct column *column)
 {
   struct mo_json *json = &table->json;
@@ -215,7 +215,7 @@ static void write_quoted(struct mo_text *text, const char *bytes, size_t size)
   mo_text_bytes(text, "\"", 1);
 }
 
-/* Appends a text as a cell of CSV, in quotes where it needs them. */
+/* Appends a text as a CSV cell, in quotes if it needs them. */
 static void write_text(struct mo_text *text, const char *bytes, size_t size)
 {
   bool plain = size > 0 && bytes[0] != ' ' && bytes[size - 1] != ' ';

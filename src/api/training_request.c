@@ -34,9 +34,9 @@ static void read_population(struct mo_json *json, void *value)
     }
   }
   if (!json->stop && jobs != 1)
-    mo_json_fault_at(json, depth, "",
-                     "a population comes from exactly one job: evaluation, for the designs of that "
-                     "evaluation, or campaign, for the newest population of that campaign");
+    mo_json_fault_at(
+        json, depth, "",
+        "must have exactly one of evaluation (its designs) and campaign (its newest population)");
 }
 
 /* ---- the whole body ---- */
@@ -62,15 +62,13 @@ static void check_finetune(struct mo_json *json, const struct mo_parsed_training
 {
   bool designs = parsed->parts.has_designs;
   if (designs == parsed->has_population)
-    mo_json_fault_at(json, 0, "",
-                     "%s; a finetuning learns from exactly one of designs (a list) and population "
-                     "(those of an evaluation or a campaign)",
+    mo_json_fault_at(json, 0, "", "%s; a finetuning needs exactly one of them",
                      designs ? "both designs and population are given"
                              : "neither designs nor population is given");
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller",
-                     "null is given; a finetuning starts from a controller: its name, or sha256: "
-                     "and 64 hexadecimal digits, is expected");
+                     "must not be null, because a finetuning starts from a controller; give its "
+                     "name, or sha256: and 64 hexadecimal digits");
   if (parsed->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
     mo_json_fault_at(json, 0, "/preset",
                      "\"phototaxis\" is a preset of pretraining; use \"workstation\" or \"paper\" "
@@ -83,14 +81,14 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (parsed->parts.has_designs)
     mo_json_fault_at(json, 0, "/designs",
-                     "a pretraining draws its own bodies; designs are for a finetuning only");
+                     "a pretraining draws its own bodies; only a finetuning has designs");
   if (parsed->has_population)
     mo_json_fault_at(json, 0, "/population",
-                     "a pretraining draws its own bodies; a population is for a finetuning only");
+                     "a pretraining draws its own bodies; only a finetuning has a population");
   if (bodies > MO_TRAINING_BODIES_MAX)
     mo_json_fault_at(
         json, 0, "/steps",
-        "%u steps of %u bodies are %llu; a pretraining has at most %llu distinct bodies",
+        "%u steps of %u bodies need %llu distinct bodies; a pretraining has at most %llu",
         settings->n_steps, settings->batch, (unsigned long long)bodies,
         (unsigned long long)MO_TRAINING_BODIES_MAX);
 }
@@ -104,7 +102,7 @@ static int check(struct mo_json *json, void *any)
   bool finetune = settings->kind == MO_TRAINING_FINETUNE;
   bool has_sensor = (int)settings->sensor >= 0;
   if (!parsed->has_kind)
-    mo_json_fault_at(json, 0, "", "kind is missing: \"pretrain\" or \"finetune\"");
+    mo_json_fault_at(json, 0, "", "kind is missing; it must be \"pretrain\" or \"finetune\"");
   else if ((int)settings->kind < 0)
     return MO_OK; /* reported already */
   if (parsed->has_kind && finetune)

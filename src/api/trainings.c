@@ -16,7 +16,7 @@ static const char *kind_name(const struct mo_training_status *status)
 }
 
 /* Returns the steps applied. After a crash, a run that resumed from a checkpoint may be behind the
- * stored curve. A run that is being prepared does not know its step yet. */
+ * stored curve. A run that is being prepared does not have its step yet. */
 static uint32_t step_of(const struct mo_training_status *status, const struct mo_live *live)
 {
   if (live->phase == MO_PHASE_IDLE)
@@ -30,7 +30,7 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
   const struct mo_training_record *record = &status->record;
   struct mo_training_record shown = *record;
   if (status->job.has_controller)
-    shown.settings.sensor = (enum mo_sensor) - 1; /* null: that of the parent */
+    shown.settings.sensor = (enum mo_sensor) - 1; /* null: the sensor of the parent */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_training_record_fields, &shown);
   mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,

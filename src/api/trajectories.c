@@ -53,11 +53,10 @@ void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job,
   if (error != MO_ERR_NOT_FOUND)
     mo_reply_error(request, error, "trajectory");
   else if (job->recordings_removed_us != 0)
-    mo_reply_problem(
-        request, 410, NULL,
-        "The recordings of this evaluation were removed, to make room (max_recordings) or on "
-        "request. POST /v1/rollouts computes the same motion again from the genotype in the "
-        "results. Submitting the evaluation again does so, too.");
+    mo_reply_problem(request, 410, NULL,
+                     "The recordings of this evaluation were removed, to free space "
+                     "(max_recordings) or on request. To recompute the same motion, use POST "
+                     "/v1/rollouts with the genotype in the results, or resubmit the evaluation.");
   else if (mo_job_state_is_final(job->state))
     mo_reply_problem(request, 404, NULL, "This rollout was not recorded: the evaluation has %s.",
                      state);
@@ -66,7 +65,7 @@ void mo_reply_no_recording(struct mo_request *request, const struct mo_job *job,
                      state);
 }
 
-/* The rollout that the path and the query name. */
+/* The rollout that the path and the query specify. */
 struct place {
   int64_t evaluation, design, environment;
   int array; /* of mo_channel_words; −1: any */
@@ -83,7 +82,7 @@ static struct mo_trajectory *read_trajectory(struct mo_request *request, struct 
     return NULL;
   if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, &place->design)) {
     mo_reply_problem(request, 404, NULL,
-                     "There is no such design: its place in the request, from 0, is expected.");
+                     "There is no such design: give its place in the request, counting from 0.");
     return NULL;
   }
   if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, &place->environment) ||
@@ -248,8 +247,8 @@ void mo_api_delete_trajectories(struct mo_request *request)
   const int error = mo_store_trajectories_remove(mo_api_of(request)->store, id, &bytes);
   if (error == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL,
-                     "The evaluation has not ended and continues from its recordings; they can be "
-                     "deleted once it has ended or was cancelled.");
+                     "The evaluation has not ended, and continues from its recordings. Delete them "
+                     "after it has ended or was cancelled.");
   } else if (error != MO_OK) {
     mo_reply_error(request, error, "evaluation");
   } else {

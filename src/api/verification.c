@@ -1,4 +1,4 @@
-/* verification.c: POST /v1/fleet/verify: computes the results of a worker again. */
+/* verification.c: POST /v1/fleet/verify: recomputes the results of a worker. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 
 /* ---- the request ---- */
 
-#define LIMIT 16 /* rows, unless the request says how many */
+#define LIMIT 16 /* rows, unless the request gives a number */
 
 struct parsed {
   char origin[MO_ORIGIN_BYTES]; /* NAME@HOST, or a host */
@@ -33,7 +33,7 @@ static void read_place(struct mo_json *json, void *value)
       mo_decimal(dash + 1, text.size - n - 1, 1, INT64_MAX, &place.condition))
     *(struct mo_origin_place *)value = place;
   else
-    mo_json_fault_at(json, depth, "", "the `next` of an earlier reply is expected");
+    mo_json_fault_at(json, depth, "", "must be the `next` of an earlier reply");
 }
 
 static const struct mo_field_own origin_place = {.read = read_place};
@@ -51,7 +51,7 @@ static int check(struct mo_json *json, void *any)
 {
   const struct parsed *parsed = any;
   if (json->faults->n == 0 && parsed->origin[0] == '\0')
-    mo_json_fault_at(json, 0, "", "origin is expected");
+    mo_json_fault_at(json, 0, "", "origin is missing; give NAME@HOST, or a host");
   return MO_OK;
 }
 
@@ -124,7 +124,7 @@ void mo_api_verify_origin(struct mo_request *request)
   else
     reply(request, &verification);
   if (error == MO_OK && verification.n > 0)
-    mo_request_note(request, "%zu rows of losses from \"%s\" differ from what is computed%s",
-                    verification.n, parsed.origin, parsed.repair ? ", and are replaced" : "");
+    mo_request_note(request, "%zu rows of losses from \"%s\" differ from the recomputed rows%s",
+                    verification.n, parsed.origin, parsed.repair ? ", and were replaced" : "");
   free(verification.rows);
 }

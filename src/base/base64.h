@@ -6,10 +6,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define MO_BASE64_BYTES(n) (((n) + 2) / 3 * 4 + 1) /* of the text for n bytes, with its NUL */
+#define MO_BASE64_BYTES(n) (((n) + 2) / 3 * 4 + 1) /* size of the text, with its NUL */
 void mo_base64_encode(const void *bytes, size_t n, char text[]);
-/* Decodes `size` characters; bytes: room for size / 4 · 3. *n: bytes written. False: the text is
- * not Base64, has blanks, lacks padding, or has bits beyond the last byte. */
+/* Decodes `size` characters; bytes: room for size / 4 · 3. *n: bytes written. Returns false if the
+ * text is not Base64, has blanks, lacks padding, or has bits beyond the last byte. */
 bool mo_base64_decode(const char *text, size_t size, uint8_t *bytes, size_t *n);
 
 #endif

@@ -1,4 +1,4 @@
-/* error.c: error codes in words. */
+/* error.c: texts for error codes. */
 #include <morpho/error.h>
 
 #include <stdarg.h>

@@ -123,8 +123,8 @@ static void read_text(struct mo_json *json, const struct mo_field *field, char *
     memcpy(value, text.bytes, text.size);
     value[text.size] = '\0';
   } else {
-    mo_json_fault_at(json, depth, "", "%.0f to %.0f %scharacters are expected", field->min,
-                     field->max, is_ascii ? "printable ASCII " : "");
+    mo_json_fault_at(json, depth, "", "must have %.0f to %.0f %scharacters", field->min, field->max,
+                     is_ascii ? "printable ASCII " : "");
   }
 }
 
@@ -141,10 +141,10 @@ static void read_array(struct mo_json *json, const struct mo_field *field, uint3
     else
       mo_json_skip(json);
   if (!json->stop && given != n)
-    mo_json_fault_at(json, depth, "", "%u numbers are given; exactly %u are expected", given, n);
+    mo_json_fault_at(json, depth, "", "must be an array of %u numbers, got %u", n, given);
 }
 
-/* Says whether the array that is next begins with an array. */
+/* Returns whether the next array begins with an array. */
 static bool is_nested(const struct mo_json *json)
 {
   struct mo_faults faults = {0}; /* the reading reports them */
@@ -170,7 +170,7 @@ static void read_numbers(struct mo_json *json, const struct mo_field *field, dou
     else
       mo_json_skip(json);
   if (!json->stop && n != rows)
-    mo_json_fault_at(json, depth, "", "%u rows are given; exactly %u are expected", n, rows);
+    mo_json_fault_at(json, depth, "", "must have %u rows, got %u", rows, n);
 }
 
 static bool read_null(struct mo_json *json, const struct mo_field *field, void *value)
@@ -235,7 +235,7 @@ void mo_fields_unknown(struct mo_json *json, const char *known, const struct mo_
     mo_text_add(&text, known);
   if (fields != NULL)
     add_names(&text, fields);
-  mo_json_fault(json, "unknown field; expected are %s",
+  mo_json_fault(json, "unknown field; the fields are %s",
                 text.failed || text.size == 0 ? "others" : text.data);
   mo_text_free(&text);
   mo_json_skip(json);

@@ -62,7 +62,7 @@ struct mo_field {
   const char *const *words;      /* of a word; NULL after the last */
   const struct mo_fields *group; /* of a group, inline or not; of an own type: its members */
   const struct mo_field_own *own;
-  unsigned since;   /* first version of the packed form that has the row; 0: every one */
+  unsigned since;   /* the first version of the packed form that has the row; 0: every version */
   const char *unit; /* "m", "s"; "": none */
   const char *help; /* one line without a period */
 };
@@ -77,9 +77,9 @@ struct mo_fields {
     rows, sizeof(rows) / sizeof((rows)[0])                                                         \
   }
 
-/* Reads the value of member `key` into `settings`. False: no row has this name. An invalid value
- * adds a fault and leaves the setting unchanged, but for those of several numbers that are valid.
- */
+/* Reads the value of member `key` into `settings`. Returns false if no row has this name. An
+ * invalid value adds a fault and leaves the setting unchanged; in an array, only the invalid
+ * numbers stay unchanged. */
 bool mo_fields_read_member(struct mo_json *json, struct mo_json_slice key,
                            const struct mo_fields *fields, void *settings);
 /* Reads one object. An unknown member adds a fault that lists the rows. */
@@ -99,8 +99,8 @@ void mo_fields_write(struct mo_text *text, const struct mo_fields *fields, const
 void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields,
                             const void *settings);
 
-/* Calls `differs` for each row in which two structs differ, with its JSON pointer below `above` and
- * both values as JSON (NULL: out of memory). */
+/* Calls `differs` for each row that differs between two structs, with its JSON pointer below
+ * `above` and both values as JSON (NULL: out of memory). */
 void mo_fields_compare(const struct mo_fields *fields, const char *above, const void *first,
                        const void *second,
                        void (*differs)(void *context, const char *pointer, const char *first,
@@ -115,23 +115,26 @@ int mo_fields_check(const struct mo_fields *fields, const char *above, const voi
 
 /* ---- the packed form ----
  *
- * For tables of numbers, seeds, counts, words, flags and groups of these. First come the values of
- * eight bytes (numbers, seeds), then of four (counts, words), then of one (flags), each in the
- * order of the rows, without gaps, in the byte order of memory. It is never larger than the struct.
+ * For tables of numbers, seeds, counts, words, flags and groups of these. Values of eight bytes
+ * (numbers, seeds) come first, then values of four (counts, words), then values of one (flags),
+ * each in the order of the rows, without gaps, in the byte order of memory. It is never larger than
+ * the struct.
  *
- * A row that is added later names the next version in `since`. A struct whose added rows have their
- * defaults is packed in the older version: its bytes, and hashes of them, do not change. So the
- * default of an added row never changes. */
+ * A row that is added later has the next version in `since`. If the added rows of a struct have
+ * their defaults, it is packed in the older version, so that its bytes and their hashes do not
+ * change. For this reason, the default of an added row must never change. */
 size_t mo_fields_packed_bytes(const struct mo_fields *fields, unsigned version);
 void mo_fields_pack(const struct mo_fields *fields, unsigned version, const void *settings,
                     uint8_t *bytes);
-/* Leaves rows that are newer than `version` unchanged. False: a word or flag has no such value. */
+/* Leaves rows that are newer than `version` unchanged. Returns false if a word or flag has an
+ * invalid value. */
 bool mo_fields_unpack(const struct mo_fields *fields, unsigned version, const uint8_t *bytes,
                       void *settings);
-/* Returns the first version, at least 1, that has all rows with other values than the defaults. */
+/* Returns the first version, at least 1, that has all rows with values other than their
+ * defaults. */
 unsigned mo_fields_version(const struct mo_fields *fields, const void *settings,
                            const void *defaults);
-/* Makes each −0 a 0: then equal structs have equal packed forms. */
+/* Replaces each −0 by 0, so that equal structs have equal packed forms. */
 void mo_fields_clear_minus(const struct mo_fields *fields, void *settings);
 bool mo_fields_equal(const struct mo_fields *fields, const void *first, const void *second);
 

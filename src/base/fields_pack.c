@@ -1,5 +1,5 @@
-/* fields_pack.c: the packed form of a struct that a table of fields describes, and the comparison
- * of two structs by their table; see fields.h. */
+/* fields_pack.c: the packed form of a struct that a table of fields describes, and comparing two
+ * structs by their table; see fields.h. */
 #include "base/fields.h"
 
 #include <string.h>
@@ -7,8 +7,8 @@
 _Static_assert(sizeof(uint64_t) == sizeof(double) && sizeof(enum mo_field_type) == sizeof(uint32_t),
                "values have the width that width_of returns");
 
-/* Returns the bytes of a packed value, or of each of several; 0: the row has members, or no packed
- * form. */
+/* Returns the bytes of a packed value, or of each of several values. Returns 0 if the row has
+ * members, or no packed form. */
 static size_t width_of(const struct mo_field *row)
 {
   switch (row->type) {
@@ -41,7 +41,7 @@ size_t mo_fields_packed_bytes(const struct mo_fields *fields, unsigned version)
 
 /* ---- packing ---- */
 
-/* Packs the values of one width; returns the end of what it wrote. */
+/* Packs the values of one width. Returns the end of what it wrote. */
 static uint8_t *pack_width(const struct mo_fields *fields, unsigned version, size_t width,
                            const char *settings, uint8_t *to)
 {
@@ -65,7 +65,7 @@ void mo_fields_pack(const struct mo_fields *fields, unsigned version, const void
     bytes = pack_width(fields, version, widths[i], settings, bytes);
 }
 
-/* Says whether the bytes are a value of the row's type. */
+/* Returns whether the bytes are a value of the row's type. */
 static bool is_value(const struct mo_field *row, const uint8_t *bytes)
 {
   uint32_t word;
@@ -77,7 +77,8 @@ static bool is_value(const struct mo_field *row, const uint8_t *bytes)
   return word < mo_words_count(row->words);
 }
 
-/* Unpacks the values of one width; returns the end of what it read, NULL after a bad value. */
+/* Unpacks the values of one width. Returns the end of what it read, or NULL after an invalid
+ * value. */
 static const uint8_t *unpack_width(const struct mo_fields *fields, unsigned version, size_t width,
                                    const uint8_t *from, char *settings)
 {

@@ -13,7 +13,7 @@
 
 /* ---- places ---- */
 
-/* Reads four hexadecimal digits; −1: not four digits. */
+/* Reads four hexadecimal digits. Returns −1 if there are not four digits. */
 static long four_digits(const char *bytes, size_t n)
 {
   long code = 0;
@@ -26,8 +26,8 @@ static long four_digits(const char *bytes, size_t n)
   return code;
 }
 
-/* Reads the escape at the start of `bytes`. Returns the character; −1: *words says what is
- * wrong. */
+/* Reads the escape at the start of `bytes`. Returns the character, or −1 with the reason in
+ * *words. */
 static long read_escape(const char *bytes, size_t n, size_t *size, const char **words)
 {
   static const char names[] = "\"\\/bfnrt", values[] = "\"\\/\b\f\n\r\t";
@@ -41,17 +41,17 @@ static long read_escape(const char *bytes, size_t n, size_t *size, const char **
   const long low =
       is_high && n > 8 && bytes[6] == '\\' && bytes[7] == 'u' ? four_digits(bytes + 8, n - 8) : -1;
   if (n < 2 || bytes[1] != 'u')
-    *words = "an unknown escape";
+    *words = "unknown escape in a string";
   else if (code < 0)
     *words = "\\u needs four hexadecimal digits";
   else if (code == 0)
     *words = "\\u0000 is not allowed";
   else if (code >= 0xDC00 && code < 0xE000)
-    *words = "a low surrogate without a high one";
+    *words = "invalid \\u escape: a low surrogate without a high surrogate";
   else if (!is_high)
     return code;
   else if (low < 0xDC00 || low >= 0xE000)
-    *words = "a high surrogate without a low one";
+    *words = "invalid \\u escape: a high surrogate without a low surrogate";
   else {
     *size = 12;
     return 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
@@ -189,8 +189,7 @@ bool mo_json_finish(struct mo_json *json)
   if (json->stop)
     return false;
   skip_space(json);
-  return json->at == json->size ||
-         syntax(json, "trailing data after the value; exactly one JSON value is expected");
+  return json->at == json->size || syntax(json, "trailing data after the JSON value");
 }
 
 static bool literal(struct mo_json *json, const char *words)
@@ -215,7 +214,7 @@ enum mo_json_kind mo_json_peek(struct mo_json *json)
     if (literal(json, starts[i].words))
       return starts[i].kind;
   if (json->at >= json->size)
-    syntax(json, "the text ends where a value is expected");
+    syntax(json, "the text ends where a value must follow");
   else if (literal(json, "NaN") || literal(json, "Infinity") || literal(json, "-Infinity"))
     syntax(json, "not a JSON value; numbers must be finite");
   else if ((unsigned char)c == 0xEF)
@@ -244,11 +243,11 @@ static bool raw_string(struct mo_json *json, struct mo_json_slice *raw, bool *pl
       (void)read_escape(json->text + at, json->size - at, &length, &words);
       at += length;
     } else if (text[at] < 0x20) {
-      words = "a control character in a string; write it as an escape";
+      words = "control character in a string; write it as an escape";
     } else {
       unsigned length = mo_utf8_sequence(text + at, json->size - at);
       if (length == 0)
-        words = "bytes that are not UTF-8";
+        words = "a string must be valid UTF-8";
       at += length;
     }
     if (words != NULL) {
@@ -315,7 +314,7 @@ static bool expect(struct mo_json *json, enum mo_json_kind kind, const char *exp
                                       "a number", "true",      "false",    "null"};
   const enum mo_json_kind found = mo_json_peek(json);
   if (found != kind && found != MO_JSON_NONE) {
-    mo_json_fault(json, "%s is given; %s is expected", words[found], expected);
+    mo_json_fault(json, "must be %s, got %s", expected, words[found]);
     mo_json_skip(json);
   }
   return found == kind;
@@ -333,8 +332,7 @@ bool mo_json_string(struct mo_json *json, struct mo_json_slice *value)
   }
   size_t n = plain ? raw.size : decode(raw, json->decoded, MO_JSON_STRING_MAX);
   if (n > MO_JSON_STRING_MAX) {
-    mo_json_fault(json, "a string of %zu bytes is given; at most %d are expected", n,
-                  MO_JSON_STRING_MAX);
+    mo_json_fault(json, "the string must have at most %d bytes, got %zu", MO_JSON_STRING_MAX, n);
     return false;
   }
   *value = (struct mo_json_slice){json->decoded, n};
@@ -347,7 +345,7 @@ bool mo_json_text(struct mo_json *json, struct mo_json_slice *value)
   if (!expect(json, MO_JSON_STRING, "a string") || !raw_string(json, value, &plain))
     return false;
   if (!plain)
-    mo_json_fault(json, "a string without escapes is expected");
+    mo_json_fault(json, "must be a string without escapes");
   return plain;
 }
 
@@ -368,7 +366,7 @@ bool mo_json_number(struct mo_json *json, double *value)
     return false;
   double number = strtod(raw.bytes, NULL); /* strtod stops at the end of the checked number */
   if (!isfinite(number)) {
-    mo_json_fault(json, "the number is larger than any float64; a finite number is expected");
+    mo_json_fault(json, "must be a finite number; this one is too large for a float64");
     return false;
   }
   *value = number;
@@ -381,8 +379,8 @@ bool mo_json_bounded(struct mo_json *json, double min, double max, double *value
   if (!mo_json_number(json, &number))
     return false;
   if (number < min || number > max) {
-    mo_json_fault(json, "%s is given; a number from %s to %s is expected", MO_NUMBER(number),
-                  MO_NUMBER(min), MO_NUMBER(max));
+    mo_json_fault(json, "must be a number from %s to %s, got %s", MO_NUMBER(min), MO_NUMBER(max),
+                  MO_NUMBER(number));
     return false;
   }
   *value = number;
@@ -440,14 +438,14 @@ bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *va
     return false;
   const int code = whole_number(raw, &number);
   if (code == MO_ERR_RANGE)
-    mo_json_fault(json, "the number is too large; an integer from %lld to %lld is expected",
+    mo_json_fault(json, "must be an integer from %lld to %lld; this number is too large",
                   (long long)min, (long long)max);
   else if (code != MO_OK)
-    mo_json_fault(json, "%.*s is given; an integer is expected", raw.size > 32 ? 32 : (int)raw.size,
+    mo_json_fault(json, "must be an integer, got %.*s", raw.size > 32 ? 32 : (int)raw.size,
                   raw.bytes);
   else if (number < min || number > max)
-    mo_json_fault(json, "%lld is given; an integer from %lld to %lld is expected",
-                  (long long)number, (long long)min, (long long)max);
+    mo_json_fault(json, "must be an integer from %lld to %lld, got %lld", (long long)min,
+                  (long long)max, (long long)number);
   if (code != MO_OK || number < min || number > max)
     return false;
   *value = number;
@@ -457,7 +455,7 @@ bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *va
 static bool open_level(struct mo_json *json, bool object)
 {
   if (json->depth == MO_JSON_DEPTH_MAX)
-    return syntax(json, "more than 64 levels of arrays and objects; at most 64 are allowed");
+    return syntax(json, "arrays and objects may be nested at most 64 levels deep");
   json->levels[json->depth++] = (struct mo_json_level){.object = object, .first_key = json->n_keys};
   json->at++;
   return true;
@@ -473,8 +471,8 @@ bool mo_json_object(struct mo_json *json)
   return expect(json, MO_JSON_OBJECT, "an object") && open_level(json, true);
 }
 
-/* Moves to the next item or member. False: at the closing bracket (the level is closed), or an
- * error. */
+/* Moves to the next item or member. Returns false at the closing bracket (the level is closed), or
+ * after an error. */
 static bool advance(struct mo_json *json, char closing)
 {
   if (json->stop)
@@ -490,8 +488,8 @@ static bool advance(struct mo_json *json, char closing)
   if (level->index > 0) {
     if (c != ',')
       return syntax(json, json->at >= json->size ? "the text ends inside an array or object"
-                          : closing == ']'       ? "a comma or ] is expected"
-                                                 : "a comma or } is expected");
+                          : closing == ']'       ? "a comma or ] is missing"
+                                                 : "a comma or } is missing");
     json->at++;
     skip_space(json);
   }
@@ -522,25 +520,25 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
   struct mo_json_level *level = &json->levels[json->depth - 1];
   if (next_byte(json) != '"')
     return syntax(json, json->at >= json->size ? "the text ends inside an object"
-                                               : "a key in quotes is expected");
+                                               : "a key must be a string in quotes");
   bool plain;
   struct mo_json_slice raw;
   if (!raw_string(json, &raw, &plain))
     return false;
   if (raw.size > MO_JSON_KEY_BYTES)
-    return syntax(json, "a key of more than 256 bytes");
+    return syntax(json, "a key may have at most 256 bytes");
   for (uint32_t i = level->first_key; i < json->n_keys; i++)
     if (same_key(json->keys[i], raw)) {
       level->key = raw;
-      return syntax(json, "a duplicate key in an object");
+      return syntax(json, "duplicate key in an object");
     }
   if (json->n_keys - level->first_key == MO_JSON_KEYS_MAX)
-    return syntax(json, "an object with more than 64 keys");
+    return syntax(json, "an object may have at most 64 keys");
   json->keys[json->n_keys++] = raw;
   level->key = raw;
   level->index++;
   if (next_byte(json) != ':')
-    return syntax(json, "a colon is expected");
+    return syntax(json, "a colon must follow the key");
   json->at++;
   skip_space(json);
   *key = plain ? raw : (struct mo_json_slice){json->key, decode(raw, json->key, sizeof(json->key))};

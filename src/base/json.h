@@ -62,7 +62,7 @@ struct mo_json {
 /* Starts reading `size` bytes; text[size] must be readable and NUL. The reader takes 70 kB, so do
  * not put it on a small stack. */
 void mo_json_start(struct mo_json *json, const char *text, size_t size, struct mo_faults *faults);
-/* Ends reading. True: the whole text was read without a syntax error, although there may be other
+/* Ends reading. Returns whether the whole text was read without a syntax error; there may be other
  * faults. */
 bool mo_json_finish(struct mo_json *json);
 
@@ -70,7 +70,7 @@ bool mo_json_finish(struct mo_json *json);
 enum mo_json_kind mo_json_peek(struct mo_json *json);
 
 /* The following functions read one value each. They return false for a value of another kind, which
- * is skipped and adds a fault that says what was expected. */
+ * is skipped and adds a fault that gives the expected kind. */
 bool mo_json_string(struct mo_json *json,
                     struct mo_json_slice *value); /* valid until the next string; a string longer
                                                      than MO_JSON_STRING_MAX is also a fault */
@@ -93,8 +93,9 @@ bool mo_json_object(struct mo_json *json);
  * with an escaped key, in any object. */
 bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
 
-/* Reads an array of whole numbers from 0 to max into `counts`, up to `room` of them. *n: is
- * incremented for each item, including those beyond. A refused count leaves its place unchanged. */
+/* Reads an array of whole numbers from 0 to max into `counts`, up to `room` of them. *n is
+ * incremented for each item, including items beyond `room`. A refused count leaves its place
+ * unchanged. */
 void mo_json_counts(struct mo_json *json, uint32_t max, uint32_t *counts, uint32_t room,
                     uint32_t *n);
 

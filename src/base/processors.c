@@ -41,7 +41,7 @@ static bool has_controller(char *controllers, const char *wanted)
   return false;
 }
 
-/* Returns the least limit among a cgroup and those above it. */
+/* Returns the smallest limit among a cgroup and the cgroups above it. */
 static uint64_t least_limit(const char *mount, const char *group, bool is_unified,
                             mo_cgroup_limit *limit_of)
 {

@@ -11,13 +11,13 @@
  * cgroups allows only that; at least 1. */
 uint32_t mo_processors(void);
 /* Returns the smallest quota divided by its period, rounded up, among the process's cgroup and all
- * cgroups above it (`cpu.max` of version 2, `cpu.cfs_quota_us` of version 1). UINT32_MAX: no quota.
- * root: prefix of /proc and /sys; "" except in tests. */
+ * cgroups above it (`cpu.max` of version 2, `cpu.cfs_quota_us` of version 1). Returns UINT32_MAX if
+ * there is no quota. root: prefix of /proc and /sys; "" except in tests. */
 uint32_t mo_quota_processors(const char *root);
 
-/* Returns the least limit that `limit_of` finds in the folders of the process's cgroups and all
- * visible cgroups above them: of version 2 (unified), and of version 1's `controller`. UINT64_MAX:
- * none. */
+/* Returns the smallest limit that `limit_of` finds in the folders of the process's cgroups and all
+ * visible cgroups above them, both of version 2 (unified) and of version 1's `controller`. Returns
+ * UINT64_MAX if there is no limit. */
 typedef uint64_t mo_cgroup_limit(const char *folder, bool is_unified);
 uint64_t mo_cgroups_limit(const char *root, const char *controller, mo_cgroup_limit *limit_of);
 /* Reads up to two numbers from the start of a file; returns how many it read. */

@@ -1,4 +1,5 @@
-/* sha256.h: SHA-256, which names all that is kept by content, and checks what is sent. */
+/* sha256.h: SHA-256, which identifies everything that is stored by content, and checks what is
+ * sent. */
 #ifndef MORPHO_BASE_SHA256_H
 #define MORPHO_BASE_SHA256_H
 
@@ -24,8 +25,8 @@ int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b); /* 1 
 /* Writes the value of a Content-Digest field (RFC 9530): "sha-256=:BASE64:". */
 #define MO_CONTENT_DIGEST_BYTES 56
 void mo_sha256_to_content_digest(const struct mo_sha256 *hash, char text[MO_CONTENT_DIGEST_BYTES]);
-/* Says whether a Content-Digest field (nullable) is this hash of the data. Other algorithms, and
- * lists of several digests, are no match. */
+/* Returns whether a Content-Digest field (nullable) is this hash of the data. Other algorithms, and
+ * lists of several digests, do not match. */
 bool mo_content_digest_matches(const char *field, const void *data, size_t size);
 
 #endif

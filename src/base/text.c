@@ -52,8 +52,8 @@ bool mo_utf8_is_valid(const char *text)
   return true;
 }
 
-/* Writes a number with the fewest digits, from `least` on, that read back as the same float64;
- * returns its length. */
+/* Writes a number with the fewest digits, starting at `least`, that read back as the same float64.
+ * Returns its length. */
 static size_t write_number(double value, int least, char text[MO_NUMBER_BYTES])
 {
   int n = 0;

@@ -9,8 +9,8 @@
 
 /* ---- characters and numbers ---- */
 
-/* Returns the length of the UTF-8 sequence at `words` (n ≥ 1 bytes long), 0 if it is invalid: no
- * overlong forms, no surrogates, nothing past U+10FFFF. */
+/* Returns the length of the UTF-8 sequence at `words` (n ≥ 1 bytes long), or 0 if it is invalid.
+ * Overlong forms, surrogates, and anything past U+10FFFF are invalid. */
 unsigned mo_utf8_sequence(const unsigned char *words, size_t n);
 /* Returns whether the whole text is UTF-8. */
 bool mo_utf8_is_valid(const char *text);
@@ -25,13 +25,13 @@ const char *mo_number_text(double value, char text[MO_NUMBER_BYTES]);
 /* Produces the same text as an argument for "%s"; valid until the end of the enclosing block. */
 #define MO_NUMBER(value) mo_number_text((value), (char[MO_NUMBER_BYTES]){0})
 
-/* Returns the value of a hexadecimal digit; −1: not a digit. */
+/* Returns the value of a hexadecimal digit, or −1 for other characters. */
 int mo_hex_digit(char c);
 
 /* ---- the growing text ---- */
 
-/* After a failed allocation, `failed` is set and later calls do nothing, so writers check it once,
- * at the end. */
+/* After a failed allocation, `failed` is set and later calls do nothing. So writers check it only
+ * once, at the end. */
 struct mo_text {
   char *data; /* malloc; a NUL follows the last byte if size > 0; ownership may be transferred */
   size_t size, capacity;

@@ -37,7 +37,7 @@ static inline void mo_unlock(pthread_mutex_t *const *mutex)
 #define MO_GUARD(mutex)                                                                            \
   pthread_mutex_t *const mo_guard __attribute__((cleanup(mo_unlock))) = mo_lock(mutex)
 
-/* Waits on a condition until a time of mo_clock_us. False: that time has passed. */
+/* Waits on a condition until a time of mo_clock_us. Returns false if that time has passed. */
 bool mo_wait_until(pthread_cond_t *condition, pthread_mutex_t *mutex, int64_t until_us);
 
 #define MO_PARALLEL_THREADS_MAX 64

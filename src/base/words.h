@@ -13,7 +13,7 @@ size_t mo_words_count(const char *const *words);
 const char *mo_word(const char *const *words, unsigned i);
 /* Returns the index of a word, or MO_ERR_NOT_FOUND. */
 int mo_word_index(const char *const *words, const char *name);
-/* Lists all words as in a sentence, each in `quote`: red, green or blue. Returns text. */
+/* Lists all words as in a sentence, each enclosed in `quote`: red, green or blue. Returns text. */
 const char *mo_words_join(const char *const *words, const char *quote, char text[MO_WORDS_BYTES]);
 #define mo_words_list(words, text) mo_words_join(words, "\"", text)
 

@@ -23,7 +23,7 @@ static int load(struct mo_devices *devices, const char *path, struct mo_message 
   const struct mo_device_module *module;
   void *symbol;
   if (access(path, F_OK) != 0 && errno == ENOENT)
-    return mo_fail(message, MO_ERR_NOT_FOUND, "there is no file %s", path);
+    return mo_fail(message, MO_ERR_NOT_FOUND, "the file %s does not exist", path);
   devices->library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
   if (devices->library == NULL)
     return mo_fail(message, MO_ERR_UNSUPPORTED, "%s", dlerror());
@@ -31,11 +31,11 @@ static int load(struct mo_devices *devices, const char *path, struct mo_message 
   memcpy(&get, &symbol, sizeof(get));
   module = get != NULL ? get() : NULL;
   if (module == NULL)
-    return mo_fail(message, MO_ERR_UNSUPPORTED, "%s is not a module of devices", path);
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "%s is not a device module", path);
   if (module->abi != MO_DEVICE_ABI)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "%s is for another version of this program (interface %u, not %u): install the "
-                   "one that belongs to it",
+                   "%s is for another version of this program (interface %u, not %u); install the "
+                   "module of this version",
                    path, (unsigned)module->abi, (unsigned)MO_DEVICE_ABI);
   devices->module = module;
   return MO_OK;
@@ -104,8 +104,8 @@ static int check_class(const struct mo_devices *devices, struct mo_unit *unit)
   if (devices->n == 0 || status->capability == first->capability)
     return MO_OK;
   snprintf(unit->status.error, sizeof(unit->status.error),
-           "its compute capability is %u.%u, that of device %u is %u.%u: only devices of one "
-           "capability compute together",
+           "its compute capability is %u.%u, but device %u has %u.%u; use only devices with the "
+           "same capability",
            (unsigned)status->capability / 10, (unsigned)status->capability % 10,
            (unsigned)first->index, (unsigned)first->capability / 10,
            (unsigned)first->capability % 10);
@@ -146,8 +146,9 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
     const uint32_t index = config->devices != NULL ? config->devices[i] : i;
     struct mo_unit *unit = &devices->units[devices->n];
     if (index >= found)
-      return mo_fail(message, MO_ERR_RANGE, "there is no device %u: the module %s finds %u",
-                     (unsigned)index, devices->module->name, (unsigned)found);
+      return mo_fail(message, MO_ERR_RANGE,
+                     "device %u does not exist; the module %s finds %u devices", (unsigned)index,
+                     devices->module->name, (unsigned)found);
     status = open_unit(devices, unit,
                        index); /* on MO_ERR_NO_MEMORY: other processes may use its memory */
     if (status == MO_OK)
@@ -162,10 +163,9 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
       return mo_fail(message, MO_ERR_DEVICE, "device %u cannot be used: %.180s", (unsigned)index,
                      unit->status.error);
   }
-  return devices->n > 0
-             ? MO_OK
-             : mo_fail(message, MO_ERR_EXHAUSTED, "the module %s finds no device that works",
-                       devices->module->name);
+  return devices->n > 0 ? MO_OK
+                        : mo_fail(message, MO_ERR_EXHAUSTED,
+                                  "the module %s finds no working device", devices->module->name);
 }
 
 static int start(struct mo_devices *devices)
@@ -206,7 +206,7 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
                            struct mo_message *message)
 {
   if (mo_core(compute)->devices != NULL)
-    return mo_fail(message, MO_ERR_CONFLICT, "there are devices already");
+    return mo_fail(message, MO_ERR_CONFLICT, "devices were added already");
   struct mo_devices *devices = mo_devices_create(compute);
   if (devices == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
@@ -221,7 +221,7 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
     atomic_store(&devices->n_working, devices->n);
     status = start(devices);
     if (status != MO_OK)
-      mo_fail(message, status, "no thread for a device");
+      mo_fail(message, status, "cannot start a thread for a device");
   }
   if (status == MO_OK)
     mo_core(compute)->devices = devices;

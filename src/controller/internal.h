@@ -26,7 +26,7 @@ struct mo_tensor {
 uint64_t mo_controller_tensors(struct mo_workspace workspace,
                                struct mo_tensor tensors[MO_CONTROLLER_TENSORS]);
 
-/* Each writes the value of a metadata entry; 64 bytes. */
+/* Each writes the value of a metadata entry, 64 bytes at most. */
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64]);
 void mo_controller_workspace_text(struct mo_workspace workspace, char text[64]);
 #define MO_SPRING_ORDER "lexicographic endpoint pairs"

@@ -27,13 +27,13 @@ int devices_parse(const struct setting_list *list, struct device_choice *choice,
     errno = 0;
     const unsigned long index = strtoul(text, &end, 10);
     if (!isdigit((unsigned char)*text) || *end != 0 || errno != 0 || index > 1023)
-      return mo_fail(message, MO_ERR_INVALID,
-                     "\"%.60s\" is not auto, none or the number of a device", text);
+      return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" must be auto, none, or a device number",
+                     text);
     for (uint32_t k = 0; k < found.n; k++)
       if (found.indices[k] == index)
-        return mo_fail(message, MO_ERR_INVALID, "device %lu is named twice", index);
+        return mo_fail(message, MO_ERR_INVALID, "duplicate device %lu", index);
     if (found.n == DEVICES_MAX)
-      return mo_fail(message, MO_ERR_LIMIT, "at most %d devices can be named", DEVICES_MAX);
+      return mo_fail(message, MO_ERR_LIMIT, "there may be at most %d devices", DEVICES_MAX);
     found.indices[found.n++] = (uint32_t)index;
   }
   *choice = found;
@@ -44,7 +44,7 @@ int devices_parse(const struct setting_list *list, struct device_choice *choice,
 static void device_is_lost(void *context, const struct mo_device_status *status)
 {
   (void)context;
-  log_error("a device is lost", LOG_INT("device", status->index), LOG_TEXT("name", status->name),
+  log_error("a device was lost", LOG_INT("device", status->index), LOG_TEXT("name", status->name),
             LOG_TEXT("id", status->id), LOG_TEXT("detail", status->error));
 }
 
@@ -85,7 +85,7 @@ int devices_open(struct mo_compute *compute, const struct setting_list *devices,
   if (status != MO_OK)
     return status;
   if (!choice.all && choice.n == 0) {
-    log_info("no devices are configured: the processors compute");
+    log_info("no devices are configured; using the processors");
     return MO_OK;
   }
   if (module == NULL)
@@ -100,7 +100,7 @@ int devices_open(struct mo_compute *compute, const struct setting_list *devices,
     log_devices(compute);
   else if ((status == MO_ERR_NOT_FOUND && !is_named) ||
            (status == MO_ERR_EXHAUSTED && choice.all)) {
-    log_info("no devices: the processors compute", LOG_TEXT("detail", words.text));
+    log_info("no devices found; using the processors", LOG_TEXT("detail", words.text));
     status = MO_OK;
   } else
     (void)mo_fail(message, status, "devices: %.230s", words.text);

@@ -1,4 +1,4 @@
-/* devices.h: the module and the devices with which the service computes. */
+/* devices.h: the module and the devices that the service computes with. */
 #ifndef MORPHOD_DAEMON_DEVICES_H
 #define MORPHOD_DAEMON_DEVICES_H
 
@@ -16,9 +16,9 @@ int devices_parse(const struct setting_list *list, struct device_choice *choice,
                   struct mo_message *message);
 
 /* Adds the devices of the settings (module nullable); call it before any other use of the back end.
- * If no device or module is named, a machine without either is not an error: this is logged, and
- * the processors compute. MO_ERR_INVALID: the settings name a missing device or module, or the
- * module has another version. */
+ * If the settings do not list a device or module, a machine without either is not an error: this is
+ * logged, and the processors compute. MO_ERR_INVALID: the settings list a missing device or module,
+ * or the module has another version. */
 int devices_open(struct mo_compute *compute, const struct setting_list *devices, const char *module,
                  struct mo_message *message);
 

@@ -23,7 +23,7 @@
 /* Each session holds a connection for its orders and one for leases. The third may be one that has
  * just been lost. */
 #define CONNECTIONS_MAX (3 * 4096)
-#define BODY_BYTES      (UINT64_C(8) << 20) /* of an exchange */
+#define BODY_BYTES      (UINT64_C(8) << 20) /* for an exchange */
 #define BODY_MEMORY     (UINT64_C(256) << 20)
 #define BODY_TIMEOUT_MS 300000 /* 8 MiB at 250 kbit/s */
 
@@ -44,7 +44,7 @@ static int read_pem(const char *name, const char *path, char **text, struct mo_m
     return mo_fail(message, MO_ERR_INVALID, "%s: %s: %s", name, path,
                    failed   ? strerror(errno)
                    : n == 0 ? "the file is empty"
-                            : "larger than 65536 bytes");
+                            : "the file is larger than 65536 bytes");
   return MO_OK;
 }
 
@@ -237,7 +237,7 @@ static void warn_of_few_files(const struct mo_http *http)
   mo_http_get_stats((struct mo_http *)http, &stats);
   if (stats.max_connections < CONNECTIONS_MAX)
     log_warning(
-        "the limit on open files allows fewer connections of workers: raise it (LimitNOFILE=)",
+        "the limit on open files reduces the number of worker connections; raise it (LimitNOFILE=)",
         LOG_INT("max_connections", CONNECTIONS_MAX), LOG_INT("used", stats.max_connections));
 }
 

@@ -6,7 +6,7 @@
 #include "daemon/settings.h"
 #include "daemon/sockets.h"
 
-/* Who computes the scores and gradients of batch jobs: the setting compute. */
+/* What computes the scores and gradients of batch jobs: the setting `compute`. */
 enum fleet_compute { COMPUTE_BOTH, COMPUTE_LOCAL, COMPUTE_FLEET };
 
 /* The texts of fleet_certificate and fleet_key. */
@@ -14,7 +14,7 @@ struct fleet_certificate {
   char *certificate, *key;
 };
 /* Reads both and checks that they match. Leaves NULL if they are not set. MO_ERR_INVALID: the
- * message names the setting; MO_ERR_NO_MEMORY. On failure there is nothing to free. */
+ * message has the name of the setting; MO_ERR_NO_MEMORY. On failure there is nothing to free. */
 int fleet_certificate_read(const struct settings *settings, struct fleet_certificate *pair,
                            struct mo_message *message);
 /* Wipes and frees the texts. */
@@ -29,8 +29,8 @@ uint32_t fleet_max_connections(const struct settings *settings);
 
 struct fleet;
 /* Computes the canaries of this machine's classes, which takes a few tenths of a second, and
- * creates the table of sessions and leases. Call it before the first block is submitted. NULL: the
- * fleet is off. MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
+ * creates the table of sessions and leases. Call it before the first block is submitted. *fleet is
+ * NULL if the fleet is off. MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
 int fleet_create(const struct settings *settings, struct mo_store *store,
                  struct mo_compute *compute, struct fleet **fleet, struct mo_message *message);
 /* Starts the server for workers, which takes over the sockets. log: as in mo_http_config, with a

@@ -151,7 +151,7 @@ static struct {
             .filled = PTHREAD_COND_INITIALIZER,
             .empty = PTHREAD_COND_INITIALIZER};
 
-/* Appends to the ring, under the lock. False: no space. */
+/* Appends to the ring, under the lock. Returns false if there is no space. */
 static bool push(const char *line, size_t n)
 {
   if (n > RING_BYTES - writer.size)

@@ -48,7 +48,7 @@ struct log_field {
 #define log_info(message, ...)    LOG_AT(LOG_LEVEL_INFO, message, ##__VA_ARGS__)
 #define log_debug(message, ...)   LOG_AT(LOG_LEVEL_DEBUG, message, ##__VA_ARGS__)
 
-/* Sets format and level, and finds out whether standard error is the journal. */
+/* Sets format and level, and checks whether standard error is the journal. */
 void log_open(enum log_format format, enum log_level level);
 /* Starts a thread that writes the lines; until then, they are written immediately. Returns 0, or −1
  * if the thread cannot be created. */

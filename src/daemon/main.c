@@ -115,7 +115,7 @@ static void reload(struct process *process)
 static void out_of_time(int number)
 {
   (void)number;
-  static const char text[] = "morphod: the stop took too long; ended at its deadline\n";
+  static const char text[] = "morphod: stopping took too long; exiting at the deadline\n";
   log_last_words(text, sizeof(text) - 1);
   crash_forgive();
   _exit(EXIT_OK);
@@ -169,7 +169,7 @@ static void check_parts(struct process *process, bool *was_alive)
   if (!alive && *was_alive)
     log_error("a part of the service is stuck", LOG_TEXT("part", who));
   if (alive && !*was_alive)
-    log_info("the service continues");
+    log_info("the service is running again");
   *was_alive = alive;
 }
 
@@ -253,7 +253,7 @@ static int serve(struct process *process)
   log_open((enum log_format)process->settings.log_format,
            (enum log_level)process->settings.log_level);
   if (log_start() != 0) { /* after the signals are blocked, so that its thread does not take them */
-    log_error("cannot start", LOG_TEXT("reason", "cannot start the thread of the log"));
+    log_error("cannot start", LOG_TEXT("reason", "cannot start the log thread"));
     return EXIT_SYSTEM;
   }
   log_info("starting", LOG_TEXT("version", MORPHOD_VERSION),
@@ -305,7 +305,7 @@ int main(int argc, char **argv)
       status = EXIT_CONFIG;
     settings_faults_print(&faults);
     if (action == ACTION_CHECK && status == EXIT_OK)
-      printf("morphod: the configuration is sound (%s)\n",
+      printf("morphod: the configuration is valid (%s)\n",
              process.request.config_found != NULL ? process.request.config_found : "no file");
     else if (action == ACTION_PRINT && status == EXIT_OK)
       settings_print(&process.settings, stdout);

@@ -1,5 +1,5 @@
-/* memory.h: how much memory the service may use by default, and allocations that end the process
- * when they fail. */
+/* memory.h: how much memory the service may use by default, and allocations that end the process on
+ * failure. */
 #ifndef MORPHO_DAEMON_MEMORY_H
 #define MORPHO_DAEMON_MEMORY_H
 

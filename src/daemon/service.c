@@ -291,7 +291,7 @@ static int start_http(struct service *service, const struct settings *settings,
   for (size_t i = 0; i < settings->unix_groups.n && status == MO_OK; i++) {
     const struct group *group = getgrnam(settings->unix_groups.items[i]);
     if (group == NULL)
-      status = mo_fail(message, MO_ERR_INVALID, "unix_groups: there is no group \"%s\"",
+      status = mo_fail(message, MO_ERR_INVALID, "unix_groups: group \"%s\" does not exist",
                        settings->unix_groups.items[i]);
     else
       service->groups[i] = group->gr_gid;
@@ -414,7 +414,7 @@ static int open_store(struct service *service, const struct settings *settings,
                 LOG_TEXT("marker", service->last_marker));
   const struct mo_orphans *orphans = mo_store_orphans(service->store);
   if (orphans->n > 0)
-    log_warning("files that nothing refers to are left alone; `morphod store clean` removes them",
+    log_warning("unused files remain in the state folder; `morphod store clean` removes them",
                 LOG_INT("files", (int64_t)orphans->n), LOG_INT("bytes", (int64_t)orphans->bytes),
                 LOG_TEXT("first", orphans->first));
   mo_store_subscribe(service->store, log_events, service, &service->subscription);
@@ -492,7 +492,7 @@ static int fail_with(struct mo_message *message, int error, const struct part *p
   if (error == MO_ERR_NO_SPACE) {
     size_t n = strlen(message->text);
     snprintf(message->text + n, sizeof(message->text) - n,
-             ": make room on the disk of the state folder, then start again");
+             "; free space on the disk of the state folder, then restart");
   }
   for (size_t i = 0; i < sizeof(part->others) / sizeof(part->others[0]); i++)
     if (part->others[i] == error)
@@ -594,10 +594,9 @@ void service_report_expiry(struct service *service)
     log_info("jobs were deleted because of their age",
              LOG_INT("jobs", (int64_t)(store.jobs_expired - service->jobs_expired)));
   if (store.clock_ahead_us > 0 && !service->clock_doubted)
-    log_warning(
-        "the clock is not credible, and nothing is deleted by age: set the clock, or confirm "
-        "it with `morphod store accept-clock`",
-        LOG_REAL("days_ahead", (double)store.clock_ahead_us / 86400e6));
+    log_warning("the clock is not credible, so no jobs are deleted by age; set the clock, or "
+                "confirm it with `morphod store accept-clock`",
+                LOG_REAL("days_ahead", (double)store.clock_ahead_us / 86400e6));
   service->jobs_expired = store.jobs_expired;
   service->clock_doubted = store.clock_ahead_us > 0;
 }
@@ -611,13 +610,14 @@ void service_describe(struct service *service, char *text, size_t capacity)
   snprintf(text, capacity,
            "%" PRIu64 " open jobs, %" PRIu64 " rollouts to do, %" PRIu32 " connections%s",
            jobs.open_jobs, jobs.open_rollouts, http.connections,
-           jobs.no_space ? ", waiting for room on the disk" : "");
+           jobs.no_space ? ", waiting for disk space" : "");
 }
 
 void service_stop(struct service *service)
 {
   if (service->jobs != NULL && mo_jobs_stop(service->jobs, JOBS_STOP_MS) != MO_OK)
-    log_warning("work was still being parked at its deadline; it is repeated at the next start");
+    log_warning(
+        "some work was not saved before the deadline; it will be repeated after the next start");
   sockets_close(&service->sockets);
   sockets_close(&service->fleet_sockets);
   fleet_retire(service->fleet);

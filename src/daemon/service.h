@@ -24,7 +24,7 @@ enum exit_status {
   EXIT_CONFIG = 78
 };
 
-/* Maps an error of mo_store_open() to an exit status: EXIT_CONFIG if trying again cannot help. */
+/* Maps an error of mo_store_open() to an exit status: EXIT_CONFIG if retrying cannot help. */
 int service_store_status(int error);
 
 struct service;
@@ -36,11 +36,11 @@ int service_start(const struct settings *settings, void (*fatal)(void *context, 
                   struct service **service, struct mo_message *message);
 
 /* Returns the number of listeners and their addresses: "http://127.0.0.1:8765" or "unix:/path".
- * of_fleet: those of the server for workers; 0 if there is none. */
+ * of_fleet: counts the listeners of the server for workers; 0 if there is no such server. */
 size_t service_addresses(const struct service *service, bool of_fleet,
                          const char *const **addresses);
 
-/* Reads the token file again. */
+/* Rereads the token file. */
 int service_reload_tokens(struct service *service, const struct settings *settings,
                           struct mo_message *message);
 
@@ -51,8 +51,8 @@ void service_drain(struct service *service);
 bool service_is_idle(struct service *service);
 bool service_is_learning(struct service *service);
 
-/* Returns whether scheduler, writer and HTTP each completed a round within `limit_us`. *who names
- * one that did not. */
+/* Returns whether scheduler, writer and HTTP each completed a round within `limit_us`. *who is the
+ * name of one that did not. */
 bool service_is_alive(struct service *service, int64_t limit_us, const char **who);
 
 /* Parks running jobs, answers waiting requests, and closes everything. */

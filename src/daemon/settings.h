@@ -87,7 +87,7 @@ struct setting {
 extern const struct setting settings_table[];
 extern const size_t settings_count;
 
-/* What the command line requests besides settings. */
+/* What the command line requests, apart from settings. */
 enum settings_action {
   ACTION_RUN = 0,
   ACTION_HELP,
@@ -99,7 +99,7 @@ enum settings_action {
 struct settings_request {
   enum settings_action action;
   const char *config; /* --config or MORPHOD_CONFIG; NULL: the usual places */
-  char *config_found; /* the file that was read; NULL: none (malloc) */
+  char *config_found; /* the file that was read, or NULL (malloc) */
   bool usage_fault;   /* the command line itself is invalid (unknown flag, missing value) */
 };
 

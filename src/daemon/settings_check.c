@@ -200,8 +200,8 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-/* Checks the installed controller, which the first start uses if no setting names one. Later starts
- * do not need it. */
+/* Checks the installed controller, which the first start uses if the settings do not have one.
+ * Later starts do not need it. */
 static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
 {
   static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";

@@ -34,7 +34,7 @@ static const struct flag action_flags[] = {
 };
 static const size_t n_action_flags = sizeof(action_flags) / sizeof(action_flags[0]);
 
-/* Returns the setting whose name is nearest to a mistyped one; NULL if none is near. */
+/* Returns the setting with the name nearest to a mistyped one, or NULL if none is near. */
 static const struct setting *nearest(const char *name)
 {
   const int i =
@@ -304,7 +304,7 @@ void settings_load(struct settings *settings, int argc, const char *const *argv,
     if (read_file(settings, request->config, true, faults))
       request->config_found = enough(strdup(request->config));
   } else if (request->config == NULL) {
-    /* systemd names the folder of ConfigurationDirectory=; otherwise the usual place. */
+    /* systemd passes the folder of ConfigurationDirectory=; otherwise, the usual place is used. */
     const char *folder = variable(environment, "CONFIGURATION_DIRECTORY");
     char *path =
         format_text("%s/morphod.conf", folder != NULL && *folder != 0 ? folder : "/etc/morphod");
@@ -334,7 +334,7 @@ char *credential_path(const char *folder)
 
 void settings_complete(struct settings *settings, const char *const *environment)
 {
-  /* systemd gives a list separated by colons; morphod's has one folder. */
+  /* systemd passes a list separated by colons; morphod has only one folder. */
   const char *state = variable(environment, "STATE_DIRECTORY");
   const char *xdg = variable(environment, "XDG_STATE_HOME");
   const char *home = variable(environment, "HOME");

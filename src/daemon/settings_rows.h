@@ -12,7 +12,7 @@ int setting_read(void *values, const struct setting *setting, const char *text, 
                  struct mo_message *message);
 /* Returns the path of the credential "token", if systemd passes one in this folder (malloc). */
 char *credential_path(const char *folder);
-/* Returns the row of a flag such as "--state-dir", of `length` bytes; NULL: none. */
+/* Returns the row of a flag such as "--state-dir", of `length` bytes, or NULL if there is none. */
 const struct setting *setting_of_flag(const struct setting *rows, size_t n, const char *flag,
                                       size_t length);
 void setting_free(void *values, const struct setting *setting);

@@ -18,10 +18,10 @@
 #include "store/scores.h"
 #include "store/store.h"
 
-#define SAMPLE     200 /* losses of each class that `check` computes again */
+#define SAMPLE     200 /* losses of each class that `check` recomputes */
 #define SAMPLE_MAX 1000000
 
-/* ---- check: reads all that is stored, and computes a sample again ---- */
+/* ---- check: reads everything stored, and recomputes a sample ---- */
 
 static void print_finding(void *context, const char *finding)
 {
@@ -29,7 +29,7 @@ static void print_finding(void *context, const char *finding)
   puts(finding);
 }
 
-/* Computes one loss again. *agrees: bit for bit. */
+/* Recomputes one loss. *agrees: the bits are equal. */
 static int compute_again(struct mo_compute *compute, const struct mo_lattice *lattice,
                          const struct mo_score_sample *sample, struct mo_compute_controller *ready,
                          bool *agrees)

@@ -29,7 +29,7 @@ static void read_workspace(struct mo_json *json, void *value)
     given++;
   }
   if (!json->stop && given != 3)
-    mo_json_fault_at(json, depth, "", "must be 3 numbers, the voxels along x, y and z, got %zu",
+    mo_json_fault_at(json, depth, "", "must be 3 numbers (voxels along x, y and z), got %zu",
                      given);
   if (!json->stop && json->faults->n == before)
     *(struct mo_workspace *)value =

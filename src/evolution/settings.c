@@ -72,8 +72,9 @@ static int check_designs(const struct mo_campaign_settings *settings, struct mo_
   const uint64_t designs = (uint64_t)settings->population * (settings->generations + UINT64_C(1));
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "population × (generations + 1) is %" PRIu64 "; a campaign may have %" PRIu64
-                   " designs at most: lower the population or the generations",
+                   "population × (generations + 1) is %" PRIu64
+                   "; a campaign may have at most %" PRIu64
+                   " designs, so lower the population or the generations",
                    designs, MO_CAMPAIGN_DESIGNS_MAX);
   return MO_OK;
 }

@@ -46,7 +46,7 @@ static size_t padding_of(size_t size)
   return (BLOCK - size % BLOCK) % BLOCK;
 }
 
-/* Returns the number of bytes to which an archive of this size may unpack. */
+/* Returns the number of bytes that an archive of this size may unpack to. */
 static uint64_t most_bytes(uint64_t size)
 {
   return MO_ARCHIVE_FREE + MO_ARCHIVE_RATIO * size;
@@ -139,7 +139,7 @@ int mo_archive_end(struct mo_archive_writer *writer, struct mo_text *out)
 struct mo_archive_reader {
   ZSTD_DCtx *stream;
   ZSTD_inBuffer in;
-  uint64_t left; /* bytes to which the rest may unpack */
+  uint64_t left; /* bytes that the rest may unpack to */
   bool ended;    /* the frame ended */
   bool summed;   /* SHA256SUMS was read and matches */
   uint32_t n;    /* members */
@@ -179,7 +179,8 @@ static int check_frame(const struct mo_archive_reader *reader, struct mo_message
     return mo_fail(message, MO_ERR_FORMAT, "the file is damaged, or is not in zstd format");
   return bytes[sizeof(magic)] >> 2 & 1
              ? MO_OK
-             : mo_fail(message, MO_ERR_FORMAT, "the file lacks the checksum of zstd at its end");
+             : mo_fail(message, MO_ERR_FORMAT,
+                       "the zstd checksum at the end of the file is missing");
 }
 
 /* Decompresses exactly n bytes. */
@@ -215,7 +216,7 @@ static bool is_zero(const char *bytes, size_t n)
   return true;
 }
 
-/* Checks the end: a second block of zeros, then the end of the frame and of the bytes. */
+/* Checks the end: a second block of zeros, then the end of the frame and of the data. */
 static int finish(struct mo_archive_reader *reader, struct mo_message *message)
 {
   char block[BLOCK] = {0}, one;
@@ -235,7 +236,8 @@ static int finish(struct mo_archive_reader *reader, struct mo_message *message)
   return reader->summed ? 0 : mo_fail(message, MO_ERR_FORMAT, "the file lacks " SUMS);
 }
 
-/* Reads name and size from a header, which must equal the header that make_header makes of them. */
+/* Reads name and size from a header, which must equal the header that make_header makes for
+ * them. */
 static bool read_header(const struct header *header, struct mo_archive_member *member)
 {
   static const char characters[] = "abcdefghijklmnopqrstuvwxyz0123456789._-/";

@@ -13,13 +13,13 @@
 
 #define MO_ARCHIVE_TYPE       "application/zstd"
 #define MO_ARCHIVE_NAME_BYTES 100                /* of a member, with its NUL */
-#define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes of a member */
+#define MO_ARCHIVE_MEMBER_MAX ((size_t)64 << 20) /* bytes in a member */
 #define MO_ARCHIVE_MEMBERS    200000
-#define MO_ARCHIVE_RATIO      200 /* bytes to which a byte of the archive may unpack, on average; */
-#define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but this many bytes in any case */
+#define MO_ARCHIVE_RATIO      200 /* mean size that one byte of the archive may unpack to, */
+#define MO_ARCHIVE_FREE       MO_ARCHIVE_MEMBER_MAX /* but this many bytes are always allowed */
 
 struct mo_archive_writer;
-struct mo_archive_writer *mo_archive_create(void); /* NULL: no memory */
+struct mo_archive_writer *mo_archive_create(void); /* Returns NULL if memory runs out. */
 /* Adds a member. Appends the finished part of the archive to `out`, which may be nothing. */
 int mo_archive_add(struct mo_archive_writer *writer, const char *name, const void *bytes,
                    size_t size, struct mo_text *out);
@@ -35,7 +35,7 @@ struct mo_archive_member {
   struct mo_sha256 sha256;
 };
 struct mo_archive_reader;
-/* Reads an archive in memory, which must stay valid. NULL: no memory. */
+/* Reads an archive in memory, which must stay valid. Returns NULL if memory runs out. */
 struct mo_archive_reader *mo_archive_open(const void *bytes, size_t size);
 /* Reads the next member. Returns 1, or 0 after the last one: then the archive is complete, and
  * SHA256SUMS matches. MO_ERR_FORMAT: it is not an archive, it is damaged, or it ends early.
@@ -45,7 +45,7 @@ int mo_archive_next(struct mo_archive_reader *reader, struct mo_archive_member *
 /* Finds the line that begins at *at, and terminates it with a NUL. Returns false if there is no
  * line. */
 bool mo_archive_line(struct mo_archive_member *member, size_t *at, char **line, size_t *size);
-/* Fills the message with a fault of a line of a member; line 0: of the member. Returns
+/* Fills the message with a fault in a line of a member (line 0: in the member). Returns
  * MO_ERR_FORMAT. */
 int mo_archive_refuse(const struct mo_archive_member *member, uint32_t line, const char *words,
                       struct mo_message *message);

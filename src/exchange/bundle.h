@@ -9,8 +9,8 @@
 #define MO_BUNDLE_VERSION   2
 #define MO_BUNDLE_CAMPAIGNS MO_REPLICATES_MAX /* of one bundle */
 #define MO_BUNDLE_ROLLOUTS  40000             /* recorded; up to MO_CHANNELS members each */
-/* Sizes of parts: the number of designs, of designs with scores, or of steps; and the bytes after
- * which a part of generations gets no further line. */
+/* Sizes of parts: the number of designs, of designs with scores, or of steps; and the size at which
+ * a part of generations gets no more lines. */
 #define MO_BUNDLE_PART_ROWS  1000
 #define MO_BUNDLE_PART_BYTES 1000000
 
@@ -35,8 +35,8 @@ struct mo_bundle_lines; /* the reader of lines */
 /* is_checked: the same lines were read and checked before. */
 struct mo_bundle_lines *mo_bundle_lines_create(const struct mo_lattice *lattice, bool is_checked);
 void mo_bundle_lines_free(struct mo_bundle_lines *lines); /* NULL-safe */
-/* Read one line, which ends with a NUL. The line must equal what the function above, or the table,
- * writes for the values that were read. MO_ERR_FORMAT: it does not; MO_ERR_NO_MEMORY. */
+/* Read one line, which ends with a NUL. The line must equal the line that the function above, or
+ * the table, writes for the same values. MO_ERR_FORMAT: it does not; MO_ERR_NO_MEMORY. */
 int mo_bundle_read_head(struct mo_bundle_lines *lines, const char *line, size_t size,
                         struct mo_bundle_head *head, struct mo_message *message);
 int mo_bundle_read_campaign(struct mo_bundle_lines *lines, const char *line, size_t size,
@@ -57,11 +57,11 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
 int mo_bundle_read_evaluation(struct mo_bundle_lines *lines, const char *line, size_t size,
                               struct mo_imported_evaluation *evaluation,
                               struct mo_message *message);
-/* Adds to the digest of a campaign without generations what distinguishes it from other such
- * campaigns. */
+/* Adds to the digest of a campaign without generations the values that distinguish it from other
+ * such campaigns. */
 void mo_bundle_digest_source(struct mo_text *digest, const struct mo_import_source *source,
                              int64_t created_us);
-/* The file of a controller as a member: read its content (MO_ERR_FORMAT), and make its name. */
+/* A controller's file as a member: read its content (MO_ERR_FORMAT), and make its name. */
 int mo_bundle_read_weights(const struct mo_archive_member *member,
                            struct mo_controller **controller, struct mo_message *message);
 void mo_bundle_weights_name(const struct mo_sha256 *sha256, char name[MO_ARCHIVE_NAME_BYTES]);
@@ -125,8 +125,8 @@ struct mo_bundle_summary {
   struct mo_bundle_campaign campaigns[MO_BUNDLE_CAMPAIGNS];
 };
 /* Reads a bundle in memory and checks all of it: every hash, every line, and that the lines of a
- * campaign agree with each other. known: the summary of an earlier read, which provides the digests
- * of the sources; single lines are then not checked again. NULL: the digests are zero.
+ * campaign agree with each other. known: the summary of an earlier read, which has the digests of
+ * the sources; single lines are then not checked again. If it is NULL, the digests are zero.
  * MO_ERR_FORMAT: the message says what is wrong. */
 int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *lattice,
                    const struct mo_bundle_sink *sink, const struct mo_bundle_summary *known,
@@ -135,7 +135,7 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
 /* ---- export (bundle_export.c) ---- */
 
 struct mo_bundle_export;
-/* ids: (n) ascending, taken over. NULL: no memory. */
+/* ids: (n) ascending; takes ownership. Returns NULL if memory runs out. */
 struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const char *program,
                                                  int64_t *ids, uint32_t n, bool with_recordings);
 int mo_bundle_export_more(void *context, struct mo_text *text); /* a mo_download_more */

@@ -9,7 +9,7 @@
 
 #define ALIVE UINT32_MAX
 
-#define LINES_BETWEEN_LOOKS 256 /* for a look whether to stop early */
+#define LINES_BETWEEN_LOOKS 256 /* how often to check whether to stop early */
 
 int mo_reading_refuse(struct mo_reading *reading, uint32_t line, const char *words)
 {
@@ -38,8 +38,8 @@ uint32_t mo_reading_find_controller(const struct mo_reading *reading,
   return i;
 }
 
-/* Finds a controller of a campaign: one that was used before, or the next one. Returns NULL if it
- * is neither. */
+/* Finds a controller of a campaign. It must be one that was used before, or the next one;
+ * otherwise, returns NULL. */
 static const struct mo_known_controller *use_controller(struct mo_reading *reading,
                                                         const struct mo_sha256 *sha256)
 {
@@ -126,7 +126,7 @@ int mo_reading_begin(struct mo_reading *reading)
       (campaign->has_result && use_controller(reading, &campaign->result_sha256) == NULL))
     return mo_reading_refuse(
         reading, 1,
-        "the bundle lacks the controller or has it out of order, or its sensor differs");
+        "the bundle lacks the controller, has it out of order, or has one with another sensor");
   summary->campaigns[summary->n] =
       (struct mo_bundle_campaign){.source = campaign->source,
                                   .n_designs = campaign->n_designs,
@@ -164,7 +164,8 @@ int mo_reading_environments(struct mo_reading *reading)
   while (mo_archive_line(&reading->member, &at, &line, &size)) {
     struct mo_message words = {""};
     if (reading->n_environments == campaign->record.n_environments)
-      return mo_reading_refuse(reading, reading->n_environments + 1, "one environment too many");
+      return mo_reading_refuse(reading, reading->n_environments + 1,
+                               "there are too many environments");
     error = mo_bundle_read_environment(reading->lines, line, size,
                                        &campaign->environments[reading->n_environments++], &words);
     if (error != MO_OK)
@@ -184,7 +185,8 @@ int mo_reading_environments(struct mo_reading *reading)
 
 /* ---- lines of a campaign ---- */
 
-/* Returns the reason why a design contradicts its parents or the campaign; NULL: it does not. */
+/* Returns the reason why a design contradicts its parents or the campaign, or NULL if it does
+ * not. */
 static const char *check_design(const struct mo_reading *reading,
                                 const struct mo_campaign_design *design)
 {
@@ -216,7 +218,7 @@ static const char *check_design(const struct mo_reading *reading,
     const uint32_t parent = descent->parents[p];
     if (parent >= design->number || reading->born[parent].born >= design->born ||
         reading->born[parent].died < design->born)
-      return "a parent was not alive at the birth";
+      return "a parent was not alive at the child's birth";
   }
   return NULL;
 }
@@ -263,7 +265,7 @@ static bool same_bits(double a, double b)
   return words[0] == words[1];
 }
 
-/* Returns the reason why a population does not match its generation; NULL: it does. */
+/* Returns the reason why a population does not match its generation, or NULL if it does. */
 static const char *check_population(struct mo_reading *reading, uint32_t generation, uint32_t n)
 {
   for (uint32_t i = 0; i < n; i++) {
@@ -271,11 +273,11 @@ static const char *check_population(struct mo_reading *reading, uint32_t generat
     struct mo_born *born = member->number < reading->n_born ? &reading->born[member->number] : NULL;
     if (born == NULL || born->born > generation ||
         (born->died != ALIVE && born->died <= generation) || born->stamp == generation + 1)
-      return "the population has a design twice, or one that was not alive";
+      return "the population has a duplicate design, or one that was not alive";
     born->stamp = generation + 1;
     if (member->score < 0 ||
         (generation == reading->campaign.generation && !same_bits(member->score, born->score)))
-      return "a score of the population differs from the score of the design";
+      return "a score in the population differs from the design's score";
   }
   return n == reading->n_alive ? NULL : "the population lacks a design that was alive";
 }
@@ -335,7 +337,7 @@ static int read_step(struct mo_reading *reading, uint32_t n, const char *line, s
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, n, words.text) : error;
   const struct mo_campaign_settings *settings = &reading->campaign.record.settings;
   if (reading->n_steps / MO_BUNDLE_PART_ROWS != reading->part_number)
-    return mo_reading_refuse(reading, n, "the step belongs to another part");
+    return mo_reading_refuse(reading, n, "the step belongs in another part");
   while (reading->step == steps_of(settings, reading->step_generation) &&
          reading->step_generation < reading->campaign.generation) {
     reading->step_generation++;
@@ -369,7 +371,8 @@ static int read_score(struct mo_reading *reading, uint32_t n, const char *line, 
   }
   if (score.number >= reading->n_born || mo_modes[reading->campaign.record.settings.mode].learns)
     return mo_reading_refuse(
-        reading, n, "the score belongs to no design of the campaign, or the campaign learns");
+        reading, n,
+        "the score must belong to a design of the campaign, and the campaign must not learn");
   if (score.number + 1 < reading->scored_number ||
       score.number / MO_BUNDLE_PART_ROWS != reading->part_number)
     return mo_reading_refuse(reading, n, "the score is out of order, or in the wrong part");
@@ -403,8 +406,8 @@ static int read_evaluation(struct mo_reading *reading)
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, 1, words.text) : error;
   if (mo_modes[settings->mode].learns || evaluation->stride > settings->physics.scheme.n_steps)
-    return mo_reading_refuse(reading, 1,
-                             "the campaign learns, or the stride is longer than a rollout");
+    return mo_reading_refuse(
+        reading, 1, "the campaign must not learn, and the stride must not exceed the rollout");
   for (uint32_t k = 0; k < evaluation->n_environments; k++) {
     if (evaluation->environments[k] >= reading->n_environments ||
         (places >> evaluation->environments[k] & 1) != 0)
@@ -413,7 +416,7 @@ static int read_evaluation(struct mo_reading *reading)
   }
   for (uint32_t i = 0; i < evaluation->n_designs; i++)
     if (evaluation->numbers[i] >= reading->n_born)
-      return mo_reading_refuse(reading, 1, "the recording belongs to no design of the campaign");
+      return mo_reading_refuse(reading, 1, "the recording must belong to a design of the campaign");
   mo_bundle_recordings_begin(recordings, &settings->physics);
   summary_of(reading)->n_recordings++;
   const int taken = reading->taken && reading->sink->evaluation != NULL
@@ -437,7 +440,7 @@ static int read_array(struct mo_reading *reading)
   int error = mo_bundle_read_array(recordings, reading->member.bytes, reading->member.size);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT
-               ? mo_reading_refuse(reading, 0, "not the array that is expected here")
+               ? mo_reading_refuse(reading, 0, "the array has the wrong type or shape")
                : error;
   if (mo_bundle_recordings_next(recordings) == 0)
     return MO_OK;
@@ -472,7 +475,7 @@ int mo_reading_lines(struct mo_reading *reading)
   char *line;
   while (error == MO_OK && mo_archive_line(&reading->member, &at, &line, &size)) {
     if (reading->part == MO_PART_GENERATIONS && from >= MO_BUNDLE_PART_BYTES)
-      return mo_reading_refuse(reading, n + 1, "the line belongs to the next part");
+      return mo_reading_refuse(reading, n + 1, "the line belongs in the next part");
     from = at;
     error = n % LINES_BETWEEN_LOOKS == 0 && mo_reading_is_over(reading)
                 ? MO_ERR_CANCELLED

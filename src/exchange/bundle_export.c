@@ -49,7 +49,7 @@ struct mo_bundle_export {
   struct mo_text member;
 };
 
-/* Creates an export, and takes over the ids. NULL: no memory. */
+/* Creates an export, and takes ownership of the ids. Returns NULL if memory runs out. */
 static struct mo_bundle_export *create(struct mo_store *store, int64_t *ids, uint32_t n)
 {
   struct mo_bundle_export *export = calloc(1, sizeof(*export));
@@ -222,7 +222,8 @@ static int write_campaign(struct mo_bundle_export *export, struct mo_text *out)
   struct mo_imported_campaign *campaign = calloc(1, sizeof(*campaign));
   int error = campaign != NULL ? mo_bundle_describe(export->store, export->ids[export->i],
                                                     &export->status, campaign)
-                               : MO_ERR_NO_MEMORY; /* MO_ERR_CONFLICT: it was extended meanwhile */
+                               : MO_ERR_NO_MEMORY; /* MO_ERR_CONFLICT: it was extended in the
+                                                    * meantime */
   if (error == MO_OK) {
     mo_fields_write_object(&export->member, &mo_bundle_campaign_fields, campaign);
     error = add(export, "campaign.json", false, out);
@@ -315,8 +316,8 @@ static int write_learning(struct mo_bundle_export *export, struct mo_text *out)
   }
   free(rows);
   const int error = n < 0 ? (int)n : add(export, "learning", true, out);
-  if (i < MO_BUNDLE_PART_ROWS) /* any further steps belong to a generation that was never committed
-                                */
+  if (i < MO_BUNDLE_PART_ROWS) /* any further steps belong to a generation that was never
+                                * committed */
     next_phase(export);
   return error;
 }

@@ -1,5 +1,5 @@
-/* bundle_heads.c: the lines with which a bundle, a campaign, or an evaluation with recordings
- * begins, as tables; and the controllers. See bundle_lines.c. */
+/* bundle_heads.c: the first lines of a bundle, a campaign, or an evaluation with recordings, as
+ * tables; and the controllers. See bundle_lines.c. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,7 +19,7 @@ static void read_id(struct mo_json *json, void *value)
   mo_line_text(json, digits, sizeof(digits));
   *id = strtoll(digits, &end, 10);
   if (*id < 1 || *end != '\0')
-    mo_json_fault(json, "an id is expected");
+    mo_json_fault(json, "must be an id");
 }
 
 static void write_id(struct mo_text *text, const void *value)
@@ -162,7 +162,7 @@ static int check_head(const void *any, struct mo_message *message)
     return mo_fail(message, MO_ERR_FORMAT, "/format: \"" FORMAT "\" is expected");
   for (uint32_t i = 1; i < head->n; i++)
     if (head->campaigns[i] <= head->campaigns[i - 1])
-      return mo_fail(message, MO_ERR_FORMAT, "/campaigns: must ascend");
+      return mo_fail(message, MO_ERR_FORMAT, "/campaigns: must be in ascending order");
   return MO_OK;
 }
 
@@ -243,7 +243,7 @@ static int check_campaign(const void *any, struct mo_message *message)
   const struct mo_campaign_record *record = &campaign->record;
   const uint32_t generations = record->settings.generations;
   if (campaign->state != MO_JOB_SUCCEEDED && campaign->state != MO_JOB_CANCELLED)
-    return mo_fail(message, MO_ERR_FORMAT, "/state: a campaign that has ended is expected");
+    return mo_fail(message, MO_ERR_FORMAT, "/state: the campaign must have ended");
   if ((campaign->state == MO_JOB_SUCCEEDED) != (campaign->end != MO_CAMPAIGN_OPEN))
     return mo_fail(message, MO_ERR_FORMAT, "/end: contradicts the state");
   if (record->replicates < 1 || record->replicate >= record->replicates)
@@ -258,7 +258,7 @@ static int check_campaign(const void *any, struct mo_message *message)
   if ((record->name[0] != '\0' && mo_controller_name_check(record->name) != MO_OK) ||
       (campaign->controller_name[0] != '\0' &&
        mo_controller_name_check(campaign->controller_name) != MO_OK))
-    return mo_fail(message, MO_ERR_FORMAT, "/name: not a name of a controller");
+    return mo_fail(message, MO_ERR_FORMAT, "/name: must be a controller's name");
   if (!mo_modes[record->settings.mode].makes_children)
     return mo_fail(message, MO_ERR_FORMAT, "/settings/mode: a bundle cannot hold studies");
   if (!campaign->has_controller && !mo_modes[record->settings.mode].starts_untrained)
@@ -348,7 +348,7 @@ static int check_evaluation(const void *any, struct mo_message *message)
     return mo_fail(message, MO_ERR_FORMAT, "/numbers, /environments: too few or too many");
   if (evaluation->controller_name[0] != '\0' &&
       mo_controller_name_check(evaluation->controller_name) != MO_OK)
-    return mo_fail(message, MO_ERR_FORMAT, "/controller: not a name of a controller");
+    return mo_fail(message, MO_ERR_FORMAT, "/controller: must be a controller's name");
   return MO_OK;
 }
 
@@ -376,7 +376,7 @@ int mo_bundle_read_weights(const struct mo_archive_member *member,
   char name[MO_ARCHIVE_NAME_BYTES];
   mo_bundle_weights_name(&member->sha256, name);
   if (strcmp(name, member->name) != 0)
-    return mo_archive_refuse(member, 0, "the name is not the hash of the file", message);
+    return mo_archive_refuse(member, 0, "the name must be the hash of the file", message);
   const int error =
       mo_controller_decode((const uint8_t *)member->bytes, member->size, controller, &words);
   return error == MO_OK || error == MO_ERR_NO_MEMORY

@@ -48,7 +48,7 @@ static void write_lasting(const struct mo_imported_campaign *campaign, struct mo
   lasting->source = (struct mo_import_source){.store = 0};
   lasting->record.group = lasting->record.replicate = 0;
   lasting->record.settings.generations = 0;
-  lasting->record.environment_set[0] = '\0'; /* the name may stand for other environments here */
+  lasting->record.environment_set[0] = '\0'; /* here, the name may stand for other environments */
   lasting->state = MO_JOB_SUCCEEDED;
   lasting->end = MO_CAMPAIGN_OPEN;
   lasting->has_label = lasting->has_result = false;
@@ -80,7 +80,7 @@ static int compare_design(void *context, const struct mo_campaign_design *design
 static int refuse_score(const struct entry *entry, uint32_t number)
 {
   return mo_fail(entry->message, MO_ERR_CONFLICT,
-                 "a loss of design %u of campaign %lld differs from the one stored here for the "
+                 "a loss of design %u of campaign %lld differs from the loss stored here for the "
                  "same rollout and class",
                  number, (long long)entry->import->summary.campaigns[entry->at - 1].source.job);
 }
@@ -103,8 +103,8 @@ static int compare_rollout(void *context, const struct mo_saved_trajectory *roll
   struct entry *entry = context;
   const int error = mo_compare_rollout(entry->import->store, &entry->rows, rollout);
   return error == MO_ERR_CONFLICT ? mo_fail(entry->message, error,
-                                            "evaluation %lld exists here, with another recording "
-                                            "in environment %u of design %u",
+                                            "evaluation %lld exists here with a different "
+                                            "recording for environment %u of design %u",
                                             (long long)entry->rows.evaluation,
                                             rollout->environment_position, rollout->design_position)
                                   : error;
@@ -187,7 +187,7 @@ static int enter_evaluation(void *context, const struct mo_imported_evaluation *
   const int error = mo_import_evaluation(entry->open, evaluation);
   return error == MO_ERR_NOT_FOUND
              ? mo_fail(entry->message, MO_ERR_FORMAT,
-                       "the bundle lacks losses of rollouts that evaluation %lld recorded",
+                       "the bundle lacks losses for rollouts that evaluation %lld recorded",
                        (long long)evaluation->source.job)
              : error;
 }
@@ -260,7 +260,7 @@ static int find_own(struct entry *entry, const struct mo_import_source *source, 
   return mo_sha256_equal(&digest, &source->digest) ? MO_OK : MO_ERR_NOT_FOUND;
 }
 
-/* Checks that the campaign with the history of the i-th one also has its settings. */
+/* Checks that the campaign with the history of the i-th campaign also has its settings. */
 static int compare_lasting(struct entry *entry, uint32_t i)
 {
   struct mo_campaign_status *status = malloc(sizeof(*status));
@@ -283,8 +283,8 @@ static int compare_lasting(struct entry *entry, uint32_t i)
     else if (!same_result || text.size != lasting->size ||
              memcmp(text.data, lasting->data, text.size) != 0)
       error = mo_fail(entry->message, MO_ERR_CONFLICT,
-                      "campaign %lld exists here as campaign %lld, with the same history but other "
-                      "settings, controllers or times",
+                      "campaign %lld exists here as campaign %lld, with the same history but "
+                      "different settings, controllers or times",
                       (long long)campaign->source.job, (long long)entry->import->ids[i]);
   }
   mo_text_free(&text);
@@ -293,8 +293,8 @@ static int compare_lasting(struct entry *entry, uint32_t i)
   return error;
 }
 
-/* Finds the campaigns that exist here already; ids 0: they do not. Returns the number of those that
- * do not, or an error. */
+/* Finds the campaigns that exist here already; the others get id 0. Returns the number of the
+ * others, or an error. */
 static int find_known(struct entry *entry)
 {
   int n = 0;

@@ -9,7 +9,7 @@ struct mo_bundle_import {
   const struct mo_lattice *lattice;
   const void *bytes; /* the bundle, in memory */
   size_t size;
-  bool (*is_over)(void *context); /* whether to stop early, with MO_ERR_CANCELLED */
+  bool (*is_over)(void *context); /* returns whether to stop early, with MO_ERR_CANCELLED */
   void *context;
   /* The content of the bundle, and the result. Begin with zeros. */
   struct mo_bundle_summary summary;

@@ -1,4 +1,4 @@
-/* bundle_lines.c: writes and reads the lines of a bundle. A line that was read is written again and
+/* bundle_lines.c: writes and reads the lines of a bundle. Each line that was read is rewritten and
  * compared, so that every value has only one form and there are no unknown members. Single lines
  * are checked here; bundle_campaign.c checks that they agree with each other. */
 #include <math.h>
@@ -83,7 +83,8 @@ int mo_line_end(struct mo_bundle_lines *lines, struct mo_message *message)
     return MO_OK;
   return mo_fail(message, MO_ERR_FORMAT, "%s%s%s", faults->n > 0 ? faults->items[0].where : "",
                  faults->n > 0 && faults->items[0].where[0] != '\0' ? ": " : "",
-                 faults->n > 0 ? faults->items[0].detail : "not a line of this kind of file");
+                 faults->n > 0 ? faults->items[0].detail
+                               : "the line does not match this kind of file");
 }
 
 int mo_line_compare(struct mo_bundle_lines *lines, const char *line, size_t size,
@@ -433,7 +434,7 @@ static int check_score(const struct mo_campaign_score *score, const uint32_t n[3
 {
   if (n[0] < 1 || n[0] > MO_BLOCK_LANES || n[1] != n[0] || n[2] != n[0])
     return mo_fail(message, MO_ERR_FORMAT,
-                   "1 to %d environments, with as many losses and steps, are expected",
+                   "must have 1 to %d environments, with one loss and step for each",
                    MO_BLOCK_LANES);
   for (uint32_t k = 0; k < n[0]; k++)
     if (score->losses[k] < 0 || isfinite(score->losses[k]) != (score->diverged_steps[k] == 0))

@@ -22,7 +22,7 @@ static int read_head(struct mo_reading *reading)
   size_t at = 0, size;
   char *line;
   if (strcmp(member->name, "bundle.json") != 0)
-    return mo_reading_refuse(reading, 0, "a bundle begins with bundle.json");
+    return mo_reading_refuse(reading, 0, "a bundle must begin with bundle.json");
   int error = mo_reading_check_lines(reading);
   if (error != MO_OK)
     return error;
@@ -30,8 +30,9 @@ static int read_head(struct mo_reading *reading)
   error = mo_bundle_read_head(reading->lines, line, size, &reading->head, &words);
   if (error == MO_ERR_FORMAT)
     return mo_reading_refuse(reading, 1, words.text);
-  return error == MO_OK && at < member->size ? mo_reading_refuse(reading, 2, "one line is expected")
-                                             : error;
+  return error == MO_OK && at < member->size
+             ? mo_reading_refuse(reading, 2, "must have exactly one line")
+             : error;
 }
 
 static int read_controller(struct mo_reading *reading)
@@ -71,11 +72,11 @@ static int next_campaign(struct mo_reading *reading)
   if (error != MO_OK)
     return error;
   if (reading->summary->n == head->n)
-    return mo_reading_refuse(reading, 0, "bundle.json does not name the campaign");
+    return mo_reading_refuse(reading, 0, "bundle.json does not list the campaign");
   snprintf(reading->folder, sizeof(reading->folder), "campaigns/%lld/",
            (long long)head->campaigns[reading->summary->n]);
   if (strncmp(reading->member.name, reading->folder, strlen(reading->folder)) != 0)
-    return mo_reading_refuse(reading, 0, "bundle.json names another campaign here");
+    return mo_reading_refuse(reading, 0, "bundle.json lists another campaign here");
   reading->part = MO_PART_CAMPAIGN;
   return mo_reading_begin(reading);
 }
@@ -154,7 +155,7 @@ static int read_members(struct mo_reading *reading)
   if (error == MO_OK && more == 0 &&
       (reading->summary->n != reading->head.n || reading->n_used != reading->n_controllers))
     error = mo_fail(reading->message, MO_ERR_FORMAT,
-                    "the bundle lacks a campaign that bundle.json names, or has a controller that "
+                    "the bundle lacks a campaign that bundle.json lists, or has a controller that "
                     "no campaign uses");
   return error != MO_OK ? error : more;
 }

@@ -6,7 +6,7 @@
 #include "exchange/bundle.h"
 #include "exchange/bundle_scores.h"
 
-/* The members of a campaign, in their order. */
+/* The members of a campaign, in order. */
 enum mo_bundle_part {
   MO_PART_NOTHING,
   MO_PART_CAMPAIGN,
@@ -69,7 +69,7 @@ struct mo_reading {
 
 /* ---- bundle_campaign.c ---- */
 
-/* Fills the message with a fault of a line of the member; line 0: of the member. Returns
+/* Fills the message with a fault in a line of the member (line 0: in the member). Returns
  * MO_ERR_FORMAT. */
 int mo_reading_refuse(struct mo_reading *reading, uint32_t line, const char *words);
 /* Refuses a member without lines, or without a newline at the end of its last line. */

@@ -1,8 +1,8 @@
 /* bundle_scores.c: see bundle_scores.h. The lines of a design have each loss of a class once, and
  * the score of the design is the mean of its losses, bit for bit.
  *
- * Older programs wrote a loss again if two blocks of their store had it. A limited number of lines
- * that repeat an earlier one from another block is therefore accepted. */
+ * Older programs wrote a loss twice if two blocks of their store had it. Therefore a limited number
+ * of lines may repeat an earlier line from another block. */
 #include "exchange/bundle_scores.h"
 
 #include <math.h>
@@ -90,7 +90,7 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
   struct class *class = class_of(scores, score->fingerprint);
   bool is_new = false, is_same = true;
   if (class == NULL)
-    return mo_fail(message, MO_ERR_FORMAT, "scores of more than %d classes", CLASSES);
+    return mo_fail(message, MO_ERR_FORMAT, "there may be scores of at most %d classes", CLASSES);
   for (uint32_t k = 0; k < score->n; k++) {
     const uint32_t place = score->environments[k];
     if (class->known >> place & 1) {
@@ -110,12 +110,12 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
   }
   if (!is_new && (is_same || ++scores->n_again > AGAIN))
     return mo_fail(message, MO_ERR_DUPLICATE,
-                   "duplicate: earlier lines of the design have all these losses");
+                   "duplicate line: earlier lines of the design have all of these losses");
   return is_new;
 }
 
-/* Returns the mean of the losses, added in the order of the environments as campaigns do
- * (mo_race_score): those of class `a`, or of class `b` where `a` has none. */
+/* Returns the mean of the losses, added in the order of the environments, as in campaigns
+ * (mo_race_score). Uses the losses of class `a`, or of class `b` where `a` has none. */
 static double mean_of(const struct mo_bundle_scores *scores, const struct class *a,
                       const struct class *b, bool *is_whole)
 {
@@ -140,7 +140,7 @@ int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bo
     for (uint32_t b = 0; b < scores->n; b++) {
       const double mean = mean_of(scores, &scores->classes[a], &scores->classes[b], &is_whole);
       /* A child is cut short once its score exceeds the bound or is infinite. Other jobs may have
-       * computed further losses of it. */
+       * computed more of its losses. */
       if ((is_cut && mean >= score) || (same_bits(mean, score) && (is_whole || isinf(mean))))
         return MO_OK;
     }

@@ -4,15 +4,15 @@
 
 #include "store/imports.h"
 
-struct mo_bundle_scores;                                     /* of one design at a time */
-struct mo_bundle_scores *mo_bundle_scores_create(void);      /* NULL: no memory */
+struct mo_bundle_scores;                                     /* for one design at a time */
+struct mo_bundle_scores *mo_bundle_scores_create(void);      /* Returns NULL if memory runs out. */
 void mo_bundle_scores_free(struct mo_bundle_scores *scores); /* NULL-safe */
 /* Begins a campaign, after its environments have been read. */
 void mo_bundle_scores_open(struct mo_bundle_scores *scores,
                            const struct mo_imported_campaign *campaign);
 /* Discards the lines so far, and begins this design. */
 void mo_bundle_scores_begin(struct mo_bundle_scores *scores, uint32_t number);
-/* Adds a line. Returns 1, or 0 if earlier lines from other blocks have all its losses.
+/* Adds a line. Returns 1, or 0 if earlier lines from other blocks have all of its losses.
  * MO_ERR_DUPLICATE: an earlier line is the same, or too many lines returned 0. MO_ERR_FORMAT. */
 int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campaign_score *score,
                          struct mo_message *message);

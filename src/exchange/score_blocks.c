@@ -158,7 +158,7 @@ struct reading {
   struct mo_archive_member member;
   struct mo_bundle_lines *lines;
   struct mo_message *message;
-  enum part part;     /* of the previous member; PARTS: none */
+  enum part part;     /* part of the previous member; PARTS: none */
   uint32_t condition; /* of the current score member */
 };
 
@@ -175,7 +175,7 @@ static int read_head(struct reading *reading)
            MO_SCORES_VERSION);
   if (strncmp(member->bytes, expected, strlen(expected)) != 0 ||
       !mo_archive_line(member, &at, &line, &size) || at != member->size)
-    return mo_archive_refuse(member, 0, "not scores of a version that this program reads",
+    return mo_archive_refuse(member, 0, "unknown version of scores for this program",
                              reading->message);
   struct mo_json *json = mo_line_begin(lines, line, size);
   if (mo_json_object(json))
@@ -229,12 +229,12 @@ static int read_design(struct mo_bundle_lines *lines, const char *line, size_t s
   return error;
 }
 
-/* Returns the reason why a score does not belong to the block; NULL: it does. */
+/* Returns the reason why a score does not belong to the block, or NULL if it does. */
 static const char *check_score(const struct mo_score_block *block, uint32_t condition,
                                const struct mo_campaign_score *score)
 {
   if (score->number >= block->n_designs)
-    return "the score belongs to no design of the block";
+    return "the score must belong to a design of the block";
   for (uint32_t k = 0; k < score->n; k++) {
     if (score->environments[k] >= block->n_environments ||
         score->diverged_steps[k] > block->conditions[condition].physics.scheme.n_steps)
@@ -274,7 +274,7 @@ static int read_line(struct reading *reading, const char *line, size_t size,
   struct mo_bundle_lines *lines = reading->lines;
   struct mo_scored_condition *condition;
   if (counts[reading->part].n == counts[reading->part].max)
-    return mo_fail(words, MO_ERR_FORMAT, "a block has at most %u lines of this kind",
+    return mo_fail(words, MO_ERR_FORMAT, "a block may have at most %u lines of this kind",
                    counts[reading->part].max);
   switch (reading->part) {
   case CONDITIONS:
@@ -315,7 +315,7 @@ static bool find_part(struct reading *reading)
   if (part == PARTS || (part == HEAD) != (reading->part == PARTS) ||
       (part != HEAD && part < reading->part) || (part != SCORES && part == reading->part))
     return false;
-  if (part == SCORES) { /* each condition once, ascending */
+  if (part == SCORES) { /* each condition appears once, in ascending order */
     uint32_t i = reading->part == SCORES ? reading->condition + 1 : 0;
     do
       snprintf(expected, sizeof(expected), "%s%08u.ndjson", parts[SCORES], i);
@@ -357,7 +357,7 @@ int mo_score_block_head(const char *bytes, size_t n, size_t *size, struct mo_mes
     return mo_fail(message, MO_ERR_FORMAT, "the file ends early");
   memcpy(head, bytes, sizeof(head));
   if (head[0] != MAGIC || head[1] != 4 || head[2] > MO_SCORES_BLOCK_MAX)
-    return mo_fail(message, MO_ERR_FORMAT, "no block of scores begins here");
+    return mo_fail(message, MO_ERR_FORMAT, "expected the start of a block of scores");
   if (head[2] > n - sizeof(head))
     return mo_fail(message, MO_ERR_FORMAT, "the file ends early");
   *size = head[2];

@@ -87,7 +87,7 @@ static void read_hash(struct mo_json *json, void *sha256)
 {
   struct mo_json_slice slice;
   if (mo_json_string(json, &slice) && mo_sha256_from_hex(slice.bytes, slice.size, sha256) != MO_OK)
-    mo_json_fault(json, "64 hexadecimal digits are expected");
+    mo_json_fault(json, "must be 64 hexadecimal digits");
 }
 
 static void write_hash(struct mo_text *text, const void *value)

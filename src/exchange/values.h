@@ -30,14 +30,14 @@ void mo_environment_write(struct mo_text *text, const struct mo_environment *env
 /* ---- designs of campaigns ---- */
 
 /* Writes a design of a campaign: the members of an object without its braces, so that more can
- * follow. words: those of a study; its measures are then written as well. NULL: a line of a bundle,
- * which has neither measures nor the robot. */
+ * follow. words: the words of a study, so that its measures are written as well; NULL for a line of
+ * a bundle, which has neither measures nor the robot. */
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row,
                              const struct mo_study_words *words);
 /* Writes the history of the design in the campaign, as further members: parents, operator, born,
  * died, score. */
 void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
-/* Write the parents: as a member; only their numbers, separated by commas. */
+/* Write the parents, either as a member or as numbers separated by commas. */
 void mo_member_parents(struct mo_text *text, const struct mo_descent *descent);
 void mo_parents_write(struct mo_text *text, const struct mo_descent *descent);
 

@@ -92,7 +92,8 @@ static bool read_end(const struct sockaddr_storage *name, __be32 address[4], __b
 /* Finds the user at the other end of a connection from a loopback address: the kernel reports the
  * user of any socket by its addresses and ports (NETLINK_SOCK_DIAG). One exact query selects the
  * peer's end of the connection; sendto itself produces the answer. So limits count per user on
- * loopback as well, and one user cannot take all places. False: not known. */
+ * loopback as well, and one user cannot take all places. Returns false if the user cannot be
+ * found. */
 static bool find_uid(struct mo_http *http, int fd, const struct sockaddr_storage *peer, uid_t *uid)
 {
   struct sockaddr_storage own = {0};
@@ -162,8 +163,8 @@ static bool is_of(const struct mo_connection *connection, const unsigned char ke
   return memcmp(connection->client_key, key, sizeof(connection->client_key)) == 0;
 }
 
-/* Returns whether `one` gives way before `other`: idle connections before those that receive a
- * request, then older ones first. */
+/* Returns whether `one` gives way before `other`: idle connections give way before connections that
+ * are receiving a request, and older connections before newer ones. */
 static bool goes_before(const struct mo_connection *one, const struct mo_connection *other)
 {
   bool receiving = atomic_load(&one->receiving);
@@ -212,8 +213,8 @@ static void survey(struct mo_http *http, int64_t now_us, uint32_t n[MO_PLACES],
   }
 }
 
-/* Cuts a connection, unless a complete request has arrived meanwhile. Call it with the connections'
- * lock held, which keeps the descriptor open. */
+/* Closes a connection, unless a complete request has arrived in the meantime. Call it with the
+ * connections' lock held, which keeps the descriptor open. */
 static bool give_way(struct mo_http *http, struct mo_connection *connection)
 {
   int64_t seen = connection != NULL ? atomic_load(&connection->spare_us) : MO_NEVER;
@@ -226,8 +227,8 @@ static bool give_way(struct mo_http *http, struct mo_connection *connection)
   return true;
 }
 
-/* Finds a place for a new connection: a free place, or that of a connection that it cuts.
- * MO_PLACES: none. */
+/* Finds a place for a new connection: a free place, or the place of a connection that it closes.
+ * Returns MO_PLACES if there is none. */
 static enum mo_place find_place(struct mo_http *http, bool is_unix)
 {
   uint32_t max = http->config.max_connections, kept = max / 8 < KEPT_MAX ? max / 8 : KEPT_MAX;

@@ -96,7 +96,7 @@ static int reserve(struct mo_request *request, size_t n)
 }
 
 /* Drops the body with the longest time without progress; of_client: only bodies of the same client.
- * False: all bodies make progress. */
+ * Returns false if all bodies make progress. */
 static bool drop_another(const struct mo_request *request, bool of_client)
 {
   struct mo_http *http = request->http;

@@ -36,7 +36,7 @@ static struct mo_client **bucket_of(struct mo_clients *clients, const unsigned c
   return &clients->buckets[(hash ^ hash >> 16) & 255];
 }
 
-/* Finds or adds a client. Call it with the lock held. NULL: out of memory. */
+/* Finds or adds a client. Call it with the lock held. Returns NULL if memory runs out. */
 static struct mo_client *find_or_add(struct mo_clients *clients, const unsigned char key[16])
 {
   struct mo_client **bucket = bucket_of(clients, key), *client = *bucket;

@@ -1,4 +1,5 @@
-/* connection.c: the table of open connections, their deadlines, and how they are cut and linger. */
+/* connection.c: the table of open connections, their deadlines, and how they are closed and
+ * linger. */
 #include <errno.h>
 #include <poll.h>
 #include <stdlib.h>

@@ -33,13 +33,13 @@ struct mo_connection {
   unsigned char client_key[16]; /* the client, for limits: the peer's user if it is on this machine,
                                    otherwise its address */
   char client[64];              /* for logs */
-  _Atomic int64_t deadline_us;  /* when the clock thread cuts the connection */
+  _Atomic int64_t deadline_us;  /* when the clock thread closes the connection */
   bool lingers; /* closing at once could lose the last reply, while the client still sends */
-  /* Whether this connection may be cut if a new one needs its place. spare_us: the connection has
-   * been idle since then, or its request (receiving: one has begun) has made no progress since
+  /* Whether this connection may be closed if a new one needs its place. spare_us: the connection
+   * has been idle since then, or its request (receiving: one has begun) has made no progress since
    * then. MO_NEVER: a complete request has arrived. */
   atomic_bool receiving;
-  _Atomic int64_t spare_us; /* MO_GAVE_WAY: cut already */
+  _Atomic int64_t spare_us; /* MO_GAVE_WAY: closed already */
   atomic_bool left;         /* the client has closed its end */
 };
 
@@ -48,13 +48,15 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message);
 void mo_connection_add(struct mo_http *http, struct mo_connection *connection);
 struct mo_connection *mo_connection_find(struct mo_http *http, int fd);
 void mo_connection_forget(struct mo_http *http, struct mo_connection *connection);
-/* Cuts all connections whose deadline has passed. */
+/* Closes all connections whose deadline has passed. */
 void mo_connections_expire(struct mo_http *http, int64_t now_us);
 
-/* Sets spare_us. False: the connection was cut already; its request must not be handled. */
+/* Sets spare_us. Returns false if the connection was closed already; its request must then not be
+ * handled. */
 bool mo_connection_spare(struct mo_connection *connection, int64_t since_us);
-/* Cuts the connection by shutdown: the I/O thread sees end of file. detail (nullable): of a 503
- * that is sent first, but only within a request that has no reply yet. */
+/* Closes the connection by shutdown, so that the I/O thread sees the end of file. detail
+ * (nullable): the detail of a 503 that is sent first if the connection has a request without a
+ * reply. */
 void mo_connection_cut(struct mo_http *http, const struct mo_connection *connection, const char *id,
                        const char *detail);
 /* Waits for clients to leave, at most timeout_ms: libmicrohttpd does not watch suspended

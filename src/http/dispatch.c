@@ -94,8 +94,8 @@ static bool admitted(struct mo_request *request)
   const struct mo_route *route = request->route;
   const bool is_open =
       (route != NULL && (route->flags & MO_ROUTE_OPEN)) || request->method == MO_OPTIONS;
-  /* Workers name the service as their cluster does. A page at a rebound name does not have their
-   * token, and a wrong token is refused below. */
+  /* Workers use the service's name in their cluster, so any Host is accepted. A page at a rebound
+   * name does not have their token, and a wrong token is refused below. */
   const int known = http->config.token_if_any
                         ? mo_tokens_check(&http->tokens, framing->authorization, &request->caller)
                         : -1;
@@ -187,7 +187,7 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   bool star = request->method == MO_OPTIONS && strcmp(request->raw_target, "*") == 0;
   if (path == NULL && !star) {
     mo_reply_problem(request, 404, NULL,
-                     "There is nothing at this path; /openapi.json lists all paths.");
+                     "This path does not exist; /openapi.json lists all paths.");
     return;
   }
   if (request->connection->place == MO_PLACE_HEALTH &&
@@ -215,7 +215,7 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   if (route->body != MO_BODY_SMALL && !request->framing.has_length && !request->framing.chunked)
     mo_reply_problem(
         request, 411, NULL,
-        "The length of the body is missing: Content-Length or chunked coding is expected.");
+        "The length of the body is missing; send Content-Length, or use chunked coding.");
   else if (request->framing.has_length && request->framing.length > request->body_limit)
     mo_reply_problem(request, 413, NULL, "The body has %llu bytes; this path accepts at most %llu.",
                      (unsigned long long)request->framing.length,
@@ -299,7 +299,8 @@ static enum MHD_Result dispatch(struct mo_request *request)
       !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s,
                        mo_clock_us())) {
     mo_reply_problem(request, 429, NULL,
-                     "This client has sent more than %u submissions and uploads in a second.",
+                     "This client has sent more than %u submissions and uploads in one second, "
+                     "which is the limit; try again later.",
                      http->config.client_rate_per_s);
     return mo_reply_send(request);
   }

@@ -68,7 +68,7 @@ static void discard(struct mo_download *download)
   free(download);
 }
 
-/* Makes the next piece on an API thread. */
+/* Makes the next piece, on an API thread. */
 static void refill(struct mo_request *request)
 {
   struct mo_download *download = request->download;

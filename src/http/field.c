@@ -82,8 +82,8 @@ static size_t trimmed(const char *at, size_t n)
   return n;
 }
 
-/* Takes the next part of a list, without the blanks around it, and moves past its separator. False:
- * at the end. */
+/* Takes the next part of a list, without the blanks around it, and moves past its separator.
+ * Returns false at the end. */
 static bool next_part(const char **at, const char *separator, const char **part, size_t *n)
 {
   const char *start = skip_blank(*at);
@@ -126,7 +126,8 @@ int mo_prefer_wait(const char *field, int max)
   return -1;
 }
 
-/* Returns the quality of one element of Accept: its parameter q in thousandths; −1 if malformed. */
+/* Returns the quality of one element of Accept, which is its parameter q in thousandths, or −1 if
+ * it is malformed. */
 static int quality(const char *at, size_t n)
 {
   const char *end = at + n;

@@ -75,7 +75,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
     for (size_t k = 0; k < sizeof(single) / sizeof(single[0]); k++)
       if (strcasecmp(header->name, single[k].name) == 0) {
         if (*single[k].value != NULL)
-          return refuse(refusal, 400, true, single[k].name, "the field is given more than once");
+          return refuse(refusal, 400, true, single[k].name, "duplicate field; send it once");
         *single[k].value = header->value;
       }
   }
@@ -225,17 +225,18 @@ int mo_token_check(const struct mo_token *token, struct mo_message *message)
 {
   const size_t name_size = strlen(token->name), size = strlen(token->text);
   if (name_size < 1 || name_size > MO_TOKEN_NAME_MAX)
-    return mo_fail(message, MO_ERR_INVALID, "the name has %zu characters; 1 to %d are expected",
-                   name_size, MO_TOKEN_NAME_MAX);
+    return mo_fail(message, MO_ERR_INVALID, "the name must have 1 to %d characters, got %zu",
+                   MO_TOKEN_NAME_MAX, name_size);
   if (!is_printable(token->name))
     return mo_fail(message, MO_ERR_INVALID,
-                   "the name has characters other than printable ASCII; write it without them");
+                   "the name may have only printable ASCII characters without blanks");
   if (size < 16 || size > 512)
-    return mo_fail(message, MO_ERR_INVALID, "the token has %zu characters; 16 to 512 are expected",
+    return mo_fail(message, MO_ERR_INVALID, "the token must have 16 to 512 characters, got %zu",
                    size);
   if (!is_printable(token->text))
     return mo_fail(message, MO_ERR_INVALID,
-                   "the token has characters other than printable ASCII; create a different one");
+                   "the token may have only printable ASCII characters without blanks; create a "
+                   "different one");
   return MO_OK;
 }
 
@@ -243,7 +244,7 @@ int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t
                   struct mo_message *message)
 {
   if (n > MO_TOKENS_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "there are more than %d tokens", MO_TOKENS_MAX);
+    return mo_fail(message, MO_ERR_LIMIT, "there may be at most %d tokens", MO_TOKENS_MAX);
   for (size_t i = 0; i < n; i++) {
     const int error = mo_token_check(&items[i], message);
     if (error != MO_OK)

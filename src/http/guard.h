@@ -27,7 +27,7 @@ struct mo_header {
 struct mo_refusal {
   unsigned status;
   bool close;         /* the framing is ambiguous: read nothing more from the connection */
-  const char *header; /* the field at fault, or NULL */
+  const char *header; /* the invalid field, or NULL */
   const char *detail;
 };
 
@@ -42,7 +42,7 @@ struct mo_framing {
       *fetch_site;
 };
 
-/* Checks the header. False: *refusal is filled in. http10: the request is HTTP/1.0. */
+/* Checks the header. Returns false after filling in *refusal. http10: the request is HTTP/1.0. */
 bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
                       struct mo_framing *framing, struct mo_refusal *refusal);
 
@@ -64,8 +64,8 @@ struct mo_names {
 bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names *names);
 /* Accepts an Origin that has the host and port of `host`, or is one of `names`. */
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names);
-/* False: Sec-Fetch-Site (nullable) says that the request comes from a page of another site, or of
- * another name of this site. */
+/* Returns false if Sec-Fetch-Site (nullable) says that the request comes from a page of another
+ * site, or of another name of this site. */
 bool mo_guard_fetch_site(const char *site);
 
 /* ---- tokens ---- */
@@ -78,20 +78,20 @@ struct mo_tokens {
 };
 /* The sender of a request, and its rights. */
 struct mo_caller {
-  char name[MO_TOKEN_NAME_MAX + 1]; /* of the token; "": none was required or sent */
+  char name[MO_TOKEN_NAME_MAX + 1]; /* the token's name; "": no token was required or sent */
   enum mo_right right;
 };
 void mo_tokens_free(struct mo_tokens *tokens);
-/* Checks name and text of a token. MO_ERR_INVALID: the message says what is expected, but never
- * quotes the token. */
+/* Checks name and text of a token. MO_ERR_INVALID: the message says what a valid one looks like,
+ * but never quotes the token. */
 int mo_token_check(const struct mo_token *token, struct mo_message *message);
-/* Replaces the tokens. MO_ERR_INVALID; MO_ERR_LIMIT: too many; MO_ERR_NO_MEMORY. The old tokens
- * stay on error. */
+/* Replaces the tokens. MO_ERR_INVALID; MO_ERR_LIMIT: too many; MO_ERR_NO_MEMORY. On an error, the
+ * old tokens stay. */
 int mo_tokens_set(struct mo_tokens *tokens, const struct mo_token *items, size_t n,
                   struct mo_message *message);
-/* Checks "Bearer <token>". Returns 1 if it is right and fills in *caller, 0 if it is wrong, −1 if
- * no tokens are set. The time that this takes does not reveal which token, or how much of it, was
- * right. */
+/* Checks "Bearer <token>". Returns 1 and fills in *caller if the token matches, 0 if it does not,
+ * and −1 if no tokens are set. The time that this takes does not reveal which token matched, or how
+ * much of it. */
 int mo_tokens_check(struct mo_tokens *tokens, const char *authorization, struct mo_caller *caller);
 
 #endif

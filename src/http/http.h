@@ -6,7 +6,7 @@
  * threads. One clock thread enforces deadlines, heartbeats and `Prefer: wait`. Health, readiness
  * and metrics read only atomics and wait for no thread.
  *
- * This room does not log: the `log` callback receives each finished request. */
+ * This room does not write logs: the `log` callback receives each finished request. */
 #ifndef MORPHO_HTTP_HTTP_H
 #define MORPHO_HTTP_HTTP_H
 
@@ -60,10 +60,10 @@ struct mo_http_config {
                                service's own user */
   size_t n_unix_groups;
   uint32_t n_io_threads;    /* libmicrohttpd's pool; 0: one per processor, at most 4 */
-  uint32_t max_connections; /* above it, idle connections are cut, or new ones get 503 with
-                               Retry-After. Lower if the limit on open files requires it: see
-                               mo_http_get_stats */
-  uint32_t other_files;     /* descriptors that other servers of this process may need */
+  uint32_t max_connections; /* above this, idle connections are closed, or new ones get 503 with
+                             * Retry-After. Lower if the limit on open files requires it: see
+                             * mo_http_get_stats */
+  uint32_t other_files;     /* descriptors that other servers in this process may need */
   uint32_t max_streams;     /* event streams */
   uint32_t max_in_flight;   /* requests of one client at a time, without those that wait for a job;
                                above: 429 */
@@ -126,15 +126,16 @@ int mo_http_check_certificate(const char *certificate, const char *key, struct m
 /* Closes the listening sockets, for a caller that fails before mo_http_start. */
 void mo_http_refuse_listeners(const struct mo_http_config *config);
 
-/* Sets readiness. False (draining): /readyz returns 503 and new work is refused with 503; requests
- * in flight are still answered. */
+/* Sets readiness. While it is false (draining), /readyz returns 503 and new work is refused with
+ * 503, but requests in flight are still answered. */
 void mo_http_set_ready(struct mo_http *http, bool ready);
 bool mo_http_is_ready(const struct mo_http *http);
 
 void *mo_http_context(const struct mo_request *request); /* of the request's service */
 
-/* Replaces the tokens. Of the open requests, only event streams with a removed token are closed.
- * MO_ERR_INVALID (missing but required, or malformed), MO_ERR_NO_MEMORY: the old tokens stay. */
+/* Replaces the tokens. Open requests continue, except event streams with a removed token, which are
+ * closed. MO_ERR_INVALID (missing but required, or malformed), MO_ERR_NO_MEMORY: the old tokens
+ * stay. */
 int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size_t n,
                        struct mo_message *message);
 
@@ -143,7 +144,7 @@ int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size
  * NULL-safe. The service must still exist. */
 void mo_http_stop(struct mo_http *http, uint32_t grace_ms);
 
-/* Runs the next tick of the service at once. Takes no lock. */
+/* Runs the service's next tick at once. Takes no lock. */
 void mo_http_tick_soon(struct mo_http *http);
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats);
 

@@ -43,7 +43,7 @@ static void unlink_waiting(struct mo_request *request)
   request->wait_for = 0;
 }
 
-/* Parks a request while its handler waits. False: the wait is over already. */
+/* Parks a request while its handler waits. Returns false if the wait is over already. */
 static bool park(struct mo_request *request)
 {
   struct mo_pool *pool = &request->http->pool;
@@ -59,7 +59,8 @@ static bool park(struct mo_request *request)
   return parked;
 }
 
-/* Runs the handler of a request. False: the request is parked, and may have ended meanwhile. */
+/* Runs the handler of a request. Returns false if the request is parked; it may even have ended by
+ * then. */
 static bool handle(struct mo_request *request)
 {
   /* Long work does not start for a client that has left, or while the service stops. */
@@ -129,8 +130,8 @@ static void *worker(void *context)
   return NULL;
 }
 
-/* Starts the threads of a queue. most_of_client: how many requests of one client they run at once,
- * at most. */
+/* Starts the threads of a queue. most_of_client: the largest number of requests from one client
+ * that they run at once. */
 static int start_queue(struct mo_http *http, enum mo_queue_kind kind, uint32_t n_threads,
                        uint32_t most_of_client)
 {

@@ -27,7 +27,9 @@ struct mo_pool {
   bool quit;
   struct mo_api_thread threads[MO_QUEUES * MO_QUEUE_THREADS_MAX];
   uint32_t n_threads;
-  LIST_HEAD(, mo_request) waiting[MO_WAITING]; /* parked, or about to park; by what they wait for */
+  LIST_HEAD(, mo_request)
+  waiting[MO_WAITING]; /* parked, or about to park, and grouped by what they
+                        * wait for */
 };
 
 int mo_pool_start(struct mo_http *http);
@@ -41,7 +43,7 @@ int mo_pool_give(struct mo_http *http, struct mo_request *request);
  * deadline, or within about 20 ms after the client leaves (mo_connection_has_left). */
 void mo_wait_begin(struct mo_request *request, int64_t what, int64_t deadline_us);
 void mo_wait_end(struct mo_request *request);
-/* Ends the waits for `what`, or (−1) of clients that have left, and the waits with a deadline
+/* Ends the waits for `what`, or (−1) for clients that have left, and the waits with a deadline
  * before now_us (INT64_MIN: none, MO_NEVER: all). */
 void mo_waits_end(struct mo_http *http, int64_t what, int64_t now_us);
 

@@ -14,7 +14,7 @@
 
 /* ---- query parameters ---- */
 
-/* Finds a name in the route's list. NULL: the route has no such parameter. */
+/* Finds a name in the route's list. Returns NULL if the route does not have this parameter. */
 static const char *find_name(const char *list, const char *name)
 {
   size_t size = strlen(name);
@@ -26,7 +26,7 @@ static const char *find_name(const char *list, const char *name)
   return NULL;
 }
 
-/* Reads one parameter; text: space for the name and the value. Returns the space used. */
+/* Reads one parameter. text: space for the name and the value. Returns the space used. */
 static size_t read_item(struct mo_request *request, const struct mo_query_item *item, char *text,
                         struct mo_faults *faults)
 {
@@ -36,12 +36,12 @@ static size_t read_item(struct mo_request *request, const struct mo_query_item *
       item->value_size + 1 < MO_QUERY_VALUE_BYTES ? item->value_size + 1 : MO_QUERY_VALUE_BYTES;
   bool good = mo_percent_decode(item->name, item->name_size, true, text, item->name_size + 1);
   if (!good || find_name(request->route->query, text) == NULL)
-    mo_faults_add(faults, MO_FAULT_PARAMETER, good ? text : "?", "this path has no such parameter");
+    mo_faults_add(faults, MO_FAULT_PARAMETER, good ? text : "?", "unknown parameter for this path");
   else if (mo_query(request, text) != NULL || query->n == MO_QUERY_MAX)
-    mo_faults_add(faults, MO_FAULT_PARAMETER, text, "the parameter is given more than once");
+    mo_faults_add(faults, MO_FAULT_PARAMETER, text, "duplicate parameter; give it once");
   else if (!mo_percent_decode(item->value, item->value_size, true, value, room))
     mo_faults_add(faults, MO_FAULT_PARAMETER, text,
-                  "the value is too long, or not UTF-8 in percent escapes");
+                  "the value must be UTF-8 in percent escapes, and at most 200 characters");
   else {
     query->items[query->n].name = text;
     query->items[query->n++].value = value;
@@ -97,7 +97,7 @@ bool mo_query_number(struct mo_request *request, const char *name, int64_t min, 
   char detail[96];
   if (value == NULL || mo_decimal(value, strlen(value), min, max, number))
     return true;
-  snprintf(detail, sizeof(detail), "an integer from %lld to %lld is expected", (long long)min,
+  snprintf(detail, sizeof(detail), "must be an integer from %lld to %lld", (long long)min,
            (long long)max);
   mo_reply_bad_parameter(request, name, detail);
   return false;
@@ -141,7 +141,7 @@ bool mo_query_word(struct mo_request *request, const char *name, const char *con
     *i = found;
     return true;
   }
-  snprintf(detail, sizeof(detail), "%s is expected", mo_words_join(words, "", list));
+  snprintf(detail, sizeof(detail), "must be %s", mo_words_join(words, "", list));
   mo_reply_bad_parameter(request, name, detail);
   return false;
 }
@@ -195,7 +195,7 @@ bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
   if (mo_id(request->parameters[parameter], id))
     return true;
   mo_reply_problem(request, 404, NULL,
-                   "There is no such job: an id is a positive integer in decimal digits.");
+                   "There is no such job: an id must be a positive integer in decimal digits.");
   return false;
 }
 

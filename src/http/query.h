@@ -12,7 +12,7 @@
  * allow JSON (MO_ROUTE_JSON). Reads the parameters into request->query. */
 bool mo_query_begin(struct mo_request *request);
 void mo_query_end(struct mo_request *request);
-/* Returns the value of a parameter; NULL: absent. */
+/* Returns the value of a parameter, or NULL if it is absent. */
 const char *mo_query(const struct mo_request *request, const char *name);
 /* Reads `limit`: 1 to MO_LIST_MAX, 100 if absent. */
 bool mo_query_limit(struct mo_request *request, size_t *limit);
@@ -21,7 +21,7 @@ bool mo_query_number(struct mo_request *request, const char *name, int64_t min, 
                      int64_t *number);
 /* Reads the id of a row in the same way. words: the detail for invalid values. */
 bool mo_query_id(struct mo_request *request, const char *name, const char *words, int64_t *id);
-#define MO_CURSOR_WORDS "the next_cursor of an earlier page is expected"
+#define MO_CURSOR_WORDS "must be the next_cursor of an earlier page"
 #define MO_CURSOR_MAX   INT64_C(9999999999)
 /* Reads a `cursor` that is the number of a row, 0 to MO_CURSOR_MAX; −1 if it is absent. */
 bool mo_query_cursor(struct mo_request *request, int64_t *number);
@@ -34,10 +34,11 @@ bool mo_query_form(struct mo_request *request, const char *const *names, const c
                    int *form);
 /* Chooses a type by Accept. */
 bool mo_accept(struct mo_request *request, const char *const *types, int *form);
-/* Checks that Content-Type is `expected` or `also` (nullable), without a content coding. */
+/* Checks that Content-Type is `expected` or `also` (nullable), and that there is no content
+ * coding. */
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also);
-/* Reads the id of a job from a path parameter; the reply to anything but a positive integer is
- * 404. */
+/* Reads a job's id from a path parameter. Replies with 404 to anything except a positive
+ * integer. */
 bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id);
 /* Reads Prefer: wait=N into request->wait_s, unless the wait is over. */
 void mo_read_wait(struct mo_request *request);

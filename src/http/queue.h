@@ -18,7 +18,7 @@ struct mo_queue {
 
 void mo_queue_init(struct mo_queue *queue, uint32_t most_of_client);
 void mo_queue_push(struct mo_queue *queue, struct mo_request *request);
-/* Takes the next request that may run, and sets its `is_crowded`. NULL: none. */
+/* Takes the next request that may run, and sets its `is_crowded`. Returns NULL if there is none. */
 struct mo_request *mo_queue_take(struct mo_queue *queue);
 /* Records that a request of this client was handled; the request may have been freed. */
 void mo_queue_done(struct mo_queue *queue, const unsigned char client_key[16]);

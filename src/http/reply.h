@@ -25,8 +25,8 @@ void mo_reply_bytes(struct mo_request *request, unsigned status, const char *typ
  * no longer needed. */
 void mo_reply_borrowed(struct mo_request *request, const char *type, const void *body, size_t size,
                        void (*release)(void *owner), void *owner);
-/* Replies with a problem document. faults nullable. detail NULL: the first fault's, or the title of
- * the status. */
+/* Replies with a problem document. faults: nullable. detail: if NULL, the detail of the first
+ * fault, or the title of the status. */
 void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults,
                       const char *detail, ...) __attribute__((format(printf, 4, 5)));
 /* Reply with a problem about one query parameter, or one header field (400). */
@@ -63,7 +63,7 @@ void mo_reply_extra(struct mo_request *request, const char *name, const char *fo
 void mo_reply_clear(struct mo_reply *reply);
 /* Frees the request's body, and counts a large reply against the memory limits, the total and the
  * client's, until it is sent: slow readers could otherwise hold any amount. A reply is always
- * allowed if nothing else is counted. False: the reply is now a problem. */
+ * allowed if nothing else is counted. Returns false if the reply is now a problem. */
 bool mo_reply_reserve(struct mo_request *request, uint64_t bytes);
 bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
 enum MHD_Result mo_reply_send(struct mo_request *request);
@@ -79,7 +79,7 @@ void mo_pack_reply(struct mo_request *request);
 /* Compresses a reply that is produced piece by piece. */
 struct mo_packer;
 #define MO_PACKER_BYTES 300000 /* memory of a packer */
-/* Begins: marks the reply as compressed. NULL: the reply stays plain. */
+/* Begins: marks the reply as compressed. Returns NULL if the reply stays plain. */
 struct mo_packer *mo_packer_create(struct mo_request *request);
 /* Compresses a piece and appends the output that is ready, perhaps nothing; after the last piece,
  * all of it. */

@@ -114,7 +114,7 @@ struct mo_request {
   struct mo_download *download;
 };
 
-/* Creates the request of a connection that has none. NULL: out of memory. */
+/* Creates the request of a connection that has none. Returns NULL if memory runs out. */
 struct mo_request *mo_request_begin(struct mo_connection *connection, struct MHD_Connection *mhd,
                                     const char *target);
 /* Logs and frees the connection's request, if it has one. complete: the reply was sent in full. */
@@ -131,14 +131,14 @@ bool mo_request_is_over(const struct mo_request *request);
 /* Returns how much of the memory the bodies and replies of one client may use: half. Workers may
  * share one address, and may use all of the memory of their server. */
 uint64_t mo_body_memory_of_client(const struct mo_request *request);
-/* Reserves `more` bytes for a request that already holds `held` bytes. False: too little memory is
- * left. A request always gets its bytes if no other request holds any. */
+/* Reserves `more` bytes for a request that already holds `held` bytes. Returns false if too little
+ * memory is left. A request always gets its bytes if no other request holds any. */
 bool mo_body_memory_take(struct mo_http *http, uint64_t held, uint64_t more, bool small);
 /* Appends a piece to the body. MO_ERR_LIMIT: the client has used its share; MO_ERR_NO_MEMORY;
  * MO_ERR_CANCELLED: the body was dropped. */
 int mo_body_add(struct mo_request *request, const char *bytes, size_t n);
-/* Ends the receiving of the body, which can then no longer be dropped. False: it was dropped
- * already. */
+/* Ends the receiving of the body, which can then no longer be dropped. Returns false if it was
+ * dropped already. */
 bool mo_body_end(struct mo_request *request);
 /* Frees the body's memory once it has been read or is not needed. */
 void mo_request_drop_body(struct mo_request *request);

@@ -56,7 +56,7 @@ const struct mo_route *mo_route_find(const struct mo_routes *routes, const char 
   return NULL;
 }
 
-/* Returns the next line of the same path; NULL: this is the last line. */
+/* Returns the next line of the same path, or NULL after the last one. */
 static const struct mo_route *next_of_path(const struct mo_routes *routes,
                                            const struct mo_route *route)
 {

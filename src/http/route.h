@@ -80,14 +80,14 @@ struct mo_routes {
 enum mo_method mo_method_of(const char *name);
 
 /* Finds the first line of a path as received; percent escapes are decoded per segment. parameters:
- * the values of {…} in order, NUL-terminated. NULL: no such path. */
+ * the values of {…} in order, NUL-terminated. Returns NULL if the path does not exist. */
 const struct mo_route *mo_route_find(const struct mo_routes *routes, const char *path, size_t size,
                                      char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES]);
 /* Finds the line of a method, starting from the first line of the path; HEAD is served as GET.
- * NULL: the path has no such method. */
+ * Returns NULL if the path does not have this method. */
 const struct mo_route *mo_route_of_method(const struct mo_routes *routes,
                                           const struct mo_route *path, enum mo_method method);
-/* Writes the methods of a path, whose first line this is: "GET, HEAD, OPTIONS". */
+/* Writes the methods of a path, given its first line: "GET, HEAD, OPTIONS". */
 void mo_route_allow(const struct mo_routes *routes, const struct mo_route *path, char allow[64]);
 
 #endif

@@ -83,7 +83,7 @@ void mo_http_refuse_listeners(const struct mo_http_config *config)
     close(config->listeners[i]);
 }
 
-/* Takes ownership of the listening sockets, and finds out whether one is beyond loopback. */
+/* Takes ownership of the listening sockets, and checks whether one is beyond loopback. */
 static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
                            struct mo_message *message)
 {
@@ -262,7 +262,7 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
     pthread_join(http->clock, NULL);
   }
   if (http->service.stop != NULL)
-    http->service.stop(http->service.context); /* from now on no event arrives */
+    http->service.stop(http->service.context); /* from now on no more events arrive */
   mo_pool_stop(http);
   destroy(http);
 }

@@ -38,8 +38,8 @@ struct mo_http {
   pthread_mutex_t connections_lock;
   struct mo_connection **connections;       /* by descriptor */
   size_t connections_size, connections_top; /* all descriptors are below connections_top */
-  atomic_uint n_connections, n_leaving;     /* n_leaving: cut, but not closed yet by their I/O
-                                               threads */
+  atomic_uint n_connections, n_leaving;     /* n_leaving: closed, but not yet by their I/O
+                                             * threads */
   _Atomic int64_t acceptor_us, clock_us;
   atomic_bool clock_stop, ready, stopping;
   struct mo_lingering lingering;

@@ -98,8 +98,8 @@ void mo_streams_send(struct mo_http *http, int64_t sequence, int64_t topic,
   mo_text_free(&text);
 }
 
-/* Fills the buffer with one page. True: there may be more. The connection is suspended and the
- * buffer empty. */
+/* Fills the buffer with one page. Returns whether there may be more. The connection is suspended
+ * and the buffer empty. */
 static bool fill(struct mo_http *http, struct mo_stream *stream)
 {
   pthread_mutex_lock(&http->streams.lock);

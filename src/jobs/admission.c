@@ -16,7 +16,7 @@ int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
   else if (jobs->open_rollouts > 0 &&
            jobs->open_rollouts + rollouts > jobs->config.max_open_rollouts)
     error = mo_fail(message, MO_ERR_BUSY,
-                    "%llu rollouts are waiting; %llu more would pass the limit of %llu",
+                    "%llu rollouts are waiting; %llu more would exceed the limit of %llu",
                     (unsigned long long)jobs->open_rollouts, (unsigned long long)rollouts,
                     (unsigned long long)jobs->config.max_open_rollouts);
   if (error == MO_OK) {

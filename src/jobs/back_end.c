@@ -118,19 +118,18 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool
           : MO_ON_CPU;
   if (request->back_end == MO_ON_DEVICE && !suits)
     return mo_fail(message, MO_ERR_DEVICE,
-                   "devices compute batches in float32 that record nothing: ask for \"cpu\" or "
-                   "\"auto\", or for such a batch");
+                   "devices can only compute batches in float32 that record nothing; request "
+                   "\"cpu\" or \"auto\", or such a batch");
   if (request->back_end == MO_ON_CPU || serves_devices(jobs))
     return MO_OK;
   if (mo_compute_expects_devices(jobs->compute))
     return mo_fail(message, MO_ERR_DEVICE,
-                   "the service has no devices, and no worker with devices has joined it yet: ask "
-                   "for \"cpu\" or \"auto\", or start such a worker");
-  return mo_fail(
-      message, MO_ERR_DEVICE,
-      "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",
-      mo_compute_devices(jobs->compute) > 0 ? "no device works any more"
-                                            : "the service has no devices");
+                   "the service has no devices, and no worker with devices has joined it yet; "
+                   "request \"cpu\" or \"auto\", or start such a worker");
+  return mo_fail(message, MO_ERR_DEVICE,
+                 "%s; request \"cpu\" or \"auto\", or repair the devices and restart the service",
+                 mo_compute_devices(jobs->compute) > 0 ? "no device works anymore"
+                                                       : "the service has no devices");
 }
 
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)
@@ -156,8 +155,8 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
   uint32_t i = 0;
   if (mo_compute_devices_working(jobs->compute) > 0) {
     snprintf(text, size,
-             "there is no memory left for even the smallest part of this job: end what else uses "
-             "the devices, then resume the job");
+             "the devices lack memory for even the smallest part of this job; stop other programs "
+             "that use them, then resume the job");
     return;
   }
   while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK &&
@@ -165,19 +164,19 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
     i++;
   if (i == n && mo_compute_serves_devices(jobs->compute))
     snprintf(text, size,
-             "workers ended again and again while they computed a part of this job: see to them, "
-             "then resume the job");
+             "workers crashed repeatedly while they computed a part of this job; repair them, then "
+             "resume the job");
   else if (i == n && mo_compute_expects_devices(jobs->compute))
     snprintf(text, size,
-             "workers with devices compute this job, and none has joined: start one, then resume "
+             "this job needs a worker with devices, and none has joined; start one, then resume "
              "the job");
   else if (i == n)
     snprintf(text, size,
-             "devices compute this job, and there are none: start the service with devices, then "
-             "resume the job");
+             "this job needs devices, and the service has none; start the service with devices, "
+             "then resume the job");
   else
     snprintf(text, size,
-             "no device works any more (%.40s: %.100s): restart the service, then resume the job",
+             "no device works anymore (%.40s: %.100s); restart the service, then resume the job",
              status.name, status.error);
 }
 
@@ -188,7 +187,7 @@ void mo_back_end_describe_wait(const struct mo_jobs *jobs, enum mo_back_end back
                                                : mo_compute_fingerprint(jobs->compute, MO_FLOAT32);
   text[0] = '\0';
   if (class != NULL && mo_compute_lacks_takers(jobs->compute, back_end))
-    snprintf(text, size, "waits for a worker of class \"%s\"", class);
+    snprintf(text, size, "waiting for a worker of class \"%s\"", class);
 }
 
 uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_end)

@@ -157,11 +157,11 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
   const uint32_t steps = request.physics.scheme.n_steps;
   int error = MO_OK;
   if (n == 0) /* a study can leave an empty population */
-    return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not 0",
+    return mo_fail(message, MO_ERR_RANGE, "an evaluation must have 1 to %d designs, got 0",
                    MO_DESIGNS_MAX);
   if (asked->record != 0 && asked->stride > steps)
     return mo_fail(message, MO_ERR_RANGE,
-                   "the stride of a recording is 1 to the number of steps (%u), not %u",
+                   "the stride of a recording must be 1 to the number of steps (%u), got %u",
                    (unsigned)steps, (unsigned)asked->stride);
   if (key != NULL)
     request.job.key = *key;

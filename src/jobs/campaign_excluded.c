@@ -124,12 +124,12 @@ static void keep(struct mo_exclusion *exclusion)
     (void)malloc_trim(0);
   } else if (error == MO_ERR_LIMIT) {
     warn(exclusion, error,
-         "the bodies of the controller's pretraining are not kept, because they take more than "
-         "max_excluded: each campaign draws them again");
+         "the bodies of the controller's pretraining take more space than max_excluded and are not "
+         "kept; each campaign redraws them");
   } else if (error != MO_ERR_CANCELLED && error != MO_ERR_UNSUPPORTED) {
     warn(exclusion, error,
-         "the bodies of the controller's pretraining cannot be kept in the state folder: the next "
-         "campaign draws them again");
+         "the bodies of the controller's pretraining cannot be kept in the state folder; the next "
+         "campaign redraws them");
   }
 }
 
@@ -173,11 +173,10 @@ static void *open_or_draw(void *context)
   if (error != MO_OK) {
     if (error != MO_ERR_NOT_FOUND)
       warn(exclusion, error,
-           error == MO_ERR_CORRUPT
-               ? "the file of the bodies of the controller's pretraining is damaged: they are "
-                 "drawn again"
-               : "the file of the bodies of the controller's pretraining cannot be read: they are "
-                 "drawn again");
+           error == MO_ERR_CORRUPT ? "the file with the bodies of the controller's pretraining is "
+                                     "damaged; redrawing them"
+                                   : "the file with the bodies of the controller's pretraining "
+                                     "cannot be read; redrawing them");
     error = draw(exclusion);
   }
   end(exclusion, error);
@@ -288,8 +287,8 @@ static void show(struct mo_campaign_run *run, uint64_t done, uint64_t total, int
   live->reason[0] = '\0';
   if (drawer != run->id)
     snprintf(live->reason, sizeof(live->reason),
-             "campaign %lld draws the bodies again that the controller was pretrained on: this one "
-             "waits for the same",
+             "waiting for campaign %lld, which is redrawing the bodies that the controller was "
+             "pretrained on",
              (long long)drawer);
 }
 
@@ -352,8 +351,8 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, const struct mo_form_set *
   if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
                                     child could be found */
     return mo_runner_fail(run->runner, MO_ERR_LIMIT,
-                          "the controller's lineage names more bodies of pretraining than can be "
-                          "found: submit with exclude_pretraining false");
+                          "the controller's lineage has more pretraining bodies than can be "
+                          "redrawn; submit with exclude_pretraining false");
   if (error == MO_OK)
     *forms = run->exclusion->forms;
   return error;

@@ -65,8 +65,7 @@ int mo_campaign_save_learning(struct mo_campaign_run *run)
  * checkpoint is unusable. */
 static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uint32_t *step)
 {
-  struct mo_message message = {.text =
-                                   "it is missing, or its bytes are not those that were written"};
+  struct mo_message message = {.text = "it is missing, or its bytes have changed"};
   uint8_t *bytes = NULL;
   size_t size = 0;
   int error =
@@ -77,8 +76,8 @@ static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uin
   if (error != MO_ERR_CORRUPT && error != MO_ERR_IO && error != MO_ERR_FORMAT)
     return error;
   snprintf(run->runner->text, sizeof(run->runner->text),
-           "the checkpoint of generation %u cannot be used (%.100s): put back its file from a "
-           "backup of campaigns/, then resume the campaign, or begin another one",
+           "the checkpoint of generation %u cannot be used (%.100s); restore its file from a "
+           "backup of campaigns/ and resume the campaign, or start another one",
            (unsigned)generation, error == MO_ERR_IO ? "it cannot be read" : message.text);
   return MO_ERR_CORRUPT;
 }
@@ -89,7 +88,7 @@ int mo_campaign_load_learning(struct mo_campaign_run *run)
   int error = read_checkpoint(run, run->generation - 1, &step);
   return error == MO_ERR_NOT_FOUND
              ? mo_runner_fail(run->runner, MO_ERR_CORRUPT,
-                              "the learning state that the last generation left is missing")
+                              "the learning state of the last generation is missing")
              : error;
 }
 
@@ -141,8 +140,9 @@ static int restore(struct mo_campaign_run *run)
     learning->steps_saved = learning->step;
   if (error != MO_ERR_CORRUPT)
     return error;
-  mo_runner_warn(run->runner, error,
-                 "a checkpoint inside a generation is damaged: the generation learns again");
+  mo_runner_warn(
+      run->runner, error,
+      "a checkpoint within a generation is damaged; the generation repeats its learning");
   run->runner->text[0] = '\0';
   return MO_ERR_NOT_FOUND;
 }
@@ -257,6 +257,6 @@ int mo_campaign_check_learned(struct mo_campaign_run *run)
     any = isfinite(run->rows->scores[i]);
   return any ? MO_OK
              : mo_runner_give_up(run->runner, MO_ERR_RANGE,
-                                 "every robot of generation 0 diverged, while it learned and while "
-                                 "it was scored: choose a smaller dt_s or stiffness_n_per_m");
+                                 "every robot of generation 0 diverged, both while learning and "
+                                 "while being scored; choose a smaller dt_s or stiffness_n_per_m");
 }

@@ -69,13 +69,12 @@ static int read_pretraining(const struct reading *reading, struct mo_lineage_par
     const char *field, *detail;
     bool is_read;
   } fields[] = {
-      {"morphod.seed", "the seed of the pretraining cannot be read: its bodies are not excluded",
+      {"morphod.seed", "the pretraining seed cannot be read, so its bodies are not excluded",
        read_number(mo_controller_get_metadata(controller, "morphod.seed"), &part->seed)},
       {"morphod.step",
-       "the number of steps cannot be read: the bodies of the pretraining are not excluded",
+       "the number of steps cannot be read, so the pretraining bodies are not excluded",
        read_number(mo_controller_get_metadata(controller, "morphod.step"), &steps)},
-      {"morphod.settings",
-       "the batch cannot be read: the bodies of the pretraining are not excluded",
+      {"morphod.settings", "the batch cannot be read, so the pretraining bodies are not excluded",
        read == MO_OK && batch > 0},
   };
   bool is_whole = true;
@@ -102,22 +101,22 @@ static int add_part(const struct reading *reading)
   if (kind != NULL && strcmp(kind, "pretrain") == 0)
     error = read_pretraining(reading, &part);
   else if (kind != NULL && strcmp(kind, "finetune") != 0)
-    error =
-        report(reading, "morphod.kind",
-               "the kind is neither pretrain nor finetune: what it was trained on is not excluded");
+    error = report(
+        reading, "morphod.kind",
+        "the kind is neither pretrain nor finetune, so its training bodies are not excluded");
   if (error != MO_OK || part.n_bodies == 0)
     return error;
   for (uint32_t i = 0; i < lineage->n_parts; i++)
     most -= lineage->parts[i].n_bodies;
   if (part.n_bodies > most)
     return mo_fail(reading->message, MO_ERR_LIMIT,
-                   "the controller's lineage names more bodies of pretraining than the %" PRIu64
-                   " that can be drawn again: submit with exclude_pretraining false",
+                   "the controller's lineage has more pretraining bodies than the %" PRIu64
+                   " that can be redrawn; submit with exclude_pretraining false",
                    MO_TRAINING_BODIES_MAX);
   if (lineage->n_parts == MO_LINEAGE_PARTS_MAX)
     return mo_fail(reading->message, MO_ERR_LIMIT,
-                   "the controller's lineage names more than the %d pretrainings whose bodies can "
-                   "be drawn again: submit with exclude_pretraining false",
+                   "the controller's lineage has more than %d pretrainings, so their bodies cannot "
+                   "all be redrawn; submit with exclude_pretraining false",
                    MO_LINEAGE_PARTS_MAX);
   lineage->parts[lineage->n_parts++] = part;
   return MO_OK;
@@ -133,10 +132,9 @@ static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
     return MO_ERR_NOT_FOUND;
   if (mo_sha256_from_hex(parent, strlen(parent), sha256) == MO_OK)
     return MO_OK;
-  int error =
-      report(reading, "morphod.parent",
-             "the parent is neither random nor the hash of a file: what it was trained on is not "
-             "excluded");
+  int error = report(
+      reading, "morphod.parent",
+      "the parent is neither random nor a file's hash, so its training bodies are not excluded");
   return error != MO_OK ? error : MO_ERR_NOT_FOUND;
 }
 
@@ -144,8 +142,8 @@ static int report_length(const struct reading *reading)
 {
   char text[128];
   snprintf(text, sizeof(text),
-           "the lineage is longer than the %d controllers that are read: what the parent was "
-           "trained on is not excluded",
+           "the lineage is longer than the limit of %d controllers, so the parent's training "
+           "bodies are not excluded",
            CONTROLLERS_MAX);
   return report(reading, "morphod.parent", text);
 }

@@ -170,27 +170,29 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
 static int explain_extension(int error, struct mo_message *message)
 {
   switch (error) {
-  case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no such campaign");
+  case MO_ERR_NOT_FOUND: return mo_fail(message, error, "the campaign does not exist");
   case MO_ERR_CONFLICT:
-    return mo_fail(
-        message, error,
-        "the campaign has failed, was cancelled, or has found every design that there is");
+    return mo_fail(message, error,
+                   "the campaign has failed, was cancelled, or has found every possible design");
   case MO_ERR_DUPLICATE:
-    return mo_fail(message, error, "the idempotency key was used with another request");
+    return mo_fail(message, error,
+                   "the idempotency key was used with another request; use a new key");
   case MO_ERR_RANGE:
     return mo_fail(message, error,
-                   "a campaign has at most %d generations and %" PRIu64
-                   " designs (population × (generations + 1)), a simultaneous one at most %d steps "
-                   "of learning",
+                   "a campaign may have at most %d generations and %" PRIu64
+                   " designs (population × (generations + 1)), and a simultaneous one at most %d "
+                   "learning steps",
                    MO_GENERATIONS_MAX, MO_CAMPAIGN_DESIGNS_MAX, MO_TRAINING_STEPS_MAX);
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error,
-                   "its learning rate is one cosine over all generations: with more of them, those "
-                   "that are done would have been others");
+                   "its learning rate is one cosine over all generations, so more generations "
+                   "would have changed the completed ones");
   case MO_ERR_EMPTY:
-    return mo_fail(message, error,
-                   "the checkpoint of what it has learned, which it would go on from, was deleted");
-  case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
+    return mo_fail(
+        message, error,
+        "the checkpoint of its learning state, which it would continue from, was deleted");
+  case MO_ERR_NO_SPACE:
+    return mo_fail(message, error, "the disk of the state folder is full; free some space");
   default:
     return mo_fail(message, error, "the campaign could not be extended: %s", mo_error_text(error));
   }
@@ -204,7 +206,7 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
   char digits[MO_SHA256_DIGITS + 8] = "sha256:";
   const int error = mo_store_campaign(jobs->store, id, &status);
   if (error == MO_OK && !mo_modes[settings->mode].makes_children)
-    return mo_fail(message, MO_ERR_UNSUPPORTED, "a study has as many generations as are told");
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "a study gets its generations from tell requests");
   if (error != MO_OK || generations > MO_GENERATIONS_MAX - settings->generations)
     return MO_OK; /* rejected elsewhere, with another message */
   settings->generations += generations;

@@ -24,7 +24,7 @@ int mo_controller_load(struct mo_store *store, const struct mo_sha256 *sha256,
 void mo_controller_describe_fault(const struct mo_sha256 *sha256, const char *then, char text[256])
 {
   snprintf(text, 256,
-           "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same "
+           "the file controllers/%s.safetensors is missing, damaged or unreadable; store the same "
            "file again (PUT /v1/controllers/<name>), then %s",
            MO_SHA256_HEX(sha256), then);
 }

@@ -152,7 +152,8 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (error == MO_OK)
     active->grid.block.controller = active->controller->ready;
   if (mo_controller_is_unusable(error))
-    mo_controller_describe_fault(&active->work->job.controller_sha256, "submit again", text);
+    mo_controller_describe_fault(&active->work->job.controller_sha256, "submit the job again",
+                                 text);
   else
     snprintf(text, 256, "the controller could not be prepared: %s", mo_error_text(error));
   return error;

@@ -110,14 +110,13 @@ static int recover(struct mo_jobs *jobs, const char *marker)
   int signal_number;
   int error;
   read_marker(marker, &crashed, &signal_number);
-  snprintf(text, sizeof(text), "the process was ended by signal %d (%s) while it ran this job",
+  snprintf(text, sizeof(text), "the process was killed by signal %d (%s) while it ran this job",
            signal_number,
            sigdescr_np(signal_number) != NULL ? sigdescr_np(signal_number) : "unknown");
   if (crashed == 0 && jobs->config.killed_us > 0) {
     snprintf(text, sizeof(text),
              "the process was killed while it ran this job, before the job had saved a generation, "
-             "a checkpoint, or more than a second of scores: it may need more memory than there "
-             "is");
+             "a checkpoint, or more than a second of scores; the machine may lack memory for it");
     error = blame(jobs, &crashed);
     if (error != MO_OK)
       return error;

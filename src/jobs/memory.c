@@ -96,14 +96,14 @@ int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
   if (jobs->config.max_memory == 0 || need_alone(need) <= available(jobs))
     return MO_OK;
   if (need->shared == 0)
-    return mo_fail(
-        message, MO_ERR_LIMIT,
-        "this needs %u MiB of memory and jobs can have %u MiB: ask for less, or raise max_memory",
-        mib(need_alone(need)), mib(available(jobs)));
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "this needs %u MiB of memory, and jobs can have %u MiB; reduce the request, or "
+                   "raise max_memory",
+                   mib(need_alone(need)), mib(available(jobs)));
   return mo_fail(
       message, MO_ERR_LIMIT,
-      "this needs %u MiB of memory, %u MiB of them for the bodies of the controller's pretraining, "
-      "and jobs can have %u MiB: submit with exclude_pretraining false, or raise max_memory",
+      "this needs %u MiB of memory (%u MiB of it for the bodies of the controller's pretraining), "
+      "and jobs can have %u MiB; submit with exclude_pretraining false, or raise max_memory",
       mib(need_alone(need)), mib(need->shared), mib(available(jobs)));
 }
 
@@ -165,24 +165,25 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
        user = user->next)
     if (!user->is_proven) {
       snprintf(reason, sizeof(asker->reason),
-               "the service was killed while several jobs ran: it starts one at a time, after job "
-               "%lld has saved its work",
+               "the service was killed while several jobs ran, so jobs start one at a time; "
+               "waiting until job %lld has saved its work",
                (long long)user->id);
       return false;
     }
   if (jobs->config.max_memory == 0)
     return true;
   if (need_alone(need) > available(jobs)) {
-    snprintf(reason, sizeof(asker->reason),
-             "it needs %u MiB of memory and jobs can have %u MiB: raise max_memory, or cancel it",
-             mib(need_alone(need)), mib(available(jobs)));
+    snprintf(
+        reason, sizeof(asker->reason),
+        "it needs %u MiB of memory, and jobs can have %u MiB; raise max_memory, or cancel the job",
+        mib(need_alone(need)), mib(available(jobs)));
     return false;
   }
   for (const struct mo_memory_user *other = memory->waiting; other != NULL && other != asker;
        other = other->next)
     if (other->overtaken >= OVERTAKEN_MAX && need_alone(&other->need) <= available(jobs)) {
-      snprintf(reason, sizeof(asker->reason), "job %lld waits for memory longer, and starts first",
-               (long long)other->id);
+      snprintf(reason, sizeof(asker->reason),
+               "job %lld has waited longer for memory, and starts first", (long long)other->id);
       return false;
     }
   if (in_use_with(memory, need) <= available(jobs))
@@ -190,8 +191,8 @@ static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
   const uint64_t used = in_use_with(memory, &none),
                  left = used < available(jobs) ? available(jobs) - used : 0;
   snprintf(reason, sizeof(asker->reason),
-           "it needs %u MiB of memory more and %u MiB are free of the %u MiB that jobs can have: "
-           "it starts when others end",
+           "it needs %u MiB more memory, and %u of the %u MiB for jobs are free; it starts when "
+           "other jobs end",
            mib(in_use_with(memory, need) - used), (unsigned)(left / MIB), mib(available(jobs)));
   return false;
 }

@@ -33,9 +33,8 @@ static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_re
   if (request->environment_set != NULL) {
     error = mo_store_environment_set(jobs->store, request->environment_set, &rollouts->environments,
                                      &rollouts->n_environments);
-    return error == MO_ERR_NOT_FOUND
-               ? mo_fail(message, error, "there is no set of environments of this name")
-               : error;
+    return error == MO_ERR_NOT_FOUND ? mo_fail(message, error, "unknown set of environments")
+                                     : error;
   }
   rollouts->environments = malloc(request->n_environments * sizeof(*rollouts->environments));
   if (rollouts->environments == NULL)
@@ -83,7 +82,7 @@ static int check_size(const struct mo_evaluation_request *request,
   uint64_t springs = 0, bytes = 0;
   if ((uint64_t)rollouts->n_designs * rollouts->n_environments > MO_ROLLOUTS_MAX)
     return mo_fail(message, MO_ERR_LIMIT,
-                   "at most %d rollouts are computed at once; submit an evaluation for more",
+                   "a request may have at most %d rollouts; submit an evaluation for more",
                    MO_ROLLOUTS_MAX);
   for (uint32_t i = 0; i < rollouts->n_designs; i++) {
     const struct mo_body *body = rollouts->designs[i].body;
@@ -95,12 +94,12 @@ static int check_size(const struct mo_evaluation_request *request,
                    request->precision))
     return mo_fail(message, MO_ERR_LIMIT,
                    "these rollouts would take more than about a second of a core; submit an "
-                   "evaluation for them");
+                   "evaluation instead");
   if (bytes > RECORDED_MAX)
-    return mo_fail(message, MO_ERR_LIMIT,
-                   "the recording would take %llu bytes, the limit is %llu: record with a larger "
-                   "stride",
-                   (unsigned long long)bytes, (unsigned long long)RECORDED_MAX);
+    return mo_fail(
+        message, MO_ERR_LIMIT,
+        "the recording would take %llu bytes, and the limit is %llu; record with a larger stride",
+        (unsigned long long)bytes, (unsigned long long)RECORDED_MAX);
   return MO_OK;
 }
 
@@ -215,7 +214,7 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
     rollouts->physics = request->physics;
   if (error == MO_OK && request->n_designs > MO_ROLLOUTS_MAX)
     error = mo_fail(message, MO_ERR_LIMIT,
-                    "1 to %d designs are rolled out at once; submit an evaluation for more",
+                    "a request must have 1 to %d designs; submit an evaluation for more",
                     MO_ROLLOUTS_MAX);
   if (error == MO_OK)
     error = take_environments(jobs, request, rollouts, message);

@@ -157,11 +157,12 @@ static const char *temporary_text(int error)
 {
   switch (error) {
   case MO_ERR_NO_SPACE:
-    return "no space left in the state folder for %s: free some, and it will continue";
+    return "no space left in the state folder for %s; free some space, and the job will continue";
   case MO_ERR_BUSY:
-    return "another program has locked the database, so %s cannot be written: stop that program, "
-           "and it will continue";
-  default: return "no memory or file descriptor for %s: it will continue when there is some";
+    return "another program has locked the database, so %s cannot be written; stop that program, "
+           "and the job will continue";
+  default:
+    return "no memory or file descriptor for %s; the job will continue when one is available";
   }
 }
 
@@ -212,7 +213,7 @@ static void wind_down(struct mo_runner *runner, void *run)
     atomic_store(&runner->runners->unsaved, true);
   if (error != MO_OK && error != MO_ERR_CONFLICT && error != MO_ERR_CANCELLED)
     mo_runner_warn(runner, error,
-                   "what was done since the last save could not be saved: it will be done again");
+                   "the work since the last save could not be saved, and will be repeated");
 }
 
 static int write_failure(void *context)
@@ -234,7 +235,7 @@ static void fail(struct mo_runner *runner, int error)
   runner->winding_down = true;
   runner->error = error;
   mo_runner_warn(runner, error, runner->text);
-  (void)mo_runner_persist(runner, write_failure, runner, "the note of an error");
+  (void)mo_runner_persist(runner, write_failure, runner, "the record of an error");
 }
 
 bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run)
@@ -261,7 +262,7 @@ bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run)
   default: break;
   }
   if (runner->text[0] == '\0')
-    snprintf(runner->text, sizeof(runner->text), "the %s cannot go on: %s",
+    snprintf(runner->text, sizeof(runner->text), "the %s cannot continue: %s",
              mo_job_kind_name(kind->kind), mo_error_text(error));
   fail(runner, error);
   return true;

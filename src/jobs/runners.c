@@ -70,7 +70,7 @@ static bool await_memory(struct mo_runner *runner, uint32_t ms)
 {
   char reason[160];
   snprintf(reason, sizeof(reason),
-           "no memory or file descriptor for the %s: it will continue when there is some",
+           "no memory or file descriptor for the %s; it will continue when one is available",
            mo_job_kind_name(runner->runners->kind->kind));
   (void)mo_runner_set_waiting(runner, true, MO_PHASE_WAIT, reason);
   if (ms == runner->jobs->config.retry_ms)

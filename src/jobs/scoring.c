@@ -221,11 +221,11 @@ int mo_window_take(struct mo_window *window, const struct mo_flight *flight, boo
     char robot[MO_SMALL_VOXELS / 4 + 3] = "";
     (void)mo_genotype_robot(block->lattice->workspace, block->genotype, robot);
     error = NOT_A_LOSS;
-    snprintf(text, 128, "workers end, again and again, while they compute the design %.64s", robot);
+    snprintf(text, 128, "workers crash repeatedly while they compute design %.64s", robot);
   } else if (error == NOT_A_LOSS)
-    snprintf(text, 128, "the runner of rollouts gave a loss that is not a number");
+    snprintf(text, 128, "the rollout runner returned a loss that is not a number");
   else if (error != MO_OK && error != MO_ERR_CANCELLED)
-    snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(error));
+    snprintf(text, 128, "the rollout runner failed: %s", mo_error_text(error));
   return error;
 }
 

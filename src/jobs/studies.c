@@ -73,28 +73,29 @@ static int explain(int error, const struct mo_telling_reply *reply,
     return mo_fail(message, error, "the batch could not be stored: %s", mo_error_text(error));
   switch (reply->fault) {
   case MO_TELLING_NUMBER:
-    return mo_fail(message, error, "batch %u is told, but %u is %s", number, (unsigned)reply->next,
+    return mo_fail(message, error, "got batch %u, but batch %u is %s", number,
+                   (unsigned)reply->next,
                    status->told == reply->next ? "still being scored" : "the next one");
   case MO_TELLING_OTHER:
     return mo_fail(message, error,
-                   "batch %u was told before with another content; the next one is %u", number,
+                   "batch %u was told before with different content; the next batch is %u", number,
                    (unsigned)(number < reply->next ? reply->next : number + 1));
   case MO_TELLING_ENDED: return mo_fail(message, error, "the study has ended");
   case MO_TELLING_PARENT:
-    return mo_fail(message, error,
-                   "a parent is the number of a design that was born before: 0 to %lld",
+    return mo_fail(message, error, "a parent must be the number of an earlier design, 0 to %lld",
                    (long long)status->n_designs - 1);
   case MO_TELLING_SURVIVOR:
-    return mo_fail(message, error, "survivors are numbers of the population, each once");
+    return mo_fail(message, error,
+                   "survivors must be numbers of designs in the population, without duplicates");
   case MO_TELLING_MANY:
     return mo_fail(message, error,
-                   "survivors and children are at most the population of the study, which is %u",
+                   "survivors and children must not exceed the study's population, which is %u",
                    (unsigned)reply->place);
   case MO_TELLING_WORDS:
-    return mo_fail(message, error, "a study has at most %d operators and %d measures of its own",
+    return mo_fail(message, error, "a study may define at most %d operators and %d measures",
                    MO_STUDY_OPERATORS_MAX, MO_STUDY_MEASURES_MAX);
   default:
-    return mo_fail(message, error, "a study has at most %d batches and %" PRIu64 " designs",
+    return mo_fail(message, error, "a study may have at most %d batches and %" PRIu64 " designs",
                    MO_GENERATIONS_MAX, MO_CAMPAIGN_DESIGNS_MAX);
   }
 }
@@ -105,10 +106,10 @@ int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *tell
   struct mo_campaign_status status;
   int error = read_study(jobs, id, &status);
   if (error != MO_OK)
-    return mo_fail(message, error, "there is no such study");
+    return mo_fail(message, error, "the study does not exist");
   error = place_bodies(status.record.settings.workspace, telling);
   if (error != MO_OK)
-    return mo_fail(message, error, "a child is no body of the study's workspace");
+    return mo_fail(message, error, "a child does not fit the study's workspace");
   error = telling->n_notes > 0 ? orient(jobs, id, &status, telling, message) : MO_OK;
   if (error != MO_OK)
     return error;
@@ -213,11 +214,12 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
   struct mo_campaign_status status;
   int error = read_study(jobs, id, &status);
   if (error != MO_OK)
-    return mo_fail(message, error, "there is no such study");
+    return mo_fail(message, error, "the study does not exist");
   if (mo_job_state_is_final(status.job.state))
     return mo_fail(message, MO_ERR_CONFLICT, "the study has ended");
   if (status.n_designs > MO_COLUMNS_MAX) /* all of them are read, and their forms kept */
-    return mo_fail(message, MO_ERR_LIMIT, "a study of more than %lld designs is asked for nothing",
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "a study with more than %lld designs cannot be asked for bodies",
                    (long long)MO_COLUMNS_MAX);
   if (status.told > status.generation)
     return mo_fail(message, MO_ERR_CONFLICT, "batch %lld is still being scored",
@@ -228,7 +230,7 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
                           .words = mo_workspace_words(status.record.settings.workspace),
                           .generation = (uint32_t)(status.generation + 1)};
   if (ask->n > asking.settings.population)
-    return mo_fail(message, MO_ERR_RANGE, "at most the population, which is %u, can be asked for",
+    return mo_fail(message, MO_ERR_RANGE, "n must be at most the population, which is %u",
                    (unsigned)asking.settings.population);
   asking.settings.population = ask->n;
   *asked = (struct mo_asked){.batch = asking.generation,
@@ -251,7 +253,7 @@ int mo_jobs_ask(struct mo_jobs *jobs, int64_t id, const struct mo_ask *ask, stru
   free(asked->children);
   asked->children = NULL;
   return error == MO_ERR_RANGE
-             ? mo_fail(message, error, "a parent is the number of a design: 0 to %lld",
+             ? mo_fail(message, error, "a parent must be the number of a design, 0 to %lld",
                        (long long)status.n_designs - 1)
              : mo_fail(message, error, "no bodies could be made: %s", mo_error_text(error));
 }

@@ -10,9 +10,10 @@ static int explain(int error, const char *controller, struct mo_message *message
 {
   switch (error) {
   case MO_ERR_NOT_FOUND:
-    return mo_fail(message, error, "there is no controller \"%.80s\"", controller);
+    return mo_fail(message, error, "controller \"%.80s\" does not exist", controller);
   case MO_ERR_CONFLICT:
-    return mo_fail(message, error, "the idempotency key was used with another request");
+    return mo_fail(message, error,
+                   "the idempotency key was used with another request; use a new key");
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
   case MO_ERR_RANGE:
@@ -21,8 +22,9 @@ static int explain(int error, const char *controller, struct mo_message *message
                    "physics.dt_s; choose another dt_s, or set physics.control_period_s",
                    controller);
   case MO_ERR_EMPTY:
-    return mo_fail(message, error, "no design of that campaign fits the workspace asked for");
-  case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
+    return mo_fail(message, error, "no design of that campaign fits the requested workspace");
+  case MO_ERR_NO_SPACE:
+    return mo_fail(message, error, "the disk of the state folder is full; free some space");
   default: return mo_fail(message, error, "the job could not be stored: %s", mo_error_text(error));
   }
 }
@@ -99,5 +101,5 @@ int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
 {
   const int error = mo_store_environment_set_size(jobs->store, set, n);
   return error == MO_OK ? MO_OK
-                        : mo_fail(message, error, "there is no set of environments \"%.64s\"", set);
+                        : mo_fail(message, error, "unknown set of environments \"%.64s\"", set);
 }

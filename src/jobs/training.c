@@ -136,7 +136,7 @@ static int load_checkpoint(struct run *run)
   if (n < 0)
     return (int)n;
   for (int64_t i = 0; i < n; i++) {
-    struct mo_message message = {.text = "its bytes are not those that were written"};
+    struct mo_message message = {.text = "its bytes have changed"};
     uint8_t *bytes = NULL;
     size_t size = 0;
     char text[256];
@@ -151,7 +151,7 @@ static int load_checkpoint(struct run *run)
       return error;
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s",
              (unsigned)rows[i].step, error == MO_ERR_IO ? "it cannot be read" : message.text,
-             i + 1 < n ? "the one before it is taken" : "the training starts over");
+             i + 1 < n ? "using the previous one" : "restarting the training");
     mo_runner_warn(run->runner, error, text);
   }
   return MO_ERR_NOT_FOUND;
@@ -217,7 +217,7 @@ static int draw(struct run *run, const struct mo_robot **robots)
   if (error == MO_ERR_CORRUPT)
     return mo_runner_fail(
         run->runner, error,
-        "its bodies were drawn by another version of the program: they cannot be drawn again");
+        "its bodies were drawn by another version of the program and cannot be redrawn");
   if (error == MO_ERR_EXHAUSTED)
     return mo_runner_fail(run->runner, error, "no new bodies are left to learn from");
   return error;
@@ -306,7 +306,7 @@ static int check_learned(struct run *run)
     return error;
   snprintf(text, sizeof(text),
            "every robot of the first %u step%s diverged or had no finite gradient, so nothing was "
-           "learned: choose a smaller dt_s or stiffness_n_per_m",
+           "learned; choose a smaller dt_s or stiffness_n_per_m",
            (unsigned)here, here > 1 ? "s" : "");
   return mo_runner_give_up(run->runner, MO_ERR_RANGE, text);
 }
@@ -457,7 +457,7 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
   case MO_OK: break;
   case MO_ERR_NOT_FOUND:
     return mo_fail(message, error,
-                   "there is no population %lld: an evaluation or a campaign is expected",
+                   "population %lld does not exist; it must be an evaluation or a campaign",
                    population);
   case MO_ERR_CONFLICT:
     return mo_fail(message, error, "population %lld has not succeeded, or has no generation yet",
@@ -470,7 +470,7 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
                    population);
   if (*n > MO_TRAINING_DESIGNS_MAX) /* the population of a campaign */
     return mo_fail(message, MO_ERR_RANGE,
-                   "a finetuning learns on 1 to %d designs, not %u: ask for the best of them",
+                   "a finetuning must have 1 to %d designs, got %u; select the best ones",
                    MO_TRAINING_DESIGNS_MAX, (unsigned)*n);
   return MO_OK;
 }

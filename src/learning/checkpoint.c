@@ -101,8 +101,8 @@ static void body(struct codec *codec, struct mo_training *training)
 
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size)
 {
-  /* The arrays are passed by address, but writing does not change them. A concurrent draw ahead may
-   * change the other members. */
+  /* The arrays are passed by address, but writing does not change them. At the same time, a draw
+   * ahead may change the other members. */
   const struct mo_training_settings *settings = &training->settings;
   struct mo_training copy = {.controller = training->controller,
                              .adam = training->adam,
@@ -184,7 +184,7 @@ static int check_values(const struct mo_training *training, struct mo_message *m
 {
   for (size_t i = 0; i < training->controller->n_parameters; i++) {
     if (!(fabsf(training->controller->parameters[i]) <= MO_WEIGHT_LIMIT))
-      return damaged(message, "a weight is not finite or beyond its limit");
+      return damaged(message, "a weight is not finite, or exceeds its limit");
     if (!isfinite(training->adam.first[i]) || !isfinite(training->adam.second[i]) ||
         training->adam.second[i] < 0.0)
       return damaged(message, "a moment is not finite, or a second moment is negative");
@@ -193,7 +193,9 @@ static int check_values(const struct mo_training *training, struct mo_message *m
     const uint64_t *design = training->designs + (size_t)MO_DEFAULT_WORDS * i;
     const int r = mo_training_design_is_placed(design);
     if (r <= 0)
-      return r < 0 ? r : damaged(message, "a design is empty, not in one piece or not placed");
+      return r < 0 ? r
+                   : damaged(message,
+                             "a design is empty, not in one piece, or not in its canonical place");
   }
   return MO_OK;
 }
@@ -240,7 +242,7 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   field(&codec, &counters, sizeof(counters));
   if (counters.version != VERSION)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the checkpoint is of version %" PRIu32 "; this program reads version %d",
+                   "the checkpoint has version %" PRIu32 "; this program reads version %d",
                    counters.version, VERSION);
   uint64_t sum;
   memcpy(&sum, bytes + size - SUM_BYTES, SUM_BYTES);

@@ -1,13 +1,14 @@
 /* draw.c: the robots of a step.
  *
- * Pretraining: the next bodies of the seed's stream that are not held out. The set of bodies seen
- * is not saved: a restored training draws its earlier bodies again, about 3.5 µs each, and must end
- * at the same number of draws. Finetuning: the designs in turn, continuing from one step to the
- * next. After an interrupted draw, the next call continues where it stopped.
+ * Pretraining: the next bodies of the seed's stream that are not held out. The set of seen bodies
+ * is not saved: a restored training redraws its earlier bodies, which takes about 3.5 µs each, and
+ * must end at the same number of draws. Finetuning: the designs in turn, continued from step to
+ * step. After an interrupted draw, the next call continues where it stopped.
  *
- * Two hands hold robots: one for the current step, and one for the next step, drawn ahead while the
- * gradient of the current robots is computed. Bodies are drawn from the stream one after another.
- * Everything else about a robot depends only on its number, and is built on several threads. */
+ * There are two sets ("hands") of robots: one for the current step, and one for the next step,
+ * which is drawn ahead while the gradient of the current robots is computed. Bodies are drawn from
+ * the stream one after another. Everything else about a robot depends only on its number, and is
+ * built on several threads. */
 #include "learning/internal.h"
 
 #include "base/thread.h"

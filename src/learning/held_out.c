@@ -1,9 +1,9 @@
-/* held_out.c: bodies and environments that no training learns from.
+/* held_out.c: bodies and environments that training never uses.
  *
  * Whether a body is held out depends only on its canonical form: a hash chooses one form in 16. So
  * the bodies on which two controllers are compared are new to both, regardless of their training
- * seeds. The hash is one application of Philox, whose counter and key hold exactly the 192 bits of
- * a form of the default workspace. */
+ * seeds. The hash is one application of Philox; its counter and key hold exactly the 192 bits of a
+ * form in the default workspace. */
 #include <morpho/learning.h>
 
 #include <string.h>

@@ -11,7 +11,7 @@ struct mo_training {
     double *first, *second;          /* (n_parameters) moments */
     double beta1_power, beta2_power; /* β^updates */
   } adam;
-  uint32_t step;    /* applied */
+  uint32_t step;    /* steps that were applied */
   uint32_t skipped; /* steps that changed no weight; the others are Adam's updates */
   uint32_t n_designs;
   uint64_t *designs; /* finetune: (n_designs, MO_DEFAULT_WORDS) */

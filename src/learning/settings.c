@@ -91,8 +91,8 @@ static int check_together(const struct mo_training_settings *settings, struct mo
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (settings->kind == MO_TRAINING_PRETRAIN && bodies > MO_TRAINING_BODIES_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "steps × batch is %" PRIu64 "; a pretraining may draw %" PRIu64
-                   " distinct bodies at most: lower the steps or the batch",
+                   "steps × batch is %" PRIu64 "; a pretraining may draw at most %" PRIu64
+                   " distinct bodies, so lower the steps or the batch",
                    bodies, MO_TRAINING_BODIES_MAX);
   return MO_OK;
 }

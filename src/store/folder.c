@@ -35,7 +35,7 @@ static int check_link(const char *path, struct mo_message *message)
       status.st_uid != geteuid())
     error = mo_fail(
         message, MO_ERR_INVALID,
-        "the state folder %s is a symbolic link of uid %u: use the path of the folder itself", name,
+        "the state folder %s is a symbolic link of uid %u; use the path of the folder itself", name,
         (unsigned)status.st_uid);
   free(name);
   return error;
@@ -72,10 +72,10 @@ static int check_folder(int fd, const char *path, struct stat *status, struct mo
                     path, (unsigned)status->st_uid, (unsigned)status->st_mode & 07777,
                     (unsigned)geteuid());
   else if (error == MO_OK && (status->st_mode & (S_IWGRP | S_IWOTH)) != 0)
-    error =
-        mo_fail(message, MO_ERR_INVALID,
-                "the state folder %s of uid %u can be written by others (mode %04o): chmod go-w it",
-                path, (unsigned)status->st_uid, (unsigned)status->st_mode & 07777);
+    error = mo_fail(
+        message, MO_ERR_INVALID,
+        "others can write to the state folder %s of uid %u (mode %04o); run chmod go-w on it", path,
+        (unsigned)status->st_uid, (unsigned)status->st_mode & 07777);
   for (size_t i = 0; i < sizeof(file_names) / sizeof(file_names[0]) && error == MO_OK; i++)
     error = check_entry(fd, path, file_names[i], S_IFREG, message);
   for (size_t i = 0; i < sizeof(folder_names) / sizeof(folder_names[0]) && error == MO_OK; i++)

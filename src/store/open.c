@@ -159,9 +159,8 @@ static int use_log(const struct mo_store *store, struct mo_connection *writer,
   if (strcmp(mode, "wal") == 0)
     return MO_OK;
   return mo_fail(message, MO_ERR_UNSUPPORTED,
-                 "the file system of %s cannot hold the database: SQLite's write-ahead log needs "
-                 "shared memory, which"
-                 " network file systems lack: use a local disk",
+                 "the file system of %s cannot hold the database, because SQLite's write-ahead log "
+                 "needs shared memory, which network file systems lack; use a local disk",
                  store->path);
 }
 
@@ -279,24 +278,24 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (header.version == 0 && header.tables > 0)
     return mo_fail(
         message, MO_ERR_UNSUPPORTED,
-        "%s has tables but no schema number: another program changed it; restore a backup",
+        "%s has tables but no schema number, so another program changed it; restore a backup",
         store->database_path);
   if (header.version > NEWEST_SCHEMA || header.version < 0)
-    return mo_fail(
-        message, MO_ERR_UNSUPPORTED,
-        "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
-        store->database_path, (long long)header.version, NEWEST_SCHEMA);
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "%s has schema %lld, but this program supports schemas up to %d; use the newer "
+                   "program that wrote it",
+                   store->database_path, (long long)header.version, NEWEST_SCHEMA);
   if (header.version > LAST_OF_0_1 && header.version < FIRST_SCHEMA)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the state folder %s has schema %lld, of a program that was not released; this "
-                   "version reads %d to %d: start it once with a program of schema %d, or start "
-                   "with an empty folder, and store the files of %s again there",
+                   "the state folder %s has schema %lld of an unreleased program, but this version "
+                   "reads schemas %d to %d; start it once with a program of schema %d, or start "
+                   "with an empty folder and store the files of %s there again",
                    store->path, (long long)header.version, FIRST_SCHEMA, NEWEST_SCHEMA,
                    FIRST_SCHEMA, store->controllers_path);
   if (header.version > 0 && header.version <= LAST_OF_0_1)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the state folder %s was written by morphod 0.1, which this version does not "
-                   "read: start with an empty folder, and store the files in %s there again",
+                   "the state folder %s was written by morphod 0.1, which this version cannot "
+                   "read; start with an empty folder, and store the files in %s there again",
                    store->path, store->controllers_path);
   error = use_log(store, writer, message);
   if (error == MO_OK && header.version > 0) {
@@ -498,6 +497,6 @@ int mo_store_check(struct mo_store *store, struct mo_message *message)
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_OK : error;
   mo_column_text(row, 0, table, sizeof(table));
-  return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: a row of %s refers to nothing",
-                 table);
+  return mo_fail(message, MO_ERR_CORRUPT,
+                 "the database is damaged: a row of %s refers to a missing row", table);
 }

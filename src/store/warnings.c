@@ -111,9 +111,10 @@ static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, 
   if (n == 0)
     return error;
   warn(job, "light_near_start",
-       "the light of environment %u is %.2f m from the middle of the workspace%s: a robot that "
-       "starts beside it has a very large loss, which is divided by its distance at the start",
-       (unsigned)nearest, nearest_m, n > 1 ? ", and others are near it, too" : "");
+       "the light of environment %u is %.2f m from the middle of the workspace%s; a robot that "
+       "starts next to it has a very large loss, because losses are divided by the starting "
+       "distance",
+       (unsigned)nearest, nearest_m, n > 1 ? ", and other lights are near it as well" : "");
   job->warnings[job->n_warnings - 1].of_request = true;
   return error;
 }

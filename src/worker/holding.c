@@ -66,7 +66,8 @@ static bool has_ended(const struct lease *lease)
          (lease->state == ENDING || lease->n_submitted == lease->wire.n_blocks);
 }
 
-/* Under the mutex: fills a slot with the next block; NULL: no slot or no block. */
+/* Under the mutex: fills a slot with the next block. Returns NULL if there is no free slot or no
+ * block. */
 static struct slot *next_block(struct mo_holding *holding, enum mo_back_end back_end)
 {
   struct lease *lease = holding->leases;
@@ -127,8 +128,8 @@ static bool take_block(struct slot *slot, int status)
   return true;
 }
 
-/* Submits blocks while slots are free, and releases the mutex meanwhile, because a block can be
- * done before its submission returns. */
+/* Submits blocks while slots are free. Releases the mutex during a submission, because a block can
+ * be done before its submission returns. */
 static void submit(struct mo_holding *holding, enum mo_back_end back_end)
 {
   bool ended = false;

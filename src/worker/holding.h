@@ -2,8 +2,8 @@
  *
  * Only one thread may call these functions. Blocks are submitted in the order of the leases, a few
  * more than the number of workers, by the threads that finish other blocks. So the first lease
- * finishes first, and its successor keeps all workers busy meanwhile. A shard of a gradient is
- * computed by a thread of its own, which waits for the workers. */
+ * finishes first, while its successor keeps all workers busy. A separate thread computes each
+ * gradient shard and waits for the workers. */
 #ifndef MORPHO_WORKER_HOLDING_H
 #define MORPHO_WORKER_HOLDING_H
 
@@ -28,8 +28,8 @@ int mo_holding_set_workspace(struct mo_holding *holding, struct mo_workspace wor
  * MO_ERR_NO_MEMORY: the lease still belongs to the caller. */
 #define MO_HELD_LEASES_MAX 8
 int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *lease);
-/* Starts the leases for which weights are in memory. Returns whether a lease lacks its weights,
- * *hash. */
+/* Starts the leases that have their weights in memory. Returns whether a lease lacks its weights,
+ * and their *hash. */
 bool mo_holding_start(struct mo_holding *holding, struct mo_sha256 *hash);
 /* Adds weights. Errors as in mo_kept_weights_add. */
 int mo_holding_add_weights(struct mo_holding *holding, const struct mo_sha256 *hash,
@@ -39,10 +39,11 @@ void mo_holding_miss_weights(struct mo_holding *holding, const struct mo_sha256 
 
 /* Ends a lease without a result; id NULL: all. */
 void mo_holding_drop(struct mo_holding *holding, const struct mo_lease_id *id);
-/* Returns the leases of which no block has started; all: also those that are running. */
+/* Returns the leases that have not started any block to the daemon. all: also returns leases that
+ * are running. */
 void mo_holding_give_back(struct mo_holding *holding, bool all);
 
-/* Moves finished leases into a message; each lease once, a gradient in a message of its own. Frees
+/* Moves finished leases into a message, each lease once. A gradient gets its own message. Frees
  * dropped leases. */
 void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results *results);
 

@@ -26,7 +26,7 @@ struct place {
 struct mo_link {
   CURLM *multi;
   struct mo_link_config config;
-  char *base; /* the server, without a trailing / */
+  char *base; /* the server, without a trailing slash */
   bool is_loopback;
   struct place places[MO_CALLS];
 };
@@ -82,7 +82,7 @@ static int read_server(struct mo_link *link, struct mo_message *message)
   curl_free(path);
   curl_url_cleanup(url);
   if (error == MO_ERR_INVALID && message != NULL && message->text[0] == '\0')
-    mo_fail(message, error, "server: \"%.100s\" is not http://host:port or https://host:port",
+    mo_fail(message, error, "server: \"%.100s\" must be http://host:port or https://host:port",
             server);
   return error;
 }
@@ -106,10 +106,10 @@ int mo_link_create(const struct mo_link_config *config, struct mo_link **ret,
   if (error == MO_OK)
     error = read_server(link, message);
   if (error == MO_OK && config->pin != NULL && strncmp(config->pin, "sha256//", 8) != 0)
-    error = mo_fail(message, MO_ERR_INVALID, "pin: \"%.80s\" does not begin with sha256//",
-                    config->pin);
+    error =
+        mo_fail(message, MO_ERR_INVALID, "pin: \"%.80s\" must begin with sha256//", config->pin);
   if (error == MO_OK && config->ca != NULL && access(config->ca, R_OK) != 0)
-    error = mo_fail(message, MO_ERR_INVALID, "ca: %.200s cannot be read", config->ca);
+    error = mo_fail(message, MO_ERR_INVALID, "ca: cannot read %.200s", config->ca);
   if (error != MO_OK) {
     mo_link_free(link);
     return error;

@@ -1,7 +1,7 @@
 /* link.h: the worker's concurrent requests to the daemon over HTTP/1.1.
  *
- * One thread uses a link; only mo_link_wake may be called from others. Each kind of request has a
- * place of its own, so that at most one of each kind is in flight. */
+ * One thread uses a link; only mo_link_wake may be called from others. Each kind of request has its
+ * own place, so at most one of each kind is in flight. */
 #ifndef MORPHO_WORKER_LINK_H
 #define MORPHO_WORKER_LINK_H
 
@@ -62,7 +62,8 @@ struct mo_link_reply {
   size_t size;
   char why[256]; /* reason for an error */
 };
-/* Waits until a request ends, and returns its place; −1: timeout, or mo_link_wake was called. */
+/* Waits until a request ends, and returns its place. Returns −1 after the timeout, or if
+ * mo_link_wake was called. */
 int mo_link_next(struct mo_link *link, uint32_t timeout_ms, struct mo_link_reply *reply);
 void mo_link_wake(struct mo_link *link);
 

@@ -22,7 +22,7 @@ int mo_protocol_get_session(const char *text, size_t size, struct mo_worker_sess
                             struct mo_message *message);
 int mo_protocol_get_orders(const char *text, size_t size, struct mo_fleet_orders *orders,
                            struct mo_message *message);
-/* Reads the detail of a problem document; "" if the text is not one. */
+/* Reads the detail of a problem document. Returns "" if the text is not a problem document. */
 void mo_protocol_get_detail(const char *text, size_t size, struct mo_message *message);
 
 #endif

@@ -1,4 +1,4 @@
-/* weights.h: the controllers that leases name by hash; the last few stay in memory. For one
+/* weights.h: the controllers that leases refer to by hash; the last few stay in memory. For one
  * thread. */
 #ifndef MORPHO_WORKER_WEIGHTS_H
 #define MORPHO_WORKER_WEIGHTS_H
@@ -22,7 +22,7 @@ struct mo_kept_weights {
 };
 int mo_kept_weights_init(struct mo_kept_weights *weights, struct mo_compute *compute);
 void mo_kept_weights_clear(struct mo_kept_weights *weights); /* call it when no block uses a
-                                                                controller any more */
+                                                              * controller anymore */
 
 /* Adds the bytes of a controller's file. MO_ERR_CORRUPT: they do not have this hash; MO_ERR_FORMAT,
  * MO_ERR_LIMIT: they are not a controller for this workspace; MO_ERR_EXHAUSTED: all kept
@@ -30,8 +30,8 @@ void mo_kept_weights_clear(struct mo_kept_weights *weights); /* call it when no 
 int mo_kept_weights_add(struct mo_kept_weights *weights, const struct mo_sha256 *hash,
                         struct mo_workspace workspace, const uint8_t *bytes, size_t size,
                         struct mo_message *message);
-/* Returns a controller, to be released after its last block; NULL: it must be added. A hash of
- * zeros, for passive bodies, is always available. */
+/* Returns a controller, to be released after its last block, or NULL if it must be added first. A
+ * hash of zeros, for passive bodies, is always available. */
 struct mo_compute_controller *mo_kept_weights_take(struct mo_kept_weights *weights,
                                                    const struct mo_sha256 *hash);
 void mo_kept_weights_release(struct mo_kept_weights *weights,

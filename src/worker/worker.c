@@ -44,12 +44,12 @@ struct mo_worker {
   int64_t lost_ms;              /* start of the time without a stable session; −1: one exists */
   int64_t next_join_ms, next_leases_ms, next_weights_ms;
   int64_t warned_ms;
-  int64_t give_back_ms, end_ms; /* of a drain: when running leases are cancelled; when the worker
-                                   leaves in any case */
+  int64_t give_back_ms, end_ms; /* when a drain cancels running leases; when the worker leaves in
+                                 * any case */
   uint32_t calm_ms, leases_wait_s;
   int64_t leases_asked_ms;
   bool is_draining;
-  char wanted[32]; /* the version that a drain for an upgrade wants; "": none */
+  char wanted[32]; /* the version required by a drain for an upgrade; "": none */
   struct mo_sha256 weights_asked;
   atomic_int phase, stops; /* stops: number of stop requests */
 };
@@ -76,7 +76,7 @@ static void finish(struct mo_worker *worker, enum mo_worker_end end, const char 
 static void finish_leaving(struct mo_worker *worker)
 {
   char why[64];
-  snprintf(why, sizeof(why), "the daemon wants version %s", worker->wanted);
+  snprintf(why, sizeof(why), "the daemon requires version %s", worker->wanted);
   if (worker->wanted[0] != '\0')
     finish(worker, MO_WORKER_UNWANTED, why);
   else
@@ -108,7 +108,7 @@ static void warn_of_outage(struct mo_worker *worker, int64_t now, const char *wh
   if (worker->warned_ms >= 0 && now - worker->warned_ms < WARN_AGAIN_MS)
     return;
   worker->warned_ms = now;
-  say(worker, MO_WORKER_WARNING, "no session with the daemon; trying again", why);
+  say(worker, MO_WORKER_WARNING, "no session with the daemon; retrying", why);
 }
 
 /* Ends the session in any state, and plans the next one. */
@@ -135,7 +135,7 @@ static void lose(struct mo_worker *worker, uint32_t retry_after_s, const char *w
 static void found(struct mo_worker *worker)
 {
   if (worker->lost_ms >= 0 && worker->warned_ms >= 0)
-    say(worker, MO_WORKER_INFO, "the daemon is back", worker->config.link.server);
+    say(worker, MO_WORKER_INFO, "the daemon is available again", worker->config.link.server);
   worker->lost_ms = -1;
   worker->warned_ms = -1;
 }
@@ -368,7 +368,8 @@ static void take_orders(struct mo_worker *worker, const struct mo_link_reply *re
   for (uint32_t i = 0; i < orders.n_dropped; i++)
     mo_holding_drop(worker->holding, &orders.dropped[i]);
   if (orders.state == MO_SESSION_REFUSED)
-    finish(worker, MO_WORKER_REFUSED, "the daemon refuses this session: it gave wrong bits");
+    finish(worker, MO_WORKER_REFUSED,
+           "the daemon refuses this session because it returned wrong bits");
   else if (orders.state == MO_SESSION_DRAINING && !worker->is_draining) {
     memcpy(worker->wanted, orders.wanted, sizeof(worker->wanted));
     drain(worker, DRAIN_MS,

@@ -1,7 +1,7 @@
 /* worker.h: computes leases of a daemon until it is stopped.
  *
- * mo_worker_run joins the daemon and runs the session; when the connection is lost it joins again.
- * A session holds two leases, so that computing never waits for the network: the call that sends
+ * mo_worker_run joins the daemon and runs the session; when the connection is lost, it rejoins. A
+ * session holds two leases, so that computing never waits for the network: the call that sends
  * results returns the next lease. A request for orders is open all the time; the daemon drops the
  * session as soon as its connection is closed. Results for a lost session are discarded, because
  * the daemon has given its work to others. */
@@ -12,11 +12,12 @@
 #include "worker/link.h"
 
 enum mo_worker_end {
-  MO_WORKER_LEFT,      /* as asked */
-  MO_WORKER_UNWANTED,  /* the daemon wants another version or class, or drains it for an upgrade */
-  MO_WORKER_REFUSED,   /* its bits are wrong: its canary or its session is refused */
-  MO_WORKER_DENIED,    /* token or certificate */
-  MO_WORKER_MISPLACED, /* the server is no daemon with a fleet */
+  MO_WORKER_LEFT,        /* as requested */
+  MO_WORKER_UNWANTED,    /* the daemon requires another version or class, or drains it for an
+                          * upgrade */
+  MO_WORKER_REFUSED,     /* its bits are wrong: its canary or its session is refused */
+  MO_WORKER_DENIED,      /* token or certificate */
+  MO_WORKER_MISPLACED,   /* the server is not a daemon with a fleet */
   MO_WORKER_UNREACHABLE, /* for longer than give_up_ms */
   MO_WORKER_FAILED       /* out of memory, or no computing device left */
 };
@@ -41,7 +42,7 @@ int mo_worker_create(const struct mo_worker_config *config, struct mo_worker **w
                      struct mo_message *message);
 void mo_worker_free(struct mo_worker *worker); /* NULL-safe; before mo_compute_free */
 
-/* Runs until the worker leaves; message: why, "" if requested. */
+/* Runs until the worker leaves. message: the reason, or "" if a stop was requested. */
 enum mo_worker_end mo_worker_run(struct mo_worker *worker, struct mo_message *message);
 /* Stops the worker, from any thread: it returns the work that it has not begun, computes at most
  * MO_WORKER_STOP_MS longer, sends its results, and leaves. A second call makes it leave at once. */

@@ -82,4 +82,4 @@ def test_many_parameters_are_answered(service):
                                   b"Connection: close\r\n\r\n")
         (status, headers, body), = split_replies(received)
         assert status == 400 and headers["content-type"] == "application/problem+json", received
-        assert "no such parameter" in json.loads(body)["detail"]
+        assert "unknown parameter" in json.loads(body)["detail"]

@@ -73,7 +73,7 @@ def test_a_study_by_its_name(ctl):
     assert status == 0 and ctl(start)[:2] == (0, out), err
     status, none, err = ctl(f"{start} --population 21 --physics n_steps=500")
     assert (status, none) == (3, ""), err
-    assert "/population: 21 is given; study" in err and "/physics/n_steps: 500 is given" in err
+    assert "/population: got 21, but study" in err and "/physics/n_steps: got 500" in err
 
 
 def test_founders_that_do_not_fit_are_counted(ctl):

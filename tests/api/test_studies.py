@@ -83,7 +83,7 @@ def test_a_study_is_found_by_its_name(service):
         assert reply.status == 409 and reply.pointers() == [pointer], reply.body
     reply = reopen(service, "found", population=30, physics={"n_steps": 500})
     assert [(fault["pointer"], fault["detail"]) for fault in reply.json()["errors"]] == [
-        (pointer, f"{asked} is given; study {first.json()['id']} has {has}")
+        (pointer, f"got {asked}, but study {first.json()['id']} has {has}")
         for pointer, asked, has in (("/population", 30, 20), ("/physics/n_steps", 500, 12))]
     reply = reopen(service, "found", controller="not-there")
     assert reply.status == 422 and reply.pointers() == ["/controller"]

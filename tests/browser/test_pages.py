@@ -562,7 +562,7 @@ STATES = {  # what a page shows if there is no data, or the address has another 
     "trainings/99": "There is no such training",
     "designs?evaluation=99": "There is no such evaluation", "designs/xyz": "36 hexadecimal digits",
     "stage?set=moon": "There is no such set of environments",
-    "stage?controller=nobody&designs=88" + "0" * 34: 'there is no controller "nobody"',
+    "stage?controller=nobody&designs=88" + "0" * 34: 'controller "nobody" does not exist',
     "nowhere": "There is no such page"
 }
 

@@ -110,9 +110,9 @@ def test_ask_tell_and_select(m):
         study.tell([DESIGN["cells"]])
     with pytest.raises(ValueError, match="2 for 1 children"):
         study.tell([DESIGN["cells"]], parents=[[], []])
-    with pytest.raises(morphod.ConflictError, match="/population: 30 is given; study .* has 20"):
+    with pytest.raises(morphod.ConflictError, match="/population: got 30, but study .* has 20"):
         m.study("by hand", population=30)
-    with pytest.raises(morphod.ConflictError, match="/physics/n_steps: 500 is given; .* has 12"):
+    with pytest.raises(morphod.ConflictError, match="/physics/n_steps: got 500, .* has 12"):
         m.study("by hand", physics={"n_steps": 500})
     same.finish(survivors=[6])
     assert same.ended and list(same.population()["number"]) == [6]

@@ -132,8 +132,8 @@ static void says_what_is_wrong(void)
           "/rate: must be above 0 and at most 1e+06, got 1000000.0000001");
   refuses("{\"inner\":{\"share\":1}}", "/inner/share: must be at least 0 and below 1, got 1");
   refuses("{\"color\":\"blue\"}", "/color: must be \"red\" or \"green\", got \"blue\"");
-  refuses("{\"inner\":{\"size\":1}}", "/inner/size: unknown field; expected are share, steps");
-  refuses("{\"count\":\"7\"}", "/count: a string is given; an integer is expected");
+  refuses("{\"inner\":{\"size\":1}}", "/inner/size: unknown field; the fields are share, steps");
+  refuses("{\"count\":\"7\"}", "/count: must be an integer, got a string");
   refuses("{\"count\":1", "/count: line 1, column 11: the text ends inside an array or object");
 }
 
@@ -196,14 +196,14 @@ static void texts_and_absent_groups(void)
               "{\"name\":\"abcd\",\"words\":\"€😀ü\",\"more\":null}");
   check_named("{\"words\":null,\"more\":{\"n\":9}}",
               "{\"name\":\"x\",\"words\":null,\"more\":{\"n\":9}}");
-  check_named("{\"name\":\"\"}", "/name: 1 to 4 printable ASCII characters are expected");
-  check_named("{\"name\":\"abcde\"}", "/name: 1 to 4 printable ASCII characters are expected");
-  check_named("{\"name\":\"ü\"}", "/name: 1 to 4 printable ASCII characters are expected");
-  check_named("{\"name\":\"a\\n\"}", "/name: 1 to 4 printable ASCII characters are expected");
-  check_named("{\"name\":null}", "/name: null is given; a string is expected");
-  check_named("{\"words\":\"abcd\"}", "/words: 0 to 3 characters are expected");
+  check_named("{\"name\":\"\"}", "/name: must have 1 to 4 printable ASCII characters");
+  check_named("{\"name\":\"abcde\"}", "/name: must have 1 to 4 printable ASCII characters");
+  check_named("{\"name\":\"ü\"}", "/name: must have 1 to 4 printable ASCII characters");
+  check_named("{\"name\":\"a\\n\"}", "/name: must have 1 to 4 printable ASCII characters");
+  check_named("{\"name\":null}", "/name: must be a string, got null");
+  check_named("{\"words\":\"abcd\"}", "/words: must have 0 to 3 characters");
   check_named("{\"words\":\"a\\u0000\"}", "/words: line 1, column 12: \\u0000 is not allowed");
-  check_named("{\"more\":7}", "/more: a number is given; an object is expected");
+  check_named("{\"more\":7}", "/more: must be an object, got a number");
 }
 
 static void check_counts(const char *json, uint32_t n, const char *expected)
@@ -306,9 +306,9 @@ static void reads_numbers(void)
     const char *text, *fault;
   } given[] = {{"[1,-2,3,4.5]", NULL},
                {"[[1,-2],[3,4.5]]", NULL},
-               {"[1,-2,3]", "/table: 3 numbers are given; exactly 4 are expected"},
-               {"[[1,-2],[3,4.5],[]]", "/table: 3 rows are given; exactly 2 are expected"},
-               {"[[1,-2],[3]]", "/table/1: 1 numbers are given; exactly 2 are expected"},
+               {"[1,-2,3]", "/table: must be an array of 4 numbers, got 3"},
+               {"[[1,-2],[3,4.5],[]]", "/table: must have 2 rows, got 3"},
+               {"[[1,-2],[3]]", "/table/1: must be an array of 2 numbers, got 1"},
                {"[1,-2,3,9.5]", "/table/3: "},
                {"3", "/table: "}};
   for (size_t i = 0; i < COUNT(given); i++) {

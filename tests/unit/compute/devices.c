@@ -102,7 +102,7 @@ static void says_what_cannot_be_loaded(void)
   set("MORPHO_FAKE_DEVICES", "0");
   expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
   set("MORPHO_FAKE_DEVICES", "1");
-  expect_refusal(FAKE_DEVICE, &second, 1, MO_ERR_RANGE, "there is no device 1");
+  expect_refusal(FAKE_DEVICE, &second, 1, MO_ERR_RANGE, "device 1 does not exist");
   set("MORPHO_FAKE_SHUT", "0");
   expect_refusal(FAKE_DEVICE, &first, 1, MO_ERR_DEVICE, "device 0");
   expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");

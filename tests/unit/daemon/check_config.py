@@ -149,7 +149,7 @@ def test_what_will_be_made():
     says(check("--port-file=/nonexistent/port"), 78, "port_file", "/nonexistent")
     says(check(f"--port-file={folder}/port"), 0)
     says(check("--unix-groups=root"), 0)
-    says(check("--unix-groups=root,no-such-group"), 78, 'no group "no-such-group"')
+    says(check("--unix-groups=root,no-such-group"), 78, 'group "no-such-group" does not exist')
 
 
 def test_mistakes():

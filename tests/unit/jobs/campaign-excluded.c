@@ -533,7 +533,7 @@ SERVICE_CASE(keeps_what_was_drawn, 2)
     CHECK(ends_as_plain(submit_campaign(&request), &origin));
     (void)idle_stats();
     CHECK_INT(warnings, 1);
-    CHECK(has_warned("damaged: they are drawn again"));
+    CHECK(has_warned("damaged; redrawing them"));
     warnings = 0;
     CHECK(ends_as_plain(submit_campaign(&request), &origin));
     (void)idle_stats();

@@ -196,7 +196,7 @@ SERVICE_CASE(passes_over_damaged_checkpoints, 1)
     REQUIRE_OK(service_open());
     REQUIRE(await_step(id, 2));
     CHECK_INT(warnings, round);
-    CHECK(has_warned(round == 1 ? "the one before it is taken" : "starts over"));
+    CHECK(has_warned(round == 1 ? "using the previous one" : "restarting the training"));
   }
   CHECK(ends_right(id, TRAINING));
 }

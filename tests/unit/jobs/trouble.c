@@ -59,7 +59,7 @@ SERVICE_CASE(names_a_damaged_controller, 0)
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.error, MO_ERR_CORRUPT);
   CHECK(strstr(job.error_text, digits) != NULL && strstr(job.error_text, "PUT") != NULL);
-  CHECK_HAS(job.error_text, "submit again"); /* to its end */
+  CHECK_HAS(job.error_text, "submit the job again"); /* to its end */
   CHECK_INT(warnings, 3);
   CHECK(has_warned(".safetensors"));
   /* As the message says: */

@@ -201,7 +201,10 @@ static void wrong_contents(void)
       {N_DESIGNS, 8, {UINT64_MAX}, "its number of designs"},
       {N_DESIGNS, 8, {13}, "size does not match"},
       {N_PARAMETERS, 8, {UINT64_MAX}, "number of parameters is wrong"},
-      {arrays + 16, 8, {UINT64_MAX}, "a design is empty, not in one piece or not placed"},
+      {arrays + 16,
+       8,
+       {UINT64_MAX},
+       "a design is empty, not in one piece, or not in its canonical place"},
       {arrays + designs, 4, {.f32 = INFINITY}, "a weight is not finite"},
       {arrays + designs + 4 * (n - 1), 4, {.f32 = 2e6F}, "a weight is not finite or beyond"},
       {first, 8, {.f64 = NAN}, "a moment is not finite"},
@@ -211,7 +214,7 @@ static void wrong_contents(void)
   static const struct {
     const char *member, *value, *says;
   } settings[] = {
-      {"\"steps\":", "0", "/steps: 0 is given; an integer from 1 to 1000000 is expected"},
+      {"\"steps\":", "0", "/steps: must be an integer from 1 to 1000000, got 0"},
       {"\"peak\":", "2", "/schedule/peak: must be above 0 and at most 1, got 2"},
       {"\"adjoint_rule\":", "\"flip\"", "/adjoint_rule: "},
       {"\"restart_weight\":", "x", "the checkpoint has invalid settings"},
