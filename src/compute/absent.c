@@ -1,8 +1,7 @@
-/* absent.c: devices that only other machines have. Blocks wait in a queue like those of other
- * devices, and remote takers compute all of them. One thread, the keeper, handles the blocks that
- * takers do not get: cancelled blocks, and blocks that no taker can compute, which go to the
- * workers.
- */
+/* absent.c: devices that exist only on other machines. Their blocks wait in a queue like the blocks
+ * of other devices, and remote takers compute all of them. One thread, the keeper, handles the
+ * blocks that takers do not get: cancelled blocks, and blocks that no taker can compute, which go
+ * to the workers. */
 #include "compute/devices.h"
 
 #include <stdlib.h>

@@ -31,7 +31,7 @@
 enum {
   PAUSE_STEPS =
       20, /* between checks of the queue, for bodies of the default workspace: about 1 ms */
-  PAUSE_SPRINGS = 2000, /* larger bodies check after every step */
+  PAUSE_SPRINGS = 2000, /* larger bodies are checked after every step */
   PAUSE_GRADIENT_STEPS = 4,
   PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
   LOOK_AGAIN_US = 50000,
@@ -60,7 +60,7 @@ struct mo_compute {
   struct mo_fair fair;        /* its mutex guards all queues */
   pthread_cond_t wake;
   struct mo_block_queue queues[QUEUES];
-  struct mo_compute_share own; /* for blocks that name no share */
+  struct mo_compute_share own; /* for blocks without a share */
   atomic_bool stopping;        /* written under the mutex */
   atomic_uint_fast32_t n_busy;
   atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged,

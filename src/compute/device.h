@@ -8,7 +8,7 @@
  * `lay_out`, `layout_free`, `allocate`, `release` and `controller_free` may be called from any
  * thread, even during a call on a device.
  *
- * Arguments were checked before: a module refuses only what its kernels do not support.
+ * The caller has checked the arguments; a module refuses only what its kernels do not support.
  *
  * Same bits: the outcome of a row depends only on its body, environment, controller, physics and
  * the device's compute capability, not on its neighbors in the call or the device's number. Two
@@ -16,7 +16,7 @@
  *
  * Errors. After an error the results of the call are undefined; after all but MO_ERR_DEVICE the
  * device still works.
- *   MO_ERR_NO_MEMORY    of the device or the host: the caller tries again with fewer rows
+ *   MO_ERR_NO_MEMORY    of the device or the host: the caller retries with fewer rows
  *   MO_ERR_DEVICE       the device is lost or has failed. After that, only `error`,
  *                       `controller_free` and `close` are called, and `lay_out` and `allocate`
  *                       by a thread that has not learned of it yet; its layouts and memory
@@ -78,8 +78,7 @@ struct mo_device_gradient {
   const struct mo_robot *robots;          /* (n) rows */
   uint32_t n;                             /* 1 … MO_DEVICE_ROWS_MAX */
   struct mo_physics physics;
-  struct mo_device_layout
-      *layout; /* NULL, or the finished layout of these same robots and physics */
+  struct mo_device_layout *layout; /* NULL, or the finished layout of the same robots and physics */
   struct mo_gradient_options options;
   const volatile int *cancel; /* as above */
   /* Results. */
@@ -108,13 +107,13 @@ struct mo_device_module {
   int (*gradient)(struct mo_device *device, struct mo_device_gradient *gradient);
   /* Lays out the rows of a later gradient, for this device and others like it, so that its call
    * starts sooner. The robots must not change until that call. *layout: NULL, or a layout that no
-   * call uses any more; its memory is reused. Errors as in `gradient`, except MO_ERR_DEVICE; after
-   * an error an existing layout remains, but holds no robots. */
+   * call uses anymore; its memory is reused. Errors as in `gradient`, except MO_ERR_DEVICE. After
+   * an error, an existing layout remains, but has no robots. */
   int (*lay_out)(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                  const struct mo_physics *physics, struct mo_device_layout **layout);
   void (*layout_free)(struct mo_device_layout *layout); /* before its device is closed; NULL-safe */
-  /* Allocates host memory that devices access faster, if the module has such memory. NULL: out of
-   * memory. */
+  /* Allocates host memory that devices access faster, if the module has such memory. Returns NULL
+   * if memory runs out. */
   void *(*allocate)(const struct mo_device *device, size_t bytes);
   void (*release)(void *memory); /* before its device is closed; NULL-safe */
   const char *(*error)(

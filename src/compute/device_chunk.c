@@ -123,8 +123,8 @@ static bool same_body(const struct mo_block *a, const struct mo_block *b)
                 mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
 }
 
-/* Marks the blocks that need a body of their own and returns their number. A block that brings its
- * body, or has the same body as the previous block that is not cancelled, needs none. */
+/* Marks the blocks that need a body of their own and returns their number. A block does not need
+ * one if it brings its body, or has the same body as the previous block that is not cancelled. */
 static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
   const struct mo_block *before = NULL;

@@ -74,7 +74,7 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
   free(gradients);
 }
 
-/* Returns the p-th working device; NULL: fewer devices work. */
+/* Returns the p-th working device; Returns NULL if fewer devices work. */
 static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
 {
   MO_GUARD(&devices->fair.mutex);
@@ -180,7 +180,8 @@ static bool is_of(const struct laid_out *laid, const struct mo_gradient_batch *b
          mo_physics_equal(&laid->physics, &batch->physics);
 }
 
-/* Returns the ready layout of a batch, which is in use until give_back; NULL: none. */
+/* Returns the ready layout of a batch, which is in use until give_back, or NULL if there is
+ * none. */
 static struct laid_out *take(struct mo_device_gradients *gradients,
                              const struct mo_gradient_batch *batch, uint32_t n_parts)
 {
@@ -189,7 +190,7 @@ static struct laid_out *take(struct mo_device_gradients *gradients,
   for (int b = 0; b < 2 && found == NULL; b++)
     if (is_of(&gradients->batches[b], batch))
       found = &gradients->batches[b];
-  if (found != NULL && found->n_parts != n_parts) { /* a device was lost meanwhile */
+  if (found != NULL && found->n_parts != n_parts) { /* a device was lost in the meantime */
     found->state = FREE;
     found = NULL;
   }
@@ -240,8 +241,8 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
   }
 }
 
-/* Returns the error that stopped the batch: that of the failed part, not the cancellation of the
- * others. */
+/* Returns the error that stopped the batch: the error of the failed part, not the cancellation of
+ * the others. */
 static int result_of(const struct mo_device_task *parts, uint32_t n_parts)
 {
   int status = MO_OK;

@@ -105,7 +105,7 @@ static void linger(struct mo_unit *unit)
   }
 }
 
-/* NULL: none. */
+/* Returns NULL if there is none. */
 static struct mo_caller *idle_caller(struct mo_unit *unit)
 {
   for (uint32_t c = 0; c < unit->n_callers; c++)
@@ -114,7 +114,7 @@ static struct mo_caller *idle_caller(struct mo_unit *unit)
   return NULL;
 }
 
-/* Returns whether no work is waiting, or an idle device should take it instead. */
+/* Returns whether no work is waiting, or whether an idle device should take it instead. */
 static bool has_to_wait(struct mo_unit *unit)
 {
   const struct mo_devices *devices = unit->devices;
@@ -170,8 +170,8 @@ void *mo_unit_gather(void *context)
 
 /* ---- weights ---- */
 
-/* Under the mutex, which it releases meanwhile: frees the copies that are no longer needed. Only
- * the caller changes the list. */
+/* Called under the mutex, which it releases for a while: frees the copies that are no longer
+ * needed. Only the caller changes the list. */
 static void drop_copies(struct mo_caller *caller)
 {
   struct mo_devices *devices = caller->unit->devices;
@@ -375,7 +375,7 @@ static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
   unit->status.rows_at_once = unit->row_limit;
 }
 
-/* Returns and delivers a chunk. Called under the mutex, which it releases meanwhile. */
+/* Returns and delivers a chunk. Called under the mutex, which it releases for a while. */
 static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
 {
   mo_chunk_return(devices, chunk);

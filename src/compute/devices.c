@@ -114,7 +114,8 @@ static int check_class(const struct mo_devices *devices, struct mo_unit *unit)
   return MO_ERR_DEVICE;
 }
 
-/* Writes what the bits depend on. Tensor cores of different capabilities round differently. */
+/* Writes everything that the bits depend on. Tensor cores of different capabilities round
+ * differently. */
 static void write_fingerprints(struct mo_devices *devices)
 {
   const struct mo_device_module *module = devices->module;
@@ -127,7 +128,8 @@ static void write_fingerprints(struct mo_devices *devices)
   atomic_store(&devices->is_named, true);
 }
 
-/* Opens the requested devices, or all that can be opened and have the capability of the first. */
+/* Opens the requested devices, or all devices that can be opened and have the capability of the
+ * first. */
 static int open_units(struct mo_devices *devices, const struct mo_devices_config *config,
                       struct mo_message *message)
 {

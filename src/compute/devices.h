@@ -99,7 +99,7 @@ struct mo_devices {
   pthread_t keeper;
   struct mo_fair fair;
   pthread_cond_t wake;
-  struct mo_compute_share own, urgent; /* for blocks that name no share; for interactive blocks */
+  struct mo_compute_share own, urgent; /* for blocks without a share; for interactive blocks */
   const struct mo_compute_share *last; /* share of the last chunk taken; compared, never
                                           dereferenced */
   bool stopping;
@@ -121,7 +121,8 @@ void mo_devices_free(struct mo_devices *devices);
 /* ---- device_chunk.c ---- */
 int mo_chunk_create(struct mo_chunk *chunk); /* MO_ERR_NO_MEMORY */
 void mo_chunk_destroy(struct mo_chunk *chunk);
-/* Under the mutex: takes the next chunk for a caller of a device. False: no work is waiting. */
+/* Under the mutex: takes the next chunk for a caller of a device. Returns false if no work is
+ * waiting. */
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk);
 uint32_t mo_unit_held(const struct mo_unit *unit); /* under the mutex: callers that are not idle */
 /* Without the mutex: builds the bodies, on at most n_threads threads, and lays out the rows. */

@@ -4,7 +4,7 @@
 #define SMOOTHING 0.125
 
 /* Initial estimates, before any block was measured: roughly for one 2.5 GHz core. If they were far
- * too low, every worker could take a long block of the same share. */
+ * too low, all workers could take long blocks of the same share. */
 static const double unit_s_at_first[MO_FAIR_KINDS] = {
     [MO_FAIR_SCORING] = 3e-6, [MO_FAIR_GRADIENT] = 8e-5};
 

@@ -10,8 +10,8 @@
  *
  * The queue's own virtual time is the largest at which a block was started. A share that had an
  * empty queue continues from its own virtual time, but at most MO_FAIR_CREDIT_S of worker time per
- * worker behind the queue's. So short gaps, between two steps of a training or two refills of a
- * window, cost a share nothing, and a long idle time earns it nothing. A share that is ahead stays
+ * worker behind the queue's. So short gaps (between two steps of a training or two refills of a
+ * window) cost a share nothing, and a long idle time earns it nothing. A share that is ahead stays
  * ahead. The same rule limits a share that cannot use its part because it never has enough
  * blocks. */
 #ifndef MORPHO_COMPUTE_FAIR_H
@@ -104,7 +104,8 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
 
 /* Call these under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
-/* Returns the share that is next, among the shares whose first block fits; NULL: none. */
+/* Returns the share that is next, among the shares whose first block fits; Returns NULL if there is
+ * none. */
 struct mo_compute_share *mo_fair_next(const struct mo_fair *fair, mo_fair_fits *fits,
                                       void *context);
 /* Charges a share for a gradient of `units` rollout steps that has no block in the queue. */
@@ -114,11 +115,12 @@ void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *shar
  * NULL: any block fits. Returns NULL if no such block is waiting. */
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
                               mo_fair_fits *fits, void *context);
-/* Takes the next block of this share, even if another share is next; NULL: none waiting. */
+/* Takes the next block of this share, even if another share is next; Returns NULL if none is
+ * waiting. */
 struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share,
                                    struct mo_fair_charge *charge);
-/* Takes another block of the charge's share, to run together with those taken before; NULL: none
- * waits, or it does not fit. */
+/* Takes another block of the charge's share, to run together with those taken before; Returns NULL
+ * if none is waiting, or it does not fit. */
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
                                    mo_fair_fits *fits, void *context);
 /* Puts blocks of a charge back at the front of its share, in order, and reverses the charge. For

@@ -37,7 +37,7 @@ struct mo_compute_core {
     void *context;
     struct mo_offer *offers[2]; /* gradients, by back end; under the mutex of its queue */
   } remote;                     /* remote.c */
-  /* Queues a block for the workers that was submitted to devices but that they cannot compute.
+  /* Queues a block for the workers after it was submitted to devices that cannot compute it.
    * MO_ERR_CANCELLED. */
   int (*submit_to_workers)(struct mo_compute *compute, struct mo_block *block);
 };
@@ -102,7 +102,7 @@ struct mo_gradient_task {
   struct mo_gradient_counts counts;
 };
 /* Returns the options for each robot: its weight is its share of the batch's mean, unless the batch
- * has one. */
+ * sets a weight. */
 static inline struct mo_gradient_options mo_batch_options(const struct mo_gradient_batch *batch)
 {
   struct mo_gradient_options options = batch->options;

@@ -92,8 +92,8 @@ static void fill(struct taken *taken, uint64_t max_steps)
   }
 }
 
-/* Under the mutex. Takes a shard, if one exists and its share is next. here: rather than nothing,
- * takes a shard that the workers are computing. */
+/* Under the mutex. Takes a shard, if one exists and its share is next. here: if there is no other
+ * shard, takes one that the workers are computing. */
 static bool take_shard(struct mo_compute *compute, struct taken *taken, bool here)
 {
   struct mo_offer *offer = mo_offer_next(mo_core(compute), taken->shown.back_end, here);
@@ -241,7 +241,7 @@ static struct mo_outcome outcome_of(const struct mo_remote_result *result, uint3
                              .com_end_m = {NAN, NAN, NAN}};
 }
 
-/* back_end: the queue from which the block was taken. Blocks that devices cannot compute are queued
+/* back_end: the queue that the block was taken from. Blocks that devices cannot compute are queued
  * for the workers. */
 static void end_block(struct mo_block *block, enum mo_back_end back_end,
                       const struct mo_remote_result *result, uint32_t row)

@@ -1,4 +1,4 @@
-/* run.c: waits for blocks; submits some and waits for them. */
+/* run.c: waits for blocks, or submits some and waits for them. */
 #include "compute/internal.h"
 
 void mo_waiter_done(struct mo_block *block, void *context)

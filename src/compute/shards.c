@@ -30,7 +30,7 @@ static double units_of(const struct mo_gradient_batch *batch)
 /* ---- opening and closing ---- */
 
 /* Under the mutex. Returns whether takers should see the shards: they need the genotypes, and a
- * small batch is computed here before they would have its weights. */
+ * small batch is finished here before they would have its weights. */
 static bool is_worth_listing(const struct mo_offer *offer)
 {
   const struct mo_compute_core *core = core_of(offer);
@@ -201,7 +201,7 @@ int mo_offer_error(struct mo_offer *offer)
 
 /* ---- takers ---- */
 
-/* Returns the shard that a taker gets next; NULL: none. */
+/* Returns the shard that a taker gets next, or NULL if there is none. */
 static struct mo_shard *find(const struct mo_offer *offer, bool here)
 {
   for (uint32_t i = 0; i < offer->n; i++) {

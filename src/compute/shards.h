@@ -52,11 +52,11 @@ struct mo_offer {
  * batch, but it cannot be offered to them. */
 int mo_offer_open(struct mo_offer *offer, struct mo_compute *compute, enum mo_back_end back_end,
                   const struct mo_gradient_batch *batch, const uint32_t *order, double weight);
-/* Returns the number of the next shard for the workers. MO_ERR_EXHAUSTED: none. */
+/* Returns the number of the next shard for the workers. MO_ERR_EXHAUSTED: there is none. */
 int mo_offer_claim(struct mo_offer *offer);
 /* Delivers the workers' result of a shard. If a taker was faster, *result is not consumed. */
 void mo_offer_finish(struct mo_offer *offer, uint32_t number, struct mo_shard_result **result);
-/* Takes the result of a shard, which the caller frees. NULL: not done yet. */
+/* Takes the result of a shard, which the caller frees. Returns NULL if it is not done yet. */
 struct mo_shard_result *mo_offer_collect(struct mo_offer *offer, uint32_t number);
 /* Waits for the result of a shard, for any other change, or for 50 ms, because cancellation and the
  * arrival and departure of takers do not wake it. */
@@ -64,18 +64,18 @@ void mo_offer_wait(struct mo_offer *offer, uint32_t number);
 /* Returns the error of shards for takers only. MO_ERR_UNSUPPORTED: takers cannot compute a shard;
  * MO_ERR_DEVICE: takers return a shard repeatedly. */
 int mo_offer_error(struct mo_offer *offer);
-void mo_offer_stop(struct mo_offer *offer); /* no shard is needed any more; call it before close */
+void mo_offer_stop(struct mo_offer *offer); /* no shard is needed anymore; call it before close */
 /* Waits until takers have returned all shards, and frees the members of the offer. */
 void mo_offer_close(struct mo_offer *offer);
 
 /* ---- for takers; under the mutex ---- */
 
-/* Returns the offer with a shard for a taker and with the share that is next; NULL: none. here: a
- * shard that the workers are computing. */
+/* Returns the offer with a shard for a taker and with the share that is next; Returns NULL if there
+ * is none. here: looks for a shard that the workers are computing. */
 struct mo_offer *mo_offer_next(const struct mo_compute_core *core, enum mo_back_end back_end,
                                bool here);
 struct mo_shard *mo_offer_take(struct mo_offer *offer, bool here);
-/* A taker returns a shard. result: NULL, or consumed. has_failed: takers cannot compute it. */
+/* Returns a shard from a taker. result: NULL, or consumed. has_failed: takers cannot compute it. */
 void mo_offer_return(struct mo_offer *offer, struct mo_shard *shard, bool has_failed,
                      struct mo_shard_result *result);
 /* Returns the rollout steps of waiting shards. */

@@ -1,10 +1,10 @@
-/* best.c: the k best of many designs, without all their losses.
+/* best.c: finds the k best of many designs without computing all their losses.
  *
  * A design is out when the sum of its known losses, divided by the number of all environments, is
- * above the k-th best of the complete scores so far: k designs are then better, whatever its other
- * losses are. A design that may still equal the k-th best is not out, so ties need no rule.
+ * above the k-th best of the complete scores so far. Then k designs are better, no matter what its
+ * other losses are. A design that may still equal the k-th best is not out, so ties need no rule.
  *
- * The rounds: first a few designs, spread evenly over the list, in all environments, which shows
+ * The rounds: first a few designs, spread evenly over the list, in all environments, to find out
  * which environments are hard. Then the hardest one for all designs, then the next two, then the
  * rest. In between, the most promising designs get all their losses, which lowers the bound at
  * once. The sizes are those that took the least time with the losses of 10,000 random bodies
@@ -96,7 +96,7 @@ static void plan(struct mo_best *best)
   mo_race_cut_waves(race, sizes);
 }
 
-/* Returns how many losses a design needs until it is out. */
+/* Returns how many losses a design needs before it is out. */
 static uint32_t needed(const struct mo_best *best, uint32_t design, double bound)
 {
   const struct mo_race *race = &best->race;

@@ -22,8 +22,8 @@ static struct mo_rank *rank_all(const double *scores, uint32_t n, uint32_t *n_so
   return ranks;
 }
 
-/* Orders `chosen`, (m) ranked places, best first, by distinctiveness. distances, genotypes:
- * scratch for m. */
+/* Orders `chosen`, (m) ranked places, best first, by distinctiveness. distances, genotypes: scratch
+ * space for m. */
 static void order(struct mo_workspace workspace, const uint64_t *population, const uint32_t *chosen,
                   uint32_t m, uint64_t *genotypes, double *distances, struct mo_rank *ranks,
                   uint32_t *picks)

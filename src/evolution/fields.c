@@ -53,7 +53,7 @@ static int check_workspace(const char *name, const void *value, struct mo_messag
 
 static const struct mo_field_own workspace = {read_workspace, write_workspace, check_workspace};
 
-/* ---- selection: a word, or an object with its kind's own settings ---- */
+/* ---- selection: a word, or an object with the settings of its kind ---- */
 
 #define AT(member) offsetof(struct mo_selection, member)
 static const struct mo_field selection_rows[] = {
@@ -72,7 +72,7 @@ static const struct mo_field selection_rows[] = {
 #define N_SELECTION_ROWS (sizeof(selection_rows) / sizeof(selection_rows[0]))
 static const struct mo_fields selection_fields = {selection_rows, N_SELECTION_ROWS};
 
-/* The rows of selection_rows for each kind, besides `kind`: from, n. */
+/* The rows of selection_rows for each kind, in addition to `kind`: from, n. */
 static const struct {
   size_t from, n;
 } selection_own[] = {{1, 0}, {1, 1}, {2, 1}, {3, 2}};

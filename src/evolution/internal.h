@@ -15,7 +15,7 @@ enum mo_selection_stream {
 /* After 2^16 attempts in a row without a new form, the morphospace counts as exhausted. */
 #define MO_FRUITLESS_MAX (UINT32_C(1) << 16)
 
-/* seen.c: same as mo_seen_add, but excluded forms count as new. */
+/* seen.c: same as mo_seen_add, except that excluded forms count as new. */
 int mo_seen_add_own(struct mo_seen *seen, const uint64_t *genotype);
 
 /* A candidate's place and the values that rank it. */

@@ -1,4 +1,4 @@
-/* pretraining.c: draws the bodies that a pretraining learned from again.
+/* pretraining.c: redraws the bodies that a pretraining learned from.
  *
  * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without held-out and
  * repeated forms. If `set` is empty and of the default workspace, it also serves to detect

@@ -77,7 +77,7 @@ void mo_race_plan(const struct mo_campaign_settings *settings, const double *los
                   const double *scores, uint32_t n_parents, uint32_t n_environments, bool pays,
                   struct mo_race *race)
 {
-  /* More waves would cost more time in blocks than they save in rollouts: of all cuts of ten
+  /* More waves would cost more time in blocks than they save in rollouts: of all divisions of ten
    * environments, 2 + 8 takes the least time (docs/performance.md). */
   static const uint8_t sizes[MO_RACE_WAVES_MAX] = {2, 8, 16, 16, 16, 16};
   *race = (struct mo_race){.bound = INFINITY, .n_environments = n_environments, .is_whole = !pays};

@@ -1,7 +1,7 @@
 /* statistics.c: sizes of designs, and statistics of a population.
  *
  * Hamming distances are sums over voxels, so all pairs at once need only the column sums c_v, the
- * number of the n genotypes that hold voxel v:
+ * number of the n genotypes that have voxel v:
  *   over all pairs          Σ_v c_v (n − c_v)
  *   of one to all others    Σ_v (n − c_v where it holds v, c_v where it does not)
  * Both are integers below 2^53, so they are also exact as doubles. Columns are summed 64 at a time,
@@ -115,7 +115,7 @@ int mo_design_size(const struct mo_lattice *lattice, const uint64_t *bits,
 
 /* ---- populations ---- */
 
-/* Writes the finite scores, ascending, to `sound`; returns their number. */
+/* Writes the finite scores, ascending, to `sound`. Returns their number. */
 static uint32_t sort_scores(const double *scores, uint32_t n, struct mo_rank *sound)
 {
   uint32_t found = 0;
@@ -145,7 +145,7 @@ static void describe_scores(const struct mo_rank *sound, uint32_t n,
   }
 }
 
-/* Computes the spread of one field. `first`: that field in the first of n sizes. */
+/* Computes the spread of one field. `first`: the field in the first of n sizes. */
 static struct mo_spread spread_of(const uint32_t *first, uint32_t n)
 {
   const size_t stride = sizeof(struct mo_design_size) / sizeof(uint32_t);

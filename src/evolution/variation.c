@@ -115,7 +115,7 @@ static void record_birth(struct nursery *nursery, enum mo_operator op, uint32_t 
       (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
 }
 
-/* Makes one mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */
+/* Makes one mutant of `place`. Returns 1, or 0 if MO_FRUITLESS_MAX attempts gave nothing new. */
 static int make_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
 {
   const struct mo_campaign_settings *settings = nursery->settings;
@@ -150,7 +150,7 @@ static struct mo_random mutation_stream(const struct nursery *nursery)
   return random;
 }
 
-/* These three functions return 1 when done, 0 if the morphospace is exhausted. */
+/* These three functions return 1 when done, or 0 if the morphospace is exhausted. */
 
 static int make_mutants(struct nursery *nursery, const uint32_t *places, uint32_t n)
 {

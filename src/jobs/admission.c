@@ -1,5 +1,5 @@
-/* admission.c: counts the open jobs (queued, running, paused) and their rollouts, and holds them to
- * the limits. */
+/* admission.c: counts the open jobs (queued, running, paused) and their rollouts, and enforces the
+ * limits. */
 #include "base/thread.h"
 #include "jobs/submission.h"
 

@@ -2,11 +2,11 @@
  *
  * The back end is chosen at submission and never changes. Bits differ between devices and workers,
  * so a training or campaign that continued elsewhere would no longer be a function of its settings.
- * A job whose devices are lost waits for them, paused.
+ * If the devices of a job are lost, the job is paused until they are back.
  *
- * A service without devices may expect those of workers. Their class is named once: by the first
- * worker that has some, or, when a job needs it before, by what the store knows of an earlier
- * process. From then on it is the class of all jobs on devices, which wait for such workers. */
+ * A service without devices may expect workers with devices. Their class is set once: by the first
+ * worker that has devices, or, if a job needs it earlier, from the record of an earlier process in
+ * the store. From then on, all jobs on devices have this class and wait for such workers. */
 #include <string.h>
 
 #include "base/thread.h"
@@ -18,8 +18,7 @@
 
 /* ---- classes ---- */
 
-/* Composes the code version, on which the bits of a trained controller depend besides its settings.
- */
+/* Composes the code version. The bits of a trained controller depend on it and on the settings. */
 static int name_code(struct mo_jobs *jobs, enum mo_back_end back_end, const char *fingerprint)
 {
   const char *version = jobs->config.version != NULL ? jobs->config.version : "";
@@ -83,7 +82,7 @@ int mo_back_end_prepare(struct mo_jobs *jobs)
   return error;
 }
 
-/* Returns whether jobs on devices are computed, now or when workers are there. */
+/* Returns whether jobs on devices can be computed, now or once workers have joined. */
 static bool serves_devices(struct mo_jobs *jobs)
 {
   if (mo_compute_serves_devices(jobs->compute))

@@ -4,9 +4,9 @@
  * A generation is a table of phases: children, learning, scores, selection and one commit, which is
  * written while the next generation runs. Everything before the commit can be repeated with the
  * same result: children depend on the population and on all designs ever born, learning continues
- * from its checkpoint, and saved losses are read again. So a campaign is a function of its settings
- * and seed, whatever interrupts it. A campaign ends when all its generations are committed, or when
- * no child can be found; a generation without a child is not committed. */
+ * from its checkpoint, and saved losses are reread. So a campaign is a function of its settings and
+ * seed, no matter what interrupts it. A campaign ends when all its generations are committed, or
+ * when no child can be found; a generation without a child is not committed. */
 #include <stdlib.h>
 
 #include "base/clock.h"
@@ -25,7 +25,8 @@ static int begin(struct mo_campaign_run *run)
   return MO_OK;
 }
 
-/* Makes the survivors the population. A commit may still read the rows that they come from. */
+/* Makes the survivors the population. A commit may still be reading the rows that they come
+ * from. */
 static int advance_generation(struct mo_campaign_run *run)
 {
   struct mo_campaign_rows *committed = run->rows;
@@ -42,11 +43,12 @@ static int advance_generation(struct mo_campaign_run *run)
 
 struct phase {
   int (*run)(struct mo_campaign_run *run);
-  enum mo_phase shown;                                  /* by the live figures; idle: as before */
-  uint64_t (*total)(const struct mo_campaign_run *run); /* of its progress; nullable */
+  enum mo_phase shown;                                  /* shown as live figures; idle: unchanged */
+  uint64_t (*total)(const struct mo_campaign_run *run); /* its progress; nullable */
   bool learns;                                          /* only in modes that learn */
-  bool parks;                                           /* a request stops the campaign before it */
-  bool after_commit; /* begins when the commit of the generation before has ended */
+  bool parks;                                           /* a request stops the campaign before this
+                                                         * phase */
+  bool after_commit; /* begins when the commit of the previous generation has ended */
 };
 static const struct phase generation[] = {
     {mo_campaign_read_seen, .parks = true},
@@ -63,7 +65,7 @@ static const struct phase generation[] = {
 };
 #define N_PHASES (sizeof(generation) / sizeof(generation[0]))
 
-/* Runs a phase, after what has to happen before it. */
+/* Runs a phase, after the steps that must precede it. */
 static int run_phase(struct mo_campaign_run *run, const struct phase *phase)
 {
   int error = MO_OK;
@@ -112,8 +114,8 @@ static int write_end(void *context)
   return error;
 }
 
-/* Writes the end, unless the campaign was extended meanwhile. MO_ERR_CONFLICT: it was paused or
- * cancelled. */
+/* Writes the end, unless the campaign was extended in the meantime. MO_ERR_CONFLICT: it was paused
+ * or cancelled. */
 static int finish(struct mo_campaign_run *run)
 {
   const uint32_t generations = run->settings->generations;
@@ -135,8 +137,8 @@ static int finish(struct mo_campaign_run *run)
   return error == MO_OK && run->settings->generations == generations ? MO_ERR_CONFLICT : error;
 }
 
-/* The commit of a batch has left the study in the queue, where it waits for its client: the attempt
- * has nothing to end (MO_ERR_CONFLICT). */
+/* The commit of a batch has put the study back into the queue, where it waits for its client. The
+ * attempt has nothing to end (MO_ERR_CONFLICT). */
 static int leave_queued(struct mo_campaign_run *run)
 {
   (void)run;
@@ -146,7 +148,7 @@ static int leave_queued(struct mo_campaign_run *run)
 static const struct phase end = {finish, MO_PHASE_SAVE, .parks = true, .after_commit = true};
 static const struct phase end_of_batch = {leave_queued, .after_commit = true};
 
-/* Runs generations to the end of the campaign. Reads the campaign again after each one, because
+/* Runs generations until the campaign ends. Rereads the campaign after each one, because
  * generations may have been added. */
 static int evolve(struct mo_campaign_run *run)
 {
@@ -171,7 +173,7 @@ static int run_batch(struct mo_campaign_run *run)
   return error == MO_OK ? run_phase(run, &end_of_batch) : error;
 }
 
-/* Saves what a stopped run has computed. */
+/* Saves the results of a stopped run. */
 static int save_rest(void *context)
 {
   struct mo_campaign_run *run = context;

@@ -23,7 +23,7 @@ static int read_population(struct mo_store *store, int64_t id, int64_t generatio
     const uint32_t before = size, left = most - read;
     got = mo_store_campaign_population(store, id, generation, read, rows + read,
                                        left < MO_PAGE_MAX ? left : MO_PAGE_MAX, &size);
-    if (read > 0 && size != before) /* a newer generation was committed meanwhile */
+    if (read > 0 && size != before) /* a newer generation was committed in the meantime */
       got = MO_ERR_BUSY;
     read += got > 0 ? (uint32_t)got : 0;
   }
@@ -87,7 +87,7 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
 
 /* ---- recordings ---- */
 
-/* Finds a name that no other file has. */
+/* Finds an unused file name. */
 static int free_name(struct mo_store *store, int64_t id, int64_t generation,
                      const struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1])
 {
@@ -104,7 +104,7 @@ static int free_name(struct mo_store *store, int64_t id, int64_t generation,
 }
 
 /* Stores the controller that scored the newest generation of a campaign that learns, from its
- * checkpoint, under a new name; *created: remove the name when a job refers to the file. */
+ * checkpoint, under a new name. *created: remove the name once a job refers to the file. */
 static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
                             struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1],
                             bool *created)

@@ -1,10 +1,10 @@
 /* campaign_commit.c: describes and commits a generation while the next one runs.
  *
- * A commit of thousands of designs takes some tenths of a second, during which a device would idle.
- * So a separate thread writes the commit, and the campaign continues with its other rows. At most
- * one commit is in progress. All other writes of the campaign come after it: losses, checkpoints,
- * the next commit, the end and a pause wait for the commit. A crash loses at most one uncommitted
- * generation, which is computed again with the same result. */
+ * A commit of thousands of designs takes some tenths of a second, and a device would be idle during
+ * that time. So a separate thread writes the commit, and the campaign continues with its other
+ * rows. At most one commit is in progress, and all other writes of the campaign wait for it:
+ * losses, checkpoints, the next commit, the end and a pause. A crash loses at most one uncommitted
+ * generation, which is recomputed with the same result. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -16,8 +16,8 @@
 struct mo_campaign_writing {
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_campaign_commit commit; /* points to rows of the run, and to what follows */
-  struct mo_campaign_loss *losses;  /* taken over from the run */
+  struct mo_campaign_commit commit; /* points to rows of the run, and to the members below */
+  struct mo_campaign_loss *losses;  /* moved here from the run */
   struct mo_campaign_step *steps;
   uint8_t *checkpoint;
   char generation_data[480], collapse_data[256];
@@ -25,10 +25,10 @@ struct mo_campaign_writing {
   bool is_pending; /* started, and not yet known to be committed */
   bool has_thread;
   atomic_bool ended; /* the thread has its status */
-  int status;        /* of the newest try; MO_ERR_BUSY: none yet */
+  int status;        /* of the latest try; MO_ERR_BUSY: none yet */
 };
 
-/* ---- what a generation came to ---- */
+/* ---- statistics of a generation ---- */
 
 static double mean_of(const double *scores, uint32_t n)
 {
@@ -82,7 +82,7 @@ static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_gene
   run->diversity.is_warned = run->diversity.is_warned || row->collapse;
 }
 
-/* Describes the generation; the survivors are in the other rows. */
+/* Describes the generation. The survivors are in the other rows. */
 static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
   const bool learns = run->mode->learns;
@@ -122,9 +122,9 @@ static void format_generation(const struct mo_campaign_run *run,
            MO_FIGURE(left < 0 ? NAN : left));
 }
 
-/* ---- what is written ---- */
+/* ---- the contents of a commit ---- */
 
-/* Frees what belongs to one generation only. */
+/* Frees everything that belongs to this generation only. */
 static void drop(struct mo_campaign_writing *writing)
 {
   free(writing->losses);

@@ -1,13 +1,14 @@
-/* campaign_excluded.c: the bodies of a controller's pretrainings, which a campaign must not create.
+/* campaign_excluded.c: the bodies of a controller's pretraining runs, which a campaign must not
+ * create.
  *
- * The bodies of all pretrainings in the controller's lineage (campaign_lineage.c) are drawn again
+ * The bodies of all pretraining runs in the controller's lineage (campaign_lineage.c) are redrawn
  * into one set, on as many threads as there are workers, at most 16, and with the workers'
- * niceness. The set is then written to a file of the state folder (store/excluded.h), and used from
- * there; later campaigns find the file. A finished set is const. Campaigns with the same lineage
+ * niceness. The set is then written to a file in the state folder (store/excluded.h) and used from
+ * there. Later campaigns find the file. A finished set is const. Campaigns with the same lineage
  * and workspace share it. A separate thread opens or draws the set. The first campaign starts that
  * thread; later ones wait for it. The drawing continues when a campaign is paused or cancelled, and
- * stops when the last campaign leaves. A file that is damaged or cannot be written only means that
- * the bodies are drawn again, which the log says. */
+ * stops when the last campaign leaves. If a file is damaged or cannot be written, the bodies are
+ * simply redrawn, with a warning in the log. */
 #include <malloc.h>
 #include <stdlib.h>
 #include <string.h>
@@ -40,17 +41,17 @@ struct mo_exclusion {
   volatile uint64_t n_drawn; /* of the current part */
   /* Under the mutex. */
   uint32_t users;
-  int64_t drawer;    /* other campaigns report that they wait for this one; 0: it has left, and the
-                        next to look replaces it */
+  int64_t drawer;    /* other campaigns report that they are waiting for this one; 0: it has left,
+                      * and the next one to look replaces it */
   uint64_t n_before; /* bodies of finished parts */
-  int status;        /* DRAWING, MO_OK, or the error: look-ups skip it */
+  int status;        /* DRAWING, MO_OK, or the error that look-ups return */
   struct mo_exclusion *next;
 };
 
 /* ---- files ---- */
 
-/* Lists what the set depends on besides the workspace, which the file has. Returns the number that
- * names the file. */
+/* Lists everything that the set depends on except the workspace, which is in the file. Returns the
+ * number that identifies the file. */
 static uint64_t key_of(const struct mo_exclusion *exclusion, struct mo_form_key *key)
 {
   const struct mo_lineage *lineage = &exclusion->lineage;
@@ -78,7 +79,7 @@ static uint32_t threads_of(const struct mo_exclusion *exclusion)
   return stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX;
 }
 
-/* Opens the file of the set. Any error: there is no usable file. */
+/* Opens the file of the set. On any error, no usable file exists. */
 static int open_file(const struct mo_exclusion *exclusion, struct mo_form_set **forms)
 {
   struct mo_form_key key;
@@ -106,7 +107,7 @@ static int make_file(void *context, int (*put)(void *file, const void *bytes, si
   return mo_form_file_write(made->forms, made->key, put, file);
 }
 
-/* Writes the drawn set to a file and uses it from there, which gives its memory back. */
+/* Writes the drawn set to a file and uses it from there, which frees its memory. */
 static void keep(struct mo_exclusion *exclusion)
 {
   struct mo_form_key key;
@@ -167,7 +168,7 @@ static int draw(struct mo_exclusion *exclusion)
 static void *open_or_draw(void *context)
 {
   struct mo_exclusion *exclusion = context;
-  mo_thread_tag = exclusion->first; /* a fault counts as that campaign's, even after it has left */
+  mo_thread_tag = exclusion->first; /* a fault counts as this campaign's, even after it has left */
   mo_compute_lower_priority(exclusion->jobs->compute);
   int error = open_file(exclusion, &exclusion->forms);
   if (error != MO_OK) {
@@ -183,7 +184,8 @@ static void *open_or_draw(void *context)
   return NULL;
 }
 
-/* Starts the drawing. Without a thread, the campaigns that wait for it try again later. */
+/* Starts the drawing. If the thread cannot be started, the campaigns that are waiting for it retry
+ * later. */
 static void begin(struct mo_exclusion *exclusion)
 {
   exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, open_or_draw, exclusion) == 0;
@@ -203,7 +205,7 @@ static bool is_of(const struct mo_exclusion *exclusion, const struct mo_lineage 
 }
 
 /* Returns the set of the lineage with one more user, or adds a new one to the list, which the
- * caller must start (*is_new). NULL: no memory. */
+ * caller must start (*is_new). Returns NULL if memory runs out. */
 static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
                                         const struct mo_lineage *lineage, bool *is_new)
 {
@@ -266,7 +268,7 @@ void mo_exclusion_release(struct mo_campaign_run *run)
 
 /* ---- waiting ---- */
 
-/* Estimates all remaining generations from the newest one; 0: unknown. */
+/* Estimates the time for all remaining generations from the newest one; 0: unknown. */
 static double generations_s(const struct mo_campaign_run *run)
 {
   const uint32_t generations = run->settings->generations;
@@ -308,8 +310,8 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
       return status;
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
-    /* All bodies take about as long: between a second and a minute, the rate changes by a few
-     * percent. */
+    /* All bodies take about the same time: after the first second, the rate changes by only a few
+     * percent within a minute. */
     const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
     show(run, done, exclusion->n_bodies, drawer,
          done > 0 ? passed_s / (double)done * (double)(exclusion->n_bodies - done) : -1);
@@ -348,8 +350,8 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, const struct mo_form_set *
   if (error != MO_OK || lineage.n_parts == 0)
     return error;
   error = join(run, &lineage);
-  if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
-                                    child could be found */
+  if (error == MO_ERR_EXHAUSTED) /* if it were returned unchanged, it would end the campaign as if
+                                  * no child could be found */
     return mo_runner_fail(run->runner, MO_ERR_LIMIT,
                           "the controller's lineage has more pretraining bodies than can be "
                           "redrawn; submit with exclude_pretraining false");

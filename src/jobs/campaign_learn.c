@@ -61,8 +61,8 @@ int mo_campaign_save_learning(struct mo_campaign_run *run)
   return mo_campaign_persist(run, write_checkpoint, run, what);
 }
 
-/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: the
- * checkpoint is unusable. */
+/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: no checkpoint exists.
+ * MO_ERR_CORRUPT: the checkpoint is unusable. */
 static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uint32_t *step)
 {
   struct mo_message message = {.text = "it is missing, or its bytes have changed"};
@@ -107,7 +107,7 @@ static int write_what_is_due(void *context)
   return error == MO_OK ? mo_campaign_report(run) : error;
 }
 
-/* ---- where it begins ---- */
+/* ---- where learning begins ---- */
 
 static const uint64_t *children(const struct mo_campaign_run *run)
 {
@@ -131,7 +131,8 @@ static int begin_training(struct mo_campaign_run *run)
   return error;
 }
 
-/* Loads what an earlier process learned in this generation. MO_ERR_NOT_FOUND: nothing usable. */
+/* Loads the learning state that an earlier process reached in this generation. MO_ERR_NOT_FOUND:
+ * nothing usable. */
 static int restore(struct mo_campaign_run *run)
 {
   struct mo_campaign_learning *learning = &run->learning;

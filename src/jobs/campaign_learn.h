@@ -1,5 +1,5 @@
-/* campaign_learn.h: what a campaign learns in a generation. Only for the files campaign*.c of this
- * room. */
+/* campaign_learn.h: the learning of a campaign within a generation. Only for the files campaign*.c
+ * of this room. */
 #ifndef MORPHO_JOBS_CAMPAIGN_LEARN_H
 #define MORPHO_JOBS_CAMPAIGN_LEARN_H
 
@@ -10,8 +10,9 @@ struct mo_campaign_run;
 
 struct mo_campaign_learning {
   struct mo_learner learner;
-  struct mo_campaign_step *steps; /* (parent + child steps) not written from steps_saved on */
-  uint32_t step, steps_saved;     /* steps done in this generation; at the last checkpoint */
+  struct mo_campaign_step *steps; /* (parent + child steps) not yet written, starting at
+                                   * steps_saved */
+  uint32_t step, steps_saved;     /* steps done in this generation, and at the last checkpoint */
   int64_t checkpoint_us;
   double first_loss, last_loss;
 };

@@ -1,9 +1,9 @@
-/* campaign_lineage.c: reads which pretrainings led to a campaign's controller.
+/* campaign_lineage.c: finds the pretraining runs that led to a campaign's controller.
  *
- * The metadata of a controller describes how it was made. A pretraining has a seed, a batch and a
- * number of steps, which determine its bodies. A finetuning or campaign has a parent, whose file,
- * if stored, describes the parent in the same way. Each unreadable field is reported as an event of
- * the campaign, and what depends on the field is omitted. */
+ * The metadata of a controller describes how it was made. A pretraining run has a seed, a batch and
+ * a number of steps, which determine its bodies. A finetuning run or campaign has a parent; if the
+ * parent's file is stored, it describes the parent in the same way. Each unreadable field is
+ * reported as an event of the campaign, and the parts that depend on the field are omitted. */
 #include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
@@ -15,14 +15,14 @@
 #define CONTROLLERS_MAX 64 /* in a lineage, including the campaign's own */
 
 struct reading {
-  struct mo_campaign_run *run; /* NULL: reports nothing */
+  struct mo_campaign_run *run; /* NULL: nothing is reported */
   struct mo_message *message;
   struct mo_lineage *lineage;
   struct mo_controller *controller; /* the controller being read */
-  struct mo_sha256 sha256;          /* of its file */
+  struct mo_sha256 sha256;          /* hash of its file */
 };
 
-/* ---- what cannot be read ---- */
+/* ---- unreadable fields ---- */
 
 struct fault {
   const struct reading *reading;
@@ -58,7 +58,8 @@ static bool read_number(const char *text, uint64_t *number)
   return errno == 0 && *end == '\0';
 }
 
-/* Reads the seed and size of a pretraining; n_bodies 0: none, or unknown. */
+/* Reads the seed and size of a pretraining run. n_bodies is 0 if there are none, or if the number
+ * is unknown. */
 static int read_pretraining(const struct reading *reading, struct mo_lineage_part *part)
 {
   const struct mo_controller *controller = reading->controller;
@@ -124,7 +125,7 @@ static int add_part(const struct reading *reading)
 
 /* ---- its ancestors ---- */
 
-/* MO_ERR_NOT_FOUND: the controller names no parent. */
+/* MO_ERR_NOT_FOUND: the controller has no parent. */
 static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
 {
   const char *parent = mo_controller_get_metadata(reading->controller, "morphod.parent");

@@ -22,8 +22,8 @@ void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_
   (void)mo_runner_enter(runner, phase);
 }
 
-/* Estimates the rest of the campaign: from the remaining rollouts if only scoring takes time, else
- * from the last whole generation. Negative: unknown. */
+/* Estimates the remaining time of the campaign: from the remaining rollouts if only scoring takes
+ * time, otherwise from the last whole generation. Returns a negative number if it is unknown. */
 static double seconds_left(const struct mo_campaign_run *run, const struct mo_live *live)
 {
   const struct mo_campaign_settings *settings = run->settings;

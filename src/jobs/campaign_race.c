@@ -1,10 +1,10 @@
-/* campaign_race.c: scores the children of a generation in waves of environments, and cuts short
- * those that cannot survive (src/evolution/racing.c has the reason and the plan).
+/* campaign_race.c: scores the children of a generation in waves of environments, and cuts short the
+ * ones that cannot survive (src/evolution/racing.c explains the reason and the plan).
  *
- * The cells of the children are closed at first. The race begins when the scores of all parents are
- * known: at once where they keep their scores, after their scoring where the controller has
- * learned. Then each child goes its own way, and no worker waits for a wave to end. In a generation
- * that does not race, children are scored beside parents that have learned. */
+ * At first, the cells of the children are closed. The race begins when the scores of all parents
+ * are known: at once if they keep their scores, or after they are rescored because the controller
+ * has learned. Then each child proceeds independently, and no worker waits for a wave to end. In a
+ * generation that does not race, children are scored together with parents that have learned. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,7 +27,7 @@ int mo_race_close(struct mo_campaign_run *run)
              : MO_OK;
 }
 
-/* Opens the next wave of a candidate, or all. */
+/* Opens the next wave of a candidate, or all waves. */
 static void open_wave(struct mo_campaign_run *run, uint32_t place, uint32_t wave)
 {
   const struct mo_race *race = &run->race.plan;
@@ -40,7 +40,7 @@ static void plan(struct mo_campaign_run *run)
 {
   const uint32_t n = run->n_environments, n_scored = n_parents_scored(run);
   struct mo_campaign_rows *rows = run->rows;
-  for (uint32_t i = 0; i < n_scored; i++) { /* they have learned, and have new losses */
+  for (uint32_t i = 0; i < n_scored; i++) { /* they have learned, and get new losses */
     memcpy(rows->parent_losses + (size_t)i * n, run->scores.losses[i].losses, n * sizeof(double));
     rows->scores[i] = mo_race_score(run->scores.losses[i].losses, n);
   }
@@ -48,7 +48,7 @@ static void plan(struct mo_campaign_run *run)
                &run->race.plan);
 }
 
-/* Returns the wave that a child has to begin. n_waves: it is inside one. */
+/* Returns the wave that a child must begin, or n_waves if the child is within a wave. */
 static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
 {
   const struct mo_race *race = &run->race.plan;
@@ -63,9 +63,8 @@ static uint32_t next_wave(const struct mo_campaign_run *run, uint32_t place)
   return race->n_waves;
 }
 
-/* Begins the next wave of a child that is inside none, or cuts it short. Returns whether it is
- * done.
- */
+/* Begins the next wave of a child that is not within one, or cuts the child short. Returns whether
+ * it is done. */
 static bool advance_child(struct mo_campaign_run *run, uint32_t place)
 {
   const uint32_t wave = next_wave(run, place);
@@ -79,7 +78,8 @@ static bool advance_child(struct mo_campaign_run *run, uint32_t place)
   return false;
 }
 
-/* A child with stored losses may be cut at once. It is not saved: they are found again. */
+/* A child with stored losses may be cut at once. This is not saved, because the losses will be
+ * found again. */
 static void start(struct mo_campaign_run *run)
 {
   plan(run);
@@ -137,8 +137,8 @@ void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to
   }
 }
 
-/* Also reads what workers computed for a campaign of devices: mo_race_keep keeps it, and the order
- * of the environments must not depend on a restart. */
+/* Also reads losses that workers computed for a campaign on devices: mo_race_keep keeps them, and
+ * the order of the environments must not depend on a restart. */
 int mo_race_read(struct mo_campaign_run *run)
 {
   const size_t n = run->n_environments;

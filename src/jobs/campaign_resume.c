@@ -1,4 +1,4 @@
-/* campaign_resume.c: reads a campaign as its last committed generation left it. */
+/* campaign_resume.c: reads a campaign in the state of its last committed generation. */
 #include <stdlib.h>
 
 #include "jobs/campaign_run.h"
@@ -43,7 +43,7 @@ void mo_campaign_free_rows(struct mo_campaign_run *run)
 
 /* ---- the store ---- */
 
-/* Reads the maximum diversity, whether its collapse was reported, and the time of the newest
+/* Reads the maximum diversity, whether its collapse was reported, and the wall time of the newest
  * generation. */
 static int read_history(struct mo_campaign_run *run)
 {

@@ -29,21 +29,22 @@ struct mo_campaign_rows {
 #undef MO_COLUMN
 };
 
-/* Each part belongs to the file that is named; the other files read it. */
+/* Each part belongs to the file in parentheses. The other files only read it. */
 struct mo_campaign_run {
-  /* What is run, and under which settings (campaign_resume.c). */
+  /* What is run, and with which settings (campaign_resume.c). */
   struct mo_runner *runner;
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_campaign_status status; /* from the start of the generation; may be extended since */
-  const struct mo_campaign_settings *settings; /* of the status */
-  const struct mo_mode *mode;                  /* of the settings */
+  struct mo_campaign_status status; /* as of the start of the generation; the campaign may have been
+                                     * extended since */
+  const struct mo_campaign_settings *settings; /* part of the status */
+  const struct mo_mode *mode;                  /* part of the settings */
   struct mo_controller *controller;            /* as submitted; NULL: random weights */
   struct mo_environment *environments;
   uint32_t n_environments;
-  size_t words; /* of a genotype of the campaign's workspace */
+  size_t words; /* words of a genotype in the campaign's workspace */
 
-  /* Where it is (campaign.c). */
+  /* The progress (campaign.c). */
   uint32_t generation; /* the current one */
   uint64_t n_designs;  /* born before this generation */
   bool is_exhausted;   /* no child was found */
@@ -54,7 +55,7 @@ struct mo_campaign_run {
   struct mo_seen *seen;
   struct mo_study_batch *batch; /* of a study */
   uint32_t n_parents, n_children, n_survivors;
-  /* A commit may still read other_rows (mo_campaign_wait_for_commit). */
+  /* A commit may still be reading other_rows (mo_campaign_wait_for_commit). */
   struct mo_campaign_rows *rows, *other_rows, all_rows[2];
   struct mo_variation_counts variation;
 
@@ -62,7 +63,7 @@ struct mo_campaign_run {
   struct mo_campaign_scores scores;     /* campaign_score.c */
   struct mo_campaign_race race;         /* campaign_race.c */
 
-  /* The commit in progress, and what it needs of earlier ones (campaign_commit.c). */
+  /* The commit in progress, and the data that it needs from earlier ones (campaign_commit.c). */
   struct mo_campaign_writing *writing;
   struct {
     double max;     /* so far */
@@ -81,14 +82,15 @@ struct mo_campaign_run {
 
 /* ---- campaign_live.c ---- */
 void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
-/* Sets the progress that the live figures show for the phase. rollouts_per_s 0: as before. */
+/* Sets the progress in the live figures of the phase. rollouts_per_s 0: unchanged. */
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double rollouts_per_s);
-/* Returns the live figures as JSON of "campaign.progress", or NULL less than a second after
- * run->times.progress_us, which is set when the event is written. */
+/* Returns the live figures as JSON for "campaign.progress", or NULL if less than a second has
+ * passed since run->times.progress_us, which is set when the event is written. */
 const char *mo_campaign_progress(const struct mo_campaign_run *run, char text[256]);
 
 /* ---- campaign_submit.c ---- */
-/* Estimates the memory of a campaign. controller: nullable. Errors as mo_lineage_read. */
+/* Estimates the memory of a campaign. controller: nullable. Returns the errors of
+ * mo_lineage_read. */
 int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
                      struct mo_need *need, struct mo_message *message);
@@ -101,32 +103,33 @@ void mo_campaign_free_rows(struct mo_campaign_run *run);
 /* ---- campaign_vary.c ---- */
 /* Collects the designs that must not be born again, once. Does nothing for a study. */
 int mo_campaign_read_seen(struct mo_campaign_run *run);
-/* Makes the children, or reads those of a study's batch. MO_ERR_EXHAUSTED: none was found. */
+/* Makes the children, or reads the children of a study's batch. MO_ERR_EXHAUSTED: no child was
+ * found. */
 int mo_campaign_vary(struct mo_campaign_run *run);
 
 /* ---- campaign_select.c ---- */
 int mo_campaign_select(struct mo_campaign_run *run);
-/* Copies the survivors, in their order, to run->other_rows, which no commit may be reading. */
+/* Copies the survivors, in order, to run->other_rows. No commit may be reading these rows. */
 int mo_campaign_succeed(struct mo_campaign_run *run);
 
 /* ---- campaign_commit.c ---- */
-/* Describes the selected generation and starts its commit, once the one before has ended. The
- * commit reads run->rows until it has ended, and takes the losses of a campaign that does not
- * learn. The survivors are in run->other_rows. */
+/* Describes the selected generation and starts its commit, once the previous commit has ended. The
+ * commit reads run->rows until it has ended, and takes ownership of the losses of a campaign that
+ * does not learn. The survivors are in run->other_rows. */
 int mo_campaign_commit(struct mo_campaign_run *run);
 void mo_campaign_writing_free(struct mo_campaign_run *run);
 /* Returns whether mo_campaign_wait_for_commit would have to wait for the store. */
 bool mo_campaign_is_writing(const struct mo_campaign_run *run);
-/* Waits for the commit in progress. MO_OK also if there is none; errors as mo_runner_persist.
- * MO_ERR_CANCELLED: a request arrived while the commit waited for space; the call may be repeated.
- */
+/* Waits for the commit in progress. Returns MO_OK if there is none, too; errors are those of
+ * mo_runner_persist. MO_ERR_CANCELLED: a request arrived while the commit waited for space; the
+ * call may be repeated. */
 int mo_campaign_wait_for_commit(struct mo_campaign_run *run);
-/* Writes as mo_runner_persist does, after the commit in progress. All other writes of a campaign
- * that has committed a generation use this function. */
+/* Writes as mo_runner_persist does, but after the commit in progress. Once a campaign has committed
+ * a generation, all its other writes use this function. */
 int mo_campaign_persist(struct mo_campaign_run *run, int (*write)(void *context), void *context,
                         const char *what);
-/* Adds an event of the progress, at most one per second, unless a commit is being written. A lost
- * event is not an error; a failed commit is one. */
+/* Adds an event about the progress, at most once per second, unless a commit is being written.
+ * Losing the event is not an error; a failed commit is. */
 int mo_campaign_report(struct mo_campaign_run *run);
 /* Waits only until the thread has ended. */
 void mo_campaign_writing_join(struct mo_campaign_run *run);

@@ -1,9 +1,10 @@
 /* campaign_score.c: the scores of a generation.
  *
- * The candidates' losses are saved at once; those of devices and other machines after a second
- * (scoring.c). If losses arrive faster than the disk writes, one transaction saves several
- * candidates. Losses that an earlier process saved are not computed again; nor, in a zero-shot
- * campaign or a study, those that `scores` holds for a body under this controller. */
+ * The candidates' losses are saved at once, or after a second if devices or other machines compute
+ * them (scoring.c). If losses arrive faster than the disk can write them, one transaction saves
+ * several candidates. Losses that an earlier process saved are not recomputed. In a zero-shot
+ * campaign or a study, losses that `scores` has for a body under this controller are not recomputed
+ * either. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,10 +14,10 @@
 #include "jobs/campaign_run.h"
 
 #define SAVED_AT_ONCE           1024
-#define LOOK_UP_THREADS         4 /* the store has a few more connections, for others */
+#define LOOK_UP_THREADS         4 /* the store has a few more connections for other uses */
 #define LOOK_UPS_WORTH_A_THREAD 1024
 
-/* ---- what is known ---- */
+/* ---- known losses ---- */
 
 void mo_campaign_free_scores(struct mo_campaign_scores *scores)
 {
@@ -55,7 +56,7 @@ static int allocate(struct mo_campaign_run *run)
   return mo_race_close(run);
 }
 
-/* Takes the saved losses of a candidate, among them those that an earlier process found stored. */
+/* Takes the saved losses of a candidate, including losses that an earlier process found stored. */
 static void take_saved(struct mo_campaign_scores *scores, uint32_t place,
                        const struct mo_campaign_loss *loss)
 {
@@ -68,7 +69,7 @@ static void take_saved(struct mo_campaign_scores *scores, uint32_t place,
   scores->n_done++;
 }
 
-/* Takes the stored losses of a candidate, which need not be all. */
+/* Takes the stored losses of a candidate, which may be incomplete. */
 static void take_stored(struct mo_campaign_scores *scores, uint32_t place,
                         const struct mo_campaign_loss *known)
 {
@@ -95,12 +96,12 @@ static int read_saved(struct mo_campaign_run *run)
 }
 
 /* A look-up of thousands of bodies takes some tens of milliseconds, so several connections of the
- * store share it. */
+ * store share the work. */
 struct looking {
   struct mo_campaign_run *run;
   const struct mo_bits *asked; /* (n) */
   const uint32_t *places;      /* (n) */
-  pthread_mutex_t mutex;       /* of what the run knows, and of the error */
+  pthread_mutex_t mutex;       /* guards the run's known losses, and the error */
   int error;
 };
 
@@ -135,7 +136,7 @@ static int read_known(struct mo_campaign_run *run)
   if (asked == NULL || places == NULL)
     looking.error = MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < scores->n && looking.error == MO_OK; i++)
-    if (scores->scoring.grid.left[i] > 0) { /* nothing of it is saved */
+    if (scores->scoring.grid.left[i] > 0) { /* none of it is saved */
       asked[n] = run->rows->bits[scores->first + i];
       places[n++] = i;
     }
@@ -231,7 +232,7 @@ static int compute(struct mo_campaign_run *run)
   if (learns)
     error = mo_compute_controller_create(
         run->jobs->compute, mo_training_controller(run->learning.learner.training), &own);
-  else if (scores->frozen == NULL) /* kept while the campaign runs: devices have copies */
+  else if (scores->frozen == NULL) /* kept while the campaign runs, because devices have copies */
     error = mo_compute_controller_create(run->jobs->compute, run->controller, &scores->frozen);
   scores->scoring.runner = run->runner;
   scores->scoring.context = run;
@@ -246,8 +247,8 @@ static int compute(struct mo_campaign_run *run)
   return error;
 }
 
-/* Computes each score as the mean over the environments; infinity if a rollout diverged. Of a child
- * that was cut short it is a lower bound. */
+/* Computes each score as the mean over the environments, or infinity if a rollout diverged. For a
+ * child that was cut short, the score is a lower bound. */
 static void read_scores(struct mo_campaign_run *run)
 {
   const struct mo_campaign_scores *scores = &run->scores;

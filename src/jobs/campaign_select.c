@@ -10,8 +10,8 @@ static int by_number(const void *a, const void *b)
   return x < y ? -1 : x > y;
 }
 
-/* The client of a study may choose the parents among the survivors; all children then survive, too.
- */
+/* The client of a study may choose the parents among the survivors; then all children survive as
+ * well. */
 int mo_campaign_select(struct mo_campaign_run *run)
 {
   const uint32_t n = run->n_parents + run->n_children;
@@ -33,7 +33,8 @@ int mo_campaign_select(struct mo_campaign_run *run)
     places[n_kept++] = i;
   }
   if (chosen != NULL) {
-    settings.selection.kind = MO_SELECT_TRUNCATION; /* of all: it only ranks them */
+    settings.selection.kind = MO_SELECT_TRUNCATION; /* scores of all candidates: this only ranks
+                                                     * them */
     settings.population = n_kept;
   }
   if (error == MO_OK)

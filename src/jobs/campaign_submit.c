@@ -1,5 +1,5 @@
-/* campaign_submit.c: places and admits a campaign, then hands it to the store; adds generations to
- * one. */
+/* campaign_submit.c: places and admits a campaign, then passes it to the store; adds generations to
+ * a campaign. */
 #include <inttypes.h>
 #include <string.h>
 
@@ -13,7 +13,7 @@
 #define CAMPAIGN_BYTES  (20 * MIB)          /* controller, packed for the kernels */
 #define CANDIDATE_BYTES ((uint64_t)3 << 9)  /* of a population: parents and children */
 #define SCORED_BYTES    ((uint64_t)4 << 10) /* a candidate's losses: computed, saved, found */
-#define DRAWING_BYTES   (3 * MIB)           /* a thread that draws bodies again */
+#define DRAWING_BYTES   (3 * MIB)           /* for a thread that redraws bodies */
 
 /* ---- memory ---- */
 
@@ -91,8 +91,8 @@ static int check_references(struct mo_jobs *jobs, const struct mo_campaign_recor
   return error;
 }
 
-/* Checks whether the campaign can ever run, before it is stored. A later check reports a controller
- * that is missing or unreadable. */
+/* Checks whether the campaign can ever run, before it is stored. A missing or unreadable controller
+ * is reported by a later check. */
 static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
                         const char *controller, enum mo_back_end back_end,
                         struct mo_message *message)
@@ -108,7 +108,7 @@ static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings 
   return mo_memory_check(jobs, &need, message);
 }
 
-/* The scores are those of the controller that the campaign starts from. */
+/* The scores belong to the controller that the campaign starts from. */
 static int orient(struct mo_jobs *jobs, const struct mo_campaign_request *request,
                   struct mo_placed *placed, struct mo_message *message)
 {
@@ -137,7 +137,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   const struct mo_submitting submitting = {MO_JOB_CAMPAIGN, &asked->job, request.controller,
                                            record->replicates, 0};
   int error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
-  /* Found before a full queue or a missing device can refuse it; the store looks again. */
+  /* Look here first, before a full queue or a missing device can refuse the request; the store
+   * looks again. */
   if (error == MO_OK && !*replayed && asked->reuses &&
       mo_store_study_find(jobs->store, asked->job.label, id) == MO_OK)
     return MO_ERR_DUPLICATE;

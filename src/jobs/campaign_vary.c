@@ -4,7 +4,7 @@
 #include "base/thread.h"
 #include "jobs/campaign_excluded.h"
 
-#define CHILDREN_PER_THREAD 1024 /* take about a millisecond */
+#define CHILDREN_PER_THREAD 1024 /* these take about a millisecond */
 
 /* ---- bodies that must not be born ---- */
 

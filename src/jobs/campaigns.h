@@ -9,12 +9,12 @@
 #include "store/campaign_runs.h"
 #include "store/campaigns.h"
 
-/* Submits a campaign as mo_jobs_submit_training submits a training. controller NULL: "default", or
- * random weights in a simultaneous campaign. MO_ERR_DUPLICATE: as mo_store_submit_campaign. */
+/* Submits a campaign, like mo_jobs_submit_training. controller NULL: "default", or random weights
+ * in a simultaneous campaign. MO_ERR_DUPLICATE: as in mo_store_submit_campaign. */
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);
-/* Extends a campaign as mo_store_extend_campaign does. key (nullable): a known key is answered even
- * when the queue is full. */
+/* Extends a campaign, like mo_store_extend_campaign. key (nullable): a known key is answered even
+ * if the queue is full. */
 int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
                             const struct mo_request_key *key, struct mo_message *message);
 
@@ -28,8 +28,8 @@ struct mo_champions_request {
   unsigned record;          /* channels */
   const char *submitted_by; /* nullable */
 };
-/* Submits an evaluation of the newest generation's champions in the campaign's environments that
- * records them. The controller is the one that scored the champions; in a campaign that learns, its
+/* Submits an evaluation that records the newest generation's champions in the campaign's
+ * environments. It uses the controller that scored the champions. In a campaign that learns, its
  * newest checkpoint is stored as a controller, by hash. key (nullable): a known key returns its
  * evaluation; MO_ERR_DUPLICATE: the key was used with another request. */
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,

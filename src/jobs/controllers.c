@@ -1,5 +1,5 @@
-/* controllers.c: loads controllers from the store; a small cache of controllers that are ready for
- * the back end. */
+/* controllers.c: loads controllers from the store, and keeps a small cache of controllers that are
+ * ready for the back end. */
 #include "jobs/controllers.h"
 
 #include <stdio.h>

@@ -8,12 +8,12 @@
 
 int mo_controller_load(struct mo_store *store, const struct mo_sha256 *sha256,
                        struct mo_controller **controller);
-/* Returns whether the error of loading says that the file is missing, damaged or unreadable. */
+/* Returns whether a loading error means that the file is missing, damaged or unreadable. */
 static inline bool mo_controller_is_unusable(int error)
 {
   return error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT;
 }
-/* Says so, and what to do. then: "resume the job". */
+/* Describes this fault, and what to do. then: "resume the job". */
 void mo_controller_describe_fault(const struct mo_sha256 *sha256, const char *then, char text[256]);
 
 /* A controller that is loaded into the back end. */

@@ -2,8 +2,8 @@
  *
  * Each round takes finished blocks, requests and the result of a save from the inbox; claims queued
  * jobs while places are free; fills the back end's window, interactive jobs first; starts a save
- * when one is due; and sleeps until news or the next due time. Each evaluation has a share of the
- * back end, as trainings and campaigns have, and keeps a window of blocks in it; the back end
+ * when one is due; and sleeps until news or the next due time. Each evaluation has its own share of
+ * the back end, as trainings and campaigns do, and keeps a window of blocks in it. The back end
  * divides its time by the shares' weights. */
 #include <stdlib.h>
 
@@ -15,7 +15,7 @@
 #define DESIGNS_A_ROUND 64 /* of each job */
 #define ROUND_US        1000000
 #define CLAIMS_MAX      1024
-#define SHOW_US         250000 /* between two live figures of a job */
+#define SHOW_US         250000 /* between two updates of a job's live figures */
 /* Jobs that run concurrently. */
 #define ACTIVE_BATCH_MAX       8
 #define ACTIVE_INTERACTIVE_MAX 64
@@ -32,9 +32,8 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
   free(active);
 }
 
-/* Frees the detached jobs that have no references and whose counts are saved; after an error only
- * when a delay has passed. Such a job may be claimed again. Returns when to look next; 0: at once.
- */
+/* Frees detached jobs without references once their counts are saved; after an error, only after a
+ * delay. Such a job may be claimed again. Returns when to look next, or 0 to look again at once. */
 static int64_t sweep(struct mo_evaluations *all)
 {
   const int64_t now = mo_clock_us();
@@ -65,8 +64,8 @@ static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency p
   return n;
 }
 
-/* Returns whether a claimed job has more designs than can be listed: all of them are in memory, so
- * there is one at a time. */
+/* Returns whether a claimed job has more designs than can be listed. Only one such job runs at a
+ * time, because all its designs are in memory. */
 static bool has_large(const struct mo_evaluations *all)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
@@ -84,8 +83,8 @@ static uint64_t count_blocks(const struct mo_evaluations *all)
 }
 
 /* Returns whether an earlier claim of the job still exists. A resumed job is claimed only when its
- * earlier blocks have finished and are saved; otherwise they would be computed twice and counted as
- * another job's. */
+ * earlier blocks have finished and are saved; otherwise they would be computed twice and counted
+ * for another job. */
 static bool is_held(const struct mo_evaluations *all, int64_t id)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
@@ -94,7 +93,7 @@ static bool is_held(const struct mo_evaluations *all, int64_t id)
   return false;
 }
 
-/* Marks what earlier claims of the job have done. */
+/* Marks the work that earlier claims of the job have done. */
 static void mark_finished(struct mo_active *active)
 {
   const struct mo_work *work = active->work;
@@ -142,7 +141,7 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
     return error;
   mark_finished(active);
   if (work->fingerprint == 0 && active->done < active->total)
-    return MO_ERR_DEVICE; /* of no class that this process knows */
+    return MO_ERR_DEVICE; /* this process does not know its class */
   error = mo_active_race(active);
   if (error != MO_OK)
     return error;
@@ -206,7 +205,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
     if (!claim_one(all, ids[i], priority))
       return;
     n_active++;
-    if (!had_large && has_large(all)) { /* the others may be large, too */
+    if (!had_large && has_large(all)) { /* the other jobs may be large as well */
       all->look_again = true;
       return;
     }
@@ -292,7 +291,8 @@ static void end_save(struct mo_evaluations *all, int status)
 
 /* ---- filling the window ---- */
 
-/* Fills the window of one job. true: its budget of designs is used up, and work may be left. */
+/* Fills the window of one job. Returns true if its budget of designs is used up and work may be
+ * left. */
 static bool fill(struct mo_evaluations *all, struct mo_active *active)
 {
   unsigned budget = DESIGNS_A_ROUND;
@@ -341,7 +341,7 @@ static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbo
   pthread_mutex_unlock(&runners->mutex);
 }
 
-/* Reads whether the job was paused or cancelled: a request says no more than that some job has
+/* Reads whether the job was paused or cancelled, because a request only means that some job has
  * changed. If the job is resumed before a save in progress has written its start, the database says
  * "running" although no thread runs it, so requeue it. Requeueing a paused or cancelled job is a
  * no-op. */
@@ -352,7 +352,7 @@ static int review(struct mo_evaluations *all, struct mo_active *active)
   if (error != MO_OK)
     return error;
   if (job.state != MO_JOB_RUNNING && job.state != MO_JOB_QUEUED) { /* its start may be unsaved */
-    mo_active_detach(active); /* a block may take minutes; it is computed again after a pause */
+    mo_active_detach(active); /* a block may take minutes; it is recomputed after a pause */
     (void)mo_pending_update(all, active, MO_STEP_PARK, MO_OK, NULL);
   }
   return MO_OK;
@@ -367,7 +367,7 @@ static void review_all(struct mo_evaluations *all)
   all->look_again = true;
 }
 
-/* Lets the jobs look up again what they have deferred. */
+/* Lets the jobs repeat the look-ups that they have deferred. */
 static void visit_again(struct mo_evaluations *all)
 {
   for (struct mo_active *active = all->actives; active != NULL; active = active->next)
@@ -394,7 +394,7 @@ static bool launch_more(struct mo_evaluations *all, bool look)
   return more;
 }
 
-/* Runs one round of stopping. true: all is done. */
+/* Runs one round of stopping. Returns true when everything is done. */
 static bool wind_down(struct mo_evaluations *all, bool *parked)
 {
   for (struct mo_active *active = all->actives; active != NULL; active = active->next)
@@ -412,7 +412,7 @@ static bool wind_down(struct mo_evaluations *all, bool *parked)
           (atomic_load(&all->jobs->abandon) || all->broken || atomic_load(&all->jobs->no_space)));
 }
 
-/* Shows how far a job is. */
+/* Shows the progress of a job. */
 static void show(struct mo_evaluations *all, struct mo_active *active)
 {
   const int64_t now_us = mo_clock_us();

@@ -1,12 +1,12 @@
-/* evaluation_blocks.c: what the blocks of an evaluation add to scoring.c: look-ups, rollouts shared
- * between jobs, recordings.
+/* evaluation_blocks.c: what the blocks of an evaluation do in addition to scoring.c: look-ups,
+ * rollouts shared between jobs, recordings.
  *
- * The look-up for a cell to do checks first the rollouts that are being computed or wait for their
- * commit (the cell is deferred), then the store (the cell is done). Otherwise the cell joins a new
- * block. Only the scheduler adds and removes rollouts, and removes a rollout only after its commit,
- * or when its block fails. So a score is always in one of the two places and is never computed
- * twice. The exception is an interactive job, which does not wait for a device. Verify and
- * recording jobs compute every cell in their own blocks. */
+ * The look-up for an open cell first checks the rollouts that are being computed or are waiting for
+ * their commit (then the cell is deferred), and then the store (then the cell is done). Otherwise
+ * the cell joins a new block. Only the scheduler adds and removes rollouts, and removes a rollout
+ * only after its commit, or when its block fails. So a score is always in one of the two places and
+ * is never computed twice. The exception is an interactive job, which does not wait for a device.
+ * Verify and recording jobs compute every cell in their own blocks. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -15,8 +15,8 @@
 
 /* A block of an evaluation. */
 struct flight {
-  struct mo_flight flight;                     /* first */
-  struct mo_rollout *rollouts[MO_BLOCK_LANES]; /* of jobs that share them */
+  struct mo_flight flight;                     /* first design */
+  struct mo_rollout *rollouts[MO_BLOCK_LANES]; /* rollouts of jobs that share them */
   struct mo_body *body;                        /* recorded */
   struct mo_recording recordings[MO_BLOCK_LANES];
   uint32_t frames;
@@ -64,7 +64,7 @@ static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uin
                                      work->controller, work->physics, work->fingerprint}};
 }
 
-/* Returns whether another block of the class computes the rollout of a cell. */
+/* Returns whether another block of the same class is computing the rollout of a cell. */
 static bool must_wait(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
                       uint32_t k)
 {
@@ -133,7 +133,7 @@ static int finish_design(struct mo_evaluations *all, const struct mo_active *act
              : MO_ERR_NO_MEMORY;
 }
 
-/* Finishes a cell whose score the store has. Returns whether its design is done. */
+/* Finishes a cell that has its score in the store. Returns whether its design is done. */
 static bool finish_known(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
                          uint32_t k, const struct mo_score *score)
 {
@@ -147,7 +147,8 @@ static bool finish_known(struct mo_evaluations *all, struct mo_active *active, u
   return mo_grid_finish(&active->grid, design, k);
 }
 
-/* Finishes the cells of a design whose scores the store has, unless all open ones must wait. */
+/* Finishes the cells of a design that have their scores in the store, unless all open cells must
+ * wait. */
 static int look_up(void *context, uint32_t design)
 {
   struct mo_active *active = context;
@@ -172,7 +173,7 @@ static int look_up(void *context, uint32_t design)
 
 /* ---- blocks ---- */
 
-/* Whether a cell may join a block. The block may have the same rollout already. */
+/* Returns whether a cell may join a block. The block may already have the same rollout. */
 static int joins(void *context, struct mo_flight *flight, uint32_t k)
 {
   struct mo_active *active = context;
@@ -288,7 +289,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
   return MO_OK;
 }
 
-/* Returns whether an interactive job waits for scores that a block computes. */
+/* Returns whether an interactive job is waiting for scores that a block computes. */
 static bool has_waiting_job(const struct mo_evaluations *all)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
@@ -297,7 +298,7 @@ static bool has_waiting_job(const struct mo_evaluations *all)
   return false;
 }
 
-/* Frees a block, and forgets its rollouts that no save contains. */
+/* Frees a block, and forgets its rollouts that are not in any save. */
 static void free_flight(struct mo_evaluations *all, struct flight *flight)
 {
   for (uint32_t i = 0; i < flight->flight.block.n_environments; i++) {

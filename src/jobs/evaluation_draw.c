@@ -1,11 +1,12 @@
 /* evaluation_draw.c: stores the designs of large evaluations, and draws random ones, before the
  * evaluations are claimed.
  *
- * A million designs take about a minute of processor time to store, so a submission stores only
- * which they are: a seed, or a list of bits. One thread stores them, in groups: a transaction for
- * each, between which the store's writer serves others. A crash or a pause loses at most a group;
- * random bodies before are drawn again, since which body is new depends on them, but not stored
- * again. An evaluation is finished before the next one, which is the one with the fewest left. */
+ * Storing a million designs takes about a minute of processor time, so a submission stores only a
+ * description of them: a seed, or a list of bits. One thread stores them in groups, each in its own
+ * transaction, and between these the store's writer serves other requests. A crash or a pause loses
+ * at most one group. The random bodies before it must be redrawn, because each new body depends on
+ * them, but they are not stored again. Each evaluation is finished before the next one begins, and
+ * the one with the fewest designs left is next. */
 #include <stdio.h>
 
 #include "base/clock.h"
@@ -19,7 +20,7 @@ static bool is_stopping(struct mo_runners *runners)
   return runners->stopping;
 }
 
-/* Draws the next n bodies. genotypes NULL: passes them. MO_ERR_CANCELLED: a stop. */
+/* Draws the next n bodies. genotypes NULL: skips them. MO_ERR_CANCELLED: stopping. */
 static int draw(struct mo_evaluations *all, struct mo_body_stream *stream, uint32_t n,
                 struct mo_bits *genotypes)
 {
@@ -34,7 +35,7 @@ static int draw(struct mo_evaluations *all, struct mo_body_stream *stream, uint3
   return error;
 }
 
-/* Stores the next group, of which `first` is the first body. stream NULL: they are listed. */
+/* Stores the next group, which begins with body `first`. stream NULL: the bodies are listed. */
 static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream, int64_t id,
                        uint32_t first, uint32_t n)
 {
@@ -54,7 +55,7 @@ static int store_group(struct mo_evaluations *all, struct mo_body_stream *stream
   return error;
 }
 
-/* Stores what is left of an evaluation. MO_ERR_CONFLICT: it was paused or cancelled. */
+/* Stores the rest of an evaluation. MO_ERR_CONFLICT: it was paused or cancelled. */
 static int store_rest(struct mo_evaluations *all, int64_t id)
 {
   struct mo_body_stream *stream = NULL;
@@ -76,7 +77,7 @@ static int store_rest(struct mo_evaluations *all, int64_t id)
   return error;
 }
 
-/* Fails an evaluation whose list is damaged, so that it does not hold up the others. */
+/* Fails an evaluation with a damaged list, so that it does not block the others. */
 static int fail_damaged(struct mo_evaluations *all, int64_t id)
 {
   enum mo_job_state after = MO_JOB_QUEUED;
@@ -89,7 +90,7 @@ static int fail_damaged(struct mo_evaluations *all, int64_t id)
   return error;
 }
 
-/* Returns whether an error keeps the thread from going on at once. */
+/* Returns whether the thread must wait after this error. */
 static bool draw_next(struct mo_evaluations *all, bool *any)
 {
   int64_t id = 0;

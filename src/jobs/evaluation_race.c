@@ -1,9 +1,10 @@
-/* evaluation_race.c: an evaluation that asks for its k best designs (src/evolution/best.c).
+/* evaluation_race.c: an evaluation that requests only its k best designs (src/evolution/best.c).
  *
- * The cells of the grid are closed, but for those of the race's round. The next round begins when
- * all losses of this one are known: computed, or found in the store. Rounds follow from losses, so
- * the result depends neither on the number of workers nor on what the store held: after a crash
- * the race runs again from its start, and what was saved is found. */
+ * The cells of the grid are closed, except the cells of the race's current round. The next round
+ * begins when all losses of the current one are known, whether computed or found in the store.
+ * Rounds depend only on losses, so the result does not depend on the number of workers or on the
+ * contents of the store. After a crash, the race restarts from the beginning and finds the saved
+ * losses. */
 #include <math.h>
 
 #include "jobs/evaluation.h"

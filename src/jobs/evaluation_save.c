@@ -2,9 +2,9 @@
  *
  * Losses wait at most SAVE_EVERY_US; losses of interactive jobs do not wait. A save is one
  * transaction: the losses since the last save, the counts of their jobs, and the ends of jobs whose
- * last loss is included. If the disk is full, the save is kept and tried again every second
- * (retry_ms). No new work starts meanwhile, nor while the store is so slow that unsaved results
- * would fill the memory. */
+ * last loss is included. If the disk is full, the save is kept and retried every second (retry_ms).
+ * No new work starts during that time, or while the store is so slow that unsaved results would
+ * fill the memory. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -66,7 +66,7 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
   }
   if (active->race != NULL && step == MO_STEP_SUCCEED) {
     update.counted = active->race->asked;
-    update.cut = active->cut; /* in another class, it may have been more */
+    update.cut = active->cut; /* in another class, there may have been more */
   }
   if (text != NULL)
     snprintf(update.error_text, sizeof(update.error_text), "%s", text);
@@ -108,7 +108,7 @@ bool mo_saver_is_behind(const struct mo_evaluations *all)
 {
   const struct mo_pending *pending = &all->pending;
   if (all->saving.since_us != 0 && !all->is_saving)
-    return true; /* the save failed and will be tried again */
+    return true; /* the save failed and will be retried */
   return pending->n_losses + pending->designs.n >= LOSSES_BEHIND ||
          pending->recorded_bytes >= BYTES_BEHIND;
 }
@@ -151,7 +151,7 @@ static void start(struct mo_evaluations *all)
     save_done(&saving->save, error);
 }
 
-/* Adds the counts and ends of the jobs whose losses are pending. */
+/* Adds the counts and ends of the jobs with pending losses. */
 static void add_counts(struct mo_evaluations *all)
 {
   int64_t now = mo_clock_us();
@@ -188,7 +188,7 @@ int64_t mo_saver_run(struct mo_evaluations *all, bool at_once)
   struct mo_pending swap;
   if (all->is_saving || all->broken)
     return INT64_MAX;
-  if (all->saving.since_us != 0) { /* a save that failed for lack of space */
+  if (all->saving.since_us != 0) { /* retries a save that failed for lack of space */
     if (now < all->retry_save_us)
       return all->retry_save_us;
     start(all);

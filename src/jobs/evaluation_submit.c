@@ -1,4 +1,4 @@
-/* evaluation_submit.c: places and admits an evaluation, then hands it to the store. */
+/* evaluation_submit.c: places and admits an evaluation, then passes it to the store. */
 #include <morpho/evolution.h>
 
 #include "jobs/evaluations.h"
@@ -6,7 +6,7 @@
 
 #define INTERACTIVE_ROLLOUTS 64 /* limit if the request has no priority */
 /* Interactive jobs go first, so they must be short: about a second of one core. In that time, the
- * float32 kernel moves 40 million springs by one step; the hidden layers of the network cost as
+ * float32 kernel moves 40 million springs by one step. The hidden layers of the network cost as
  * much as 100 more springs per rollout. float64 takes twice as long. */
 #define INTERACTIVE_COST 40e6
 #define NETWORK_SPRINGS  100
@@ -19,7 +19,7 @@ bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
          INTERACTIVE_COST;
 }
 
-/* Sums up the springs of the designs and the bytes that their recordings will take. */
+/* Adds up the springs of the designs and the bytes that their recordings will take. */
 static int measure(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                    uint64_t *springs, uint64_t *bytes)
 {

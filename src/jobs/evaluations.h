@@ -1,17 +1,17 @@
-/* evaluations.h: evaluations as jobs: submission. A score that the store holds, or that another
- * evaluation is computing, is not computed again. A crash loses only the blocks in flight
+/* evaluations.h: evaluations as jobs: submission. A score that is in the store, or that another
+ * evaluation is computing, is not recomputed. A crash loses only the blocks in flight
  * (evaluation.c). */
 #ifndef MORPHO_JOBS_EVALUATIONS_H
 #define MORPHO_JOBS_EVALUATIONS_H
 
 #include "jobs/jobs.h"
 
-/* MO_BACK_END_AUTO means devices for a float32 batch of at least so many rollouts that neither
+/* MO_BACK_END_AUTO means devices for a float32 batch of at least this many rollouts that neither
  * records nor verifies. */
 #define MO_DEVICE_ROLLOUTS_MIN 1000
 
 /* Submits an evaluation and returns after the commit. *id: the job. *replayed: the key was known
- * with the same body, and *id is the earlier job. `message` names the invalid value. controller
+ * with the same body, and *id is the earlier job. `message` describes the invalid value. controller
  * NULL: "default". priority −1: interactive up to 64 rollouts that are not for devices. back_end:
  * also MO_BACK_END_AUTO.
  * - MO_ERR_INVALID, MO_ERR_RANGE: a value breaks this contract

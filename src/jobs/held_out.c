@@ -1,8 +1,8 @@
 /* held_out.c: the held-out designs of a training's validation, and their score.
  *
  * The score of a design is its mean loss over the environments. The mean over designs omits designs
- * of which a rollout diverged; diverged rollouts are counted. Sums run in the order of designs and
- * environments, so they have the same bits for any number of workers. */
+ * with a diverged rollout; diverged rollouts are counted. Numbers are added in the order of designs
+ * and environments, so the sums have the same bits for any number of workers. */
 #include "jobs/held_out.h"
 
 #include <math.h>

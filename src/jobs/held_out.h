@@ -6,8 +6,8 @@
 #include "store/trainings.h"
 
 /* The designs and environments of validation: every design is scored in every environment, with the
- * physics of the settings, in float32. A pretraining takes bodies of the held-out stream of its
- * seed. A finetuning takes the first of its designs, on which it also learns, but in other
+ * physics of the settings, in float32. A pretraining uses bodies from the held-out stream of its
+ * seed. A finetuning uses the first of its own designs, which it also learns on, but in other
  * environments. */
 struct mo_held_out {
   struct mo_bits *genotypes; /* (n_designs) placed */
@@ -15,7 +15,7 @@ struct mo_held_out {
   struct mo_environment *environments; /* (n_environments) */
   uint32_t n_environments;
 };
-/* MO_ERR_NO_MEMORY, and errors of the store. Free with mo_held_out_free. */
+/* MO_ERR_NO_MEMORY, and errors of the store. Free the result with mo_held_out_free. */
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status,
                      struct mo_held_out *held_out);
 void mo_held_out_free(struct mo_held_out *held_out); /* frees the arrays */

@@ -1,4 +1,4 @@
-/* jobs.c: the table of kinds; start, stop, control, waiting and statistics of the jobs. */
+/* jobs.c: the table of kinds; starting, stopping, controlling and waiting for jobs; statistics. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,7 +18,7 @@ const struct mo_kind *const mo_kinds[MO_JOB_KINDS] = {[MO_JOB_EVALUATION] = &mo_
 
 /* ---- the configuration ---- */
 
-/* Replaces 0 by the default, and limits the value; most 0: no limit. */
+/* Replaces 0 by the default, and limits the value. most 0: no limit. */
 static void complete(uint32_t *value, uint32_t none, uint32_t most)
 {
   if (*value == 0)
@@ -43,7 +43,7 @@ static void complete_config(struct mo_jobs *jobs)
   config->crash_marker = NULL; /* already read, and the caller's */
 }
 
-/* ---- the marker: which job a dying process was working on ---- */
+/* ---- the marker: the job that a dying process was working on ---- */
 
 static size_t put_number(char *to, int64_t value)
 {
@@ -72,7 +72,7 @@ void mo_jobs_crash_note(int fd, int signal_number)
     return; /* nothing more can be done here */
 }
 
-/* Reads the last whole line "<job> <signal>" of the marker; job 0: none. */
+/* Reads the last whole line "<job> <signal>" of the marker. job 0: there is none. */
 static void read_marker(const char *path, int64_t *job, int *signal_number)
 {
   FILE *file = path != NULL ? fopen(path, "re") : NULL;
@@ -89,9 +89,9 @@ static void read_marker(const char *path, int64_t *job, int *signal_number)
     *job = 0;
 }
 
-/* Chooses the job that counts as crashed after a kill, whose cause is unknown: the only job that
- * had saved nothing since the process began. If several had, or none, no job counts as crashed, and
- * jobs start one at a time. */
+/* Chooses the job that counts as crashed after a kill with an unknown cause: the only job that had
+ * saved nothing since the process began. If there were several such jobs, or none, no job counts as
+ * crashed, and jobs start one at a time. */
 static int blame(struct mo_jobs *jobs, int64_t *crashed)
 {
   uint32_t n = 0, n_idle = 0;
@@ -217,7 +217,7 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     is_saved = mo_runners_wait(&jobs->runners[kind], end_us) &&
                !atomic_load(&jobs->runners[kind].unsaved) && is_saved;
-  atomic_store(&jobs->abandon, true); /* saves that failed until now have used their time */
+  atomic_store(&jobs->abandon, true); /* failed saves have now used up their time */
   return is_saved && !atomic_load(&jobs->no_space) ? MO_OK : MO_ERR_BUSY;
 }
 
@@ -241,7 +241,7 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     return error;
   runners = &jobs->runners[job.kind];
   bool reopens = runners->kind->run != NULL && change_to == MO_CHANGE_RESUME &&
-                 job.state == MO_JOB_FAILED; /* the queue must have space for it */
+                 job.state == MO_JOB_FAILED; /* the queue must have space for the job */
   if (reopens)
     error = mo_jobs_admit(jobs, 1, 0, NULL);
   if (error != MO_OK)
@@ -284,7 +284,7 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
   const int error = mo_store_set_weight(jobs->store, id, weight);
   if (error != MO_OK)
     return error;
-  (void)mo_share_reweigh(jobs, id); /* unreadable: the weight counts from the next start */
+  (void)mo_share_reweigh(jobs, id); /* unreadable: the weight takes effect at the next start */
   return MO_OK;
 }
 
@@ -292,11 +292,11 @@ int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edi
 {
   const int error = mo_store_edit_job(jobs->store, id, edit);
   if (error == MO_OK && edit->has_label)
-    (void)mo_share_reweigh(jobs, id); /* unreadable: metrics tell the old label */
+    (void)mo_share_reweigh(jobs, id); /* unreadable: metrics show the old label */
   return error;
 }
 
-/* ---- figures ---- */
+/* ---- statistics ---- */
 
 const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs)
 {

@@ -22,8 +22,8 @@
 
 struct mo_jobs;
 
-/* Value of `back_end` in a request beside enum mo_back_end: devices if one works and the job suits
- * them. */
+/* Value of `back_end` in a request in addition to enum mo_back_end: devices if one works and the
+ * job suits them. */
 #define MO_BACK_END_AUTO (-1)
 
 struct mo_jobs_config {
@@ -50,8 +50,8 @@ struct mo_jobs_config {
   void *warn_context;
 };
 
-/* Requeues the jobs that ran when the last process ended and starts the scheduler. `store` and
- * `compute` must outlive *jobs. Copies the config. */
+/* Requeues the jobs that were running when the last process ended, and starts the scheduler.
+ * `store` and `compute` must outlive *jobs. Copies the config. */
 int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                    const struct mo_jobs_config *config, struct mo_jobs **jobs,
                    struct mo_message *message);
@@ -63,8 +63,8 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
 void mo_jobs_free(struct mo_jobs *jobs); /* stops first if needed; NULL-safe */
 
-/* Names the class of the devices that only workers of other machines have: the first one of the
- * process stays. MO_ERR_CONFLICT: there is another class, or the service has devices itself;
+/* Sets the class of devices that only workers on other machines have. The first class of the
+ * process is kept. MO_ERR_CONFLICT: there is another class, or the service itself has devices;
  * MO_ERR_LIMIT: too long; errors of the store. */
 int mo_jobs_name_devices(struct mo_jobs *jobs, const char *scores, const char *gradients);
 
@@ -75,17 +75,18 @@ int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
 /* Pauses the job. Pausing a paused job changes nothing and returns MO_OK. */
 int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);
 /* Resumes a paused job. Resuming a queued or running job changes nothing and returns MO_OK. A
- * failed training or campaign continues from its saved state with its attempts counted from 0
- * again; MO_ERR_BUSY: too many jobs are open. A job whose devices are lost, or lack memory for its
+ * failed training or campaign continues from its saved state, with its count of attempts reset to
+ * 0. MO_ERR_BUSY: too many jobs are open. A job whose devices are lost, or lack memory for its
  * smallest part, is paused with MO_ERR_DEVICE and the reason; if nothing has changed when the job
  * is resumed, it is paused again. */
 int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
 
-/* Sets the weight at once, also while the job runs. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has
+/* Sets the weight at once, even while the job runs. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job has
  * ended. */
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 
-/* Changes what clients say of a job, also while it runs. MO_ERR_NOT_FOUND. */
+/* Changes the label, note and other data that clients attach to a job, even while it runs.
+ * MO_ERR_NOT_FOUND. */
 int mo_jobs_edit(struct mo_jobs *jobs, int64_t id, const struct mo_job_edit *edit);
 
 /* ---- what is going on ---- */
@@ -95,10 +96,10 @@ const struct mo_lattice *mo_jobs_lattice(const struct mo_jobs *jobs);
 /* After so many crashes or errors a job fails. */
 #define MO_ATTEMPTS_MAX 3
 
-/* Counts, each kept by the threads that know it. Active: being cut into blocks; all others but
- * those of open jobs and blocks are since the start. Shared rollouts were computed once for several
- * evaluations. campaign_rollouts: computed for scores; campaign_cached and campaign_diverged count
- * found and diverged rollouts of committed generations; campaign_designs: born in them. */
+/* Counters. Active jobs are being cut into blocks. All counts are since the start, except the
+ * counts of open jobs and blocks. Shared rollouts were computed once for several evaluations.
+ * campaign_rollouts: computed for scores; campaign_cached and campaign_diverged: found and diverged
+ * rollouts of committed generations; campaign_designs: designs born in these generations. */
 /* clang-format off */
 #define MO_JOBS_COUNTS(X)                                                                          \
   X(open_jobs) X(open_rollouts) X(active_batch) X(active_interactive) X(blocks_in_flight)          \
@@ -115,22 +116,22 @@ struct mo_jobs_stats {
   uint64_t active_trainings, active_campaigns; /* running or being prepared */
   double training_step_s;                      /* total wall time of training_steps */
   double worker_s[MO_JOB_KINDS];               /* worker seconds since the start, by kind of job */
-  double device_s[MO_JOB_KINDS];               /* device seconds, likewise */
+  double device_s[MO_JOB_KINDS];               /* device seconds since the start, by kind of job */
   /* Monotonic time of the scheduler's last round (at least one per second). */
   int64_t heartbeat_us;
   bool no_space; /* running jobs wait for disk space; they continue without a request */
 };
 /* Fills *stats without waiting for computation or the store. */
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
-/* Returns the number of trainings and campaigns that wait for disk space or memory now, and their
- * ids for mo_job_query, which shows them as paused while they run. */
+/* Returns the number of trainings and campaigns that are waiting for disk space or memory, and
+ * their ids for mo_job_query, which shows them as paused while they run. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* ---- crashes ---- */
 /* For a handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT: writes "<tag> <signal>\n" to `fd`, a
- * marker file that was opened beforehand. The tag is mo_thread_tag, the id of the job on which the
- * faulting thread worked. Writes nothing on threads that work for no job. Async-signal-safe. Pass
- * the file's path as `crash_marker` at the next start. */
+ * marker file that was opened beforehand. The tag is mo_thread_tag, the id of the job that the
+ * faulting thread was working on. Writes nothing on threads that do not work for a job.
+ * Async-signal-safe. Pass the file's path as `crash_marker` at the next start. */
 void mo_jobs_crash_note(int fd, int signal_number);
 
 #endif

@@ -10,7 +10,7 @@
 
 #define THREADS_MAX 16
 
-/* Draws and lays out the next robots. An error recurs, and is reported, when the step is due. */
+/* Draws and lays out the next robots. An error will recur, and is reported when the step is due. */
 static void *draw_ahead(void *context)
 {
   struct mo_learner *learner = context;

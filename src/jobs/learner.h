@@ -7,7 +7,7 @@
 #include "jobs/state.h"
 #include "jobs/trainings.h"
 
-/* A training with the state that the back end needs for its gradients. */
+/* A training, and the state that the back end needs for its gradients. */
 struct mo_learner {
   struct mo_training *training;
   /* Set by mo_learner_prepare. */
@@ -17,7 +17,7 @@ struct mo_learner {
   int (*write)(void *context);
   void *context;
   struct mo_gradient_state *gradients;
-  /* The current gradient; batch.computed_on names the back end that computed it. */
+  /* The current gradient; batch.computed_on is the back end that computed it. */
   struct mo_gradient_batch batch;
   int error;
   bool computes, draws; /* threads of this step */
@@ -26,9 +26,9 @@ struct mo_learner {
   double *d_parameters;
   struct mo_outcome *outcomes;
 };
-/* Prepares the learner for its training. Call it again when another training of the same controller
- * and batch takes its place. `write` writes what is due from earlier steps and may read the state
- * of the training. MO_ERR_NO_MEMORY. */
+/* Prepares the learner for its training. Call it again when another training with the same
+ * controller and batch replaces it. `write` writes the due data of earlier steps, and may read the
+ * state of the training. MO_ERR_NO_MEMORY. */
 int mo_learner_prepare(struct mo_learner *learner, struct mo_runner *runner,
                        const struct mo_job *job, int (*write)(void *context), void *context);
 /* Sets the designs of the training and discards the batch that was laid out ahead. */
@@ -36,7 +36,8 @@ int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, 
 /* One step: the gradient of the drawn robots, then its application. On devices, `write` and the
  * drawing of the next robots run during the gradient. On workers, where a gradient takes a hundred
  * times as long, that would gain nothing, so the gradient starts after `write` succeeds. An error
- * of `write` comes before one of the gradient. seconds: of the whole step. */
+ * of `write` takes precedence over an error of the gradient. seconds: the time of the whole
+ * step. */
 int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report,
                      double *seconds);

@@ -1,14 +1,13 @@
 /* memory.c: estimates the memory of jobs with their own thread before they start, so that all
  * running jobs fit into `max_memory`.
  *
- * A job starts when it fits beside the running ones; until then it stays queued, with a reason. At
- * most OVERTAKEN_MAX later jobs that fit may start before it; then all wait for it. Submission
- * rejects a job that would not fit without other jobs. If such a job was stored under a higher
- * limit, it waits, and no other job waits for it.
+ * A job starts when it fits in addition to the running ones. Until then it stays queued, with a
+ * reason. At most OVERTAKEN_MAX later jobs that fit may start before it; then all of them wait for
+ * it. Submission rejects a job that would not fit even alone. If such a job was stored under a
+ * higher limit, it waits, and no other job waits for it.
  *
- * After a process that was killed while several jobs ran, jobs start one at a time, each when the
- * earlier ones have saved something. So the next kill identifies the job at fault
- * (mo_store_requeue). */
+ * If a process was killed while several jobs ran, jobs start one at a time, each after the earlier
+ * ones have saved something. So the next kill identifies the job at fault (mo_store_requeue). */
 #include "jobs/memory.h"
 
 #include <malloc.h>
@@ -28,7 +27,7 @@
 #define SLOT_BYTES         (5 * MIB / 2) /* the gradient of a block */
 #define SCRATCH_BYTES      (12 * MIB)    /* a worker's gradients without the tape */
 #define TAPE_STEP_BYTES    ((uint64_t)550 << 10) /* a step of a full block of the largest bodies */
-#define TAPE_SEGMENT_BYTES ((uint64_t)300 << 10) /* the start of a segment of the tape */
+#define TAPE_SEGMENT_BYTES ((uint64_t)300 << 10) /* the start of a tape segment */
 
 /* ---- the limit ---- */
 
@@ -57,7 +56,7 @@ void mo_memory_init(struct mo_jobs *jobs)
 /* ---- needs ---- */
 
 /* Returns the scratch memory of one worker: the whole tape, or a tape in segments that fit the
- * budget; if no segments fit, those with the least need (sqrt). */
+ * budget. If no segments fit, uses the segments that need the least memory (sqrt). */
 static uint64_t scratch(const struct mo_jobs *jobs, uint32_t n_steps)
 {
   const uint64_t whole = n_steps * TAPE_STEP_BYTES, cut = jobs->memory.tape_bytes;
@@ -141,7 +140,8 @@ static void drop(struct mo_memory_user **link)
   free(user);
 }
 
-/* NULL: out of memory, or a shortage hides the job's need for now. */
+/* Returns NULL if memory runs out, or if the job's need is unknown for now because of a
+ * shortage. */
 static struct mo_memory_user *make_user(struct mo_jobs *jobs, const struct mo_kind *kind,
                                         int64_t id)
 {
@@ -217,7 +217,7 @@ bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id
   return taken;
 }
 
-/* One suspect fewer, if this job was not proven before. */
+/* One suspect less, if this job was not proven before. */
 static bool clear(struct mo_memory *memory, const struct mo_memory_user *user)
 {
   if (memory->n_suspects == 0 || user == NULL || user->is_proven)

@@ -1,4 +1,4 @@
-/* memory.h: the memory that jobs with a thread of their own need while they run. */
+/* memory.h: the memory that jobs with their own thread need while they run. */
 #ifndef MORPHO_JOBS_MEMORY_H
 #define MORPHO_JOBS_MEMORY_H
 
@@ -33,8 +33,8 @@ struct mo_memory_user {
 struct mo_memory {
   pthread_mutex_t mutex;
   struct mo_memory_user *users, *waiting; /* waiting: in order of arrival */
-  /* Jobs that may have killed the process: one starts at a time until so many are proven or over.
-   */
+  /* Jobs that may have killed the process: jobs start one at a time until this many are proven or
+   * have ended. */
   uint32_t n_suspects;
   uint32_t n_workers;
   uint64_t tape_bytes; /* limit of one worker's tape */
@@ -43,28 +43,28 @@ struct mo_memory {
 /* Initializes the accounting and limits the memory that the back end uses for gradients. */
 void mo_memory_init(struct mo_jobs *jobs);
 void mo_memory_free(struct mo_jobs *jobs);
-/* Adds what learning in batches takes, whatever the kind of the job. */
+/* Adds the memory that learning in batches takes, for any kind of job. */
 void mo_memory_add_learning(const struct mo_jobs *jobs, uint32_t batch,
                             const struct mo_physics *physics, enum mo_back_end back_end,
                             struct mo_need *need);
-/* MO_ERR_LIMIT: the job would not fit even without other jobs. */
+/* MO_ERR_LIMIT: the job would not fit even alone. */
 int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
                     struct mo_message *message);
-/* Admits a queued job. true: the caller runs the job and gives it back later. false: the job waits,
- * or another thread has it. */
+/* Admits a queued job. Returns true if the caller should run the job and return its memory later,
+ * or false if the job must wait or another thread has it. */
 bool mo_memory_take(struct mo_jobs *jobs, const struct mo_kind *kind, int64_t id);
 /* Returns the memory of a job, once the run has freed everything. */
 void mo_memory_give(struct mo_jobs *jobs, int64_t id);
 /* Forgets a waiting job that may no longer be queued. */
 void mo_memory_forget(struct mo_jobs *jobs, int64_t id);
-/* Forgets the waiting jobs of the kind that are not in `ids`, the queued ones. */
+/* Forgets the waiting jobs of the kind that are not in `ids`, the list of queued jobs. */
 void mo_memory_keep(struct mo_jobs *jobs, const struct mo_kind *kind, const int64_t *ids,
                     int64_t n);
-/* Computes a job's need again after a change of its settings. */
+/* Recomputes a job's need after a change of its settings. */
 void mo_memory_renew(struct mo_jobs *jobs, enum mo_job_kind kind, int64_t id);
 /* Records that a job has saved something. */
 void mo_memory_prove(struct mo_jobs *jobs, int64_t id);
-/* Stores why a job waits; false: the job does not wait. */
+/* Stores why a job waits. Returns false if the job does not wait. */
 bool mo_memory_reason(struct mo_jobs *jobs, int64_t id, char reason[160]);
 
 #endif

@@ -3,7 +3,7 @@
 
 #define MARK_US  INT64_C(10000000)
 #define LEAST_US INT64_C(500000)
-#define LEAST_N  3 /* times that results came: one or two say little */
+#define LEAST_N  3 /* number of arrivals; one or two say little */
 
 void mo_pace_add(struct mo_pace *pace, int64_t now_us, uint64_t done)
 {
@@ -30,7 +30,7 @@ double mo_pace_rate(const struct mo_pace *pace, int64_t now_us)
   int64_t passed_us = pace->last.at_us - pace->from.at_us;
   if (passed_us < LEAST_US || pace->n_from < LEAST_N)
     return 0;
-  if (now_us - pace->last.at_us > passed_us) /* nothing has come for long */
+  if (now_us - pace->last.at_us > passed_us) /* nothing has arrived for a long time */
     passed_us = now_us - pace->from.at_us;
   return (double)(pace->last.done - pace->from.done) / ((double)passed_us * 1e-6);
 }

@@ -1,7 +1,7 @@
-/* pace.h: how fast results of a job come, lately. Only arithmetic: the caller has the clock.
+/* pace.h: the recent rate of a job's results. Pure arithmetic: the caller provides the time.
  *
- * Counts from the first results on, so that neither waiting for the first blocks nor starting them
- * is part of a rate, and from 10 to 20 seconds back at most, so that a rate follows when jobs that
+ * The rate counts from the first results on, so that waiting for the first blocks and starting them
+ * are not part of it. It covers the last 10 to 20 seconds at most, so that it adapts when jobs that
  * share the cores start or end. */
 #ifndef MORPHO_JOBS_PACE_H
 #define MORPHO_JOBS_PACE_H
@@ -12,13 +12,14 @@ struct mo_pace {
   struct mo_pace_mark {
     int64_t at_us;
     uint64_t done;
-  } from, next, last;      /* last: the newest results; from: begin of the rate; next: after that */
-  uint32_t n_from, n_next; /* how often results came after these; 0 at first */
+  } from, next, last;      /* last: the newest results; from: begin of the measured period; next:
+                            * begin of the next period */
+  uint32_t n_from, n_next; /* number of arrivals since these; 0 at first */
 };
 
-/* Notes that results have come: `done` in all. */
+/* Records that results have arrived: `done` in total. */
 void mo_pace_add(struct mo_pace *pace, int64_t now_us, uint64_t done);
-/* Returns results per second; 0: unknown. */
+/* Returns results per second, or 0 if unknown. */
 double mo_pace_rate(const struct mo_pace *pace, int64_t now_us);
 
 #endif

@@ -24,7 +24,7 @@ void mo_rollouts_free(struct mo_rollouts *rollouts)
   free(rollouts);
 }
 
-/* ---- what is asked for ---- */
+/* ---- the request ---- */
 
 static int take_environments(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                              struct mo_rollouts *rollouts, struct mo_message *message)
@@ -75,7 +75,7 @@ static int take_designs(struct mo_jobs *jobs, const struct mo_evaluation_request
   return error;
 }
 
-/* Refuses what is not short, or whose recording is large. */
+/* Refuses requests that are not short, or that would make large recordings. */
 static int check_size(const struct mo_evaluation_request *request,
                       const struct mo_rollouts *rollouts, struct mo_message *message)
 {
@@ -120,7 +120,7 @@ static int prepare_recordings(const struct mo_evaluation_request *request,
 
 /* ---- computing ---- */
 
-/* Fills in a block of one design and some of the environments. recordings: of all rollouts. */
+/* Fills in a block of one design and some of the environments. recordings: for all rollouts. */
 static void fill_block(const struct mo_evaluation_request *request, struct mo_rollouts *rollouts,
                        struct mo_loaded *controller, uint32_t design, uint32_t first,
                        struct mo_recording *recordings, struct mo_block *block)

@@ -1,5 +1,5 @@
-/* rollouts.h: rollouts that are computed at once and stored nowhere: for viewers and editors, which
- * ask for many that nobody needs again. */
+/* rollouts.h: rollouts that are computed at once and not stored: for viewers and editors, which
+ * request many that are never needed again. */
 #ifndef MORPHO_JOBS_ROLLOUTS_H
 #define MORPHO_JOBS_ROLLOUTS_H
 
@@ -11,7 +11,7 @@ struct mo_rolled_design {
   struct mo_genotype form, genotype; /* canonical; as it was scored */
   struct mo_body *body;
   double score;     /* mean loss; +infinity: a rollout diverged */
-  uint32_t dropped; /* voxels that its repair removed */
+  uint32_t dropped; /* voxels that the repair removed */
   enum mo_orientation orientation;
 };
 
@@ -27,16 +27,16 @@ struct mo_rollouts {
   struct mo_rolled *rollouts;          /* (n_designs, n_environments) */
   struct mo_physics physics;
   enum mo_precision precision;
-  bool is_crowded; /* of a client with others in flight: those of other clients overtake them */
+  bool is_crowded; /* for a client with other requests in flight: other clients overtake these */
   struct mo_sha256 controller;
   enum mo_sensor sensor; /* of the controller */
 };
 void mo_rollouts_free(struct mo_rollouts *rollouts); /* NULL-safe */
 
-/* Computes what a request for an evaluation asks for, ahead of all batch work, and waits for it: at
- * most about a second of a core. is_crowded: the client has asked for others, too, which those of
- * other clients overtake. Ignores what belongs to a job: priority, back end, weight, label,
- * key and `verify`. The losses have the bits of an evaluation's.
+/* Computes the rollouts of an evaluation request ahead of all batch work, and waits for them: at
+ * most about a second of a core. is_crowded: the client has other requests in flight, so other
+ * clients overtake this one. Ignores the members that belong to a job: priority, back end, weight,
+ * label, key and `verify`. The losses have the same bits as in an evaluation.
  * - MO_ERR_RANGE, MO_ERR_INVALID: a value is outside its bounds
  * - MO_ERR_LIMIT: they would take too long, or be too large: an evaluation is meant for them
  * - MO_ERR_NOT_FOUND: no such controller or set

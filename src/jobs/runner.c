@@ -1,14 +1,14 @@
-/* runner.c: requests to running jobs, and what all attempts of jobs with their own thread have in
- * common: waiting for space, failing, stopping.
+/* runner.c: requests to running jobs, and the common parts of all attempts of jobs with their own
+ * thread: waiting for space, failing, stopping.
  *
  * A request (pause, stop, cancel) sets a flag that every long call of a run polls, and wakes a
  * thread that waits for space.
  *
- * A write that lacks disk space, memory or descriptors is tried again every second (retry_ms) until
- * it succeeds or a request arrives. A stop request does not wait: the next process continues from
- * the saved state. Lack of memory outside a write ends the attempt, which frees memory for other
- * jobs; the runner repeats the attempt. Any other error ends the attempt, too; the third one in a
- * row ends the job (max_attempts). */
+ * A write that lacks disk space, memory or descriptors is retried every second (retry_ms) until it
+ * succeeds or a request arrives. A stop request does not wait: the next process continues from the
+ * saved state. Lack of memory outside a write ends the attempt, which frees memory for other jobs;
+ * the runner repeats the attempt. Any other error also ends the attempt; the third error in a row
+ * ends the job (max_attempts). */
 #include "jobs/runner.h"
 
 #include <math.h>
@@ -147,7 +147,7 @@ void mo_runner_warn(const struct mo_runner *runner, int error, const char *text)
 
 /* ---- writes that wait for space ---- */
 
-/* Returns whether the error can pass without a request. */
+/* Returns whether the error can go away without a request. */
 static bool is_temporary(const struct mo_runner *runner, int error)
 {
   return mo_is_shortage(error) && !(error == MO_ERR_NO_MEMORY && runner->is_short);
@@ -247,7 +247,7 @@ bool mo_runner_end_attempt(struct mo_runner *runner, int error, void *run)
     mo_jobs_closed(runner->jobs, 1, 0);
     return false;
   case MO_ERR_CANCELLED: wind_down(runner, run); return false;
-  case MO_ERR_DEVICE: /* no device is left: the job is paused */
+  case MO_ERR_DEVICE: /* no device is left, so the job is paused */
     runner->winding_down = true;
     (void)kind->save(run);
     mo_back_end_describe_loss(runner->jobs, runner->text, sizeof(runner->text));

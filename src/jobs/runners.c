@@ -1,8 +1,8 @@
 /* runners.c: the threads of jobs with their own thread.
  *
- * Each kind has as many threads as jobs of the kind may run concurrently. A free thread takes the
- * first queued job that no other thread holds. A run that lacks memory or descriptors has not
- * failed: its thread repeats it later. */
+ * Each kind has one thread for each job that may run concurrently. A free thread takes the first
+ * queued job that no other thread holds. A run that lacks memory or descriptors has not failed; its
+ * thread repeats it later. */
 #include <stdlib.h>
 
 #include "base/thread.h"
@@ -25,7 +25,8 @@ static void begin(struct mo_runner *runner)
   __atomic_store_n(&runner->replayed, 0, __ATOMIC_RELAXED);
 }
 
-/* Reserves the first job that no other thread holds and for which there is memory; 0: none. */
+/* Reserves the first job that no other thread holds and that memory suffices for. Returns 0 if
+ * there is none. */
 static int64_t reserve(struct mo_runner *runner, const int64_t *ids, int64_t n)
 {
   struct mo_runners *runners = runner->runners;
@@ -65,7 +66,7 @@ static void release(struct mo_runner *runner)
   mo_memory_give(runner->jobs, id);
 }
 
-/* Waits `ms` for memory. false: a request arrived. */
+/* Waits `ms` for memory. Returns false if a request arrived. */
 static bool await_memory(struct mo_runner *runner, uint32_t ms)
 {
   char reason[160];
@@ -119,7 +120,8 @@ static bool run(struct mo_runner *runner)
   return false;
 }
 
-/* Runs the first queued job. false: there is none, or it cannot start now (*again: try later). */
+/* Runs the first queued job. Returns false if there is none, or if it cannot start now (*again:
+ * retry later). */
 static bool run_next(struct mo_runner *runner, bool *again)
 {
   const struct mo_kind *kind = runner->runners->kind;
@@ -209,7 +211,7 @@ void mo_jobs_live(struct mo_jobs *jobs, int64_t id, struct mo_live *live)
   if (!runs && (mo_memory_reason(jobs, id, live->reason) ||
                 mo_drawer_reason(jobs->evaluations, id, live->reason)))
     live->phase = MO_PHASE_WAIT;
-  /* Gradients on the CPU wait for nobody. */
+  /* Gradients on the CPU never wait for other machines. */
   if (used.busy_s >= 0 && live->reason[0] == '\0' &&
       (used.back_end == MO_ON_DEVICE || live->phase == MO_PHASE_SCORE ||
        live->phase == MO_PHASE_VALIDATE))

@@ -1,9 +1,9 @@
 /* scoring.c: scores designs in environments under one controller.
  *
- * A grid is cut, in order, into blocks of one design and up to MO_BLOCK_LANES environments. What
- * the store knows is marked as done before. The thread that submits blocks takes them back from an
- * inbox, stores their results, and submits more, so that the back end always holds a window of
- * them. A crash loses the blocks in flight and the results that wait for their commit. */
+ * A grid is cut, in order, into blocks of one design and up to MO_BLOCK_LANES environments. Before
+ * that, cells with stored results are marked as done. The thread that submits blocks takes them
+ * back from an inbox, stores their results, and submits more, so that the back end always has a
+ * window of them. A crash loses the blocks in flight and the results that wait for their commit. */
 #include "jobs/scoring.h"
 
 #include <limits.h>
@@ -95,8 +95,8 @@ static bool has_open(const struct mo_grid *grid, uint32_t design)
   return false;
 }
 
-/* Leaves the design that `seek` found. The ring may hold the first design twice: it is left only
- * when it has no open cell, and may have been opened again since. */
+/* Moves past the design that `seek` found. The ring may have the first design twice: it is passed
+ * only when it has no open cell, but it may have been reopened since. */
 static void pass(struct mo_grid *grid)
 {
   if (grid->n_again > 0) {
@@ -107,7 +107,7 @@ static void pass(struct mo_grid *grid)
   }
 }
 
-/* Finds the next design with an open cell: those that were opened again first. false: there is
+/* Finds the next design with an open cell. Reopened designs come first. Returns false if there is
  * none. */
 static bool seek(struct mo_grid *grid, uint32_t *design)
 {
@@ -168,7 +168,7 @@ static int gather(struct mo_window *window, struct mo_flight *flight)
   return MO_OK;
 }
 
-/* Submits a block of a design. Returns 1; 0: all its cells are done or deferred. */
+/* Submits a block of a design. Returns 1, or 0 if all its cells are done or deferred. */
 static int launch(struct mo_window *window, uint32_t design)
 {
   int error = window->look_up != NULL ? window->look_up(window->context, design) : MO_OK;
@@ -199,7 +199,7 @@ int mo_window_launch(struct mo_window *window, unsigned *budget)
   while (launched == 0 && window->n_flights<window->most && * budget> 0 &&
          seek(window->grid, &design)) {
     launched = launch(window, design);
-    if (launched == 0) /* what is left of the design is deferred */
+    if (launched == 0) /* the rest of the design is deferred */
       pass(window->grid);
     (*budget)--;
   }
@@ -217,7 +217,8 @@ int mo_window_take(struct mo_window *window, const struct mo_flight *flight, boo
     error = block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++)
     *is_done = mo_grid_finish(window->grid, flight->design, flight->places[i]);
-  if (block->status == MO_ERR_EXHAUSTED) { /* as an error of its own, it would end a campaign */
+  if (block->status == MO_ERR_EXHAUSTED) { /* if the error were passed on unchanged, it would end a
+                                            * campaign */
     char robot[MO_SMALL_VOXELS / 4 + 3] = "";
     (void)mo_genotype_robot(block->lattice->workspace, block->genotype, robot);
     error = NOT_A_LOSS;
@@ -247,7 +248,7 @@ static int fill(struct run *run)
   struct mo_compute *compute = run->window.compute;
   unsigned budget = UINT_MAX;
   int launched = 1;
-  /* It grows and shrinks as remote takers come and go. */
+  /* The window grows and shrinks as remote takers come and go. */
   run->window.most =
       mo_back_end_window(run->scoring->runner->jobs, run->scoring->grid.block.back_end);
   mo_compute_begin_blocks(compute);
@@ -270,15 +271,15 @@ static int take_one(struct run *run, struct mo_flight *flight)
   return error;
 }
 
-/* A device, or a machine far away, returns many blocks at once. */
+/* A device, or a machine on a slow connection, returns many blocks at once. */
 static bool arrive_in_bursts(const struct run *run)
 {
   const enum mo_back_end back_end = run->scoring->grid.block.back_end;
   return back_end == MO_ON_DEVICE || mo_compute_remote_wanted(run->window.compute, back_end) > 0;
 }
 
-/* Returns whether results wait to be saved. Bursts, which arrive in fractions of a second, wait for
- * a second: a generation that takes less is saved only by its commit. */
+/* Returns whether results must be saved now. Bursts, which arrive within fractions of a second,
+ * wait for a second, so a generation that takes less time is saved only by its commit. */
 static bool saves_later(const struct run *run)
 {
   return run->unsaved_us != 0 && arrive_in_bursts(run) &&

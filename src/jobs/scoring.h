@@ -11,22 +11,22 @@ enum mo_cell {
   MO_CELL_DEFERRED, /* another job computes it */
   MO_CELL_IN_FLIGHT,
   MO_CELL_DONE,
-  MO_CELL_LATER /* not to do yet: mo_grid_open */
+  MO_CELL_LATER /* closed until mo_grid_open */
 };
 
-/* Designs × environments, and what is known of them. */
+/* Designs × environments, and the state of each cell. */
 struct mo_grid {
-  struct mo_block block;                     /* what all blocks have in common */
+  struct mo_block block;                     /* shared by all blocks */
   const struct mo_bits *genotypes;           /* (n_designs) placed */
   const struct mo_environment *environments; /* (n_environments) */
   uint32_t n_designs, n_environments;
   uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
   uint8_t *left;   /* (n_designs) cells that are not done */
-  uint32_t cursor; /* no earlier design has a cell to do, but for those in `again` */
-  /* A ring of the designs of which mo_grid_open opened cells. NULL: none ever is. */
+  uint32_t cursor; /* no earlier design has an open cell, except the designs in `again` */
+  /* A ring of the designs whose cells mo_grid_open opened. NULL: it is never called. */
   uint32_t *again, first_again, n_again;
 };
-/* Returns what the blocks of a job have in common, but for controller and share. */
+/* Returns the fields that all blocks of a job share, except controller and share. */
 struct mo_block mo_block_of(const struct mo_jobs *jobs, const struct mo_job *job,
                             const volatile int *cancel);
 /* Allocates the cells of a grid whose other fields are filled in. MO_ERR_NO_MEMORY. */
@@ -40,11 +40,11 @@ static inline bool mo_grid_is_open(const struct mo_grid *grid, uint32_t design, 
 {
   return *mo_grid_cell(grid, design, k) <= MO_CELL_DEFERRED;
 }
-/* Closes the cells of all designs from the first on that are to do. Once; MO_ERR_NO_MEMORY. */
+/* Closes the open cells of all designs, starting at `first`. Call it once. MO_ERR_NO_MEMORY. */
 int mo_grid_close(struct mo_grid *grid, uint32_t first);
-/* Opens the closed ones of n cells of a design, which are scored soon. */
+/* Opens those of n cells of a design that are closed; they are scored soon. */
 void mo_grid_open(struct mo_grid *grid, uint32_t design, const uint8_t *cells, uint32_t n);
-/* Marks a cell as done. Returns whether its design is. */
+/* Marks a cell as done. Returns whether its design is done. */
 bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k);
 void mo_grid_finish_design(struct mo_grid *grid, uint32_t design);
 
@@ -61,7 +61,7 @@ struct mo_flight {
   struct mo_window *window;
   uint32_t design;
   uint8_t places[MO_BLOCK_LANES]; /* its environments */
-  struct mo_flight *next;         /* in the list of finished ones */
+  struct mo_flight *next;         /* in the list of finished flights */
 };
 
 /* The blocks of one grid in the back end. */
@@ -69,42 +69,43 @@ struct mo_window {
   struct mo_compute *compute;
   struct mo_inbox *inbox;
   struct mo_grid *grid;     /* created */
-  uint32_t most, n_flights; /* blocks that may be in flight, and are */
-  size_t flight_bytes;      /* of a struct that begins with struct mo_flight */
+  uint32_t most, n_flights; /* blocks that may be in flight, and that are in flight */
+  size_t flight_bytes;      /* size of a struct that begins with struct mo_flight */
   void *context;
-  /* All nullable. look_up: finishes what is known of a design, before its cells are taken. joins:
-   * whether a cell may join a block now; it is deferred otherwise. prepare: completes a block. */
+  /* All nullable. look_up: finishes the known cells of a design before its cells are taken. joins:
+   * returns whether a cell may join a block now; otherwise it is deferred. prepare: completes a
+   * block. */
   int (*look_up)(void *context, uint32_t design);
   int (*joins)(void *context, struct mo_flight *flight, uint32_t k);
   int (*prepare)(void *context, struct mo_flight *flight);
 };
-/* Cuts the next block and submits it. A block that is refused arrives at once, with the error.
- * Returns 1; 0: the window is full, no cell is to do, or *budget designs were visited; an error of
- * the functions above or of memory. */
+/* Cuts the next block and submits it. If a block is refused, it comes back at once with the error.
+ * Returns 1, or 0 if the window is full, no cell is open, or *budget designs were visited, or an
+ * error of the functions above or of memory. */
 int mo_window_launch(struct mo_window *window, unsigned *budget);
-/* Takes a finished block out of the window, and marks its cells as done. *is_done: its design is.
- * Returns the error of the block, for its job, in words in `text`; the cells then stay in flight. A
- * diverged rollout has the loss +infinity. NaN and −infinity must not be stored; no input should
- * give them, so they are an error. */
+/* Takes a finished block out of the window, and marks its cells as done. *is_done: its design is
+ * done. Returns the error of the block and describes it in `text` for its job; the cells then stay
+ * in flight. A diverged rollout has the loss +infinity. NaN and −infinity must not be stored. No
+ * input should produce them, so they are an error. */
 int mo_window_take(struct mo_window *window, const struct mo_flight *flight, bool *is_done,
                    char text[128]);
 
-/* Scores all cells of a grid that are to do, for a job with its own thread. The back end holds two
- * blocks per worker, or some thousands per device. */
+/* Scores all open cells of a grid, for a job with its own thread. The back end holds two blocks per
+ * worker, or some thousands per device. */
 struct mo_scoring {
   struct mo_runner *runner;
-  struct mo_grid grid; /* created; what is known is done */
+  struct mo_grid grid; /* created; known cells are done */
   void *context;
-  /* Takes the outcomes of a block without error. is_done: the design has no cell left. */
+  /* Takes the outcomes of a block without an error. is_done: the design has no cell left. */
   void (*take)(void *context, const struct mo_flight *flight, bool is_done);
-  /* Saves what was taken; nullable. Called when blocks have arrived; where they arrive in
-   * bursts, from devices and other machines, after a second. What is left at the end is the
-   * caller's to save. */
+  /* Saves the outcomes that were taken; nullable. Called when blocks have arrived, or after a
+   * second if they arrive in bursts from devices and other machines. The caller must save the rest
+   * at the end. */
   int (*save)(void *context);
   const uint32_t *n_unsaved;
   void (*show)(void *context, double rollouts_per_s); /* nullable; 0: unknown */
 };
-/* Returns with no block in flight, even after an error; the runner then has its text.
+/* When it returns, no block is in flight, even after an error, whose text the runner then has.
  * MO_ERR_CANCELLED: a request arrived. */
 int mo_score(struct mo_scoring *scoring);
 

@@ -19,7 +19,8 @@ static void add(const struct mo_compute_share *share, double *worker_s, double *
   *device_s += stats.device_s;
 }
 
-/* Under shares_mutex. Returns what points to the share; *: NULL if there is none. */
+/* Call it under shares_mutex. Returns the pointer to the share in the list; * is NULL if there is
+ * none. */
 static struct mo_job_share **find(struct mo_jobs *jobs, int64_t id)
 {
   struct mo_job_share **link = &jobs->shares;
@@ -28,7 +29,8 @@ static struct mo_job_share **find(struct mo_jobs *jobs, int64_t id)
   return link;
 }
 
-/* Brings a share up to the job's row. opens: it is new, and counts on from what the job used. */
+/* Updates a share from the job's row. opens: the share is new, and continues from the job's usage
+ * so far. */
 static int read_share(struct mo_jobs *jobs, int64_t id, bool opens)
 {
   struct mo_job job;

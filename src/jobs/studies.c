@@ -31,7 +31,7 @@ static int place_bodies(struct mo_workspace workspace, struct mo_study_telling *
   return MO_OK;
 }
 
-/* Turns the children that came as ids, by the scores that the study gives. */
+/* Orients the children that came as ids, using the scores in the study. */
 static int orient(struct mo_jobs *jobs, int64_t id, const struct mo_campaign_status *status,
                   struct mo_study_telling *telling, struct mo_message *message)
 {
@@ -126,7 +126,7 @@ int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *tell
 struct asking {
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_campaign_settings settings; /* population: of the batch */
+  struct mo_campaign_settings settings; /* population: size of the batch */
   size_t words;
   uint32_t generation, n_parents;
   uint32_t *numbers;   /* (n_parents) */
@@ -148,7 +148,7 @@ static int read_parents(struct asking *asking, const struct mo_ask *ask)
   if (ask->parents == NULL)
     error = mo_store_campaign_state(asking->jobs->store, asking->id, &state);
   if (error != MO_OK)
-    return error == MO_ERR_NOT_FOUND ? MO_OK : error; /* nothing is born yet */
+    return error == MO_ERR_NOT_FOUND ? MO_OK : error; /* no design has been born yet */
   const uint32_t *numbers = state != NULL ? state->numbers : ask->parents;
   n = state != NULL ? state->n : numbers != NULL ? n : 0;
   asking->n_parents = n < ask->n ? n : ask->n;

@@ -1,10 +1,10 @@
-/* submission.c: what the submissions of all kinds have in common: keys, texts, designs,
- * environments, and the way into the queue. */
+/* submission.c: the common parts of all submissions: keys, texts, designs, environments, and
+ * queueing. */
 #include "jobs/submission.h"
 
 #include <stdlib.h>
 
-/* ---- the way into the queue ---- */
+/* ---- queueing ---- */
 
 static int explain(int error, const char *controller, struct mo_message *message)
 {

@@ -1,4 +1,4 @@
-/* submission.h: what the submissions of all kinds have in common. */
+/* submission.h: the common parts of all submissions. */
 #ifndef MORPHO_JOBS_SUBMISSION_H
 #define MORPHO_JOBS_SUBMISSION_H
 
@@ -6,16 +6,16 @@
 #include "store/designs.h"
 #include "store/runner.h"
 
-/* A submission on its way. */
+/* A submission in progress. */
 struct mo_submitting {
   enum mo_job_kind kind;
   const struct mo_submission *request;
   const char *controller; /* name, for messages; nullable */
-  uint32_t n_jobs;        /* that the submission makes */
+  uint32_t n_jobs;        /* number of jobs that the submission creates */
   uint64_t rollouts;
 };
-/* Looks whether the key is known: known keys are answered even when the queue is full, or no device
- * works any more. *replayed: *id is the earlier job, and nothing is left to do. */
+/* Checks whether the key is known. Known keys are answered even if the queue is full or no device
+ * works anymore. *replayed: *id is the earlier job, and nothing is left to do. */
 int mo_submitting_begin(struct mo_jobs *jobs, const struct mo_submitting *submitting, int64_t *id,
                         bool *replayed, struct mo_message *message);
 /* Ends a submission that mo_jobs_admit has admitted, after the store has returned `error`. */
@@ -31,21 +31,21 @@ struct mo_placed {
 int mo_placed_create(struct mo_workspace workspace, const struct mo_bits *asked, uint32_t n,
                      struct mo_placed *placed);
 void mo_placed_free(struct mo_placed *placed);
-/* Turns designs that came as an id alone as mo_store_orient does, and completes their notes. The
- * class in `under` is that of the back end. */
+/* Orients designs that came as an id only, like mo_store_orient, and completes their notes. The
+ * class in `under` is the class of the back end. */
 int mo_placed_orient(struct mo_jobs *jobs, const struct mo_orienting *under,
                      enum mo_back_end back_end, struct mo_placed *placed, uint32_t n,
                      struct mo_design_note *notes, uint32_t n_notes, struct mo_message *message);
 
-/* The same for the designs of an evaluation. Its back end is chosen. */
+/* Same, for the designs of an evaluation. Its back end must be chosen already. */
 int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                          struct mo_placed *placed, struct mo_message *message);
 
-/* Reads the size of a named set. MO_ERR_NOT_FOUND with its message. */
+/* Reads the size of a named set. MO_ERR_NOT_FOUND, with a message. */
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message);
-/* Whether rollouts take at most about a second of one core, as interactive ones must. springs: of
- * all designs together. */
+/* Returns whether rollouts take at most about a second of one core, as interactive ones must.
+ * springs: total of all designs. */
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision);
 

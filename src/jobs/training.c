@@ -4,7 +4,7 @@
  * A step draws robots, waits for their gradient and applies it. Rows of steps are written about
  * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
  * a stop, and at the end, before the controller; on devices, during the next gradient. A crash
- * loses the time since the last checkpoint: the steps from there are run again with the same
+ * loses the time since the last checkpoint: the steps after it are repeated with the same
  * results. */
 #include "jobs/trainings.h"
 
@@ -19,9 +19,9 @@
 #define ROWS_MAX      256
 #define RATES         16 /* steps over which the speed is averaged */
 #define ROWS_EVERY_US INT64_C(1000000)
-/* After so many from the start, those that follow have none either. */
+/* If the first steps fail, this many of them, the later ones will fail as well. */
 #define STEPS_WITHOUT_GRADIENT_MAX 10
-/* A robot of a pretraining takes so much memory: random body, environment, outcome. */
+/* Memory of a robot in a pretraining: random body, environment, outcome. */
 #define DRAWN_BYTES ((uint64_t)5 << 10)
 
 struct run {
@@ -41,7 +41,7 @@ struct run {
     int64_t end_us;
   } rates[RATES];
   uint64_t n_rates;
-  bool code_noted; /* the lineage has this run's code, for the back end `noted` */
+  bool code_noted; /* the lineage has the code of this run, for the back end `noted` */
   enum mo_back_end noted;
 };
 
@@ -234,9 +234,9 @@ static int write_code(void *context)
                                 &run->status.code);
 }
 
-/* Records in the lineage, before the step is applied, which code computed the gradient, because
- * other code gives other bits. This includes workers that compute what a device does not support.
- */
+/* Records in the lineage which code computed the gradient, before the step is applied, because
+ * other code produces other bits. This includes workers that compute what a device does not
+ * support. */
 static int note_code(struct run *run)
 {
   if (run->code_noted && run->noted == run->learner.batch.computed_on)
@@ -257,7 +257,7 @@ static bool checkpoint_is_due(const struct run *run)
          mo_checkpoint_is_due(&run->status.job, run->checkpoint_us, record->checkpoint_every_s);
 }
 
-/* Writes what is due of the steps applied so far. */
+/* Writes the due data of the steps applied so far. */
 static int write_what_is_due(void *context)
 {
   struct run *run = context;
@@ -292,7 +292,7 @@ static int step(struct run *run)
   return MO_OK;
 }
 
-/* Ends a training in which no step has changed the controller. */
+/* Ends a training if no step has changed the controller. */
 static int check_learned(struct run *run)
 {
   const struct mo_training *training = run->learner.training;
@@ -404,7 +404,7 @@ static int learn(struct run *run)
   return error;
 }
 
-/* Saves what a stopped run has computed. */
+/* Saves the results of a stopped run. */
 static int save_rest(void *context)
 {
   struct run *run = context;
@@ -480,7 +480,8 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
                     struct mo_placed *placed, struct mo_message *message)
 {
   struct mo_training_record *record = &request->record;
-  const struct mo_orienting under = {.controller = request->parent, /* its worlds are drawn */
+  const struct mo_orienting under = {.controller = request->parent, /* the worlds of its robots are
+                                                                     * drawn */
                                      .environment_set = "paper-test",
                                      .physics = &record->settings.physics,
                                      .precision = MO_FLOAT32,

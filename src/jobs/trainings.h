@@ -7,8 +7,8 @@
 #include "jobs/live.h"
 #include "store/trainings.h"
 
-/* Submits a training as mo_jobs_submit_evaluation submits an evaluation; `message` has the details.
- * record.population: a succeeded evaluation, or a campaign for its newest population.
+/* Submits a training, like mo_jobs_submit_evaluation; `message` has the details. record.population:
+ * a succeeded evaluation, or a campaign for its newest population.
  * - MO_ERR_NOT_FOUND: no such controller or population
  * - MO_ERR_CONFLICT: the key was used with another body, or the population has not succeeded
  * - MO_ERR_UNSUPPORTED: the controller is for another workspace */
@@ -25,7 +25,7 @@ struct mo_learned {
   uint8_t *bytes;
   size_t size;
 };
-/* job: that the training is of. code: nullable. */
+/* job: the training's id. code: nullable. */
 int mo_learned_create(const struct mo_jobs *jobs, const struct mo_job *job,
                       const struct mo_training *training, const struct mo_training_lineage *code,
                       struct mo_learned *learned);

@@ -6,15 +6,15 @@
 
 #include "jobs/state.h"
 
-#define STEPS_MAX ((uint64_t)1 << 20) /* of all rollouts of a call: some 4 s of a core */
+#define STEPS_MAX ((uint64_t)1 << 20) /* for all rollouts of a call: about 4 s of a core */
 
-/* Finds what computes a class. False: this host does not have it. */
+/* Finds the back end that computes a class. Returns false if this host does not have it. */
 static bool find_class(const struct mo_jobs *jobs, const struct mo_origin_row *row,
                        enum mo_back_end *back_end)
 {
   const char *device = mo_compute_devices(jobs->compute) > 0
                            ? mo_compute_device_fingerprint(jobs->compute)
-                           : NULL; /* not that of workers */
+                           : NULL; /* not the class of workers */
   *back_end = device != NULL && strcmp(row->fingerprint, device) == 0 ? MO_ON_DEVICE : MO_ON_CPU;
   return *back_end == MO_ON_DEVICE ||
          strcmp(row->fingerprint, mo_compute_fingerprint(jobs->compute, row->precision)) == 0;
@@ -37,7 +37,7 @@ static void fill_block(const struct mo_jobs *jobs, const struct mo_origin_row *r
     block->environments[k] = &row->environments[k];
 }
 
-/* Takes what a block computed. */
+/* Takes the results of a block. */
 static void compare(const struct mo_block *block, struct mo_origin_row *row)
 {
   for (uint32_t k = 0; k < row->n; k++) {
@@ -89,7 +89,7 @@ static int compute(struct mo_jobs *jobs, struct mo_verification *verification, s
   return error;
 }
 
-/* Drops rows from the end that would take too long, but never the first. */
+/* Drops rows from the end that would take too long, but always keeps the first. */
 static size_t shorten(struct mo_verification *verification, size_t n)
 {
   uint64_t steps = 0;

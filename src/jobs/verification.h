@@ -1,4 +1,5 @@
-/* verification.h: losses that a worker of another machine gave, computed again by this host. */
+/* verification.h: recomputes, on this host, the losses that a worker on another machine
+ * returned. */
 #ifndef MORPHO_JOBS_VERIFICATION_H
 #define MORPHO_JOBS_VERIFICATION_H
 
@@ -9,18 +10,18 @@
 
 struct mo_verification {
   const char *origin;
-  struct mo_origin_place place; /* moves behind the last row */
-  size_t limit;                 /* 1 … MO_VERIFIED_MAX; fewer of long rollouts */
+  struct mo_origin_place place; /* moves past the last row */
+  size_t limit;                 /* 1 … MO_VERIFIED_MAX; fewer if rows are long */
   bool repair;
   /* Results. */
-  struct mo_origin_row *rows; /* (n) malloc; those that differ, with what was computed */
+  struct mo_origin_row *rows; /* (n) malloc; the rows that differ, with the recomputed losses */
   size_t n;
   uint64_t checked, skipped; /* losses; skipped: of a class that this host does not have */
   bool is_last;
 };
-/* Computes the losses of the next rows of an origin again, ahead of all batch work and never on
- * workers of other machines, and waits for it. With `repair`, replaces those that differ, in one
- * transaction. The caller frees `rows`, also after an error.
+/* Recomputes the losses of the next rows of an origin, ahead of all batch work and never on workers
+ * on other machines, and waits for them. With `repair`, replaces the losses that differ, in one
+ * transaction. The caller frees `rows`, even after an error.
  * - MO_ERR_NOT_FOUND: nothing is of this origin
  * - MO_ERR_DEVICE: they are of devices, and none works
  * - MO_ERR_CANCELLED: the service is stopping */

@@ -1,4 +1,4 @@
-/* device.cuh: an opened device: its stream, its buffers, which grow and are kept, and its last
+/* device.cuh: an opened device: its stream, its buffers (which grow and are kept), and its last
  * failure. */
 #ifndef MORPHO_COMPUTE_CUDA_DEVICE_CUH
 #define MORPHO_COMPUTE_CUDA_DEVICE_CUH
@@ -115,10 +115,9 @@ void mo_cuda_release_pinned(mo_cuda_buffer *buffer);
 /* Reserves memory and copies data in the device's stream. */
 int mo_cuda_upload(mo_device *device, mo_cuda_buffer *buffer, const void *from, size_t bytes);
 
-/* Waits for all work on the device's stream; checks `cancel` (nullable) meanwhile, and passes it on
- * to the kernels through device->cancel. MO_ERR_CANCELLED; after any other error the device is
- * lost.
- */
+/* Waits for all work on the device's stream. While waiting, checks `cancel` (nullable) and passes
+ * it on to the kernels through device->cancel. MO_ERR_CANCELLED; after any other error the device
+ * is lost. */
 int mo_cuda_wait(mo_device *device, const volatile int *cancel);
 
 /* Computes sin(10 t + 2πk/5) for all steps on the device: device->generators. */

@@ -115,8 +115,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
     gx = (float *)(mass + n_own);
   }
 
-  /* Values derived from these are computed again where they are needed: the compiler would compute
-   * them before the first step, and have no registers for them. */
+  /* Values derived from these are recomputed where they are needed: the compiler would compute them
+   * before the first step, and run out of registers. */
   __device__ __forceinline__ void forget()
   {
     asm volatile(""
@@ -124,8 +124,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
                    "+r"(n1), "+r"(n_outputs));
   }
 
-  /* The i-th mass put aside: stored in the rows of the network's last adjoint that only this warp
-   * reads. */
+  /* The i-th mass that was put aside, stored in the rows of the network's last adjoint that only
+   * this warp reads. */
   __device__ __forceinline__ uint16_t *aside(int i)
   {
     return (uint16_t *)left + own_row(i >> 8) * MO_GK_ROW + (i & 255);
@@ -213,7 +213,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
   }
 
   /* Measures the adjoints of the states of this warp's rows, and returns the factors to scale them,
-   * or bits for those that must restart. It compares squares. */
+   * or bits for the adjoints that must restart. It compares squares. */
   __device__ __forceinline__ uint32_t limit(float (&scale)[2])
   {
     uint32_t restarts = 0;
@@ -244,7 +244,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
     for (int r = 0; r < MT; r++) {
       if (excluded[r] || own_masses(r) == 0)
         continue;
-      back_row &of = result[own_row(r)]; /* all lanes have the same to write: the first does */
+      back_row &of = result[own_row(r)]; /* all lanes would write the same values, so only the first
+                                          * does */
       const double square = of.scale_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S *
                                                                   MO_ADJOINT_RATE_PER_S * sum_v[r]);
       const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[own_row(r)];
@@ -295,8 +296,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
     }
   }
 
-  /* Processes a mass that does not strike the ground, and puts aside one that does: these are few,
-   * and take long. */
+  /* Processes a mass that does not strike the ground. Puts aside a mass that does, because such
+   * masses are few and take long. */
   __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2],
                                            int &n_aside)
   {

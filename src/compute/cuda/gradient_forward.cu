@@ -2,7 +2,7 @@
  * tape the data that the backward pass needs. */
 #include "compute/cuda/gradient_kernels.cuh"
 
-/* A warp's masses that strike the ground: they are few, and a strike takes long, so they are
+/* A warp's masses that strike the ground. They are few, and a strike takes long, so they are
  * collected until there are 32, one for each lane. */
 struct strikes {
   uint16_t *mass; /* (64) in shared memory */
@@ -17,7 +17,7 @@ struct strikes {
     __syncwarp();
   }
 
-  /* Moves those after the first 32 to the front. */
+  /* Moves the masses after the first 32 to the front. */
   __device__ __forceinline__ void done(int lane)
   {
     const uint16_t rest = mass[32 + lane];
@@ -407,7 +407,7 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     return lane_kick(&of, axis, u, -0.0f);
   }
 
-  /* The state after the step. false: not a sane one. */
+  /* The state after the step. Returns false if it is not valid. */
   __device__ __forceinline__ bool leave(int m, const float *p, const float *u)
   {
     x[first + m] = make_float4(p[0], p[1], p[2], 0);

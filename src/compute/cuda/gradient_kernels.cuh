@@ -181,7 +181,8 @@ static __device__ __forceinline__ uint32_t left_address(const void *activations,
          (uint32_t)(lane >> 4) * 16;
 }
 
-/* Gets the next task; all threads call it. false: cancelled. `ticket`: a word of shared memory. */
+/* Gets the next task; all threads call it. Returns false if cancelled. `ticket`: a word of shared
+ * memory. */
 static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticket, mo_gk_task *task)
 {
   if (threadIdx.x == 0) {
@@ -272,7 +273,7 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
   int first, n0, n1, n_own; /* the pair's first mass; masses of its rows; masses of the block */
   int own_chunks;
   uint32_t first_chunk; /* of the group's */
-  /* Copies of the group's members: as far as the compiler knows, a store might change the
+  /* Copies of the group's members, because the compiler must assume that a store changes the
    * originals. */
   int n_masses, n_chunks, n_outputs;
   uint32_t first_row;

@@ -1,5 +1,5 @@
-/* gradient_pass.h: the passes of a plan: as many whole shards as fit the device's memory, nearly
- * always all; and the groups that two blocks compute together. Plain C. */
+/* gradient_pass.h: the passes of a plan: as many whole shards as fit into the device's memory
+ * (nearly always all of them); and the groups that two blocks compute together. Plain C. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PASS_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PASS_H
 

@@ -40,8 +40,8 @@ struct shard {
   int status;
 };
 
-/* Reserves at least `bytes`, with undefined content; for tables, from the plan's allocator. NULL:
- * out of memory. */
+/* Reserves at least `bytes`, with undefined content; for tables, from the plan's allocator. Returns
+ * NULL if memory runs out. */
 static void *reserve(struct mo_gradient_plan *plan, int which, uint64_t bytes)
 {
   struct mo_gp_memory *m = &plan->memory[which];
@@ -244,7 +244,7 @@ static bool mixes(struct shard *s)
 /* Returns how many robots form the next group, and measures it. 32 if possible, because the weights
  * that a group loads serve all its rows: the largest remaining robots or, if these do not fit, some
  * of them and some of the smallest. Otherwise 16, or fewer in sixteen rows if the shared memory is
- * too small for sixteen large bodies. 0: not even one fits. */
+ * too small for sixteen large bodies. Returns 0 if not even one fits. */
 static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
 {
   const uint32_t left = s->end - s->at;

@@ -28,7 +28,7 @@ enum { MO_GP_MEMORIES = 9 };
 struct mo_gradient_plan {
   uint32_t n, n_shards, n_groups, n_rows;
   uint64_t n_masses, n_chunks;
-  struct mo_gp_group *groups; /* (n_groups) those of one shard adjacent */
+  struct mo_gp_group *groups; /* (n_groups) the groups of one shard are adjacent */
   struct mo_gp_row *rows;     /* (n_rows) */
   float *position;            /* (n_masses, 3) at the start; x, y from the world's center */
   uint8_t *input;             /* (n_masses) the mass's index among the inputs */

@@ -327,7 +327,7 @@ void report(work &w)
 }
 
 /* Repeats the pass until no more rows have to be excluded. The backward pass overwrites the tape,
- * so another one requires another forward pass. */
+ * so repeating it requires another forward pass. */
 int run_until_finite(work &w, float *to)
 {
   std::vector<mo_gk_result> before;
@@ -464,8 +464,8 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.k.part_steps = mo_gp_passes(PART_STEPS, control_steps) * control_steps;
     const double since = now_s();
     r = upload_pass(w);
-    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: free all of them
-                                    and allocate them again */
+    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls take the space: free all of them
+                                  * and reallocate them */
       cudaStreamSynchronize(device->stream);
       mo_cuda_gradient_trim(device);
       r = upload_pass(w);

@@ -1,4 +1,4 @@
-/* gradient_tables.h: the tables from which the device reads a batch of robots for their gradient. C
+/* gradient_tables.h: the tables that the device reads a batch of robots from, for their gradient. C
  * and CUDA.
  *
  * The batch is divided into shards of consecutive robots, and a shard into groups of 32 or 16 rows

@@ -1,14 +1,13 @@
 /* lane.cuh: rollout/lane_physics.inc and lane_adjoint.inc for one lane of a device: a vector of one
  * float.
  *
- * This file adds what they leave to the kernels: the choice of a terrain cell for a lane, segments
- * that leave their cell, which are cut at its borders, and complete moves of a mass, forward and
+ * This file adds the parts that they leave to the kernels: choosing the terrain cell of a lane,
+ * cutting segments at the borders of their cell, and complete moves of a mass, forward and
  * backward. Scoring and the gradient include the same lines, and so does a test without a device:
  * this file is also valid C17.
  *
  * Operations are fused only where v_fma is written: this file must be compiled without contraction
- * (nvcc -fmad=false), so that the backward pass sees every strike of the forward pass.
- */
+ * (nvcc -fmad=false), so that the backward pass sees every strike of the forward pass. */
 #ifndef MORPHO_COMPUTE_CUDA_LANE_CUH
 #define MORPHO_COMPUTE_CUDA_LANE_CUH
 

@@ -98,7 +98,7 @@ bool all_can_wide()
   return n > 0 && all;
 }
 
-/* The two kernels that score rows differ in the last digits, and a score must not depend on the
+/* The two kernels that score rows differ in the last digits. A score must not depend on the
  * device's number, so all devices of a machine use the same kernel. */
 bool is_wide()
 {

@@ -185,7 +185,7 @@ __device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring,
 }
 
 /* Adds to `sum` over all units, and loads the first units of the next matrix, to which it sets
- * `stream`. It is unrolled, because at the end of a loop all loads would be waited for. */
+ * `stream`. It is unrolled, because the end of a loop would wait for all loads. */
 template <int COLUMNS>
 __device__ __forceinline__ void
 mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_stream &stream,
@@ -204,8 +204,8 @@ mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_s
 #pragma unroll
   for (int u = 0; u < MO_WEIGHTS_UNITS; u++) {
     const uint4(&a)[2] = ring.slot[u % Ring::SLOTS];
-    /* Otherwise the descriptors of all units would be computed in advance, without registers for
-     * them. */
+    /* Otherwise the compiler would compute the descriptors of all units in advance, and lack
+     * registers for them. */
     asm volatile("" : "+r"(b.low));
     const uint64_t first = mo_cuda_descriptor_at(b, 0), second = mo_cuda_descriptor_at(b, half);
     asm volatile("wgmma.fence.sync.aligned;" ::: "memory");

@@ -68,8 +68,8 @@ int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options);
 void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t n_threads);
 
 /* Returns the lattice mass with its sensor at place `input` of the first layer's inputs, or −1.
- * Every sixteen places are masses that tend to be used together, those in the middle of the
- * lattice's floor first. */
+ * Every sixteen places hold masses that tend to be used together. The masses in the middle of the
+ * lattice's floor come first. */
 int mo_plan_input_mass(uint32_t input);
 
 struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,

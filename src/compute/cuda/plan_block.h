@@ -1,4 +1,4 @@
-/* plan_block.h: the block of memory from which the device reads the rows of a call, as laid out by
+/* plan_block.h: the block of memory that the device reads the rows of a call from, as laid out by
  * plan.c. Plain C.
  *
  * Within a group the rows of one body are adjacent: they form a *part*. The output layer is

@@ -1,15 +1,15 @@
 /* score_live.cuh: entire rollouts in one kernel.
  *
- * A block takes a group of rows and lives its lives from the first step to the last, then takes the
+ * A block takes a group of rows and simulates it from the first step to the last, then takes the
  * next group. Positions, activations and the springs' lengths stay in shared memory; velocities are
- * the block's own in global memory, and seldom leave the caches. A step:
+ * in global memory of the block's own, and rarely leave the caches. A step:
  *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
  *   think    three hidden layers, then tiles of springs: the length that each wants to have. In a
  *            step that starts no control period, sense finds the center of mass, think is left out
  *   pull     a thread per mass and row adds its springs up, each seen from both of its ends: no two
  *            threads write one number
  *   move     the same thread moves the mass
- * A row's numbers come from its own inputs in a fixed order, wherever it stands.
+ * A row's numbers are computed from its own inputs in a fixed order, regardless of its place.
  *
  * The kernel has two versions. For any device: 256 threads and at most 40 rows, two blocks per
  * multiprocessor, so that the physics of one runs alongside the products of the other

@@ -24,7 +24,8 @@ __device__ __forceinline__ Item item_of(const Part &part, uint32_t chunk, uint32
   return item;
 }
 
-/* A block's own global memory bypasses the first-level cache, which holds links and terrain. */
+/* A block's own global memory bypasses the first-level cache, which is left to links and
+ * terrain. */
 __device__ __forceinline__ float3 load_velocity(const float *v)
 {
   return make_float3(__ldcg(v), __ldcg(v + 1), __ldcg(v + 2));
@@ -86,7 +87,7 @@ __device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32
   return item;
 }
 
-/* Reads a pointer of the call again: otherwise it would be computed once and kept in local memory,
+/* Rereads a pointer of the call: otherwise it would be computed once and kept in local memory,
  * which is slower. */
 template <typename T> __device__ __forceinline__ T read_again(T const &pointer)
 {

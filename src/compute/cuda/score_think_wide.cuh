@@ -45,7 +45,7 @@ __device__ __forceinline__ mo_cuda_stream stream_of(const Output &output, const 
 }
 
 /* Computes the network for a group of COLUMNS columns. It reads the arguments and the group from
- * shared memory itself: if the rest of the kernel held them in registers, these would be missing
+ * shared memory itself. If the rest of the kernel kept them in registers, too few would be left
  * here, and the compiler would wait for each product. */
 template <int COLUMNS> __device__ __forceinline__ void think_of()
 {
