@@ -14,7 +14,7 @@
 struct marks {
   uint64_t *mass;       /* one bit per lattice mass */
   uint64_t *spring;     /* one bit per lattice spring */
-  uint32_t *mass_below; /* marked masses in the words before this one */
+  uint32_t *mass_below; /* number of marked masses in the words before this one */
   uint32_t mass_words, spring_words;
 };
 

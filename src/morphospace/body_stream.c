@@ -1,7 +1,7 @@
 /* body_stream.c: random bodies without repetition.
  *
  * Draws and their canonical forms depend only on their numbers, so a few hundred are made ahead, on
- * as many threads as allowed. Which of them are new is decided one after another, in the order of
+ * as many threads as allowed. Whether each is new is decided one after another, in the order of
  * their numbers. With one thread, none are made ahead. */
 #include <morpho/morphospace.h>
 

@@ -1,10 +1,9 @@
 /* form_file.c: see form_file.h.
  *
- * A file holds the tables of a set (form_set.c), filled to 8/9, and ends with their sizes and
- * checksums. So a look-up needs only the tables: it reads one or two places of the file. Opening
- * reads the file with system calls, which report disk errors; through the mapping an error would
- * kill the process. Checked pages are in the page cache, which may drop them when memory is
- * short. */
+ * A file has the tables of a set (form_set.c), filled to 8/9, and ends with their sizes and
+ * checksums. A look-up reads only one or two places in the tables. Opening reads the file with
+ * system calls, which report disk errors; through the mapping an error would kill the process.
+ * Checked pages are in the page cache, which may drop them when memory is short. */
 #include "morphospace/form_file.h"
 
 #include "base/thread.h"
@@ -20,7 +19,7 @@
 
 static const char magic[16] = "morphod forms 1";
 
-/* The end of a file. It is in the machine's byte order, because a file is not for other
+/* The end of a file. It is in the machine's byte order, because a file is never used on other
  * machines. */
 struct tail {
   char magic[sizeof(magic)];
@@ -29,10 +28,10 @@ struct tail {
   struct {
     uint64_t capacity, used, checksum;
   } tables[MO_FORM_SEGMENTS];
-  uint64_t checksum; /* of the tail before this member */
+  uint64_t checksum; /* checksum of the tail before this member */
 };
 
-/* Returns the slots of a table in a file; 0: an empty table. */
+/* Returns the number of slots of a table in a file, or 0 for an empty table. */
 static uint64_t capacity_of(const struct mo_form_segment *segment)
 {
   return segment->used > 0 ? segment->used + segment->used / 8 + 1 : 0;

@@ -164,7 +164,7 @@ static int grow(struct mo_form_segment *segment, size_t n)
   return MO_OK;
 }
 
-/* Adds a form. 1: added; 0: already present. */
+/* Adds a form. Returns 1 if it was added, or 0 if it was already present. */
 static int add(struct mo_form_segment *segment, const uint8_t *form, size_t n, uint64_t hashed)
 {
   int found = 0;
@@ -270,9 +270,9 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
   return found;
 }
 
-/* Each table has a 256th part of the forms, and some more: four standard deviations. A fifth comes
- * on top: all tables grow at about the same time, and the heap cannot use the holes of the old
- * tables until all have grown. */
+/* Each table gets a 256th of the forms, plus four standard deviations. A fifth is added, because
+ * all tables grow at about the same time, and the heap cannot reuse the old tables until all have
+ * grown. */
 size_t mo_form_set_estimate(struct mo_workspace workspace, uint64_t n)
 {
   const double forms = (double)n / MO_FORM_SEGMENTS;

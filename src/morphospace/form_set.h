@@ -38,8 +38,8 @@ uint64_t mo_form_set_hash(const struct mo_form_set *set, const uint64_t *form);
 
 /* Adds each form marked MO_FORM_IN on up to n_threads threads. The set, and the choice of the new
  * one among equal forms, are the same as with successive calls of mo_form_set_add. forms: (n,
- * words), canonical, those to be added not empty; hashes: (n) of those; marks: (n).
- * MO_ERR_NO_MEMORY: some of them were added. */
+ * words), canonical; forms to be added must not be empty. hashes: (n) hashes of the forms to be
+ * added; marks: (n). MO_ERR_NO_MEMORY: some forms were added. */
 int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const uint64_t *hashes,
                          size_t n, uint32_t n_threads, uint8_t *marks);
 

@@ -71,7 +71,7 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
   return code;
 }
 
-/* Finds the first voxel not connected to the lowest one; MO_OK if all are connected. */
+/* Finds the first voxel that is not connected to the lowest one. MO_OK: all are connected. */
 static int find_apart(struct mo_workspace workspace, const uint64_t *bits, uint32_t *apart)
 {
   uint32_t words = mo_workspace_words(workspace);
@@ -172,7 +172,7 @@ struct mo_genotype mo_genotype_form(const struct mo_genotype *genotype)
 
 /* ---- ids ---- */
 
-/* Reads bits from the digits; MO_ERR_FORMAT for any other character or bits past the last voxel. */
+/* Reads bits from the digits. MO_ERR_FORMAT: any other character, or bits past the last voxel. */
 static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits)
 {
   for (size_t i = 0; i < n; i++) {

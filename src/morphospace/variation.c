@@ -17,7 +17,7 @@
 #define ACTIVE_MOST  0.6
 #define CHUNK        256
 
-/* Returns the number that a 32-bit random number is below with probability p. */
+/* Returns the number p · 2³², which a 32-bit random number is below with probability p. */
 static uint64_t threshold(double p)
 {
   return (uint64_t)(p * 0x1p32);

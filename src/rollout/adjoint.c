@@ -8,8 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-/* Returns the factor f of ∂light/∂p = f · (p − light): (dI/dd)/d. 0 at the light itself, where
- * inverse_sqrt has no derivative. */
+/* Returns the factor f in ∂light/∂p = f · (p − light), which is (dI/dd)/d. Returns 0 at the light
+ * itself, where inverse_sqrt has no derivative. */
 static double sense_slope(enum mo_sensor sensor, double distance_m)
 {
   if (sensor == MO_SENSOR_INVERSE_SQUARE) { /* 1 / (d² + 1e-4) */

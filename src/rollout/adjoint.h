@@ -23,12 +23,12 @@ struct mo_adjoint {
 void mo_adjoint_step(const struct mo_reference *reference, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 
-/* Computes ∂loss/∂ the final state, whose center of mass is com_m, times `weight`. */
+/* Computes ∂loss/∂(the final state), which has the center of mass com_m, times `weight`. */
 void mo_adjoint_start(const struct mo_reference *reference, const double *com_m,
                       const struct mo_goal *goal, double weight, struct mo_adjoint *adjoint);
 
-/* Callbacks that receive the adjoint of the state after `step` steps, before it is measured and
- * after it was clipped; nullable. */
+/* Callbacks, which may be NULL. They receive the adjoint of the state after `step` steps, before it
+ * is measured and after it was clipped. */
 struct mo_gradient_probe {
   void (*before)(void *context, uint32_t step, double *d_position, double *d_velocity);
   void (*after)(void *context, uint32_t step, double *d_position, double *d_velocity);

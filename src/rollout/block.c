@@ -1,7 +1,7 @@
-/* block.c: the scratch of one worker, and the code between mo_rollout_block and the kernels.
+/* block.c: the scratch memory of one worker, and the code between mo_rollout_block and the kernels.
  *
- * The scratch is one allocation that grows to the largest body seen; a block of a body that fits
- * allocates nothing. */
+ * The scratch memory is one allocation that grows to the size of the largest body so far. A block
+ * with a body that fits allocates nothing. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
 
@@ -34,8 +34,8 @@ size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory)
   return memory->size + sizeof(*memory);
 }
 
-/* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns their size in
- * bytes. */
+/* Places the scratch arrays of `run`, starting at `base` (NULL: only computes the size). Returns
+ * their size in bytes. */
 static size_t lay_out(struct mo_fast_run *run, char *base)
 {
   const struct mo_pack *pack = run->pack;

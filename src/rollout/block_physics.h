@@ -5,19 +5,20 @@
 
 #include "rollout/fast.h"
 
-/* The physics of one vector of lanes of a block: positions, velocities and what else has lanes are
- * arrays of the run's reals, from the first of these lanes on. `constants`: a struct lane_block. */
+/* The physics for one vector of lanes of a block. Positions, velocities and all other data with
+ * lanes are arrays of the run's reals, starting at the first of these lanes. `constants`: a struct
+ * lane_block. */
 struct mo_block_physics {
   uint32_t n_lanes;
-  /* Light at the masses less the body's mean. lights: (3, lanes). */
+  /* Computes the light at the masses, minus the body's mean. lights: (3, lanes). */
   void (*sense_light)(enum mo_sensor kind, uint32_t n_masses, const void *positions,
                       const void *lights, void *sensors);
-  /* n springs. activations: (n, lanes). */
+  /* Computes n springs. activations: (n, lanes). */
   void (*pull_springs)(const void *constants, uint32_t first_lane, uint32_t n, const uint32_t *ends,
                        const void *rests, const void *activations, const void *positions,
                        void *velocities);
-  /* Moves all masses by a step; returns the lanes whose state is no longer finite or sane.
-   * used_lanes: those that count; tops: no terrain of the lane is above it. */
+  /* Moves all masses by one step. Returns the lanes whose state is no longer finite or valid.
+   * used_lanes: the lanes that count; tops: upper bound of each lane's terrain. */
   uint32_t (*move)(const struct mo_fast_run *run, const void *constants, uint32_t first_lane,
                    uint32_t used_lanes, const void *tops, const void *positions,
                    void *next_positions, void *velocities);
@@ -29,7 +30,7 @@ extern const struct mo_block_physics mo_physics_avx512_float_16, mo_physics_avx5
 extern const struct mo_block_physics mo_physics_avx512_float_32, mo_physics_avx512_double_32;
 extern const struct mo_block_physics mo_physics_avx512_float_64, mo_physics_avx512_double_64;
 
-/* Returns that of the narrowest vectors that hold n lanes, or of the widest. */
+/* Returns the physics for the narrowest vectors that have n lanes, or for the widest ones. */
 const struct mo_block_physics *mo_block_physics_find(enum mo_isa isa, enum mo_precision precision,
                                                      uint32_t n);
 

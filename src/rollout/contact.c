@@ -6,10 +6,10 @@
  * with u, w the fractions of the cell, linear in τ; so g is a quadratic A τ² + B τ + C. Its first
  * root from ≥ 0 to < 0 is
  *   B < 0:  2C / (−B + sqrt(B² − 4AC))        (no cancellation; also right for A = 0)
- *   B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can come down again)
+ *   B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can turn down again)
  * A segment that leaves its cell is cut where it crosses a border, and the pieces are tried in
- * order. Beyond the map's edge the height is constant along that axis, like two more rows of
- * "cells" with a slope of 0. */
+ * order. Beyond the map's edge, the height is constant along that axis, as if there were two more
+ * rows of "cells" with a slope of 0. */
 #include "rollout/contact.h"
 
 #include <math.h>
@@ -36,7 +36,7 @@ static struct axis make_axis(double position_m, double velocity_m_per_s)
   return axis;
 }
 
-/* Returns when the segment leaves the axis's current cell; infinity: never. */
+/* Returns when the segment leaves the axis's current cell, or infinity if it never does. */
 static double leave_time(const struct axis *axis)
 {
   if (axis->speed > 0 && axis->cell < CELLS)
@@ -46,8 +46,8 @@ static double leave_time(const struct axis *axis)
   return INFINITY;
 }
 
-/* Computes the fraction of the cell at time t and its rate; returns the map's cell whose heights
- * count. */
+/* Computes the fraction of the cell at time t, and its rate. Returns the cell of the map whose
+ * heights apply. */
 static int place(const struct axis *axis, double t, double *fraction, double *rate)
 {
   *rate = 0;
@@ -64,7 +64,8 @@ static int place(const struct axis *axis, double t, double *fraction, double *ra
   return axis->cell;
 }
 
-/* Returns the first time ≥ 0 at which A t² + B t + C, C ≥ 0, turns negative; infinity: never. */
+/* Returns the first time ≥ 0 when A t² + B t + C, C ≥ 0, becomes negative, or infinity if it never
+ * does. */
 static double first_descent(double a, double b, double c)
 {
   const double discriminant = b * b - 4 * a * c;
@@ -98,8 +99,8 @@ double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double 
         return from + descent;
       from = to;
     }
-    /* Not `to >= dt_s`: NaN must end the loop too, because at a speed that is not finite no border
-     * is ever reached. */
+    /* Not `to >= dt_s`, because NaN must also end the loop: at a speed that is not finite, no
+     * border is ever reached. */
     if (!(to < dt_s))
       return dt_s; /* below the terrain only by rounding */
     if (leave_x <= leave_y)
@@ -125,7 +126,7 @@ double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const dou
   return low;
 }
 
-/* Drops the part of the velocity along the terrain's normal and slows the tangential part by
+/* Removes the part of the velocity along the terrain's normal, and slows the tangential part by
  * friction. */
 static void strike(const struct mo_constants *constants, const double gradient[2], double v[3])
 {
@@ -169,7 +170,7 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
   return true;
 }
 
-/* ---- the way back: dx is ∂loss/∂x; every contribution is added ---- */
+/* ---- the backward pass: dx is ∂loss/∂x; every contribution is added ---- */
 
 /* Returns the second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other
  * two vanish: the patch is bilinear. */
@@ -230,9 +231,9 @@ static void strike_adjoint(const struct mo_constants *constants, const double g[
 /* Differentiates the time of impact, which solves p[2] + τ v[2] = h(p + τ v). By the implicit
  * function theorem, with g the terrain's gradient there and rate = v[2] − g · v the speed at which
  * the gap opens, dτ = (g · dp − dp[2] + τ (g · dv − dv[2])) / rate. At τ = 0 and τ = dt it is
- * clamped, thus constant. A mass that lies on the ground starts without a gap at any position:
- * ground · dp replaces dp[2], with `ground` the gradient there. That mass strikes only where the
- * ground rises to meet it, at a rate that may be close to 0, and so is g − ground. */
+ * clamped, and therefore constant. A mass that lies on the ground starts without a gap at any
+ * position, so ground · dp replaces dp[2], with `ground` the gradient there. This mass strikes only
+ * where the ground rises toward it. The rate may then be close to 0, but so is g − ground. */
 static void impact_adjoint(double impact, double dt, const double *ground, const double g[2],
                            const double v[3], double d_impact, double dp[3], double dv[3])
 {

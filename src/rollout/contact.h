@@ -6,8 +6,8 @@
 
 #include <morpho/rollout.h>
 
-/* Return when, in [0, dt], a mass that leaves `position` with `velocity` first comes below the
- * terrain, given that it is below it after dt. */
+/* Return when, in [0, dt], a mass that leaves `position` with `velocity` first goes below the
+ * terrain. It must be below the terrain after dt. */
 double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
                        const double velocity_m_per_s[3], double dt_s);
 double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
@@ -19,8 +19,8 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
                      const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
                      double position_m[3], double velocity_m_per_s[3]);
 
-/* Differentiates mo_contact_move at the given position and velocity. d_position, d_velocity: in,
- * ∂loss/∂ of its results; out, ∂loss/∂ of its inputs. With MO_IMPACT_BISECTION the time of impact
+/* Differentiates mo_contact_move at the given position and velocity. d_position, d_velocity: in:
+ * ∂loss/∂(its results); out: ∂loss/∂(its inputs). With MO_IMPACT_BISECTION the time of impact
  * counts as constant. */
 void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,

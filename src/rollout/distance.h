@@ -2,9 +2,9 @@
 #ifndef MORPHO_ROLLOUT_DISTANCE_H
 #define MORPHO_ROLLOUT_DISTANCE_H
 
-/* Returns the length of (dx, dy), within one unit of the last place. C libraries' hypot may differ
- * in that place; this has the same bits everywhere, on which losses and the clipping of a training
- * depend. */
+/* Returns the length of (dx, dy), within one unit of the last place. The hypot of C libraries may
+ * differ in that place. This function has the same bits everywhere, because losses and the clipping
+ * of a training depend on them. */
 double mo_distance(double dx_m, double dy_m);
 
 #endif

@@ -1,5 +1,5 @@
-/* elementary.c: sin and exp from IEEE operations alone (fast.h). By itself, so that code that runs
- * no kernel links no kernel. */
+/* elementary.c: sin and exp computed only with IEEE operations (fast.h). They are in a file of
+ * their own, so that programs that run no kernel link no kernel. */
 #include "rollout/fast.h"
 
 #include <math.h>

@@ -1,5 +1,5 @@
-/* fast.h: data that block.c and gradient_block.c prepare, and that kernel.inc and
- * gradient_kernel.inc run on. Internal to this room.
+/* fast.h: data that block.c and gradient_block.c prepare for kernel.inc and gradient_kernel.inc.
+ * Internal to this room.
  *
  * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments:
  * MO_BLOCK_LANES values side by side, so that a spring or a mass is one vector operation for all
@@ -33,7 +33,7 @@ struct mo_pack {
   size_t n_parameters;
   uint32_t panel; /* outputs per panel: two vectors */
   size_t real_bytes;
-  /* One allocation; float where weights are only packed again for a body. */
+  /* One allocation; float if weights are only repacked for a body. */
   float *input_weight;                          /* (256 / panel, n_masses, panel) */
   float *output_weight, *output_bias;           /* (n_springs, 256), (n_springs): as in the file */
   void *cpg_weight;                             /* reals (5, 256): transposed */
@@ -57,8 +57,8 @@ struct mo_fast_run {
   struct mo_outcome *outcomes;
   /* Scratch, carved by block.c. */
   void *input_weight;    /* (256 / panel, n_masses, panel) of the body's masses */
-  void *output_weight;   /* (n_panels, 256, panel); the last panel is one vector wide if that holds
-                            the rest */
+  void *output_weight;   /* (n_panels, 256, panel); the last panel is only one vector wide if that
+                          * suffices */
   void *output_bias;     /* (n_panels · panel) */
   uint32_t *spring_ends; /* (n_springs, 2) offsets of the masses in the arrays below */
   void *spring_rest;     /* (n_springs) rest lengths */
@@ -71,8 +71,8 @@ struct mo_fast_run {
   void *held;            /* (n_panels · panel, lanes) activations of all springs through a control
                             period; one panel's if every step has its own */
   void *terrain;         /* (lanes, MO_CELLS, 4) */
-  uint32_t *contacts;    /* (n_masses) bits of the lanes that touched the terrain in a step that
-                            ends at a frame; of other steps anything */
+  uint32_t *contacts;    /* (n_masses) bits of the lanes that touched the terrain, in steps that end
+                          * at a frame; undefined in other steps */
 };
 
 /* ---- gradients ---- */

@@ -44,7 +44,8 @@ static void release(struct gradient *g)
   free(g->control);
 }
 
-/* Allocates everything but the reference; after a failure release() frees what was allocated. */
+/* Allocates everything except the reference. After a failure, release() frees what was
+ * allocated. */
 static int allocate(struct gradient *g)
 {
   const struct mo_body *body = g->reference.body;
@@ -92,7 +93,7 @@ static void keep_state(void *context, uint32_t step)
   memcpy(state + half, g->reference.velocity_m_per_s, half * sizeof(double));
 }
 
-/* Runs steps first … first + n − 1 again, onto the tapes. */
+/* Reruns steps first … first + n − 1, onto the tapes. */
 static void replay(struct gradient *g, uint32_t first, uint32_t n)
 {
   struct mo_reference *r = &g->reference;
@@ -114,8 +115,8 @@ static double norm(const double *x, size_t n)
   return sqrt(sum);
 }
 
-/* Applies the rule to an adjoint whose m is above the bound. before_m: positions of the masses one
- * step earlier. */
+/* Applies the rule to an adjoint with m above the bound. before_m: positions of the masses one step
+ * earlier. */
 static void take_back(struct gradient *g, double m, const double *before_m)
 {
   if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {
@@ -131,8 +132,8 @@ static void take_back(struct gradient *g, double m, const double *before_m)
   }
 }
 
-/* Measures the adjoint of the state after `step` steps and limits it to the bound. False: it is not
- * finite. */
+/* Measures the adjoint of the state after `step` steps and limits it to the bound. Returns false if
+ * it is not finite. */
 static bool limit(struct gradient *g, uint32_t step, const double *before_m, bool *clipped)
 {
   const size_t n = g->n_state / 2;
@@ -155,7 +156,8 @@ static bool limit(struct gradient *g, uint32_t step, const double *before_m, boo
   return true;
 }
 
-/* Runs the backward pass. False: the adjoint, or a parameter's gradient, is not finite. */
+/* Runs the backward pass. Returns false if the adjoint, or a parameter's gradient, is not
+ * finite. */
 static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
 {
   const struct mo_reference *r = &g->reference;

@@ -1,4 +1,4 @@
-/* gradient_block.c: the scratch of one worker, and the code between mo_gradient_block and
+/* gradient_block.c: the scratch memory of one worker, and the code between mo_gradient_block and
  * the kernels. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
@@ -31,7 +31,7 @@ static void release(struct mo_gradient_buffer *buffer)
   *buffer = (struct mo_gradient_buffer){0};
 }
 
-/* Reserves huge pages, because a tape is long. When the buffer grows, its pages move along and need
+/* Reserves huge pages, because a tape is long. When the buffer grows, its pages are moved and need
  * not be cleared again. */
 static int reserve_pages(struct mo_gradient_buffer *buffer, size_t bytes)
 {
@@ -131,8 +131,8 @@ static int by_size(const void *a, const void *b)
 
 /* Groups bodies of similar size: small ones share the few springs that all of them have, instead of
  * adding their own springs to the blocks of large ones. Measured on 256 random bodies: 108 tiles
- * per block instead of 172. Searching for the pairs that overlap most gains almost nothing more.
- * The largest come first, so that no worker is left with one at the end. */
+ * per block instead of 172. Searching for the pairs with the largest overlap gains almost nothing
+ * more. The largest bodies come first, so that no worker still has one at the end. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
 {
   struct place *places = malloc((n > 0 ? n : 1) * sizeof(*places));

@@ -41,7 +41,7 @@ const struct mo_fields mo_gradient_fields = MO_FIELDS(rows);
 
 /* ---- packed ---- */
 
-/* The weight is no setting. Its place in the packed form is behind the bound. */
+/* The weight is not a setting. In the packed form, it comes after the bound. */
 static const struct mo_fields bound = {rows, 1},
                               others = {rows + 1, sizeof(rows) / sizeof(*rows) - 1};
 static const struct mo_field packed_rows[] = {

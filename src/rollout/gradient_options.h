@@ -6,9 +6,9 @@
 
 #include "base/fields.h"
 
-/* Of struct mo_gradient_options, as settings: without the weight. */
+/* For struct mo_gradient_options as settings, without the weight. */
 extern const struct mo_fields mo_gradient_fields;
-/* The same with the weight, to be packed (base/fields.h): float64 bound, weight and weight of
+/* Same, with the weight, to be packed (base/fields.h): float64 bound, weight and weight of
  * restarts, then the rule in 32 bits, until an option is added. */
 extern const struct mo_fields mo_gradient_packed_fields;
 

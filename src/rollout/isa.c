@@ -6,8 +6,8 @@
 
 static const char *const names[MO_ISA_COUNT] = {"x86-64", "avx2", "avx512"};
 
-/* Checks three features of x86-64-v3 that some compilers' builtins do not know by name: MOVBE,
- * F16C, LZCNT. None has registers of its own, so asking only the processor is enough. */
+/* Checks three features of x86-64-v3 that some compilers' builtins do not support: MOVBE, F16C,
+ * LZCNT. None of them has its own registers, so querying only the processor is enough. */
 static bool has_small_features(void)
 {
   unsigned a, b, basic, d, extended;
@@ -15,8 +15,8 @@ static bool has_small_features(void)
          (basic & bit_MOVBE) != 0 && (basic & bit_F16C) != 0 && (extended & bit_LZCNT) != 0;
 }
 
-/* The compiler's builtins ask the processor and, for the wide registers, the operating system. The
- * lists are the features that meson.build compiles for: x86-64-v3 and x86-64-v4. */
+/* The compiler's builtins query the processor and, for the wide registers, the operating system.
+ * The lists have the features that meson.build compiles for: x86-64-v3 and x86-64-v4. */
 enum mo_isa mo_isa_best(void)
 {
   __builtin_cpu_init();
@@ -43,8 +43,8 @@ uint32_t mo_isa_vector_bytes(enum mo_isa isa)
 const struct mo_block_physics *mo_block_physics_find(enum mo_isa isa, enum mo_precision precision,
                                                      uint32_t n)
 {
-  /* Of each instruction set and precision, from the narrowest vectors on: each instruction set adds
-   * one width. */
+  /* The physics of each instruction set and precision, starting with the narrowest vectors: each
+   * instruction set adds one width. */
   static const struct mo_block_physics *const found[MO_ISA_COUNT][2][MO_ISA_COUNT] = {
       {{&mo_physics_baseline_float_16}, {&mo_physics_baseline_double_16}},
       {{&mo_physics_avx2_float_16, &mo_physics_avx2_float_32},

@@ -1,8 +1,8 @@
 /* pack.c: lays out a controller for one instruction set and precision.
  *
  * Hidden layers become panels for the kernels' products. The first and the last layer stay float32,
- * in an order from which a block quickly packs its bodies' own columns and rows: only those are
- * multiplied. */
+ * in an order that lets a block quickly pack the columns and rows of its bodies, which are the only
+ * ones that are multiplied. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
 
@@ -38,7 +38,7 @@ static void put(const struct mo_pack *pack, void *array, size_t i, float value)
     ((float *)array)[i] = value + 0.0f;
 }
 
-/* Where in panels of a matrix with n inputs the weight from input k to output o is. */
+/* Returns where the weight from input k to output o is, in the panels of a matrix with n inputs. */
 static size_t place(const struct mo_pack *pack, size_t n, size_t o, size_t k)
 {
   return ((o / pack->panel) * n + k) * pack->panel + o % pack->panel;

@@ -6,7 +6,7 @@
 
 #include "base/fields.h"
 
-/* Of struct mo_physics. Packed (base/fields.h): nine float64, then the steps, the impact and the
+/* For struct mo_physics. Packed (base/fields.h): nine float64, then the steps, the impact and the
  * bisections in 32 bits, until a constant is added. */
 extern const struct mo_fields mo_physics_fields;
 

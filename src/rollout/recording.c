@@ -1,5 +1,5 @@
-/* recording.c: the arrays of a recording. What allocates, stores or sends recordings walks over the
- * channels with these functions; the simulations fill the arrays by their names. */
+/* recording.c: the arrays of a recording. Code that allocates, stores or sends recordings walks
+ * over the channels with these functions; the simulations fill the arrays by name. */
 #include <morpho/rollout.h>
 
 #include <stdlib.h>

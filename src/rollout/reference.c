@@ -1,5 +1,5 @@
 /* reference.c: the rollout in plain float64 C, step by step as in docs/model.md. It is the
- * yardstick for every faster path, so it prefers readability to speed; all sums run in index
+ * reference for every faster path, so it prefers readability to speed; all sums run in index
  * order. */
 #include "rollout/reference.h"
 

@@ -9,7 +9,8 @@
 
 #include <morpho/rollout.h>
 
-/* What the derivative of one step needs. Inputs of masses that the body lacks must be 0. */
+/* The data that the derivative of one step needs. Inputs of masses that the body lacks must be
+ * 0. */
 struct mo_step_tape {
   double *position_m;       /* (n_masses, 3) at the start of the step */
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
@@ -28,10 +29,10 @@ struct mo_reference {
   double highest_m;          /* of the terrain */
   double *position_m;        /* (n_masses, 3) */
   double *velocity_m_per_s;  /* (n_masses, 3) */
-  double *impulse_n_s;       /* (n_masses, 3) of the last step's springs */
+  double *impulse_n_s;       /* (n_masses, 3) impulses of the last step's springs */
   uint8_t *contacts;         /* (n_masses) 1: touched the terrain in the last step */
   struct mo_step_tape own;   /* its `control` is empty without a controller */
-  struct mo_step_tape *tape; /* of the next step; at first `own` */
+  struct mo_step_tape *tape; /* of the next step; initially `own` */
 };
 
 /* Initializes a rollout. Borrows all arguments. MO_ERR_INVALID: the controller is for another
@@ -46,7 +47,7 @@ void mo_reference_done(struct mo_reference *reference);
  * the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
 
-/* Runs all steps up to a divergence. Calls visit(context, step) with the state before each step and
+/* Runs all steps until a divergence. Calls visit(context, step) with the state before each step and
  * after the last one, also after a divergence. */
 void mo_reference_run(struct mo_reference *reference, void (*visit)(void *context, uint32_t step),
                       void *context, struct mo_outcome *outcome);

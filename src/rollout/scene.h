@@ -7,8 +7,8 @@
 
 #include <morpho/rollout.h>
 
-/* Computes start positions (n_masses, 3): the workspace centered at (2.5, 2.5) m, lifted just
- * enough that no mass is below the terrain, and by the drop height. */
+/* Computes start positions (n_masses, 3): the workspace is centered at (2.5, 2.5) m and lifted just
+ * enough that no mass is below the terrain, plus the drop height. */
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
 
@@ -18,14 +18,14 @@ void mo_scene_light(const struct mo_environment *environment, double light_m[3])
 /* Computes the plain mean of n positions (n, 3), summed in order. */
 void mo_scene_com(const double *position_m, uint32_t n, double com_m[3]);
 
-/* Returns a controller's output as recordings have it. */
+/* Returns a controller's output in the form used in recordings. */
 static inline int8_t mo_scene_actuation(double output)
 {
   return (int8_t)lrint(127 * fmax(-1, fmin(1, output)));
 }
 
-/* Sets the loss of an outcome of which the rest is known: that of objective.inc; infinity where the
- * rollout diverged. */
+/* Sets the loss of an outcome whose other members are set: the loss in objective.inc, or infinity
+ * if the rollout diverged. */
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment);
 
 #endif

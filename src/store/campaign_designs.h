@@ -10,7 +10,8 @@ struct mo_campaign_design {
   struct mo_genotype form, genotype;
   struct mo_descent descent; /* parents as numbers */
   uint32_t born;
-  int64_t died; /* first generation whose population lacks it (`born`: never selected); −1: none */
+  int64_t died; /* first generation whose population does not have it (`born`: never selected); −1:
+                 * none */
   double score; /* its last score; +infinity: a rollout diverged */
   bool is_cut;  /* the score is a lower bound: scoring stopped early, because the design cannot
                    survive */
@@ -20,7 +21,7 @@ struct mo_campaign_design {
   uint32_t n_measures;
   double measures[MO_STUDY_MEASURES_MAX]; /* (n_measures) NaN: not given */
 };
-/* Returns the name of a design's operator. */
+/* Returns the name of the operator that created a design. */
 static inline const char *mo_campaign_operator(const struct mo_campaign_design *design)
 {
   return design->own_operator[0] != '\0' ? design->own_operator
@@ -34,8 +35,8 @@ int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t af
  * exist. */
 int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers,
                                  size_t n, struct mo_campaign_design *rows);
-/* Reads the population after a generation (−1: the newest), best first, from place `offset` on,
- * with the scores it had then. *n: its size. Returns the number of rows or an error;
+/* Reads the population after a generation (−1: the newest), best first, starting at place `offset`,
+ * with its scores at that time. *n: its size. Returns the number of rows or an error;
  * MO_ERR_NOT_FOUND: no such generation. */
 int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation,
                                      uint32_t offset, struct mo_campaign_design *rows, size_t limit,
@@ -58,7 +59,7 @@ struct mo_campaign_columns {
 };
 #define MO_ALIVE       UINT32_MAX
 #define MO_COLUMNS_MAX (INT64_C(1) << 22) /* they are held in memory, about 100 bytes each */
-/* MO_ERR_LIMIT: the campaign has more. */
+/* MO_ERR_LIMIT: the campaign has more designs. */
 int mo_store_campaign_columns(struct mo_store *store, int64_t id,
                               struct mo_campaign_columns **columns);
 /* One birth of a form. */

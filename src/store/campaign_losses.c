@@ -1,5 +1,5 @@
-/* campaign_losses.c: losses of a campaign: those of the current generation, saved as they arrive,
- * and those stored earlier as scores. */
+/* campaign_losses.c: losses of a campaign: losses of the current generation, saved as they arrive,
+ * and losses stored earlier as scores. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -29,8 +29,8 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
   return mo_sql_do(writer, sql, mo_int(id));
 }
 
-/* Words that a row's checksum covers besides the losses. Returns their number: origins are stored
- * only if this host did not compute everything. */
+/* Words that a row's checksum covers in addition to the losses. Returns their number: origins are
+ * stored only if this host did not compute everything. */
 #define KEY_WORDS (2 + MO_ENVIRONMENTS_MAX)
 static size_t key_of(int64_t id, const struct mo_campaign_loss *loss, int64_t key[KEY_WORDS])
 {

@@ -8,7 +8,7 @@
 
 #define MO_REPLICATES_MAX 100
 
-/* Names that a study's client chooses, for operators and measures: words of A-Z, a-z, 0-9, '_', '.'
+/* Names for operators and measures that a study's client chooses: words of A-Z, a-z, 0-9, '_', '.'
  * and '-', in the order of their first use. */
 #define MO_STUDY_WORD_MAX      32
 #define MO_STUDY_OPERATORS_MAX 32
@@ -31,7 +31,7 @@ struct mo_campaign_record {
   uint32_t n_listed;                           /* initial designs listed in the request */
   int64_t initial_campaign; /* this campaign's newest population at submission is the initial one;
                                0: none */
-  int64_t group;            /* id of the first replicate, also in that one */
+  int64_t group;            /* id of the first replicate, set in the first one as well */
   uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
   uint32_t checkpoint_every_s;    /* while a generation learns; 0: only at its end */
 };

@@ -8,7 +8,7 @@
 #include "store/checkpoint_files.h"
 #include "store/runs.h"
 
-/* As campaign_populations has them. */
+/* Same layout as in campaign_populations. */
 struct mo_birth_row {
   uint8_t op;
   uint32_t parents[2]; /* numbers */
@@ -42,9 +42,9 @@ struct mo_campaign_members {
 int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_t generation,
                             struct mo_campaign_members *members);
 
-/* As mo_store_study_find, inside an operation. */
+/* Like mo_store_study_find, inside an operation. */
 int mo_study_find(struct mo_connection *connection, const char *label, int64_t *id);
-/* Reads a study's own words. */
+/* Reads the words that a study defines. */
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
 /* Inserts a design; its genotype has a row already. measures: (n), of a study. */
 int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,

@@ -1,5 +1,5 @@
 /* campaign_runs.c: operations of a campaign's runner between generations: start, park, checkpoints
- * inside a generation, the end, the state from which it resumes. Writes are fenced as in runs.h. */
+ * within a generation, the end, and the state to resume from. Writes are fenced as in runs.h. */
 #include <stdlib.h>
 
 #include "store/campaign_rows.h"
@@ -80,12 +80,12 @@ int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaig
 /* ---- checkpoints ----
  *
  * Two are kept: the state after the newest committed generation, which scored its population, and
- * the newest state inside the current generation. */
+ * the newest state within the current generation. */
 
 int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_checkpoint *checkpoint,
                                bool is_committed)
 {
-  /* The next generation needs only the state after this one. A checkpoint inside a generation keeps
+  /* The next generation needs only the state after this one. A checkpoint within a generation keeps
    * the state before that generation. */
   static const char sql[] = "SELECT generation,step,size FROM checkpoints WHERE job=?1"
                             " AND NOT (generation=?2 AND step=?3) AND (?4 OR generation<>?2-1)";
@@ -136,7 +136,7 @@ int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t
   return error;
 }
 
-/* ---- the state from which a run resumes ---- */
+/* ---- the state to resume from ---- */
 
 void mo_campaign_state_free(void *any)
 {

@@ -7,8 +7,8 @@
 #include "store/campaign_records.h"
 
 /* Adds the event "campaign.lineage_unreadable": metadata of a controller in the campaign's lineage
- * cannot be read. field: of the metadata; detail: why. Both are short and need no escapes in JSON.
- * MO_ERR_CONFLICT as for trainings. */
+ * cannot be read. field: the metadata field; detail: the reason. Both are short and need no escapes
+ * in JSON. MO_ERR_CONFLICT as for trainings. */
 int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
                                     const struct mo_sha256 *sha256, const char *field,
                                     const char *detail);
@@ -58,24 +58,24 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **losses, size_t *n);
 /* Finds genotypes with stored losses in environments of the campaign, under its controller and
- * physics (zero-shot), by code of this fingerprint or, where there are none, of `workers` (0:
- * none). losses: room for n; place: index in `genotypes`; NaN: not stored. Returns the number
- * found. */
+ * physics (zero-shot). Uses losses computed by the code with this fingerprint or, where there are
+ * none, by the code of `workers` (0: none). losses: room for n; place: index in `genotypes`; NaN:
+ * not stored. Returns the number found. */
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
                                 int64_t workers, const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses);
 
 /* Stores a checkpoint of the learning: the file campaigns/<job>/<generation>-<step>.checkpoint,
  * then its row. step: learning steps done in `generation`; the next generation starts from the last
- * one (simultaneous). A new checkpoint inside a generation replaces the earlier one of that
+ * one (simultaneous). A new checkpoint within a generation replaces the earlier one of that
  * generation. steps (nullable): rows of the learning curve since the last call, in the same
- * transaction; a row written again replaces the old one. MO_ERR_NO_SPACE. */
+ * transaction; a rewritten row replaces the old one. MO_ERR_NO_SPACE. */
 int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation,
                                  uint32_t step, const uint8_t *bytes, size_t size,
                                  const struct mo_campaign_step *steps, size_t n_steps);
 /* Reads the newest checkpoint of one generation. For the newest committed generation it is the
- * state that scored its population, even if learning has continued since. Earlier ones are not
- * kept. */
+ * state that scored its population, even if learning has continued since. Earlier checkpoints are
+ * not kept. */
 int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
                                     uint32_t *step, uint8_t **bytes, size_t *size);
 
@@ -87,11 +87,11 @@ struct mo_campaign_commit {
   const struct mo_bits *forms, *genotypes; /* (row.n_children) of the children */
   const struct mo_design_size *sizes;      /* (row.n_children) */
   const double *child_scores;              /* (row.n_children) */
-  const uint8_t *children_cut; /* (row.n_children) 1: the score is a lower bound; NULL: none is a
-                                  lower bound */
+  const uint8_t *children_cut; /* (row.n_children) 1: the score is a lower bound; NULL: no score is
+                                * a lower bound */
   const double *measures;      /* (row.n_children, n_measures) of a study */
   uint32_t n_measures;
-  bool is_study;                  /* the job is queued again after the commit */
+  bool is_study;                  /* the job is requeued after the commit */
   const uint32_t *parent_numbers; /* (n_parents) the previous population, in its order */
   const double *parent_scores;    /* (n_parents) as used by the selection */
   uint32_t n_parents;
@@ -120,8 +120,8 @@ struct mo_campaign_commit {
 int mo_store_campaign_commit(struct mo_store *store, int64_t id,
                              const struct mo_campaign_commit *commit);
 /* running → succeeded. controller (nullable): stored under its name, as by
- * mo_store_training_finish. MO_ERR_CONFLICT: as for trainings, or the campaign was extended
- * meanwhile (generations > expected): continue. */
+ * mo_store_training_finish. MO_ERR_CONFLICT: as for trainings, or the campaign was extended in the
+ * meantime (generations > expected), so continue. */
 int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end,
                              uint32_t generations, const char *name, const uint8_t *bytes,
                              size_t size, const struct mo_controller *controller);

@@ -36,8 +36,8 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_reques
 
 /* ---- the population of another campaign ---- */
 
-/* Finds the genotype of a member. Returns 1 if it fits the campaign's workspace as it is, 0 if
- * not. */
+/* Finds the genotype of a member. Returns 1 if it fits the campaign's workspace as it is, otherwise
+ * 0. */
 static int find_member(struct mo_connection *writer, const struct mo_campaign_record *record,
                        uint32_t number, int64_t *genotype)
 {
@@ -54,7 +54,7 @@ static int find_member(struct mo_connection *writer, const struct mo_campaign_re
   return mo_fits_as_it_is(record->settings.workspace, &bits);
 }
 
-/* Adds a note that a member of the initial campaign is left out. place: its rank, from 0. */
+/* Adds a note that a member of the initial campaign was left out. place: its rank, from 0. */
 static int note_misfit(struct mo_connection *writer, const struct mo_campaign_record *record,
                        uint32_t place, uint32_t number, int64_t group)
 {
@@ -112,7 +112,7 @@ static int insert_replicate(struct mo_store *store, const struct mo_campaign_req
   if (replicate == 0)
     *group = id;
   else if (error == MO_OK && id != *group + replicate)
-    error = MO_ERR_CORRUPT; /* ids of jobs grow by one */
+    error = MO_ERR_CORRUPT; /* jobs get consecutive ids */
   record.settings.seed += replicate;
   if (error == MO_OK)
     error = mo_run_insert(writer, id, MO_JOB_CAMPAIGN, &record, record.name, setting->controller,
@@ -206,7 +206,7 @@ static int check_extension(const struct mo_campaign_settings *settings, uint64_t
 }
 
 /* Checks that the learning state after the newest generation exists, if the next generation starts
- * from it (simultaneous). MO_ERR_EMPTY: it does not exist. */
+ * from it (simultaneous). MO_ERR_EMPTY: the state does not exist. */
 static int check_learning(struct mo_connection *writer, int64_t id, enum mo_campaign_mode mode)
 {
   static const char sql[] =

@@ -37,7 +37,7 @@ int mo_store_study_words(struct mo_store *store, int64_t id, struct mo_study_wor
   return mo_study_words_get(reader, id, words);
 }
 
-/* Reads the parts that only a study has: its newest batch, its words, the state of its sampler. */
+/* Reads the parts that only a study has: its newest batch, its words, and its sampler state. */
 static int get_study(struct mo_connection *connection, int64_t id,
                      struct mo_campaign_status *status)
 {

@@ -3,8 +3,8 @@
  * A campaign is a job of kind MO_JOB_CAMPAIGN. Its settings never change, except the number of
  * generations (extend). A generation is committed in one transaction: designs, births, deaths,
  * scores, population, statistics, learning curve, and the row of the checkpoint that the next
- * generation starts from. Losses of the current generation and checkpoints inside its learning are
- * saved earlier; the commit deletes them.
+ * generation starts from. Losses of the current generation, and checkpoints within its learning,
+ * are saved earlier; the commit deletes them.
  *
  * A campaign numbers its designs 0, 1, … in order of birth: initial population, then each
  * generation's children in the order of variation. The births of a generation are one BLOB, and its
@@ -42,13 +42,13 @@ struct mo_campaign_request {
  * none of its designs fits. */
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_request *request,
                              int64_t *id, bool *replayed);
-/* Adds generations to a queued, running, paused or succeeded campaign; a succeeded one is queued
- * again. *before: its previous state. key (nullable): if it is known, the extension was done
- * already, and *before is MO_JOB_QUEUED. Event "campaign.extended". MO_ERR_NOT_FOUND;
- * MO_ERR_CONFLICT: failed, cancelled or exhausted; MO_ERR_RANGE: beyond MO_GENERATIONS_MAX or
- * MO_CAMPAIGN_DESIGNS_MAX; MO_ERR_UNSUPPORTED: the learning rate depends on the number of
- * generations (simultaneous, one cosine); MO_ERR_EMPTY: simultaneous, and the learning state was
- * removed; MO_ERR_DUPLICATE: the key was used with another request. */
+/* Adds generations to a queued, running, paused or succeeded campaign; a succeeded one is requeued.
+ * *before: its previous state. key (nullable): if it is known, the extension was done already, and
+ * *before is MO_JOB_QUEUED. Event "campaign.extended". MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: failed,
+ * cancelled or exhausted; MO_ERR_RANGE: exceeds MO_GENERATIONS_MAX or MO_CAMPAIGN_DESIGNS_MAX;
+ * MO_ERR_UNSUPPORTED: the learning rate depends on the number of generations (simultaneous, one
+ * cosine); MO_ERR_EMPTY: simultaneous, and the learning state was removed; MO_ERR_DUPLICATE: the
+ * key was used with another request. */
 int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations,
                              const struct mo_request_key *key, enum mo_job_state *before);
 

@@ -141,7 +141,7 @@ static int check_checkpoint(struct walk *walk, sqlite3_stmt *row)
 
 /* ---- all parts ---- */
 
-/* Column 0 of each query is the row named in a finding. */
+/* Column 0 of each query is the row reported in a finding. */
 static const struct part {
   const char *what, *sql;
   int (*check)(sqlite3_stmt *row);                       /* MO_ERR_CORRUPT means a finding */

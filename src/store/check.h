@@ -13,7 +13,7 @@ int mo_store_check_contents(struct mo_store *store,
                             void (*report)(void *context, const char *finding), void *context,
                             struct mo_check_counts *counts);
 
-/* A stored loss, and everything needed to compute it again. */
+/* A stored loss, and everything needed to recompute it. */
 struct mo_score_sample {
   struct mo_genotype genotype;
   struct mo_sha256 controller_sha256;

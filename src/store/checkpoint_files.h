@@ -19,7 +19,7 @@ struct mo_checkpoint {
   uint64_t size;
   struct mo_sha256 sha256;
   char *path;
-  /* Nullable: checks, before the file is written, whether it may be. */
+  /* Nullable: checks, before the file is written, whether the write is allowed. */
   int (*check)(struct mo_store *store, void *arguments);
   bool is_urgent; /* may use the reserve */
   bool was_there;
@@ -32,8 +32,8 @@ int mo_checkpoint_row_write(struct mo_store *store, const struct mo_checkpoint *
 int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fourth,
                        struct mo_checkpoint *checkpoint);
 /* Deletes, in an operation, up to 16 checkpoints of jobs that are being deleted (deletion.c). Their
- * files are deleted first, because nothing uses them any more: this frees space on a full disk,
- * even if the operation fails. */
+ * files are deleted first, because nothing uses them anymore. This frees space on a full disk, even
+ * if the operation fails. */
 int mo_checkpoints_forget(struct mo_store *store, uint64_t *n);
 /* Writes the file (unless bytes is NULL), then runs an operation, which calls the functions above,
  * then deletes the files of the rows that it dropped. After an error the new file is deleted. */

@@ -98,7 +98,7 @@ int mo_checkpoint_drop(struct mo_store *store, const char *list_sql, int64_t fou
                   mo_int(checkpoint->place.step), mo_int(fourth));
   dropped->n = 0;
   dropped->bytes = 0;
-  /* The next checkpoint drops any that remain. */
+  /* The next checkpoint drops any rows that remain. */
   while (dropped->n < MO_CHECKPOINTS_MAX && mo_sql_next(writer, row, &error)) {
     dropped->places[dropped->n++] =
         (struct mo_checkpoint_place){mo_column_u32(row, 0), mo_column_u32(row, 1)};
@@ -132,7 +132,7 @@ int mo_checkpoints_forget(struct mo_store *store, uint64_t *n)
     char *path = path_of(store, found[i].id, found[i].kind, &found[i].place);
     char *folder = path_of(store, found[i].id, found[i].kind, NULL);
     if (path != NULL && folder != NULL) {
-      (void)store->files->unlink(path);  /* if this fails, the next start names the file */
+      (void)store->files->unlink(path);  /* if this fails, the next start reports the file */
       (void)store->files->rmdir(folder); /* if it is empty */
       error = mo_sql_do(&store->writer, drop_sql, mo_int(found[i].id),
                         mo_int(found[i].place.generation), mo_int(found[i].place.step));
@@ -199,8 +199,8 @@ int mo_checkpoint_read(struct mo_store *store, int64_t id, enum mo_job_kind kind
     free(path);
     if (error != MO_ERR_CORRUPT)
       break;
-    /* The file is damaged, unless newer checkpoints have replaced it meanwhile; its row was then
-     * deleted first. */
+    /* The file is damaged, unless newer checkpoints have replaced it in the meantime; then its row
+     * was deleted first. */
     error = find(store, id, generation, step, &again);
     if (error == MO_OK && again.generation == row.generation && again.step == row.step &&
         mo_sha256_equal(&again.sha256, &row.sha256))

@@ -100,7 +100,7 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 }
 
 /* The paper's test set is a constant of the code with rows of its own, so that scores can refer to
- * it. Once a folder has stored a set by this name, the set stays the same there. */
+ * it. Once a folder has stored a set with this name, the set never changes there. */
 static int make_paper_test(struct mo_store *store, void *arguments)
 {
   static const char set_sql[] = "INSERT INTO environment_sets(name,n) VALUES('paper-test',?1)";

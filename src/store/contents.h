@@ -19,10 +19,10 @@ int mo_text_row(struct mo_connection *writer, enum mo_texts table, const char *t
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n);
 
-/* Inserts the environments of a job: those of `set`, or if set is 0 the given ones. */
+/* Inserts the environments of a job: the environments of `set`, or the given ones if set is 0. */
 int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,
                            const struct mo_environment *environments, uint32_t n);
-/* Inserts the designs of a job, in order; the places of skipped ones stay empty. */
+/* Inserts the designs of a job, in order. The places of skipped designs stay empty. */
 int mo_designs_insert(struct mo_connection *writer, int64_t id, const struct mo_bits *forms,
                       const struct mo_bits *genotypes, uint32_t n,
                       const struct mo_design_note *notes, uint32_t n_notes, int64_t now_us);
@@ -32,8 +32,8 @@ int mo_notes_insert(struct mo_connection *writer, int64_t id, const struct mo_de
 int mo_notes_read(struct mo_connection *reader, int64_t id, struct mo_design_note **notes,
                   uint32_t *n);
 int mo_design_insert(struct mo_connection *writer, int64_t id, uint32_t position, int64_t genotype);
-/* Reads the n environments of a job and their rows, each nullable. MO_ERR_CORRUPT: the job has more
- * or fewer. */
+/* Reads the n environments of a job and their rows, each nullable. MO_ERR_CORRUPT: the job has a
+ * different number. */
 int mo_environments_read(struct mo_connection *connection, int64_t id, uint32_t n,
                          struct mo_environment *environments, int64_t *rows);
 struct mo_designs {

@@ -1,6 +1,5 @@
-/* controller_rows.h: how other source files of this room store and find controllers. Only for this
- * room.
- */
+/* controller_rows.h: storing and finding controllers from other source files of this room. Only for
+ * this room. */
 #ifndef MORPHO_STORE_CONTROLLER_ROWS_H
 #define MORPHO_STORE_CONTROLLER_ROWS_H
 

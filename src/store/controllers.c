@@ -184,7 +184,7 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 
 /* ---- reading ---- */
 
-/* Without a name (n: no row), the version is 1, and the time is that of the content. */
+/* Without a name (n: no row), the version is 1, and the time is the time of the content. */
 #define COLUMNS                                                                                    \
   "SELECT c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters,n.name,coalesce(n.version,1),"    \
   "coalesce(n.stored_us,c.stored_us),c.id,c.control_period_s"

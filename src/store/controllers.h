@@ -28,7 +28,7 @@ int mo_store_controller_put(struct mo_store *store, const char *name, const uint
 /* Removes a name. The content stays. MO_ERR_NOT_FOUND. */
 int mo_store_controller_remove(struct mo_store *store, const char *name);
 /* Removes content ("sha256:…") and its file. Reads all scores. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT:
- * something refers to it; `message` names it. */
+ * something refers to it; `message` says what. */
 int mo_store_controller_delete(struct mo_store *store, const char *reference,
                                struct mo_message *message);
 int mo_controller_name_check(const char *name); /* MO_OK or MO_ERR_FORMAT */

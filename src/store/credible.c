@@ -1,12 +1,12 @@
 /* credible.c: see credible.h.
  *
- * A clock that is a year ahead would make the service delete at once everything that is to be kept
- * for a year. So the database stores the newest time at which the clock was credible. The clock may
- * be ahead of it by the time that the process has run since, plus a day, or plus a tenth of the
+ * If the clock were a year ahead, the service would at once delete everything that must be kept for
+ * a year. So the database stores the newest time at which the clock was credible. The clock may be
+ * ahead of it by the time that the process has run since, plus a day, or plus a tenth of the
  * shortest retention time if that is longer: the service may have been off, or the computer may
  * have slept, while mo_clock_us stood still. If it is further ahead, an operator must confirm it
  * (mo_store_accept_clock). The times of events and jobs are not used, because a wrong clock makes
- * them wrong; only a database without a credible time starts from the newest of them. */
+ * them wrong; only a database without a credible time starts from the newest of these times. */
 #include "store/credible.h"
 
 #include "base/clock.h"

@@ -22,7 +22,7 @@
 
 /* ---- the first transaction ---- */
 
-/* Selects the jobs that need this one, in words. */
+/* Selects the jobs that need this one, as texts. */
 #define NEEDING(id)                                                                                \
   "SELECT words FROM ("                                                                            \
   "SELECT job,'training '||job||' learns on its designs' words FROM trainings"                     \
@@ -206,7 +206,7 @@ static void done(void *arguments, int status)
   free(round);
 }
 
-/* Queues a step after all earlier writes. Without memory, the next upkeep does it. */
+/* Queues a step after all earlier writes. If memory runs out, the next upkeep does it. */
 static void run(struct mo_store *store, int (*step)(struct mo_store *store, void *arguments))
 {
   struct round *round = malloc(sizeof(*round));

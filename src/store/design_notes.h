@@ -1,5 +1,5 @@
-/* design_notes.h: notes on designs of a request that were skipped or repaired, or that were given
- * as ids without an orientation. */
+/* design_notes.h: notes about the designs of a request that were skipped, repaired, or given as ids
+ * without an orientation. */
 #ifndef MORPHO_STORE_DESIGN_NOTES_H
 #define MORPHO_STORE_DESIGN_NOTES_H
 
@@ -13,7 +13,7 @@
 /* How the orientation of a design was chosen. */
 enum mo_orientation {
   MO_ORIENTATION_GIVEN = 0,     /* by the request */
-  MO_ORIENTATION_CANONICAL = 1, /* an id was given, and no orientation of it has a score */
+  MO_ORIENTATION_CANONICAL = 1, /* an id was given, and none of its orientations has a score */
   MO_ORIENTATION_BEST = 2       /* an id was given, and this is the scored orientation with the best
                                    score */
 };
@@ -22,8 +22,8 @@ struct mo_design_note {
   uint32_t place;   /* in the request, from 0 */
   uint32_t dropped; /* voxels that its repair removed */
   enum mo_orientation orientation;
-  char robot[MO_DEFAULT_ROBOT_DIGITS + 1]; /* the robot chosen for an id; "": the request named
-                                              it */
+  char robot[MO_DEFAULT_ROBOT_DIGITS + 1]; /* the robot chosen for an id; "": the request chose
+                                            * it */
   struct mo_fault fault;                   /* why it was skipped; detail "": not skipped */
 };
 static inline bool mo_is_skipped(const struct mo_design_note *note)

@@ -76,11 +76,12 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
  * fit the campaign's workspace, best first, up to the size of the population. MO_ERR_NOT_FOUND. */
 int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                          uint32_t *n);
-/* Reads the notes on the designs of a job's request, ascending (malloc; NULL: none). */
+/* Reads the notes about the designs of a job's request, ascending (malloc; NULL if there are
+ * none). */
 int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_note **notes,
                           uint32_t *n);
 
-/* ---- the orientation of designs that are given as ids ---- */
+/* ---- the orientation of designs given as ids ---- */
 
 /* Returns whether a placed genotype fits a workspace, which is not larger than its own, without
  * being turned. mo_genotype_move also turns bodies, which then have other scores. */
@@ -97,10 +98,10 @@ struct mo_orienting {
       workers; /* its class; and the class of bodies that devices leave to the workers */
   struct mo_workspace workspace; /* which the orientation must fit without being turned */
 };
-/* Turns each design that was given as an id without an orientation, according to its note (the
- * genotype is canonical), to the orientation with the best stored score, the mean loss over all
- * environments. Diverged scores rank last; ties go to the first orientation. Without any score, the
- * genotype stays as it is. Completes these notes. */
+/* For each design that was given as an id without an orientation, according to its note (the
+ * genotype is canonical), chooses the orientation with the best stored score, which is the mean
+ * loss over all environments. Diverged scores rank last; ties go to the first orientation. Without
+ * any score, the genotype stays unchanged. Completes these notes. */
 int mo_store_orient(struct mo_store *store, const struct mo_orienting *under,
                     struct mo_bits *genotypes, uint32_t n, struct mo_design_note *notes,
                     uint32_t n_notes);

@@ -1,4 +1,4 @@
-/* encode.h: records as bytes of the database. Numbers are little-endian, as in memory. */
+/* encode.h: records as bytes in the database. Numbers are little-endian, as in memory. */
 #ifndef MORPHO_STORE_ENCODE_H
 #define MORPHO_STORE_ENCODE_H
 
@@ -12,19 +12,20 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "rows are little-endia
 #define MO_PHYSICS_BYTES_MAX     (1 + sizeof(struct mo_physics) + 2 * sizeof(uint32_t))
 #define MO_BITS_BYTES            18
 
-/* Returns the bytes that it wrote: the packed form (world/environment.h); each version has another
- * size. Writes −0 as 0, so that equal environments have one row and are computed once. */
+/* Returns the number of bytes written: the packed form (world/environment.h), which has a different
+ * size in each version. Writes −0 as 0, so that equal environments have one row and are computed
+ * once. */
 size_t mo_encode_environment(const struct mo_environment *environment,
                              uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX]);
-/* MO_ERR_CORRUPT: no such encoding. */
+/* MO_ERR_CORRUPT: invalid encoding. */
 int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environment *environment);
 
-/* Returns the bytes that it wrote: the version of the packed form (rollout/physics.h) in a byte,
- * the packed form, then precision and sensor in 32 bits. Equal values have one encoding: −0 is
- * written as 0, and the bisections of an exact impact as 0. */
+/* Returns the number of bytes written: the version of the packed form (rollout/physics.h) in a
+ * byte, the packed form, then precision and sensor in 32 bits. Equal values have one encoding: −0
+ * is written as 0, and the bisections of an exact impact as 0. */
 size_t mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
                          enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES_MAX]);
-/* MO_ERR_CORRUPT: no such encoding. */
+/* MO_ERR_CORRUPT: invalid encoding. */
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor);
 

@@ -79,8 +79,7 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   return MO_OK;
 }
 
-/* Reads the stored losses of the keys' genotype, as far as they count, into row `n` of the
- * results. */
+/* Reads the stored losses of the key's genotype that count into row `n` of the results. */
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
                        uint64_t counted, struct mo_evaluation_results *results)
 {
@@ -100,7 +99,7 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
   return error;
 }
 
-/* Designs that were skipped have no row: they keep empty genotypes and unknown losses. */
+/* Skipped designs have no row, so they keep empty genotypes and unknown losses. */
 static int load_designs(struct mo_connection *reader, const struct range *range,
                         struct result_keys *keys, struct mo_evaluation_results *results)
 {

@@ -14,8 +14,8 @@ struct mo_random_bodies {
   uint64_t seed;
 };
 
-/* An evaluation as requested (genotypes are valid) and as stored: genotypes are placed, and have
- * their forms. More than MO_DESIGNS_MAX designs have no notes. */
+/* An evaluation as requested (genotypes are valid) and as stored (genotypes are placed, and have
+ * their forms). More than MO_DESIGNS_MAX designs have no notes. */
 struct mo_evaluation_request {
   struct mo_submission job;
   const struct mo_bits *genotypes; /* (n_designs); NULL: random bodies */
@@ -74,14 +74,14 @@ struct mo_trajectory {
 };
 void mo_trajectory_free(void *trajectory); /* NULL-safe */
 
-/* Reads the results of an evaluation; of an unfinished one, the results so far.
+/* Reads the results of an evaluation. If it is unfinished, reads the results so far.
  * MO_ERR_NOT_FOUND. */
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
 /* Reads the results of design n only, as results of one design. */
 int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
                     struct mo_evaluation_results **results);
-/* Reads the numbers of the designs from `first` on that have complete scores (in an evaluation that
- * has ended) or, with `any`, of all designs. Returns how many, at most `limit`;
+/* Reads the numbers of designs, starting at `first`: the designs with complete scores (in an
+ * evaluation that has ended) or, with `any`, all designs. Returns how many, at most `limit`;
  * MO_ERR_NOT_FOUND. */
 int64_t mo_store_result_numbers(struct mo_store *store, int64_t id, uint32_t first, bool any,
                                 uint32_t *numbers, size_t limit);
@@ -96,13 +96,13 @@ struct mo_trajectory_sides {
   uint32_t frames, masses, springs;
 };
 /* Reads how many trajectories an evaluation has, and the largest dimensions among them.
- * MO_ERR_CORRUPT: they differ in their numbers of frames. */
+ * MO_ERR_CORRUPT: their numbers of frames differ. */
 int mo_store_trajectory_sides(struct mo_store *store, int64_t id,
                               struct mo_trajectory_sides *sides);
 
 /* Removes all trajectories of an evaluation, with an event. *bytes: the space that they used; 0 if
- * there were none. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the evaluation has not ended and continues
- * from them. */
+ * there were none. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the evaluation has not ended, and continues
+ * from its trajectories. */
 int mo_store_trajectories_remove(struct mo_store *store, int64_t id, uint64_t *bytes);
 
 #endif

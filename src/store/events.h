@@ -40,9 +40,8 @@ void mo_store_unsubscribe(struct mo_store *store, int handle);
  * pruned or belongs to another history of the store. 0: no such event. */
 int mo_store_event_before(struct mo_store *store, int64_t after, int64_t *sequence);
 /* Reads events with sequence > after, ascending, at most `limit`; job 0: of all jobs. Returns the
- * number written to `events` or an error.
- * *oldest, *newest (nullable): the range that is kept (0, 0: none yet), up to 18 digits. If after <
- * *oldest − 1, some events were pruned: `reset`. */
+ * number written to `events` or an error. *oldest, *newest (nullable): the range of kept events (0,
+ * 0: none yet), up to 18 digits. If after < *oldest − 1, some events were pruned: `reset`. */
 int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
                         size_t limit, int64_t *oldest, int64_t *newest);
 

@@ -187,7 +187,7 @@ static int put(void *context, const void *bytes, size_t size)
   return files->sync(writing->fd) == 0 ? MO_OK : mo_file_error();
 }
 
-/* An unsynced folder may lose the name, nothing else. */
+/* If the folder is not synced, the name may be lost, but nothing else. */
 static void sync_folder(const struct mo_store *store)
 {
   const int fd = store->files->open(store->excluded_path, O_RDONLY | O_CLOEXEC | O_DIRECTORY);

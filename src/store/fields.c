@@ -85,8 +85,8 @@ void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
 {
   struct mo_message message;
-  /* Settings that are not stored get their defaults: those newer than the row, the parameters of
-   * other kinds of selection, bisections with an exact time of impact. */
+  /* Settings that are not stored get their defaults: settings newer than the row, the parameters of
+   * other kinds of selection, and bisections with an exact time of impact. */
   if (kind == MO_JOB_TRAINING)
     ((struct mo_training_record *)record)->settings =
         mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);

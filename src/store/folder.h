@@ -10,15 +10,15 @@
  * another process holds the lock. */
 int mo_state_folder_lock(int fd, const char *path, int *file_fd, struct mo_message *message);
 
-/* Reads a file of `size` bytes (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: another size; MO_ERR_IO;
- * MO_ERR_NO_MEMORY: of memory or descriptors. */
+/* Reads a file of `size` bytes (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: the size differs;
+ * MO_ERR_IO; MO_ERR_NO_MEMORY: not enough memory or descriptors. */
 int mo_file_read(const char *path, size_t size, uint8_t **bytes);
-/* Like mo_file_read for a file that a row refers to. MO_ERR_CORRUPT also: it is missing, or has
- * another hash. */
+/* Like mo_file_read, for a file that a row refers to. Returns MO_ERR_CORRUPT also if the file is
+ * missing or its hash differs. */
 int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
                          uint8_t **bytes);
-/* Writes a file, atomically and durably, unless it has these bytes already. `path` is in `folder`.
- * MO_ERR_NO_SPACE: nothing was changed. */
+/* Writes a file, atomically and durably, unless it has these bytes already. `path` must be in
+ * `folder`. MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);
 /* Converts errno after a call that opened or changed a file to an error. */
@@ -29,7 +29,7 @@ int mo_file_error(void);
 bool mo_excluded_name_read(const char *name, struct mo_sha256 *controller, uint64_t *key);
 /* MO_ERR_NO_MEMORY: the folder cannot be opened now; MO_ERR_IO is fatal to the store. */
 int mo_folder_sync(struct mo_store *store, const char *path);
-/* Makes a folder if it is missing and makes its name durable in any case. */
+/* Creates a folder if it is missing, and makes its name durable in any case. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
 /* Counts files without rows in store->orphans, and removes those that this program left behind.
  * connection NULL: finds only unfinished files. Called before the writer starts. */

@@ -1,4 +1,4 @@
-/* hash.h: hashes of what scores depend on besides body and weights. */
+/* hash.h: hashes of the conditions of scores, apart from body and weights. */
 #ifndef MORPHO_STORE_HASH_H
 #define MORPHO_STORE_HASH_H
 
@@ -7,8 +7,8 @@
 
 #include "base/sha256.h"
 
-/* Hashes everything that a score depends on besides body, environment and weights: every physics
- * value, the precision, the sensor. Bisections count only when the impact mode uses them. */
+/* Hashes everything that a score depends on except body, environment and weights: every physics
+ * value, the precision, and the sensor. Bisections count only if the impact mode uses them. */
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
                      enum mo_sensor sensor, struct mo_sha256 *hash);
 

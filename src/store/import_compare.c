@@ -1,5 +1,5 @@
-/* import_compare.c: see import_compare.h. Rows have other numbers in the source of a bundle, so
- * each is looked up by its content. */
+/* import_compare.c: see import_compare.h. Rows have different numbers in the source of a bundle, so
+ * each row is looked up by its content. */
 #include "store/import_compare.h"
 
 #include <stdlib.h>

@@ -124,7 +124,7 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
                       &evaluation->n_designs);
   return error == MO_OK && (evaluation->n_designs != job.n_designs ||
                             evaluation->n_environments != job.n_environments)
-             ? MO_ERR_NOT_FOUND /* one of them was deleted meanwhile */
+             ? MO_ERR_NOT_FOUND /* one of them was deleted in the meantime */
              : error;
 }
 

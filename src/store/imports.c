@@ -112,7 +112,7 @@ static int controller_row(struct mo_connection *writer, const struct mo_sha256 *
   return mo_sql_find(writer, row, sql, mo_hash(sha256));
 }
 
-/* Finds the local group for a group of the source; 0: none yet. */
+/* Finds the local group for a group of the source. Returns 0 if there is none yet. */
 static int64_t *group_of(struct mo_import *import, int64_t source)
 {
   uint32_t i = 0;
@@ -157,7 +157,7 @@ static int insert_run(struct mo_import *import, const struct mo_imported_campaig
                                        : error;
 }
 
-/* Finds the set with the environments of the campaign; 0: none. */
+/* Finds the set with the environments of the campaign. Returns 0 if there is none. */
 static int find_set(struct mo_import *import, const struct mo_campaign_record *record,
                     int64_t group)
 {
@@ -212,7 +212,8 @@ static int insert_campaign(struct mo_import *import, const struct mo_imported_ca
                    mo_int(campaign->end));
 }
 
-/* Inserts the environments of the first campaign of a group; the others have the same. */
+/* Inserts the environments of the first campaign of a group; the other campaigns have the same
+ * environments. */
 static int insert_environments(struct mo_import *import,
                                const struct mo_imported_campaign *campaign, int64_t group)
 {
@@ -261,7 +262,7 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
   return error == MO_OK ? announce(import, &campaign->source) : error;
 }
 
-/* Shows the watchdog that the writer's long transaction makes progress. */
+/* Shows the watchdog that the writer is making progress in its long transaction. */
 static void beat(struct mo_import *import)
 {
   atomic_store(&import->store->heartbeat_us, mo_clock_us());

@@ -1,5 +1,5 @@
-/* imports.h: campaigns of other stores, imported in one transaction: all or nothing. The caller has
- * checked the data. Threads and errors as in store.h. */
+/* imports.h: campaigns of other stores, imported completely in one transaction, or not at all. The
+ * caller has checked the data. Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_IMPORTS_H
 #define MORPHO_STORE_IMPORTS_H
 
@@ -12,12 +12,13 @@ struct mo_store;
 struct mo_import_source {
   uint64_t store;          /* the id of its store */
   int64_t job;             /* its id there */
-  struct mo_sha256 digest; /* of a campaign's history; of an evaluation's source and times */
+  struct mo_sha256 digest; /* digest of a campaign's history, or of an evaluation's source and
+                            * times */
 };
 
 /* A campaign that has ended. */
 struct mo_imported_campaign {
-  struct mo_campaign_record record; /* group: as in the source */
+  struct mo_campaign_record record; /* group: its id in the source */
   enum mo_job_state state;          /* succeeded or cancelled */
   bool has_label;
   char label[MO_LABEL_BYTES_MAX + 1];
@@ -89,7 +90,7 @@ int mo_store_campaign_recordings(struct mo_store *store, int64_t id, int64_t **e
                                  uint32_t *n, uint64_t *rollouts);
 int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64_t id,
                                  struct mo_imported_evaluation *evaluation);
-/* Finds the campaign that ran here under the id of the source. It may be a different campaign,
+/* Finds the campaign that ran here under the id from the source. It may be a different campaign,
  * because ids are reused after a backup is restored. MO_ERR_NOT_FOUND. */
 int mo_store_import_own(struct mo_store *store, const struct mo_import_source *source, int64_t *id);
 /* Finds the campaign that was imported from a bundle with this digest. MO_ERR_NOT_FOUND. */
@@ -115,7 +116,7 @@ int mo_import_find(struct mo_import *import, const struct mo_import_source *sour
                    int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
                          const struct mo_sha256 *sha256, size_t size);
-/* Begins a campaign, to which the calls below belong. */
+/* Begins a campaign. The calls below belong to it. */
 int mo_import_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
                        int64_t *id);
 int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design);

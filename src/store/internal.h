@@ -37,7 +37,7 @@ struct mo_store {
   const char *vfs;
   const struct mo_file_operations *files;
   bool must_exist;
-  int folder_fd, lock_fd;             /* both locked */
+  int folder_fd, lock_fd;             /* both are locked */
   int64_t epoch, id, history, origin; /* origin: the row of this host in `origins` */
   uint64_t events_kept;
   int64_t idempotency_keep_us;
@@ -100,7 +100,8 @@ struct mo_store {
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
              void *arguments);
 /* Like mo_write, but may use the reserve: for requests that clients need on a full disk, and for
- * the writes of every start. Only for small writes that no job makes or repeats on its own. */
+ * the writes of every start. Use it only for small writes that no job makes or repeats
+ * automatically. */
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                     void *arguments);
 /* Like mo_write, but does not wait. `done` frees the arguments. */
@@ -132,17 +133,19 @@ void *mo_read_whole(struct mo_store *store, size_t size,
                     int (*load)(struct mo_connection *reader, const void *key, void *ret),
                     const void *key, void (*release)(void *ret), int *error);
 
-/* ---- what the store does on its own ---- */
+/* ---- automatic work of the store ---- */
 
-/* Restores the reserve; if the disk has no space for it, the store is short of space.
- * mo_reserve_free frees the reserve; true: the store is short of space, and there may be some space
- * now. Called only by the writer's thread, and while opening, before that thread starts. */
+/* mo_reserve_make restores the reserve; if the disk has no space for it, the store is short of
+ * space. mo_reserve_free frees the reserve, and returns true if the store is short of space and
+ * some space may be free now. Called only by the writer's thread, and while opening, before that
+ * thread starts. */
 void mo_reserve_make(struct mo_store *store);
 bool mo_reserve_free(struct mo_store *store);
 /* Queues deletions that are due, including those that the last process left unfinished. Call it
  * after the writer has started. */
 void mo_upkeep_begin(struct mo_store *store);
-/* Does the same once a minute, for recordings only by age: the writer calls it between batches. */
+/* Does the same once a minute, but for recordings only by age. The writer calls it between
+ * batches. */
 void mo_upkeep(struct mo_store *store);
 /* Creates the paper's test set if it is missing. Call it after the writer has started. */
 int mo_make_paper_test(struct mo_store *store);

@@ -1,4 +1,5 @@
-/* jobs.c: see jobs.h. A job's row has the columns of every kind; those of other kinds are NULL. */
+/* jobs.c: see jobs.h. A job's row has the columns of every kind; columns of other kinds are
+ * NULL. */
 #include "store/jobs.h"
 
 #include <stdio.h>
@@ -262,7 +263,7 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
         PAGES(select, where " AND j.submitted_by=?8 AND j.label=?7")                               \
   }
 
-/* Queries in which an index finds few jobs, and the other conditions are checked row by row. */
+/* Queries that find few jobs by an index; the other conditions are checked row by row. */
 #define NARROWED(select, where)                                                                    \
   PAGES(select,                                                                                    \
         where " AND (?4<0 OR +j.kind=?4) AND (?7 IS NULL OR (+j.label>=?7 AND +j.label<=?10))"     \

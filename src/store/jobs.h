@@ -70,7 +70,7 @@
 enum mo_job_column { MO_COLUMN_ZERO = 0, MO_JOB_COLUMNS(MO_COLUMN) };
 #undef MO_COLUMN
 
-/* Steps to the row of a job; kind −1: of any kind. MO_ERR_NOT_FOUND. */
+/* Steps to the row of a job. kind −1: any kind. MO_ERR_NOT_FOUND. */
 int mo_job_row(struct mo_connection *connection, int64_t id, int kind, sqlite3_stmt **row);
 /* Reads a job and, into `record` (nullable), the struct mo_training_record or mo_campaign_record of
  * its kind. MO_ERR_CORRUPT: the row cannot be decoded. */

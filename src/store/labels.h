@@ -9,7 +9,7 @@ struct mo_store;
 
 /* Changes of a job. NULL removes a text. */
 struct mo_job_edit {
-  bool has_label, has_experiment, has_note, has_archived; /* whether each changes */
+  bool has_label, has_experiment, has_note, has_archived; /* whether each of these changes */
   bool archived;
   const char *label, *experiment, *note;
 };
@@ -28,8 +28,8 @@ struct mo_usage_row {
 int64_t mo_store_usage(struct mo_store *store, enum mo_usage_by by, struct mo_usage_row *rows,
                        size_t limit);
 
-/* Sets a callback that returns the total seconds that a running job has used; false: the job is not
- * running. The writer calls it with each event of a job. used NULL removes it. */
+/* Sets a callback that reports the total seconds that a running job has used, and returns false if
+ * the job is not running. The writer calls it with each event of a job. used NULL removes it. */
 void mo_store_meter(struct mo_store *store,
                     bool (*used)(void *context, int64_t job, double *worker_s, double *device_s),
                     void *context);

@@ -19,8 +19,8 @@
 #include "store/folder.h"
 #include "store/rows.h"
 
-/* The version of schema.sql, and the newest. Those up to LAST_OF_0_1 were of morphod 0.1, and those
- * between of programs that were not released. */
+/* The version of schema.sql, and the newest version. Versions up to LAST_OF_0_1 belong to morphod
+ * 0.1, and the versions in between to unreleased programs. */
 #define LAST_OF_0_1   8
 #define FIRST_SCHEMA  14
 #define NEWEST_SCHEMA (FIRST_SCHEMA + schema_count - 1)

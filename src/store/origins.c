@@ -1,5 +1,5 @@
-/* origins.c: see origins.h. An index by origin would cost space in every score, so there is none: a
- * page visits a bounded number of rows in the order of their key. */
+/* origins.c: see origins.h. An index by origin would cost space in every score, so there is no such
+ * index: a page visits a bounded number of rows in the order of their key. */
 #include "store/origins.h"
 
 #include "base/clock.h"
@@ -75,7 +75,7 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
 /* ---- replacing ---- */
 
 /* Recomputes the means that a genotype's losses under a condition are part of. A mean may include
- * losses of two classes, those of devices and of the workers that assist them. */
+ * losses of two classes: the class of devices, and the class of the workers that assist them. */
 static int replace_means(struct mo_connection *writer, int64_t genotype,
                          const struct mo_condition *condition)
 {

@@ -16,7 +16,7 @@ struct mo_loss_row {
 /* Returns whether n losses have the same bits. */
 bool mo_loss_rows_equal(const struct mo_loss_row *a, const struct mo_loss_row *b, uint32_t n);
 
-/* A row of `scores`, and everything needed to compute it again. */
+/* A row of `scores`, and everything needed to recompute it. */
 struct mo_origin_row {
   int64_t genotype_row, condition;
   struct mo_genotype form, genotype; /* canonical; as scored */
@@ -29,7 +29,7 @@ struct mo_origin_row {
   struct mo_environment environments[MO_BLOCK_LANES];
   struct mo_sha256 environment_sha256[MO_BLOCK_LANES];
   struct mo_loss_row stored;
-  struct mo_loss_row again; /* set by the caller: its own result */
+  struct mo_loss_row again; /* set by the caller: the recomputed losses */
   bool differs;             /* set by the caller: whether the two differ */
 };
 
@@ -39,15 +39,15 @@ struct mo_origin_place {
 };
 /* Reads the rows of an origin after *place, in order, and advances *place. Looks at a limited
  * number of rows of other origins, so it may return fewer than `limit` rows, or none, although more
- * follow: *is_last reports that none do. Returns their number or an error. MO_ERR_NOT_FOUND: no
+ * follow. *is_last: no more rows follow. Returns their number or an error. MO_ERR_NOT_FOUND: no
  * such origin. */
 int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
                              struct mo_origin_place *place, struct mo_origin_row *rows,
                              size_t limit, bool *is_last);
 
-/* Replaces the losses of rows by those computed again, with this host as their origin, and updates
- * the means of sets that they are part of: all of them, or none on error. A row that has changed
- * since it was read stays as it is. */
+/* Replaces the losses of rows by recomputed losses, with this host as their origin, and updates the
+ * means of sets that they are part of: all of them, or none on an error. A row that has changed
+ * since it was read stays unchanged. */
 int mo_store_origin_replace(struct mo_store *store, const struct mo_origin_row *rows, size_t n);
 
 #endif

@@ -53,7 +53,7 @@ static int judge(struct mo_connection *connection, const char *name, int64_t *wh
   *whose = is_of_form(file, ".tmp-%lld", 1, numbers) ? LEFT_OVER : UNKNOWN;
   if (*whose == UNKNOWN && strncmp(name, "excluded/", 9) == 0 &&
       mo_excluded_name_read(file, &sha256, &key)) {
-    *whose = NAMED; /* it can be made again, so it does not indicate a missing database */
+    *whose = NAMED; /* it can be recreated, so it does not indicate a missing database */
     return connection == NULL ? MO_OK
                               : mo_sql_find(connection, whose, excluded_sql, mo_hash(&sha256));
   }

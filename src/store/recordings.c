@@ -1,7 +1,7 @@
-/* recordings.c: stores recordings of evaluations, and removes them: on request; while all
- * recordings exceed max_recordings, those of the oldest evaluation; and, with keep_recordings,
- * those of evaluations that ended longer ago and have no note and are not archived. Recordings of
- * unfinished evaluations stay, because a restart continues from them.
+/* recordings.c: stores recordings of evaluations, and removes them in three cases: on request;
+ * starting with the oldest evaluation, as long as all recordings exceed max_recordings; and, with
+ * keep_recordings, if the evaluation ended longer ago, has no note and is not archived. Recordings
+ * of unfinished evaluations stay, because a restart continues from them.
  *
  * The row of each evaluation has the bytes of its recordings, and `meta` has the sum. Every change
  * of recordings updates both in the same transaction. */
@@ -49,8 +49,8 @@ static double path_of(const struct mo_saved_trajectory *trajectory)
   return com_m != NULL ? path_m : NAN;
 }
 
-/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is already stored stays as it
- * is; if its job was deleted meanwhile, the new one is dropped. */
+/* Stores a trajectory and adds its bytes to *bytes. A trajectory that is already stored stays
+ * unchanged. If its job was deleted in the meantime, the new trajectory is dropped. */
 static int insert(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory,
                   uint64_t *bytes)
 {
@@ -110,8 +110,8 @@ bool mo_recordings_are_many(const struct mo_store *store)
 /* Removes the recordings of one evaluation. */
 struct removal {
   struct mo_store *store;
-  int64_t job;   /* 0: the oldest that has ended, if recordings exceed the budget or it is too
-                    old */
+  int64_t job;   /* 0: the oldest one that has ended, if recordings exceed the budget or it is too
+                  * old */
   int64_t bytes; /* result */
 };
 

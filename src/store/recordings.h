@@ -10,8 +10,8 @@ int mo_trajectories_insert(struct mo_connection *writer,
 /* Deletes the recordings of a job; only inside an operation. *bytes: the space that they used. */
 int mo_recordings_drop(struct mo_connection *writer, int64_t job, int64_t *bytes);
 
-/* Returns whether the recordings take more than max_recordings: unfinished evaluations keep
- * theirs. */
+/* Returns whether the recordings take more than max_recordings, which is possible because
+ * unfinished evaluations keep theirs. */
 bool mo_recordings_are_many(const struct mo_store *store);
 /* Queues the removal of the oldest recordings of evaluations that have ended, one evaluation after
  * another, while all recordings take more than max_recordings or the oldest are older than

@@ -58,14 +58,14 @@ static inline bool mo_job_state_is_final(enum mo_job_state state)
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* Identifies a request that a client may send again, for idempotency_keep_s: the client's key and a
+/* Identifies a request that a client may repeat during idempotency_keep_s: the client's key and a
  * hash of the request. */
 struct mo_request_key {
   const char *text; /* ≤ MO_IDEMPOTENCY_BYTES_MAX; NULL: none */
   struct mo_sha256 sha256;
 };
 
-/* The part of a submission that is the same for every kind of job. */
+/* The part of a submission that all kinds of jobs share. */
 struct mo_submission {
   int priority;                   /* enum mo_urgency */
   int back_end;                   /* enum mo_back_end */
@@ -83,9 +83,9 @@ struct mo_warning {
 };
 #define MO_WARNINGS_MAX 3
 
-/* A job. An evaluation lacks only its results; a training or a campaign has the members that lists
- * show (for the rest, see store/trainings.h and store/campaigns.h). Owns nothing, so it may be
- * copied. */
+/* A job. It has everything about an evaluation except its results. For a training or a campaign, it
+ * has the members that lists show (for the rest, see store/trainings.h and store/campaigns.h). It
+ * owns nothing, so it may be copied. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
   int64_t version; /* grows with every change of the row: the ETag */
@@ -128,14 +128,15 @@ struct mo_job {
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged, rollouts_cut;
   /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
-  /* Trainings and campaigns have them only if read as such. */
+  /* Trainings and campaigns have them only if they were read with them. */
   struct mo_warning warnings[MO_WARNINGS_MAX];
   uint32_t n_warnings;
 };
 
 struct mo_controller_record {
   char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
-  int64_t version;                  /* of the name: grows when the name gets other content */
+  int64_t version;                  /* version of the name: grows when the name gets other
+                                     * content */
   struct mo_sha256 sha256;          /* of the file's bytes */
   uint64_t size;                    /* bytes */
   enum mo_sensor sensor;

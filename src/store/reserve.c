@@ -2,7 +2,7 @@
  * the disk is full, and a start succeeds.
  *
  * The reserve is a file of 4 MiB; a change of a job's state takes about 20 KiB of the log. An
- * urgent operation that fails for lack of space empties the file and runs again. From then on the
+ * urgent operation that fails for lack of space empties the file and is rerun. From then on, the
  * store is short of space, even after a restart: only urgent operations may change anything, no
  * file is written, and the log is not copied into the database. Otherwise the jobs, which retry
  * their writes every second, would use up the space. This state ends when the file is restored. */

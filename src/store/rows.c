@@ -1,4 +1,4 @@
-/* rows.c: see rows.h. REAL keeps the bits of every number but NaN, which is NULL. */
+/* rows.c: see rows.h. REAL keeps the bits of every number except NaN, which is stored as NULL. */
 #include "store/rows.h"
 
 #include "base/text.h"

@@ -16,7 +16,7 @@ enum mo_row_table {
 /* Creates the tables with the columns of store/columns.h. */
 int mo_rows_create(struct mo_connection *writer);
 
-/* Writes a row of a job; a row written again replaces the old one. */
+/* Writes a row of a job. A rewritten row replaces the old one. */
 int mo_row_write(struct mo_connection *writer, enum mo_row_table which, int64_t id,
                  const void *row);
 /* Reads the newest row of a job, if there is one; not for MO_CAMPAIGN_STEPS. */

@@ -112,8 +112,8 @@ struct requeue_arguments {
   const char *text;
 };
 
-/* Queues running jobs again, and counts the crash. A job that crashes the process in its first
- * block is still queued in the database, because its start was not written. */
+/* Requeues running jobs, and counts the crash. A job that crashes the process in its first block is
+ * still queued in the database, because its start was not written. */
 static int requeue(struct mo_store *store, void *arguments)
 {
   static const char crash_sql[] =
@@ -150,7 +150,7 @@ int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint
       "SELECT count(*),count(idle),coalesce(max(idle),0) FROM (SELECT iif("
       "EXISTS(SELECT 1 FROM checkpoints WHERE job=j.id AND stored_us>?1) OR "
       "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1) OR "
-      /* Losses have no time of their own; this event is committed with some. */
+      /* Losses have no time of their own; this event is committed with some of them. */
       "EXISTS(SELECT 1 FROM events WHERE job=j.id AND time_us>?1 AND type='campaign.progress'"
       " AND data LIKE '%\"phase\":\"scoring\"%'),NULL,j.id) idle"
       " FROM jobs j WHERE j.state=1 AND j.kind<>0)";

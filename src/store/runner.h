@@ -34,7 +34,7 @@ int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const str
 
 /* ---- state changes that clients request; each with its event ---- */
 
-/* Retry queues a failed training or campaign again and resets its attempts; it is a no-op for one
+/* Retry requeues a failed training or campaign and resets its attempts. It is a no-op for a job
  * that is not final. */
 enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME, MO_CHANGE_RETRY };
 /* Changes a job's state. *before: the previous state. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
@@ -53,13 +53,14 @@ int mo_store_set_weight(struct mo_store *store, int64_t id, double weight);
  * mo_store_requeue. */
 int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint32_t *n_idle,
                      uint32_t *n);
-/* Queues all running jobs again. `crashed` (0: none), the job that the crash marker named, is
- * charged one attempt, even if its start was not written before the crash; at max_attempts it fails
- * with `text`. */
+/* Requeues all running jobs. `crashed` (0: none), the job in the crash marker, is charged one
+ * attempt, even if its start was not written before the crash. At max_attempts, it fails with
+ * `text`. */
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
                      const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
-/* The class of the devices that the service last had, its own or those of workers; "": none. */
+/* The class of the devices that the service had last, either its own devices or devices of workers;
+ * "": none. */
 struct mo_device_memory {
   char scores[MO_FINGERPRINT_BYTES], gradients[MO_FINGERPRINT_BYTES];
   uint64_t open_jobs; /* open jobs on devices */
@@ -67,7 +68,7 @@ struct mo_device_memory {
 int mo_store_device_memory(struct mo_store *store, struct mo_device_memory *memory);
 /* MO_ERR_LIMIT: too long. */
 int mo_store_keep_device_class(struct mo_store *store, const char *scores, const char *gradients);
-/* Finds or inserts a row of `origins`: who computed a score. */
+/* Finds or inserts a row of `origins`, which says who computed a score. */
 int mo_store_origin(struct mo_store *store, const char *text, int64_t *id);
 /* Counts the unfinished jobs of every kind, and the rollouts of evaluations among them. */
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts);
@@ -110,8 +111,8 @@ struct mo_score {
   int32_t diverged_step;
   bool known;
 };
-/* Reads the stored scores of one genotype into scores (n ≤ MO_ENVIRONMENTS_MAX): those of the class
- * `fingerprint` or, where there are none, of the class `workers` (0: none). */
+/* Reads the stored scores of one genotype into scores (n ≤ MO_ENVIRONMENTS_MAX): scores of the
+ * class `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
                     const int64_t *environment_rows, uint32_t n, struct mo_score *scores);
 

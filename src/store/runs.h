@@ -1,5 +1,5 @@
-/* runs.h: submission and state changes of all jobs, and trainings and campaigns as jobs with a
- * thread of their own: queue, fence, end of an attempt, result. Only for this room.
+/* runs.h: submission and state changes of all jobs; queue, fence, end of an attempt and result of
+ * trainings and campaigns, which are jobs with their own thread. Only for this room.
  *
  * Writes are fenced by the epoch: the job must have been started under this opening of the store
  * and must not be final. A job that was paused, or paused and resumed at once, still accepts
@@ -34,7 +34,7 @@ int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
 /* Applies the step of an update to the job's state, and sets update->state. MO_ERR_CONFLICT: the
- * job is not in a state from which the step can start, or was not started under this opening. */
+ * step cannot start in the job's state, or the job was not started under this opening. */
 int mo_job_step(struct mo_store *store, struct mo_job_update *update, enum mo_job_kind *kind);
 /* Inserts the row of its kind for a job from mo_job_insert. record: struct mo_training_record or
  * mo_campaign_record. controller: its row, 0: none; reference: its name or "sha256:…", nullable. */
@@ -56,7 +56,7 @@ int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new);
 int mo_training_code_load(struct mo_connection *connection, int64_t id,
                           struct mo_training_lineage *lineage);
 
-/* ---- an operation of its own ---- */
+/* ---- complete operations ---- */
 
 /* A controller's file, to be stored under a name. */
 struct mo_run_result {

@@ -1,9 +1,9 @@
 /* save.c: writes the scheduler's results in one transaction: losses, trajectories, steps of jobs.
  *
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store
- * (its epoch). So a job that a client has cancelled or paused meanwhile keeps that state. Scores
- * are stored in any case, because they are valid. So are the counts of an unfinished job; otherwise
- * blocks that finish after a pause would be attributed to other jobs. */
+ * (its epoch). So a job that a client has cancelled or paused in the meantime keeps that state.
+ * Scores are stored in any case, because they are valid. So are the counts of an unfinished job;
+ * otherwise blocks that finish after a pause would be attributed to other jobs. */
 #include "store/recordings.h"
 #include "store/runs.h"
 #include "store/scores.h"
@@ -23,7 +23,7 @@ static int apply_counts(struct mo_connection *writer, const struct mo_job_update
                          mo_int((int64_t)update->cut));
 }
 
-/* For designs that were cut short, stores which losses count. */
+/* For designs that were cut short, stores the losses that count. */
 static int set_counted(struct mo_connection *writer, const struct mo_job_update *update)
 {
   static const char sql[] = "UPDATE job_designs SET counted=?3 WHERE job=?1 AND position=?2";
@@ -83,7 +83,7 @@ static int set_class(struct mo_store *store, const struct mo_job_update *update)
 }
 
 /* If the job has left the state that the step requires, stores only the counts and, for a start,
- * the class, to which the results of its blocks in flight belong. */
+ * the class that the results of its blocks in flight belong to. */
 static int apply_update(struct mo_store *store, struct mo_job_update *update)
 {
   static const char late_sql[] =

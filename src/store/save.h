@@ -12,7 +12,7 @@ struct mo_condition {
   uint32_t n;
   int64_t environments[MO_BLOCK_LANES];
 };
-/* The losses of one genotype, as one block computed them. */
+/* The losses of one genotype, as computed by one block. */
 struct mo_saved_block {
   int64_t genotype;
   struct mo_condition condition;
@@ -59,9 +59,8 @@ struct mo_job_update {
   uint32_t max_attempts;
   bool quiet;              /* no event */
   void *owner;             /* for the caller */
-  bool applied;            /* result; false: the job was not in a state from which the step can
-                              start */
-  enum mo_job_state state; /* result, if applied: the state now */
+  bool applied;            /* result; false: the step could not start in the job's state */
+  enum mo_job_state state; /* result, if applied: the new state */
 };
 struct mo_save {
   struct mo_saved_block *blocks;

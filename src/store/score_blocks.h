@@ -1,6 +1,5 @@
-/* score_blocks.h: scores identified by content, in blocks of bounded size, for transfer from one
- * store to another, in which rows of the database have other numbers. Threads and errors as in
- * store.h. */
+/* score_blocks.h: scores identified by content, in blocks of bounded size, for transfer between
+ * stores, where database rows have different numbers. Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_SCORE_BLOCKS_H
 #define MORPHO_STORE_SCORE_BLOCKS_H
 
@@ -71,7 +70,7 @@ struct mo_scores_imported {
 };
 /* Imports a checked block in one transaction. Adds to *entered. MO_ERR_INVALID: a controller is
  * missing here, or does not fit these scores, or a score lists an environment twice; the message
- * says which. */
+ * has the details. */
 int mo_store_scores_import(struct mo_store *store, const struct mo_score_block *block,
                            struct mo_scores_imported *entered, struct mo_message *message);
 

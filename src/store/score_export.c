@@ -1,6 +1,6 @@
 /* score_export.c: reads scores as blocks (score_blocks.h). Blocks follow the order of the rows'
- * key; a walk holds a reader only for a bounded number of rows, so that the log can be copied
- * meanwhile. */
+ * key; a walk holds a reader only for a bounded number of rows, so that the log can be copied in
+ * between. */
 #include "store/score_blocks.h"
 
 #include <stdlib.h>
@@ -117,7 +117,7 @@ static int environment_place(struct mo_score_walk *walk, struct mo_connection *r
   return MO_OK;
 }
 
-/* Rows of one design follow each other. */
+/* Rows of one design are adjacent. */
 static int design_place(struct mo_score_walk *walk, struct mo_connection *reader,
                         struct mo_score_block *block, int64_t genotype, uint32_t *place)
 {

@@ -111,7 +111,8 @@ static int check_environments(const struct entry *entry, uint32_t i)
   return MO_OK;
 }
 
-/* Finds the rows of origin, class and condition, unless they are those of the previous score. */
+/* Finds the rows of origin, class and condition, unless they are the same as for the previous
+ * score. */
 static int find_condition(struct mo_store *store, struct entry *entry, uint32_t i)
 {
   const struct mo_score_block *block = entry->block;

@@ -2,9 +2,9 @@
  *
  * A row of `scores` holds the losses of one genotype in a block of up to 16 environments, as one
  * call computed them, under one condition: weights, physics, class and those environments. Losses
- * are looked up by environment, whichever block they are in. Readers check each row against its
- * checksum, which covers the row and its condition. Rows are only changed by a repair (origins.c):
- * if two rows hold the same environment, the one computed first counts. */
+ * are looked up by environment, no matter which block they are in. Readers check each row against
+ * its checksum, which covers the row and its condition. Only a repair changes rows (origins.c). If
+ * two rows have the same environment, the row that was computed first counts. */
 #include "store/scores.h"
 
 #include <math.h>

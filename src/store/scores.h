@@ -34,7 +34,7 @@ static inline struct mo_saved_design mo_design_under(const struct mo_condition *
 }
 /* Finds or inserts a condition, and sets its id. */
 int mo_condition_row(struct mo_connection *writer, struct mo_condition *condition);
-/* Does the same. *last: the condition of the previous call ({0}: none), usually the same one. */
+/* Same. *last: the condition of the previous call ({0}: none), which is usually the same one. */
 int mo_condition_row_after(struct mo_connection *writer, struct mo_condition *condition,
                            struct mo_condition *last);
 /* Inserts the losses of a genotype under a condition with an id, unless they are stored. origin: 0:
@@ -46,16 +46,17 @@ int mo_losses_insert(struct mo_store *store, const struct mo_condition *conditio
 int mo_losses_replace(struct mo_store *store, const struct mo_condition *condition,
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
                       int64_t computed_us);
-/* Decodes a row of MO_SCORE_COLUMNS, from column `first` on; losses and steps (MO_BLOCK_LANES). */
+/* Decodes a row of MO_SCORE_COLUMNS, starting at column `first`; losses and steps
+ * (MO_BLOCK_LANES). */
 #define MO_SCORE_COLUMNS                                                                           \
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.origin,x.computed_us,x.losses"
 int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                       double *losses, uint32_t *diverged_steps);
-/* Reads the losses of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments: those of the class
+/* Reads the losses of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments: losses of the class
  * `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
-/* Compares a row with the stored losses of its rollouts, whichever blocks they are in.
+/* Compares a row with the stored losses of its rollouts, no matter which blocks they are in.
  * MO_ERR_CONFLICT: a stored loss has other bits. */
 int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
@@ -77,10 +78,10 @@ static inline bool mo_same_bits(double a, double b)
 
 /* Inserts a genotype's mean, if the set is complete and the mean is not stored yet. */
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design);
-/* Computes a stored mean again, unless losses are missing. */
+/* Recomputes a stored mean, unless losses are missing. */
 int mo_set_score_replace(struct mo_connection *writer, const struct mo_saved_design *design,
                          int64_t ranking);
-/* Like mo_set_score_insert for a caller that knows the mean. */
+/* Like mo_set_score_insert, for a caller that has the mean. */
 int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design,
                              double mean);
 /* Reads a row's mean in column `first` and checks it against the checksum in the next column. */

@@ -33,7 +33,7 @@ int mo_sql_error(sqlite3 *db, int code)
     if (code == SQLITE_IOERR_NOMEM)
       return MO_ERR_NO_MEMORY;
     if (code == SQLITE_IOERR_SHMSIZE) /* the log's index, which need not be durable, could not grow;
-                                         errno has changed since */
+                                       * errno has changed since */
       return MO_ERR_NO_SPACE;
     if (code == SQLITE_IOERR_SHMMAP)
       return mo_mapping_error();

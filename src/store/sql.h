@@ -21,7 +21,7 @@ struct mo_connection {
   unsigned n_cached;
   bool busy;
   struct mo_store *store; /* of a reader */
-  int error;              /* of the start of its transaction: all statements return it */
+  int error;              /* error of the start of its transaction; all statements return it */
 };
 
 /* Call mo_mapping_init before the first connection. mo_mapping_error translates the error of this
@@ -87,7 +87,7 @@ int mo_sql_find_with(struct mo_connection *connection, int64_t *value, const cha
 sqlite3_stmt *mo_sql_rows_with(struct mo_connection *connection, int *error, const char *sql,
                                struct mo_values values);
 bool mo_sql_next(struct mo_connection *connection, sqlite3_stmt *row, int *error);
-/* Ends all reading of rows. */
+/* Ends all row reading. */
 void mo_sql_reset(struct mo_connection *connection);
 int mo_sql_exec(struct mo_connection *connection, const char *sql);
 /* Translates SQLite's result code into an MO_ERR_ code. */

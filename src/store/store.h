@@ -1,7 +1,7 @@
-/* store.h: the durable state: one SQLite database and the files beside it, in one folder.
+/* store.h: the durable state: one SQLite database and the files next to it, in one folder.
  *
  *   <path>/morphod.db (+ -wal, -shm)             all tables (schema/schema.sql)
- *   <path>/controllers/<sha256>.safetensors      weights, named by content
+ *   <path>/controllers/<sha256>.safetensors      weights, identified by content
  *   <path>/trainings/<job>/<step>.checkpoint     states of trainings (store/trainings.h)
  *   <path>/campaigns/<job>/<generation>-<step>.checkpoint
  *                                                learning states of campaigns (store/campaigns.h)
@@ -17,8 +17,8 @@
  * may be called from any thread.
  *
  * Any function may return MO_ERR_NO_MEMORY, MO_ERR_CORRUPT (the database contradicts itself) or
- * MO_ERR_IO. Functions that write may also return MO_ERR_NO_SPACE (nothing was changed; try again
- * when there is space) or MO_ERR_CANCELLED (the store is closing). A failed fsync, or a write error
+ * MO_ERR_IO. Functions that write may also return MO_ERR_NO_SPACE (nothing was changed; retry when
+ * there is space) or MO_ERR_CANCELLED (the store is closing). A failed fsync, or a write error
  * other than a full disk, is fatal: the store calls `fatal` once, every later write returns
  * MO_ERR_IO, and the process must exit. The next start recovers the database. */
 #ifndef MORPHO_STORE_STORE_H
@@ -33,8 +33,8 @@
 
 struct mo_store_config {
   const char *path; /* the state folder; must exist and be writable */
-  const char *
-      vfs; /* NULL: SQLite's default; must outlive the store; tests name one that fails on demand */
+  const char
+      *vfs; /* NULL: SQLite's default; must outlive the store; tests set one that fails on demand */
   const struct mo_file_operations *files; /* NULL: the system's; must outlive the store; tests pass
                                              a table that fails on demand */
   uint32_t n_readers;                     /* read connections; 0: 4 */
@@ -44,7 +44,8 @@ struct mo_store_config {
                                     2000 */
   uint64_t max_recordings_bytes; /* above it, recordings of evaluations that have ended are removed,
                                     oldest first; 0: no limit */
-  uint64_t max_excluded_bytes;   /* of all files of excluded bodies (excluded.h); 0: keep none */
+  uint64_t max_excluded_bytes;   /* limit for all files of excluded bodies (excluded.h); 0: none are
+                                  * kept */
   int64_t keep_jobs_s[MO_JOB_KINDS]; /* after their end; 0: no limit */
   int64_t keep_recordings_s;         /* after the end of their evaluation; 0: no limit */
   bool must_exist;                   /* MO_ERR_NOT_FOUND if no database exists yet */
@@ -72,14 +73,15 @@ void mo_store_close(struct mo_store *store);
  * first store is opened. */
 void mo_store_limit_memory(uint64_t bytes);
 
-/* Files below controllers/, trainings/ and campaigns/ that no row refers to. Opening keeps them. */
+/* Files below controllers/, trainings/ and campaigns/ that no row refers to. Opening does not
+ * remove them. */
 struct mo_orphans {
   uint64_t n, bytes;
   char first[320]; /* names of up to three */
 };
 const struct mo_orphans *mo_store_orphans(const struct mo_store *store);
 /* Calls `report` for each orphan, and for each file of a controller that nothing refers to. With
- * report NULL, removes all of them. No other call may use the store meanwhile. */
+ * report NULL, removes all of them. No other call may use the store at the same time. */
 int mo_store_clean(struct mo_store *store,
                    void (*report)(void *context, const char *name, uint64_t bytes), void *context);
 /* Confirms that the wall clock is right, even if the service was off for a long time. */
@@ -120,7 +122,7 @@ struct mo_job_query {
   bool label_is_prefix;     /* also labels that only begin with it */
   const char *experiment;   /* only jobs of this experiment; nullable */
   int archived;             /* 0: only unarchived jobs; 1: only archived jobs; −1: both */
-  const char *submitted_by; /* only jobs submitted with a token of this name; nullable */
+  const char *submitted_by; /* only jobs submitted with the token of this name; nullable */
   /* (n_waiting ≤ MO_WAITING_MAX) running jobs that are listed, and found, as paused; nullable. */
   const int64_t *waiting;
   size_t n_waiting;
@@ -142,7 +144,7 @@ int64_t mo_store_queued_runs(struct mo_store *store, enum mo_job_kind kind, int6
 int mo_store_run_start(struct mo_store *store, int64_t id);
 /* Ends an attempt. error MO_OK (a stop): running → queued, and the attempts do not change.
  * MO_ERR_DEVICE: running → paused. Otherwise the attempts grow by one: → queued, or at max_attempts
- * → failed. A job that is not running stays as it is. *after (nullable): the resulting state. */
+ * → failed. A job that is not running stays unchanged. *after (nullable): the resulting state. */
 int mo_store_run_park(struct mo_store *store, int64_t id, int error, const char *error_text,
                       uint32_t max_attempts, enum mo_job_state *after);
 

@@ -57,7 +57,7 @@ static size_t row_bytes(uint32_t n_measures)
   return sizeof(struct told_row) + n_measures * sizeof(double);
 }
 
-/* Indices of a batch's words among the study's own; n_measures: of the study. */
+/* Indices of a batch's words among the study's words; n_measures: of the study. */
 struct places {
   uint32_t operators[MO_STUDY_OPERATORS_MAX], measures[MO_STUDY_MEASURES_MAX], n_measures;
 };
@@ -241,7 +241,7 @@ static int by_number(const void *a, const void *b)
   return x < y ? -1 : x > y;
 }
 
-/* Checks that the survivors are in the population, each once. */
+/* Checks that the survivors are in the population, without duplicates. */
 static int check_survivors(struct mo_connection *writer, struct tell_arguments *call)
 {
   const struct mo_study_batch *batch = &call->telling->batch;

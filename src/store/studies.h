@@ -41,15 +41,16 @@ struct mo_study_telling {
   uint32_t n_notes;
   struct mo_sha256 sha256; /* of the request */
 };
-/* What is wrong with a batch. */
+/* Faults of a batch. */
 enum mo_telling_fault {
   MO_TELLING_NUMBER,   /* MO_ERR_CONFLICT: a different batch is next */
   MO_TELLING_OTHER,    /* MO_ERR_CONFLICT: this number was told with another request */
   MO_TELLING_ENDED,    /* MO_ERR_CONFLICT: the study has ended */
   MO_TELLING_PARENT,   /* MO_ERR_RANGE: child `place` has a parent that is not born yet */
-  MO_TELLING_SURVIVOR, /* MO_ERR_INVALID: survivor `place` is not in the population, or twice */
-  MO_TELLING_MANY,     /* MO_ERR_RANGE: more survivors and children than the population holds */
-  MO_TELLING_WORDS,    /* MO_ERR_LIMIT: too many own words */
+  MO_TELLING_SURVIVOR, /* MO_ERR_INVALID: survivor `place` is not in the population, or is a
+                        * duplicate */
+  MO_TELLING_MANY,     /* MO_ERR_RANGE: more survivors and children than fit into the population */
+  MO_TELLING_WORDS,    /* MO_ERR_LIMIT: too many words */
   MO_TELLING_DESIGNS   /* MO_ERR_LIMIT: too many batches, or too many designs in all batches */
 };
 struct mo_telling_reply {
@@ -57,17 +58,17 @@ struct mo_telling_reply {
   uint32_t place, next; /* next: the number of the next batch */
   bool is_new;          /* false: the same batch was told before */
 };
-/* Stores a batch, with the checkpoint of the sampler, in one transaction. The same batch told again
- * changes nothing. MO_ERR_NOT_FOUND: no such study; for other errors see reply->fault. */
+/* Stores a batch, with the checkpoint of the sampler, in one transaction. Telling the same batch
+ * again changes nothing. MO_ERR_NOT_FOUND: no such study; for other errors see reply->fault. */
 int mo_store_study_tell(struct mo_store *store, int64_t id, const struct mo_study_telling *telling,
                         struct mo_telling_reply *reply);
 
 /* Reads the newest batch told, pending or not. MO_ERR_NOT_FOUND: no batch was told yet. */
 int mo_store_study_batch(struct mo_store *store, int64_t id, struct mo_study_batch **batch);
-/* Reads a study's own words; other campaigns have none. */
+/* Reads the words that a study defines; other campaigns have none. */
 int mo_store_study_words(struct mo_store *store, int64_t id, struct mo_study_words *words);
 
-/* queued, paused → succeeded, if no batch is pending. A study that has succeeded stays as it is
+/* queued, paused → succeeded, if no batch is pending. A study that has succeeded stays unchanged
  * (*before). MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
 int mo_store_study_finish(struct mo_store *store, int64_t id, enum mo_job_state *before);
 

@@ -93,7 +93,7 @@ static int write_checkpoint(struct mo_store *store, void *arguments)
       "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
       " ?2>(SELECT coalesce(max(step),0) FROM checkpoints WHERE job=?1)";
   /* Later steps, which this step invalidates (they were damaged, or another run wrote them), and
-   * those beyond the number to keep. */
+   * steps beyond the number to keep. */
   static const char replaced_sql[] =
       "SELECT generation,step,size FROM checkpoints WHERE job=?1 AND (step>?3 OR step NOT IN"
       " (SELECT step FROM checkpoints WHERE job=?1 AND step<=?3 ORDER BY step DESC LIMIT ?4))";
@@ -134,9 +134,9 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
 /* ---- which code computed the steps ----
  *
  * Each change has one row: from this step on, this fingerprint. Before its first step, a run stores
- * its code under the step at which it starts, and deletes the rows from there on, because it
- * computes their steps again. So after any crash the rows below a step describe the weights at that
- * step, and a run that computes no step leaves no row. */
+ * its code under its starting step, and deletes the later rows, because it recomputes their steps.
+ * So after any crash, the rows below a step describe the weights at that step, and a run that
+ * computes no step leaves no row. */
 
 #define VARIOUS "various"
 

@@ -159,8 +159,8 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struc
   genotypes = calloc(results->n_designs, sizeof(*genotypes));
   if (ranked == NULL || genotypes == NULL)
     error = MO_ERR_NO_MEMORY;
-  /* Only complete scores are ranked: a design that was cut short has a lower bound, unless another
-   * entry of its genotype has a score. */
+  /* Only complete scores are ranked. A design that was cut short has only a lower bound, unless
+   * another entry with its genotype has a score. */
   for (uint32_t i = 0; i < results->n_designs && error == MO_OK; i++)
     if (isfinite(results->scores[i]) && !results->is_bound[i])
       ranked[n_ranked++] = (struct ranked){results->scores[i], results->genotypes[i]};

@@ -3,8 +3,8 @@
  * A training is a job of kind MO_JOB_TRAINING. Its settings never change. Its progress is rows: one
  * per step, one per validation, one per kept checkpoint. The bytes of a checkpoint are the file
  * trainings/<job>/<step>.checkpoint. The file and its folder are synced before the row, which holds
- * the file's hash, is written. After a crash, steps after the last checkpoint run again with the
- * same numbers; a step written again replaces its row.
+ * the file's hash, is written. After a crash, steps after the last checkpoint are rerun with the
+ * same numbers; a rewritten step replaces its row.
  *
  * Threads and errors as in store.h. */
 #ifndef MORPHO_STORE_TRAININGS_H
@@ -65,7 +65,7 @@ struct mo_training_request {
   const struct mo_bits *forms;     /* (record.n_designs) canonical; as stored */
   struct mo_design_note *notes;    /* (n_notes) as in mo_evaluation_request */
   uint32_t n_notes;
-  uint32_t population_best; /* how many of record.population's best designs; 0: all */
+  uint32_t population_best; /* how many of the best designs of record.population; 0: all */
 };
 /* Errors as in mo_store_submit. */
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,
@@ -78,8 +78,8 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
 /* Like mo_store_jobs, but only trainings; ignores the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            void *statuses /* struct mo_training_status */, size_t limit);
-/* Reads steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only steps that are
- * multiples of it. */
+/* Reads steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only multiples of
+ * it. */
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit);
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
@@ -105,8 +105,8 @@ int mo_store_training_progress(struct mo_store *store, int64_t id,
                                const struct mo_training_step_row *steps, size_t n_steps,
                                const struct mo_training_validation_row *validation /* nullable */,
                                const char *event_data /* JSON object; NULL: no event */);
-/* Stores which code computes the run that starts now, after `step` learned steps. Replaces entries
- * from `step` on, because their steps are computed again. *lineage: the complete lineage. Event
+/* Stores which code computes the run that is starting, after `step` learned steps. Replaces entries
+ * starting at `step`, because their steps are recomputed. *lineage: the complete lineage. Event
  * "training.code_changed" if the code was different before, or is unknown. After MO_LINEAGE_MAX
  * changes the last entry becomes "various". */
 int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
@@ -114,7 +114,7 @@ int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
 /* Stores a checkpoint: the file, then the row. Then deletes, rows before files, all but the newest
  * `keep` checkpoints, and those of later steps, which do not belong to the current run. A step
  * beyond all earlier checkpoints resets the job's attempts. step ≥ 1. Event "training.checkpoint".
- * MO_ERR_NO_SPACE: nothing changed; try again when there is space. */
+ * MO_ERR_NO_SPACE: nothing changed; retry when there is space. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
                                  const uint8_t *bytes, size_t size, uint32_t keep);
 /* running → succeeded. Writes the controller's file, then its row, its name and the training's

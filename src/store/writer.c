@@ -212,8 +212,8 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
 }
 
 /* Runs a batch. A single operation needs no savepoint, which would copy every page that a large one
- * changes. While the store is short of space, each operation runs on its own, because a commit also
- * writes pages that a rolled-back operation had changed. */
+ * changes. While the store is short of space, each operation runs in its own transaction, because a
+ * commit also writes pages that a rolled-back operation has changed. */
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
@@ -238,7 +238,7 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
 }
 
 /* Deletes old events and idempotency keys, a bounded number of rows at once. Events are counted:
- * their numbers jump after a crash. After a failure the next round tries again. */
+ * their numbers jump after a crash. After a failure, the next round retries. */
 static void prune(struct mo_store *store)
 {
   static const char events_sql[] =

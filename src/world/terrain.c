@@ -10,8 +10,8 @@
 #define CELLS       (MO_TERRAIN_SIDE - 1)
 #define CELLS_PER_M (CELLS / MO_TERRAIN_SIZE_M)
 
-/* A coordinate within the map: cell, and fraction of the cell from its lower edge. NaN counts as
- * 0. */
+/* A coordinate within the map: the cell, and the fraction of the cell from its lower edge. NaN
+ * counts as 0. */
 struct place {
   int cell;
   double fraction;
