@@ -57,8 +57,8 @@ static void read_pairs(struct mo_json *json, void *value)
       parsed->pairs[n] = (struct pair){(uint32_t)places[0], (uint32_t)places[1]};
   }
   if (n < 1 || n > MO_DESIGNS_MAX)
-    mo_json_fault_at(json, depth, "", "%s pairs; their number must be 1 to %d",
-                     n == 0 ? "no" : "too many", MO_DESIGNS_MAX);
+    mo_json_fault_at(json, depth, "", "must have 1 to %d pairs, got %s", MO_DESIGNS_MAX,
+                     n == 0 ? "none" : "too many");
   parsed->n_pairs = n;
 }
 

@@ -152,8 +152,8 @@ static void read_environments(struct mo_json *json, void *value)
     n += n <= MO_ENVIRONMENTS_MAX;
   }
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
-    mo_json_fault_at(json, depth, "", "%s environments; their number must be 1 to %d",
-                     n == 0 ? "no" : "too many", MO_ENVIRONMENTS_MAX);
+    mo_json_fault_at(json, depth, "", "must have 1 to %d environments, got %s", MO_ENVIRONMENTS_MAX,
+                     n == 0 ? "none" : "too many");
   parts->n_environments = n;
 }
 const struct mo_field_own mo_environments_field = {.read = read_environments};

@@ -36,62 +36,62 @@
   }
 
 const struct setting settings_table[] = {
-    TEXT_ROW(
-        "state_dir", SETTING_PATH, state_dir, "",
-        "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
-        "Folder of the database, controllers and recordings; made if missing, for its owner only. "
-        "It must belong to the user that morphod runs as, and no other user may write to it."),
+    TEXT_ROW("state_dir", SETTING_PATH, state_dir, "",
+             "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
+             "Folder for the database, controllers and recordings; created if missing, for its "
+             "owner only. It must belong to the user that morphod runs as, and no other user may "
+             "write to it."),
     TEXT_ROW("listen", SETTING_LIST, listen, "127.0.0.1:8765", NULL, false,
-             "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. "
-             "Sockets that systemd passes are served, too, in place of the default."),
+             "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 chooses a free one. "
+             "Sockets passed by systemd are also served, and replace the default."),
     VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
-              "Threads that compute. Scores do not depend on it."),
+              "Number of computing threads. Scores do not depend on it."),
     CHOICE_ROW("isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
                "Instruction set of the kernels. Scores of one set never change; sets differ in the "
                "last bits."),
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
-              "Niceness of the computing threads above the process's, so that replies never wait "
-              "for computing."),
+              "Niceness of the computing threads relative to the process, so that replies never "
+              "wait for computing."),
     TEXT_ROW("devices", SETTING_LIST, devices, "auto", NULL, false,
              "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not "
              "depend on their number, but differ from the processors' in the last digits."),
     TEXT_ROW("compute_module", SETTING_PATH, compute_module, "",
-             "morphod-cuda.so of the installation, if it is there", false,
+             "morphod-cuda.so of the installation, if it exists", false,
              "Module that computes on the devices."),
     TEXT_ROW("fleet_listen", SETTING_LIST, fleet_listen, "", "none", false,
-             "Addresses where workers of other machines (morphod worker) take work: host:port or "
-             "[ipv6]:port. Beyond loopback they need fleet_certificate, fleet_key, and tokens with "
-             "the right worker."),
+             "Addresses where workers on other machines (morphod worker) get work: host:port or "
+             "[ipv6]:port. Beyond loopback, they need fleet_certificate, fleet_key, and tokens "
+             "with the right worker."),
     TEXT_ROW("fleet_certificate", SETTING_PATH, fleet_certificate, "", "none: without TLS", false,
              "Certificate of fleet_listen, in PEM, with its chain; served with TLS 1.3."),
     TEXT_ROW("fleet_key", SETTING_PATH, fleet_key, "", "none", false,
              "Private key of fleet_certificate, in PEM."),
-    CHOICE_ROW(
-        "compute", compute, "both|local|fleet", "both", false,
-        "Who computes the scores and gradients of batch jobs: this machine beside the workers "
-        "of fleet_listen, this machine only, or those workers only. This machine always "
-        "computes what they cannot. Results do not depend on it."),
+    CHOICE_ROW("compute", compute, "both|local|fleet", "both", false,
+               "What computes the scores and gradients of batch jobs: this machine together with "
+               "the workers of fleet_listen, this machine only, or the workers only. This machine "
+               "always computes what workers cannot. Results do not depend on it."),
     TEXT_ROW("default_controller", SETTING_PATH, default_controller, "",
              "phototaxis.safetensors of the installation", false,
-             "Controller file that is stored at the first start: as \"default\", and by its own "
-             "name where that can name a controller."),
+             "Controller file that is stored at the first start: as \"default\", and under its own "
+             "name if that is a valid name for a controller."),
     TEXT_ROW("token_file", SETTING_PATH, token_file, "",
              "credential \"token\", if systemd passes one", true,
              "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin, and worker "
              "for fleet_listen. Required for addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
-               "Whether loopback addresses require a token, too."),
+               "Whether loopback addresses also require a token."),
     CHOICE_ROW("dashboard", dashboard, "on|read-only|off", "on", false,
-               "Whether the pages at / are served; read-only: without what submits or changes."),
+               "Whether the dashboard at / is served; read-only: without actions that submit or "
+               "change anything."),
     TEXT_ROW("allowed_hosts", SETTING_LIST, allowed_hosts, "",
              "the loopback names and the addresses served", false,
-             "Further names that a request's Host and Origin may have."),
+             "Additional names that a request's Host and Origin may have."),
     TEXT_ROW(
         "unix_groups", SETTING_LIST, unix_groups, "", "none", false,
         "Groups whose members may use the unix sockets, besides root and the service's own user."),
     VALUE_ROW("max_connections", SETTING_NUMBER, max_connections, 1, 65536, "1024", NULL,
-              "Connections at one time; idle ones give way to new ones, and where none is idle, "
-              "more are refused with 503."),
+              "Connections at one time; idle ones give way to new ones. If none is idle, more are "
+              "refused with 503."),
     VALUE_ROW("max_streams", SETTING_NUMBER, max_streams, 1, 65536, "256", NULL,
               "Event streams at one time; more are refused with 503."),
     VALUE_ROW("max_body", SETTING_BYTES, max_body_bytes, 1 * KIB, 1 * GIB, "64M", NULL,
@@ -99,12 +99,12 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_controller", SETTING_BYTES, max_controller_bytes, 1 * MIB, 4 * GIB, "16M", NULL,
               "Largest controller file that a client may store."),
     VALUE_ROW("max_bundle", SETTING_BYTES, max_bundle_bytes, 1 * MIB, 4 * GIB, "256M", NULL,
-              "Largest bundle of campaigns, or blocks of scores at once, that a client may enter; "
-              "held in memory."),
+              "Largest bundle of campaigns, or blocks of scores in one request, that a client may "
+              "import; held in memory."),
     VALUE_ROW("header_timeout", SETTING_DURATION, header_timeout_ms, SECOND, HOUR, "10s", NULL,
-              "Time within which a request's header must have arrived."),
+              "Time limit for the arrival of a request's header."),
     VALUE_ROW("body_timeout", SETTING_DURATION, body_timeout_ms, SECOND, HOUR, "60s", NULL,
-              "Time within which a request's body must have arrived."),
+              "Time limit for the arrival of a request's body."),
     VALUE_ROW("idle_timeout", SETTING_DURATION, idle_timeout_ms, SECOND, HOUR, "60s", NULL,
               "Time after which an idle connection is closed."),
     VALUE_ROW("max_open_jobs", SETTING_NUMBER, max_open_jobs, 1, 1000000, "10000", NULL,
@@ -118,46 +118,44 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
     VALUE_ROW("max_recordings", SETTING_BYTES, max_recordings_bytes, 0, MIB *GIB, "8G", NULL,
-              "Recorded trajectories of all evaluations; beyond it those of evaluations that have "
-              "ended are removed, the oldest first. 0: no limit."),
+              "Recorded trajectories of all evaluations; beyond this, recordings of evaluations "
+              "that have ended are removed, oldest first. 0: no limit."),
     VALUE_ROW("max_excluded", SETTING_BYTES, max_excluded_bytes, 0, MIB *GIB, "1G", NULL,
               "Files of the bodies that campaigns exclude, because their controller was pretrained "
-              "on them; 222 MiB for the default controller. They are drawn once; beyond the limit "
-              "the file that was not used for longest is removed. 0: each campaign draws them."),
-    VALUE_ROW(
-        "keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0", "for good",
-        "Time after its end for which an evaluation is kept, with its recordings; it stays if it "
-        "has a note, is archived, or a training learns on its designs. Scores stay."),
-    VALUE_ROW("keep_trainings", SETTING_DURATION, keep_trainings_ms, 0, 36500 * DAY, "0",
+              "on them; 222 MiB for the default controller. They are drawn once; beyond the limit, "
+              "the least recently used file is removed. 0: each campaign draws them."),
+    VALUE_ROW("keep_evaluations", SETTING_DURATION, keep_evaluations_ms, 0, 36500 * DAY, "0",
               "for good",
-              "Time after its end for which a training is kept, with its curve and checkpoints; it "
-              "stays if it has a note, is archived, or another job began with its controller. The "
-              "controller stays."),
-    VALUE_ROW("keep_campaigns", SETTING_DURATION, keep_campaigns_ms, 0, 36500 * DAY, "0",
-              "for good",
-              "Time after its end, or its import, for which a campaign or study is kept, with its "
-              "phylogeny and checkpoints; it stays if it has a note, is archived, or another job "
-              "began with its population or controller, or shares its environments. Designs, "
-              "scores and the controller stay."),
+              "How long an evaluation and its recordings are kept after its end; it stays if it "
+              "has a note, is archived, or a training learns on its designs. Scores stay."),
     VALUE_ROW(
-        "keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0", "for good",
-        "Time after the end of an evaluation for which its recordings are kept; they stay if it "
-        "has a note or is archived."),
+        "keep_trainings", SETTING_DURATION, keep_trainings_ms, 0, 36500 * DAY, "0", "for good",
+        "How long a training, its curve and checkpoints are kept after its end; it stays if it has "
+        "a note, is archived, or another job began with its controller. The controller stays."),
+    VALUE_ROW(
+        "keep_campaigns", SETTING_DURATION, keep_campaigns_ms, 0, 36500 * DAY, "0", "for good",
+        "How long a campaign or study, its phylogeny and checkpoints are kept after its end or "
+        "import; it stays if it has a note, is archived, or another job began with its population "
+        "or controller, or shares its environments. Designs, scores and the controller stay."),
+    VALUE_ROW("keep_recordings", SETTING_DURATION, keep_recordings_ms, 0, 36500 * DAY, "0",
+              "for good",
+              "How long the recordings of an evaluation are kept after its end; they stay if it "
+              "has a note or is archived."),
     VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
               "seven eighths of the machine's memory, or of the limit of the cgroup or process if "
               "that is less, at least 64M",
-              "Memory that the service may take, at least 128M; a training or campaign that needs "
+              "Memory that the service may use, at least 128M; a training or campaign that needs "
               "more waits, or is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
-              "Requests of one client handled at one time, without event streams and waits for "
-              "jobs; more are refused with 429."),
+              "Requests from one client that are handled at one time, except event streams and "
+              "waits for jobs; more are refused with 429."),
     VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
               "Submissions and uploads per second and client; more are refused with 429."),
     VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,
               "Events kept for clients that reconnect with Last-Event-ID."),
     VALUE_ROW("drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
-              "Time that a stop gives running work to finish before it is parked. Parked work "
-              "continues at the next start."),
+              "Time that running work has to finish during a stop before it is parked. Parked work "
+              "continues after the next start."),
     CHOICE_ROW("log_level", log_level, "error|warning|info|debug", "info", true,
                "Least severe messages that are logged; info has a line for every request, debug "
                "also for health checks."),

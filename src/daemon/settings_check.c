@@ -1,4 +1,5 @@
-/* settings_check.c: checks what the values refer to. Only reads: --check-config changes nothing. */
+/* settings_check.c: checks the resources that the values refer to. Only reads: --check-config
+ * changes nothing. */
 #include "daemon/settings.h"
 
 #include <errno.h>
@@ -30,13 +31,13 @@ static void check_devices(const struct settings *settings, struct settings_fault
                    strerror(errno));
 }
 
-/* Checks that the state folder is writable, or can be made below the deepest existing folder of its
- * path. */
+/* Checks that the state folder is writable, or can be created below the deepest existing folder of
+ * its path. */
 static void check_state_dir(const char *path, struct settings_faults *faults)
 {
   struct stat status;
   if (*path != '/') {
-    settings_fault(faults, true, "state_dir: \"%s\" is not an absolute path", path);
+    settings_fault(faults, true, "state_dir: \"%s\" must be an absolute path", path);
     return;
   }
   if (stat(path, &status) == 0) {
@@ -63,10 +64,10 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
       *slash = 0;
     if (stat(parent, &status) == 0) {
       if (!S_ISDIR(status.st_mode))
-        settings_fault(faults, true, "state_dir: %s cannot be made: %s is not a folder", path,
+        settings_fault(faults, true, "state_dir: cannot create %s: %s is not a folder", path,
                        parent);
       else if (faccessat(AT_FDCWD, parent, W_OK | X_OK, AT_EACCESS) != 0)
-        settings_fault(faults, true, "state_dir: %s cannot be made in %s: %s", path, parent,
+        settings_fault(faults, true, "state_dir: cannot create %s in %s: %s", path, parent,
                        strerror(errno));
       break;
     }
@@ -82,8 +83,8 @@ static void warn_if_public(const char *name, const char *path, const struct stat
                            struct settings_faults *faults)
 {
   if ((status->st_mode & 0007) != 0)
-    settings_fault(faults, false, "%s: %s can be read by everyone (mode %03o)", name, path,
-                   (unsigned)status->st_mode & 0777);
+    settings_fault(faults, false, "%s: everyone can read %s (mode %03o); run chmod o-rwx on it",
+                   name, path, (unsigned)status->st_mode & 0777);
 }
 
 /* Checks the token file, and counts the tokens of clients and of workers. */
@@ -136,7 +137,7 @@ static bool check_addresses(const char *name, const struct setting_list *list,
     }
     for (size_t j = 0; j < i; j++)
       if (strcmp(text, list->items[j]) == 0 && !(address.port == 0 && !address.is_unix))
-        settings_fault(faults, true, "%s: %s is named twice", name, text);
+        settings_fault(faults, true, "%s: duplicate address %s", name, text);
     if (address.is_unix)
       check_parent(name, address.host, faults);
     beyond |= !address.is_loopback;
@@ -149,14 +150,14 @@ static void check_listen(const struct settings *settings, size_t n_tokens,
 {
   const bool beyond = check_addresses("listen", &settings->listen, faults);
   if (settings->listen.n == 0)
-    settings_fault(faults, true, "listen: no address");
+    settings_fault(faults, true, "listen: at least one address is required");
   if (beyond && settings->token_file == NULL)
     settings_fault(faults, true, "listen: an address beyond loopback needs a token_file");
   else if (settings->token_on_loopback != 0 && settings->token_file == NULL)
     settings_fault(faults, true, "token_on_loopback: needs a token_file");
   else if ((beyond || settings->token_on_loopback != 0) && n_tokens == 0 && faults->n_fatal == 0)
     settings_fault(faults, true,
-                   "listen: token_file has tokens of workers only; add one with the right read, "
+                   "listen: token_file has only worker tokens; add a token with the right read, "
                    "submit or admin");
 }
 
@@ -169,7 +170,7 @@ static void check_fleet(const struct settings *settings, size_t n_tokens,
   struct mo_message message = {{0}};
   struct stat status;
   if (!has_both && (settings->fleet_certificate != NULL || settings->fleet_key != NULL))
-    settings_fault(faults, true, "fleet_certificate and fleet_key: give both or neither");
+    settings_fault(faults, true, "fleet_certificate and fleet_key: set both or neither");
   else if (has_both && fleet_certificate_read(settings, &pair, &message) != MO_OK)
     settings_fault(faults, true, "%s", message.text);
   else if (has_both)
@@ -182,10 +183,10 @@ static void check_fleet(const struct settings *settings, size_t n_tokens,
                    "fleet_key");
   if (beyond && n_tokens == 0 && faults->n_fatal == 0)
     settings_fault(faults, true,
-                   "fleet_listen: an address beyond loopback needs a token_file with a token of "
-                   "the right worker: NAME worker TOKEN");
+                   "fleet_listen: an address beyond loopback needs a token_file with a token that "
+                   "has the right worker: NAME worker TOKEN");
   if (settings->compute == COMPUTE_FLEET && settings->fleet_listen.n == 0)
-    settings_fault(faults, true, "compute: fleet needs fleet_listen, where workers take work");
+    settings_fault(faults, true, "compute: \"fleet\" needs fleet_listen, where workers get work");
 }
 
 static void check_controller(const char *path, struct settings_faults *faults)
@@ -227,7 +228,7 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
     check_shipped_controller(settings->state_dir, faults);
   if (settings->isa > 0 && settings->isa - 1 > (int)mo_isa_best())
     settings_fault(faults, true,
-                   "isa: this processor does not support %s; the widest that it supports is %s",
+                   "isa: this processor does not support %s; the widest set that it supports is %s",
                    mo_isa_name((enum mo_isa)(settings->isa - 1)), mo_isa_name(mo_isa_best()));
   check_devices(settings, faults);
   for (size_t i = 0; i < settings->allowed_hosts.n; i++)
@@ -238,7 +239,7 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
     check_parent("port_file", settings->port_file, faults);
   for (size_t i = 0; i < settings->unix_groups.n; i++)
     if (getgrnam(settings->unix_groups.items[i]) == NULL)
-      settings_fault(faults, true, "unix_groups: there is no group \"%s\"",
+      settings_fault(faults, true, "unix_groups: group \"%s\" does not exist",
                      settings->unix_groups.items[i]);
   if (settings->max_memory > 0 && settings->max_memory < (UINT64_C(128) << 20))
     settings_fault(faults, true, "max_memory: must be at least 128M");

@@ -22,14 +22,14 @@ struct flag {
   const char *help;
 };
 static const struct flag action_flags[] = {
-    {"--foreground", ACTION_RUN, "Accepted for clarity: there is no other mode."},
+    {"--foreground", ACTION_RUN, "Accepted for clarity; no other mode exists."},
     {"--help", ACTION_HELP, "Print this text."},
     {"--version", ACTION_VERSION, "Print the version."},
     {"--check-config", ACTION_CHECK,
-     "Check the configuration and all that it refers to, say what is wrong, and exit with 0 or "
+     "Check the configuration and everything that it refers to, report faults, and exit with 0 or "
      "78."},
     {"--print-config", ACTION_PRINT,
-     "Print the values in force as a configuration file, with where each came from."},
+     "Print the current values as a configuration file, with the source of each."},
     {"--print-settings", ACTION_TABLE, "Print the table of all settings as Markdown."},
 };
 static const size_t n_action_flags = sizeof(action_flags) / sizeof(action_flags[0]);
@@ -68,7 +68,8 @@ static void read_line(struct settings *settings, const char *file, size_t number
     return;
   char *equals = strchr(text, '=');
   if (equals == NULL) {
-    settings_fault(faults, true, "%s:%zu: no \"=\" in \"%.60s\"; a line is \"name = value\"", file,
+    settings_fault(faults, true,
+                   "%s:%zu: \"=\" is missing in \"%.60s\"; a line must be \"name = value\"", file,
                    number, text);
     return;
   }
@@ -114,7 +115,7 @@ void settings_read_text(struct settings *settings, const char *file, const char 
     size_t n = newline != NULL ? (size_t)(newline - (text + start)) : length - start;
     number++;
     if (memchr(text + start, 0, n) != NULL) {
-      settings_fault(faults, true, "%s:%zu: NUL byte", file, number);
+      settings_fault(faults, true, "%s:%zu: the line has a NUL byte", file, number);
     } else {
       char *line = enough(strndup(text + start, n));
       read_line(settings, file, number, line, lines_seen, faults);
@@ -130,7 +131,7 @@ static bool read_file(struct settings *settings, const char *path, bool required
 {
   struct stat status;
   if (stat(path, &status) == 0 &&
-      S_ISFIFO(status.st_mode)) { /* a reload would wait without end for its writer */
+      S_ISFIFO(status.st_mode)) { /* a reload would wait forever for its writer */
     settings_fault(faults, true, "%s is a pipe, not a file", path);
     return false;
   }
@@ -145,7 +146,7 @@ static bool read_file(struct settings *settings, const char *path, bool required
   if (ferror(file))
     settings_fault(faults, true, "%s: %s", path, strerror(errno));
   else if (n > FILE_MAX)
-    settings_fault(faults, true, "%s: larger than %d bytes", path, FILE_MAX);
+    settings_fault(faults, true, "%s: the file is larger than %d bytes", path, FILE_MAX);
   else
     settings_read_text(settings, path, text, n, faults);
   free(text);
@@ -394,19 +395,14 @@ void settings_print_rows(const struct setting *rows, size_t n, FILE *file)
 
 void settings_print_help(FILE *file)
 {
-  fputs("Usage: morphod [FLAG]...\n"
-        "       morphod store clean [--yes] [FLAG]...      removes files that nothing refers to\n"
-        "       morphod store check [--sample=N] [FLAG]... reads all that is stored and checks it; "
-        "see morphod(8)\n"
-        "       morphod store accept-clock [FLAG]...       confirms that the clock is right\n"
-        "       morphod worker --server URL [FLAG]...      computes for the daemon of another "
-        "machine; "
-        "see its --help\n"
-        "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP "
-        "reloads tokens and log level.\n\n"
-        "  --config PATH\n"
-        "      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n"
-        "      /etc/morphod/morphod.conf, if it exists).\n",
+  fputs("Usage: morphod [FLAG]...\n       morphod store clean [--yes] [FLAG]...      removes "
+        "unused files\n       morphod store check [--sample=N] [FLAG]... reads and checks all "
+        "stored data; see morphod(8)\n       morphod store accept-clock [FLAG]...       confirms "
+        "that the clock is right\n       morphod worker --server URL [FLAG]...      computes for a "
+        "daemon on another machine; see its --help\nScores voxel robots over HTTP. Runs in the "
+        "foreground until SIGTERM or SIGINT; SIGHUP reloads tokens and log level.\n\n  --config "
+        "PATH\n      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n    "
+        "  /etc/morphod/morphod.conf, if it exists).\n",
         file);
   for (size_t i = 0; i < n_action_flags; i++) {
     fprintf(file, "  %s\n", action_flags[i].name);

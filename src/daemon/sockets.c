@@ -12,7 +12,7 @@ int sockets_add(struct sockets *sockets, int fd, const char *address, struct mo_
   const size_t place = sockets->n;
   bool beyond;
   if (place == SOCKETS_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", SOCKETS_MAX);
+    return mo_fail(message, MO_ERR_LIMIT, "there may be at most %d sockets", SOCKETS_MAX);
   const int status = address != NULL ? mo_http_listen(address, &fd, sockets->text[place], message)
                                      : mo_http_describe(fd, sockets->text[place], &beyond, message);
   if (status != MO_OK)

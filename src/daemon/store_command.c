@@ -47,7 +47,7 @@ static int compute_again(struct mo_compute *compute, const struct mo_lattice *la
   return error;
 }
 
-/* Computes a sample of one class again. Prints what differs; *n_differ grows. */
+/* Recomputes a sample of one class. Prints the differences; *n_differ grows. */
 static int check_class(struct mo_store *store, struct mo_compute *compute,
                        const struct mo_lattice *lattice, const char *fingerprint, size_t n,
                        uint64_t *n_differ)
@@ -75,14 +75,15 @@ static int check_class(struct mo_store *store, struct mo_compute *compute,
     }
   }
   if (found > 0 && error == MO_OK)
-    printf("%" PRId64 " losses of the class \"%s\" computed again, %" PRIu64 " differ.\n", found,
+    printf("%" PRId64 " losses of class \"%s\" recomputed, %" PRIu64 " differ.\n", found,
            fingerprint, *n_differ - before);
   mo_loaded_free_all(&controllers);
   free(samples);
   return error;
 }
 
-/* Computes samples of all classes that this processor supports: those of its instruction sets. */
+/* Computes samples of all classes that this processor supports, which are the classes of its
+ * instruction sets. */
 static int check_classes(struct mo_store *store, size_t n, uint64_t *n_differ)
 {
   struct mo_lattice *lattice = NULL;
@@ -101,7 +102,7 @@ static int check_classes(struct mo_store *store, size_t n, uint64_t *n_differ)
   return error;
 }
 
-/* Prints the contradictions, and a summary. n: stored losses of each class to compute again.
+/* Prints the contradictions, and a summary. n: number of stored losses to recompute in each class.
  * MO_ERR_CORRUPT: there are contradictions. */
 static int check(struct mo_store *store, size_t n, struct mo_message *message)
 {
@@ -117,7 +118,7 @@ static int check(struct mo_store *store, size_t n, struct mo_message *message)
   if (n > 0)
     error = check_classes(store, n, &n_differ);
   if (error == MO_OK && counts.findings + n_differ > 0)
-    error = mo_fail(message, MO_ERR_CORRUPT, "the store contradicts itself: restore a backup");
+    error = mo_fail(message, MO_ERR_CORRUPT, "the store contradicts itself; restore a backup");
   return error;
 }
 
@@ -146,7 +147,7 @@ static int clean(struct mo_store *store, bool yes)
   int error = mo_store_clean(store, print_file, &listed);
   if (error != MO_OK)
     return error;
-  printf("%" PRIu64 " files, %" PRIu64 " bytes, that nothing refers to.\n", listed.n, listed.bytes);
+  printf("%" PRIu64 " unused files, %" PRIu64 " bytes.\n", listed.n, listed.bytes);
   if (listed.n == 0)
     return MO_OK;
   if (!yes) {
@@ -171,9 +172,8 @@ static int accept_clock(struct mo_store *store)
   const int error = mo_store_accept_clock(store);
   if (error == MO_OK && gmtime_r(&now, &utc) != NULL &&
       strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &utc) > 0)
-    printf(
-        "%s UTC is accepted as the time. From the next start on, jobs are deleted by age again.\n",
-        text);
+    printf("The time %s UTC is accepted. After the next start, jobs are deleted by age again.\n",
+           text);
   return error;
 }
 

@@ -42,7 +42,7 @@ static int read_line(char *const *words, size_t n, struct mo_token *token,
                    n == 2 ? "two" : "more than three");
   if (n == 3 && (right = mo_word_index(mo_right_words, words[1])) < 0)
     return mo_fail(message, MO_ERR_INVALID,
-                   "the second word is not a right; write read, submit, admin or worker");
+                   "the second word must be a right: read, submit, admin or worker");
   *token = (struct mo_token){n == 3 ? words[0] : "admin", (enum mo_right)right, words[n - 1]};
   return mo_token_check(token, message);
 }
@@ -52,7 +52,7 @@ static int compare_rights(const void *one, const void *other)
   return (int)((const struct mo_token *)one)->right - (int)((const struct mo_token *)other)->right;
 }
 
-/* Checks a token against those of the lines before it. */
+/* Compares a token with the tokens of the lines before it. */
 static int compare(const struct tokens *tokens, const struct mo_token *token,
                    struct mo_message *message)
 {

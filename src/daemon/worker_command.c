@@ -24,7 +24,9 @@
 #include "daemon/tokens.h"
 #include "worker/worker.h"
 
-#define NICE         5 /* of the computing threads, so that the worker always answers in time */
+#define NICE                                                                                       \
+  5 /* niceness of the computing threads, so that the worker always answers in                     \
+     * time */
 #define BEFORE_END_S 30
 #define STATUS_S     10
 #define LOG_FLUSH_MS 2000
@@ -56,23 +58,24 @@ static const struct setting rows[] = {
         .help = "File with the worker's token: a line of NAME worker TOKEN, or the token only."),
     ROW("pin", SETTING_PATH, pin, .choices = "sha256//BASE64", .initial = "",
         .initial_words = "none",
-        .help = "Hash of the daemon's public key. Without --ca no other proof is required, so that "
-                "a self-signed certificate will do."),
+        .help = "Hash of the daemon's public key. Without --ca, no other proof is required, so a "
+                "self-signed certificate suffices."),
     ROW("ca", SETTING_PATH, ca, .initial = "", .initial_words = "those of the system",
         .help = "File with the certificates of the authorities to trust."),
     ROW("proxy", SETTING_PATH, proxy, .choices = "URL", .initial = "",
-        .initial_words = "https_proxy, beyond loopback", .help = "Proxy to the daemon."),
+        .initial_words = "https_proxy, beyond loopback",
+        .help = "Proxy for connections to the daemon."),
     ROW("name", SETTING_PATH, name, .choices = "NAME", .initial = "", .initial_words = "the host's",
         .help = "Name in lists and in the origin of scores."),
     ROW("threads", SETTING_NUMBER, threads, .max = 1024, .initial = "0",
         .initial_words = "one per processor that the process may use",
-        .help = "Threads that compute."),
+        .help = "Number of computing threads."),
     ROW("isa", SETTING_CHOICE, isa, .choices = "auto|x86-64|avx2|avx512", .initial = "auto",
-        .help = "Instruction set of the kernels; it must be the daemon's."),
+        .help = "Instruction set of the kernels; must be the same as the daemon's."),
     ROW("devices", SETTING_LIST, devices, .initial = "auto",
         .help = "GPUs that compute: auto (all that work), none, or their numbers: 0,1."),
     ROW("compute_module", SETTING_PATH, compute_module, .initial = "",
-        .initial_words = "morphod-cuda.so of the installation, if it is there",
+        .initial_words = "morphod-cuda.so of the installation, if it exists",
         .help = "Module that computes on the devices."),
     ROW("leave_when_idle", SETTING_DURATION, leave_when_idle_ms, .max = YEAR_MS, .initial = "0",
         .initial_words = "never", .help = "Leave after this time without work."),
@@ -160,8 +163,8 @@ static int read_options(struct options *options, int argc, const char *const *ar
 static void print_help(void)
 {
   fputs("Usage: morphod worker --server URL [FLAG]...\nComputes for a daemon on another machine, "
-        "with all processors and GPUs that it may use,\nuntil SIGTERM or SIGINT. It keeps nothing "
-        "and listens nowhere.\n\nA flag comes before its environment variable: --token-file is "
+        "with all processors and GPUs that it may use,\nuntil SIGTERM or SIGINT. It stores nothing "
+        "and opens no ports.\n\nA flag comes before its environment variable: --token-file is "
         "MORPHOD_WORKER_TOKEN_FILE, and so on.\n\n",
         stdout);
   settings_print_rows(rows, N_ROWS, stdout);
@@ -209,9 +212,9 @@ static bool ask(const char *const *command, char *line, size_t capacity)
   return (error != 0 || waitpid(child, &status, 0) == child) && got && status == 0;
 }
 
-/* Returns the end of the Slurm job that this process belongs to, in seconds since 1970; 0: unknown,
- * or there is no limit. Newer versions of Slurm set it in the environment; squeue reports it for
- * older ones. */
+/* Returns the end of the Slurm job that this process belongs to, in seconds since 1970, or 0 if it
+ * is unknown or there is no limit. Newer versions of Slurm set it in the environment; squeue
+ * reports it for older ones. */
 static int64_t job_end_s(void)
 {
   const char *end = getenv("SLURM_JOB_END_TIME"), *job = getenv("SLURM_JOB_ID");
@@ -304,7 +307,7 @@ static int prepare(struct process *process, struct mo_message *message)
       .nice = NICE};
   if (options->name != NULL &&
       (strlen(options->name) > MO_FLEET_NAME_BYTES || strpbrk(options->name, " \t\r\n") != NULL)) {
-    (void)mo_fail(message, MO_ERR_INVALID, "name: at most %d bytes without blanks",
+    (void)mo_fail(message, MO_ERR_INVALID, "name: must be at most %d bytes, without blanks",
                   MO_FLEET_NAME_BYTES);
     return EXIT_CONFIG;
   }
@@ -312,7 +315,7 @@ static int prepare(struct process *process, struct mo_message *message)
   if (error != MO_OK)
     return EXIT_CONFIG;
   if (process->tokens.n > 1) {
-    (void)mo_fail(message, MO_ERR_INVALID, "token_file: %s holds more than one token",
+    (void)mo_fail(message, MO_ERR_INVALID, "token_file: %s must have only one token",
                   options->token_file);
     return EXIT_CONFIG;
   }
@@ -401,7 +404,7 @@ static int run(struct process *process)
            (enum log_level)process->options->log_level);
   read_slurm(process);
   if (log_start() != 0)
-    return complain(EXIT_SYSTEM, "", "cannot start the thread of the log");
+    return complain(EXIT_SYSTEM, "", "cannot start the log thread");
   int status = prepare(process, &message);
   if (status == EXIT_OK && mo_thread_create(&thread, "worker", run_worker, process) != 0)
     status = EXIT_SYSTEM;

@@ -159,7 +159,7 @@ static int check_head(const void *any, struct mo_message *message)
 {
   const struct mo_bundle_head *head = any;
   if (strcmp(head->format, FORMAT) != 0)
-    return mo_fail(message, MO_ERR_FORMAT, "/format: \"" FORMAT "\" is expected");
+    return mo_fail(message, MO_ERR_FORMAT, "/format: must be \"" FORMAT "\"");
   for (uint32_t i = 1; i < head->n; i++)
     if (head->campaigns[i] <= head->campaigns[i - 1])
       return mo_fail(message, MO_ERR_FORMAT, "/campaigns: must be in ascending order");

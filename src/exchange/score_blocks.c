@@ -357,7 +357,7 @@ int mo_score_block_head(const char *bytes, size_t n, size_t *size, struct mo_mes
     return mo_fail(message, MO_ERR_FORMAT, "the file ends early");
   memcpy(head, bytes, sizeof(head));
   if (head[0] != MAGIC || head[1] != 4 || head[2] > MO_SCORES_BLOCK_MAX)
-    return mo_fail(message, MO_ERR_FORMAT, "expected the start of a block of scores");
+    return mo_fail(message, MO_ERR_FORMAT, "a block of scores must begin here");
   if (head[2] > n - sizeof(head))
     return mo_fail(message, MO_ERR_FORMAT, "the file ends early");
   *size = head[2];

@@ -84,7 +84,7 @@ static int check_references(struct mo_jobs *jobs, const struct mo_campaign_recor
   if (record->initial_campaign != 0)
     error = mo_store_campaign(jobs->store, record->initial_campaign, &status);
   if (error == MO_ERR_NOT_FOUND)
-    return mo_fail(message, error, "there is no campaign %" PRId64, record->initial_campaign);
+    return mo_fail(message, error, "campaign %" PRId64 " does not exist", record->initial_campaign);
   if (error == MO_OK && record->initial_campaign != 0 && status.generation < 0)
     return mo_fail(message, MO_ERR_CONFLICT, "campaign %" PRId64 " has no population yet",
                    record->initial_campaign);

@@ -36,7 +36,7 @@ RULES = [
     r"rollouts are computed at once",
     r"only one of campaigns, group, label and experiment",
     r"the file (is damaged|ends early)",
-    r"expected the start of a block of scores",
+    r"a block of scores must begin here",
     r"must be a time in UTC",
     r"a bundle holds 1 to \d+",
     r"at most the peak",

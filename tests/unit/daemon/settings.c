@@ -123,7 +123,7 @@ static void file_mistakes(void)
   CHECK_INT(settings.workers, 0); /* faulty lines keep the default */
   settings_faults_free(&faults);
   settings_read_text(&settings, "t.conf", "workers = 1\0", 12, &faults);
-  CHECK(has_fault("t.conf:1: NUL byte"));
+  CHECK(has_fault("t.conf:1: the line has a NUL byte"));
   end();
 }
 
