@@ -32,7 +32,7 @@ static int write_notes(struct mo_api *api, struct mo_text *text,
   struct mo_design_note *notes = NULL;
   uint32_t n = 0;
   const int error = !mo_modes[status->record.settings.mode].makes_children
-                        ? MO_OK /* its notes are those of its newest batch */
+                        ? MO_OK /* its notes are the notes of its newest batch */
                         : mo_store_design_notes(api->store, status->record.group, &notes, &n);
   mo_member_notes(text, "founders", notes, n);
   free(notes);

@@ -35,7 +35,7 @@ void mo_api_get_checkpoints(struct mo_request *request)
   mo_reply_text(request, n < 0 ? (int)n : MO_OK, &text, "page");
 }
 
-/* Deletes the checkpoints that are not needed, or the one of the step in the path. */
+/* Deletes the checkpoints that are not needed, or the checkpoint of the step in the path. */
 void mo_api_delete_checkpoints(struct mo_request *request)
 {
   const struct mo_resource *kind = mo_resource_of(request);

@@ -74,7 +74,7 @@ void mo_api_list_controllers(struct mo_request *request)
   mo_reply_text(request, code, &text, "page");
 }
 
-/* Reads the record of the controller that the path names. Returns false if it has replied. */
+/* Reads the record of the controller in the path. Returns false if it has replied. */
 static bool read_record(struct mo_request *request, struct mo_controller_record *record)
 {
   int error = mo_store_controller(mo_api_of(request)->store, request->parameters[0], record);

@@ -36,7 +36,7 @@ struct curve {
   uint32_t step;  /* within that generation; where `after` is a campaign, its generation */
   int64_t stride; /* of steps or generations */
   int64_t limit;  /* rows of a page */
-  /* The campaigns to read, ascending. Replicates: only those that count; `newest` is the newest
+  /* The campaigns to read, ascending. Replicates: only the ones that count; `newest` is the newest
    * generation that all of them have. */
   int64_t *members;
   uint32_t n_members, member; /* member: the index of the one being read */
@@ -44,7 +44,7 @@ struct curve {
   struct {
     int64_t id;
     enum mo_job_state state;
-  } left_out[MO_REPLICATES_MAX]; /* those that were cancelled or failed */
+  } left_out[MO_REPLICATES_MAX]; /* campaigns that were cancelled or failed */
   uint32_t n_left_out;
   struct mo_text about; /* the beginning of each row: a description of its campaign */
 };
@@ -78,7 +78,7 @@ static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
   return n;
 }
 
-/* Columns that precede those of a generation in tables of several campaigns. */
+/* Columns before the columns of a generation, in tables of several campaigns. */
 static const char member_columns[] = "campaign group replicate:u label mode state seed:l";
 
 /* Describes the campaign, once for all its rows. */

@@ -184,8 +184,8 @@ static bool is_class(const char *text)
   return n > 0 && n < MO_FINGERPRINT_BYTES;
 }
 
-/* Returns the class to rank by default: that of the devices, which compute large batches, or that
- * of the workers if there are no devices. */
+/* Returns the class to rank by default: the class of the devices, which compute large batches, or
+ * the class of the workers if there are no devices. */
 static const char *own_class(const struct mo_compute *compute)
 {
   return mo_compute_devices(compute) > 0 ? mo_compute_device_fingerprint(compute)

@@ -34,7 +34,7 @@ static void write_moment(struct mo_text *text, const char *name, uint64_t then_n
   mo_text_member_time(text, name, then_ns > 0 ? mo_clock_wall_us() - ago_us : 0);
 }
 
-/* has_id: the client may see the id, with which a session can be drained. */
+/* has_id: the client may see the id, which is needed to drain a session. */
 static void write_session(struct mo_text *text, const struct mo_session_status *session,
                           bool has_id)
 {

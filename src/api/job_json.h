@@ -50,7 +50,7 @@ void mo_campaign_json_job(struct mo_text *text, const void *status, const struct
 /* How a phylogeny is written for programs that support only trees. */
 struct mo_phylogeny_shape {
   bool first_parent;   /* only the first of two parents is written */
-  int64_t root;        /* the id of a root from which designs without parents descend; −1: none */
+  int64_t root;        /* the id of a root that designs without parents descend from; −1: none */
   uint32_t n_measures; /* further columns, of a study */
 };
 /* Writes a line of the phylogeny in the ALife data standard. end: the last generation to report; a

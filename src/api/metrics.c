@@ -99,8 +99,7 @@ static void write_fleet(struct mo_api *api, struct mo_text *text)
   COUNTER("morphod_fleet_lost_total", f.lost,
           "Sessions that ended without leaving since the start.");
   COUNTER("morphod_fleet_leases_total", f.leases_done, "Leases computed since the start.");
-  COUNTER("morphod_fleet_leases_again_total", f.leases_again,
-          "Leases reissued since the start.");
+  COUNTER("morphod_fleet_leases_again_total", f.leases_again, "Leases reissued since the start.");
   COUNTER("morphod_fleet_rollouts_total", f.rows_done,
           "Rollouts computed by workers on other machines since the start.");
   COUNTER("morphod_fleet_rollouts_twice_total", f.rows_twice,

@@ -109,7 +109,7 @@ void mo_api_get_campaign_population(struct mo_request *request)
   const bool known = n == MO_OK;
   if (known && generation < 0)
     generation = status.generation; /* later pages stay in this generation, even if the next one is
-                                       committed meanwhile */
+                                     * committed in between */
   if (known)
     n = generation >= 0 ? mo_store_campaign_population(store, id, generation, (uint32_t)offset,
                                                        rows, limit, &size)
@@ -414,7 +414,7 @@ struct wanted {
   int64_t since; /* columns: they begin after this number */
   int lineages;  /* columns: 1: only the living and their ancestors */
   int parents;   /* CSV: 1: only the first parent of each design */
-  int64_t root;  /* CSV: 1: with a root from which all designs descend */
+  int64_t root;  /* CSV: 1: with a root that all designs descend from */
 };
 
 /* Reads the parameters that only some formats support. Returns false if it has replied. */

@@ -11,8 +11,7 @@
 
 /* ---- words ---- */
 
-/* Finds a word among those of the batch, or adds it. Returns its place, or −1 after adding a
- * fault. */
+/* Finds a word in the batch's list, or adds it. Returns its place, or −1 after adding a fault. */
 static int place_word(struct mo_json *json, struct mo_json_slice word, unsigned depth,
                       char words[][MO_STUDY_WORD_MAX + 1], uint32_t *n, uint32_t most)
 {

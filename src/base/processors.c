@@ -1,6 +1,6 @@
 /* processors.c: see processors.h.
  *
- * A cgroup without files counts as one without a limit. Inside a container, /proc often names a
+ * A cgroup without files counts as one without a limit. Inside a container, /proc often shows a
  * path of the host, while the files of the container's own cgroup are at the top of the mount. The
  * walk up the path ends there and finds them. */
 #include "base/processors.h"

@@ -12,9 +12,9 @@
  * well. */
 extern __thread volatile int64_t mo_thread_tag;
 
-/* Starts a thread like pthread_create. The thread blocks all signals except those for its own
- * faults: a blocked fault would kill the process before a handler can record the work. name: up to
- * 15 characters, or NULL. */
+/* Starts a thread like pthread_create. The thread blocks all signals except the signals for its own
+ * faults, because a blocked fault would kill the process before a handler can record the work.
+ * name: up to 15 characters, or NULL. */
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);
 

@@ -51,8 +51,8 @@ uint32_t mo_unit_held(const struct mo_unit *unit)
   return n;
 }
 
-/* Returns the number of calls among which the waiting work is divided: those that could begin now.
- * A device with a call in flight or pending counts only if there is enough work for all. */
+/* Returns the number of calls that share the waiting work: the calls that could begin now. A device
+ * with a call in flight or pending counts only if there is enough work for all. */
 static uint64_t calls_now(const struct mo_devices *devices, uint64_t waiting)
 {
   uint64_t n = 0, idle = 0;
@@ -153,8 +153,8 @@ static void build_bodies(void *context, size_t first, size_t end)
     }
 }
 
-/* Lays out the rows, and moves the blocks that have rows before those that already have a result.
- * Environments of one body are adjacent, even across blocks. */
+/* Lays out the rows, and moves the blocks that have rows before the blocks that already have a
+ * result. Environments of one body are adjacent, even across blocks. */
 static void lay_out(struct mo_chunk *chunk)
 {
   const uint32_t n = chunk->n_active;

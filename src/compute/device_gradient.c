@@ -74,7 +74,7 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
   free(gradients);
 }
 
-/* Returns the p-th working device; Returns NULL if fewer devices work. */
+/* Returns the p-th working device, or NULL if fewer devices work. */
 static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
 {
   MO_GUARD(&devices->fair.mutex);

@@ -73,7 +73,7 @@ struct mo_unit {
   struct mo_caller callers[MO_CALLERS];
   uint32_t n_callers;              /* that may be used at present */
   struct mo_device_status status;  /* busy_s and load: as of changed_ns */
-  uint64_t changed_ns, charged_ns; /* charged: time up to which the device is charged to shares */
+  uint64_t changed_ns, charged_ns; /* charged: shares are charged for the device up to this time */
   bool wants_info;                 /* free memory was requested: read it */
   pthread_t gatherer;
   bool has_gatherer, gathered_all;         /* all: the gatherer has exited */
@@ -81,7 +81,7 @@ struct mo_unit {
   uint32_t good_chunks;                    /* since a limit was lowered */
 };
 
-/* The class of the devices, on which their bits depend; constant. */
+/* The class of the devices, which determines their bits; constant. */
 struct mo_device_class {
   char scores[128], gradients[128];
 };

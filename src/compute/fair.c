@@ -97,7 +97,7 @@ static void add_charge(struct mo_fair_charge *charge, double units)
   share->virtual_s += estimate_s / share->weight;
 }
 
-/* Makes a share the current one: advances the queue's virtual time to that of the share. */
+/* Makes a share the current one: advances the queue's virtual time to the share's time. */
 static struct mo_fair_charge start_charge(struct mo_fair *fair, struct mo_compute_share *share,
                                           enum mo_fair_kind kind)
 {

@@ -104,7 +104,7 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
 
 /* Call these under the mutex. */
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
-/* Returns the share that is next, among the shares whose first block fits; Returns NULL if there is
+/* Returns the share that is next, among the shares whose first block fits, or NULL if there is
  * none. */
 struct mo_compute_share *mo_fair_next(const struct mo_fair *fair, mo_fair_fits *fits,
                                       void *context);
@@ -115,19 +115,19 @@ void mo_fair_charge_gradient(struct mo_fair *fair, struct mo_compute_share *shar
  * NULL: any block fits. Returns NULL if no such block is waiting. */
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge,
                               mo_fair_fits *fits, void *context);
-/* Takes the next block of this share, even if another share is next; Returns NULL if none is
+/* Takes the next block of this share, even if another share is next. Returns NULL if none is
  * waiting. */
 struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share,
                                    struct mo_fair_charge *charge);
-/* Takes another block of the charge's share, to run together with those taken before; Returns NULL
- * if none is waiting, or it does not fit. */
+/* Takes another block of the charge's share, to run together with the blocks taken before. Returns
+ * NULL if none is waiting, or it does not fit. */
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
                                    mo_fair_fits *fits, void *context);
 /* Puts blocks of a charge back at the front of its share, in order, and reverses the charge. For
  * part of a charge, `charge` holds the charge of these blocks. */
 void mo_fair_put_back(struct mo_fair *fair, const struct mo_fair_charge *charge,
                       struct mo_block *const *blocks);
-/* Returns the number of rollout steps, to which the cost of a block is roughly proportional. */
+/* Returns the number of rollout steps; the cost of a block is roughly proportional to it. */
 double mo_fair_units(const struct mo_block *block);
 /* Corrects a charge to the measured worker seconds. `whole`: the block was computed completely, so
  * its cost updates the estimates. */

@@ -111,8 +111,8 @@ static inline struct mo_gradient_options mo_batch_options(const struct mo_gradie
   return options;
 }
 
-/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots. Its `block` stands in the
- * queue, like that of a gradient block. */
+/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots. Its `block` is in the queue,
+ * as for a gradient block. */
 struct mo_device_layout;
 struct mo_device_task {
   struct mo_block block;

@@ -1,8 +1,8 @@
 /* remote.c: remote takers: blocks and shards that are sent to other machines, and their results.
  *
- * A taker chooses like a worker: the share that is next, among those with a suitable first block.
- * It takes more blocks of that share while they have the same controller and physics. Shards of
- * gradients compete with the blocks by the shares of their batches. The share is charged an
+ * A taker chooses like a worker: the share that is next, among the shares with a suitable first
+ * block. It takes more blocks of that share while they have the same controller and physics. Shards
+ * of gradients compete with the blocks by the shares of their batches. The share is charged an
  * estimate until the blocks or the shard are returned. */
 #include "compute/devices.h"
 #include "compute/shards.h"

@@ -70,8 +70,8 @@ void mo_offer_close(struct mo_offer *offer);
 
 /* ---- for takers; under the mutex ---- */
 
-/* Returns the offer with a shard for a taker and with the share that is next; Returns NULL if there
- * is none. here: looks for a shard that the workers are computing. */
+/* Returns the offer with a shard for a taker and with the share that is next, or NULL if there is
+ * none. here: looks for a shard that the workers are computing. */
 struct mo_offer *mo_offer_next(const struct mo_compute_core *core, enum mo_back_end back_end,
                                bool here);
 struct mo_shard *mo_offer_take(struct mo_offer *offer, bool here);

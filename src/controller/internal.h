@@ -42,7 +42,7 @@ int mo_controller_put_metadata(struct mo_controller *controller, const char *key
 /* Adds the entries that every file has, if they are missing: both orders and the sensor. */
 int mo_controller_complete_metadata(struct mo_controller *controller);
 
-/* safetensors.c: a checked header. offsets[i]: byte of the file at which tensor i of the table
+/* safetensors.c: a checked header. offsets[i]: byte of the file where tensor i of the table
  * starts. */
 struct mo_safetensors {
   struct mo_controller *controller; /* allocated, metadata set, parameters not read yet */

@@ -27,7 +27,8 @@ void crash_forgive(void)
 
 static void crashed(int number)
 {
-  /* A second thread that faults meanwhile, or a fault in this handler, ends the process at once. */
+  /* If a second thread faults at the same time, or this handler faults, the process ends at
+   * once. */
   for (size_t i = 0; i < N_SIGNALS; i++)
     signal(signals[i], SIG_DFL);
   crash_forgive();
@@ -51,7 +52,7 @@ static size_t read_boot(char line[BOOT_BYTES])
   return (size_t)snprintf(line, BOOT_BYTES, "boot %s\n", found ? id : "unknown");
 }
 
-/* Reads the marker of the last process. *noted: the marker names the crashed job. *killed_us: the
+/* Reads the marker of the last process. *noted: the marker has the crashed job. *killed_us: the
  * start of the last process, if it was killed in this boot; else 0. */
 static void look(const char *path, const char *boot, size_t size, bool *noted, int64_t *killed_us)
 {

@@ -20,8 +20,8 @@
 
 #define PEM_MAX 65536 /* bytes of a file */
 
-/* Each session holds a connection for its orders and one for leases. The third may be one that has
- * just been lost. */
+/* Each session holds one connection for its orders and one for leases. A third one may have just
+ * been lost. */
 #define CONNECTIONS_MAX (3 * 4096)
 #define BODY_BYTES      (UINT64_C(8) << 20) /* for an exchange */
 #define BODY_MEMORY     (UINT64_C(256) << 20)

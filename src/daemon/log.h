@@ -67,7 +67,7 @@ void log_write(enum log_level level, const char *message, const struct log_field
                size_t n_fields);
 
 /* Formats one line with its newline into `line` (capacity bytes, always terminated); returns its
- * length. A field that does not fit is left out, along with those after it. `time_us`: microseconds
+ * length. A field that does not fit is left out, along with all later ones. `time_us`: microseconds
  * since 1970; 0: omit the time. */
 size_t log_format_line(char *line, size_t capacity, enum log_format format, bool priority,
                        int64_t time_us, enum log_level level, const char *message,

@@ -246,7 +246,7 @@ static int store_default_controller(struct service *service, const struct settin
   struct stat info = {.st_size = 0};
   uint8_t *bytes = NULL;
   status = mo_controller_read(path, &controller, message);
-  /* Store the file's own bytes: the hash of a controller is that of its file. */
+  /* Store the file's own bytes, because the hash of a controller is the hash of its file. */
   FILE *file = status == MO_OK ? fopen(path, "re") : NULL;
   if (status == MO_OK && (file == NULL || fstat(fileno(file), &info) != 0 ||
                           (bytes = malloc((size_t)info.st_size)) == NULL ||
@@ -371,7 +371,8 @@ int service_store_status(int error)
   return exit_status_of(error, needs_a_person ? EXIT_CONFIG : EXIT_STATE);
 }
 
-/* Returns the budget of all recordings, which is at least that of one evaluation; 0: no limit. */
+/* Returns the budget of all recordings, which is at least the budget of one evaluation; 0: no
+ * limit. */
 static uint64_t max_recordings_of(const struct settings *settings)
 {
   const uint64_t all = settings->max_recordings_bytes, one = settings->max_recorded_bytes;
@@ -464,8 +465,8 @@ static int start_jobs(struct service *service, const struct settings *settings,
   return mo_jobs_create(service->store, service->compute, &config, &service->jobs, message);
 }
 
-/* The parts in the order in which they start, with the exit status of an error: `other_status` for
- * the errors in `others`, otherwise `status`. */
+/* The parts in starting order, with the exit status of an error: `other_status` for the errors in
+ * `others`, otherwise `status`. */
 static const struct part {
   int (*start)(struct service *service, const struct settings *settings,
                struct mo_message *message);

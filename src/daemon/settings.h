@@ -126,7 +126,7 @@ int settings_set(struct settings *settings, const struct setting *setting, const
 /* Derives values from the environment: state_dir, token_file from a credential. */
 void settings_complete(struct settings *settings, const char *const *environment);
 
-/* Checks folders, files and addresses to which the values refer, and contradictions. Reads only,
+/* Checks the folders, files and addresses that the values refer to, and contradictions. Reads only,
  * never writes. `state_dir`: also checks the state folder. (A start does not need this check: it
  * reports a broken folder separately from a broken configuration.) */
 void settings_check(const struct settings *settings, bool state_dir,

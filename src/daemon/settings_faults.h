@@ -5,7 +5,8 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/* Faults in the configuration, one sentence each. `fatal` false: a warning. */
+/* Faults in the configuration, one sentence each. If `fatal` is false, the fault is only a
+ * warning. */
 struct settings_faults {
   struct settings_fault {
     char *text;

@@ -131,7 +131,7 @@ static bool read_file(struct settings *settings, const char *path, bool required
 {
   struct stat status;
   if (stat(path, &status) == 0 &&
-      S_ISFIFO(status.st_mode)) { /* a reload would wait forever for its writer */
+      S_ISFIFO(status.st_mode)) { /* a reload would block on its writer */
     settings_fault(faults, true, "%s is a pipe, not a file", path);
     return false;
   }
@@ -157,8 +157,8 @@ static bool read_file(struct settings *settings, const char *path, bool required
 static void read_environment(struct settings *settings, const char *const *environment,
                              struct settings_faults *faults)
 {
-  /* Variables with this prefix that are not settings: those of morphoctl, and the name of the file.
-   */
+  /* Variables with this prefix that are not settings: the variables of morphoctl, and the name of
+   * the file. */
   static const char *const others[] = {"config", "server", "token"};
   for (const char *const *entry = environment; entry != NULL && *entry != NULL; entry++) {
     if (strncmp(*entry, "MORPHOD_", 8) != 0)

@@ -1,6 +1,6 @@
-/* settings_rows.h: functions for any table of rows like those of settings.h, such as that of
- * `morphod worker`. `values` is the struct to which the offsets of the rows refer. It begins with
- * zeros. */
+/* settings_rows.h: functions for any table of rows like the one in settings.h, for example the
+ * table of `morphod worker`. `values` is the struct that the offsets of the rows refer to. It
+ * begins with zeros. */
 #ifndef MORPHO_DAEMON_SETTINGS_ROWS_H
 #define MORPHO_DAEMON_SETTINGS_ROWS_H
 

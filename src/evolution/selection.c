@@ -54,9 +54,9 @@ static int choose_by_tournament(struct choice *choice)
 
 /* ---- novelty ---- */
 
-/* Novelty: the best survives, then those with the smallest (1 − weight) · rank by score + weight ·
- * rank by novelty, both from 0. With equal novelty, or an equal sum, the better score goes first.
- * With weight 0 the sum is the rank by score: truncation. */
+/* Novelty: the best survives, then the candidates with the smallest (1 − weight) · rank by score +
+ * weight · rank by novelty, both from 0. With equal novelty, or an equal sum, the better score goes
+ * first. With weight 0 the sum is the rank by score: truncation. */
 static int choose_by_novelty(struct choice *choice)
 {
   const double weight = choice->settings->selection.novelty_weight;

@@ -1,6 +1,6 @@
 /* variation.c: the initial population, and the children of a generation (paper, section 2.5).
  *
- * Results of a seed depend on which numbers are taken from which stream: never change that.
+ * The results of a seed depend on which numbers are taken from which stream, so never change that.
  *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
  *                 0 … n − 1; its first round(share · n) places mutate, in this order, the
  *                 others recombine

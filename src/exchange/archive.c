@@ -10,7 +10,7 @@
 
 #define BLOCK      512
 #define LEVEL      3
-#define WINDOW_LOG 23 /* 8 MiB; that of level 3 is 21 */
+#define WINDOW_LOG 23 /* 8 MiB, which is 2^23; level 3 uses 2^21 */
 #define SUMS       "SHA256SUMS"
 
 /* ---- shared by writing and reading ---- */

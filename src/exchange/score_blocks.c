@@ -1,4 +1,4 @@
-/* score_blocks.c: writes and reads blocks of scores. Their lines are like those of bundles. */
+/* score_blocks.c: writes and reads blocks of scores. Their lines are like the lines of bundles. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -24,8 +24,8 @@ void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_s
 void mo_check_decide(struct mo_fleet *fleet, struct mo_lease *lease, double *losses,
                      uint32_t *diverged_steps, uint64_t now_ns, struct mo_after *after);
 /* Returns whether a session may compute a waiting audit. It must not have delivered the lease, and
- * its name and host must differ from those of the session that did, unless no other session has
- * been available for some seconds. */
+ * its name and host must differ from the delivering session's, unless no other session has been
+ * available for some seconds. */
 bool mo_check_suits(const struct mo_lease *lease, const struct mo_session *session,
                     uint64_t now_ns);
 /* Cuts an audit that is not disputed to about max_steps, starting at a random place. */

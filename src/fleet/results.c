@@ -5,7 +5,7 @@
 
 #define MEMORY       0.9 /* share of the sums of a pace that each message keeps: about ten leases */
 #define FAILURES_MAX 5   /* failed leases in a row, after which a session gets no more */
-#define REFUSALS_MAX 10  /* refused leases in a row, up to which the rest grows */
+#define REFUSALS_MAX 10  /* refused leases in a row; after these, the rest stops growing */
 
 /* Adds up the results of one message for the pace of a session on one back end. */
 struct part {

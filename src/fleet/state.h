@@ -66,8 +66,8 @@ struct mo_lease {
   bool is_kept;     /* put back to be computed here, because workers of its class cannot compute
                      * it */
   bool is_only;     /* same, lost three times: its session holds no other lease */
-  bool is_audit;    /* a check that waits for further results, not only for those that are on their
-                     * way */
+  bool is_audit;    /* a check that waits for additional results, not only for results that are on
+                     * their way */
   bool is_disputed; /* its votes differ, and this process decides */
   bool is_deciding; /* this process is computing it */
   bool is_listed;   /* in the list of its class (another session should take it), or in

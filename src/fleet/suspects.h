@@ -19,7 +19,7 @@
 struct mo_suspects {
   uint32_t n;
   struct mo_suspect {
-    uint64_t hash, session;     /* session: the most recent one that was lost */
+    uint64_t hash, session;     /* session: the most recently lost session */
     uint64_t alone[MO_PATIENT]; /* workers that were lost while this was their only body */
     uint32_t lost, lost_alone, n_alone, limit;
   } sets[MO_SUSPECT_SETS][MO_SUSPECT_WAYS];

@@ -193,9 +193,9 @@ static const unsigned char *find_majority(const struct mo_http *http)
   return 2 * own > n ? majority->client_key : NULL;
 }
 
-/* Counts the connections of each place, and finds the one that gives way first: one that has been
- * spare for MO_STALL_US, or any spare one of a client that has more than half of all connections.
- * Call it with the connections' lock held. */
+/* Counts the connections of each place, and finds the connection that gives way first: one that has
+ * been spare for MO_STALL_US, or any spare connection of a client that has more than half of all
+ * connections. Call it with the connections' lock held. */
 static void survey(struct mo_http *http, int64_t now_us, uint32_t n[MO_PLACES],
                    struct mo_connection *first[MO_PLACES])
 {

@@ -59,15 +59,15 @@ struct mo_http_config {
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
                                service's own user */
   size_t n_unix_groups;
-  uint32_t n_io_threads;    /* libmicrohttpd's pool; 0: one per processor, at most 4 */
-  uint32_t max_connections; /* above this, idle connections are closed, or new ones get 503 with
-                             * Retry-After. Lower if the limit on open files requires it: see
-                             * mo_http_get_stats */
-  uint32_t other_files;     /* descriptors that other servers in this process may need */
-  uint32_t max_streams;     /* event streams */
-  uint32_t max_in_flight;   /* requests of one client at a time, without those that wait for a job;
-                               above: 429 */
-  uint32_t max_queued;      /* requests that wait for an API thread; above: 503; 0: 256 */
+  uint32_t n_io_threads;      /* libmicrohttpd's pool; 0: one per processor, at most 4 */
+  uint32_t max_connections;   /* above this, idle connections are closed, or new ones get 503 with
+                               * Retry-After. Lower if the limit on open files requires it: see
+                               * mo_http_get_stats */
+  uint32_t other_files;       /* descriptors that other servers in this process may need */
+  uint32_t max_streams;       /* event streams */
+  uint32_t max_in_flight;     /* requests of one client at a time, except requests that wait for a
+                               * job; above: 429 */
+  uint32_t max_queued;        /* requests that wait for an API thread; above: 503; 0: 256 */
   uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; above:
                                  429 */
   uint64_t max_body_bytes;    /* JSON body that submits work */

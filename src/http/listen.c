@@ -1,4 +1,4 @@
-/* listen.c: opens listening sockets, and describes those that were passed to the process. */
+/* listen.c: opens listening sockets, and describes sockets that were passed to the process. */
 #include <arpa/inet.h>
 #include <ctype.h>
 #include <errno.h>

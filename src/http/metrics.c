@@ -16,7 +16,8 @@ static const unsigned statuses[MO_METRIC_STATUSES] = {200, 201, 202, 204, 304, 4
 static const double bounds_s[MO_METRIC_BUCKETS] = {
     0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60};
 
-/* Returns the index of a route in the counters: that of the first line of its path. */
+/* Returns the index of a route in the counters, which is the index of the first line of its
+ * path. */
 static size_t place_of(const struct mo_routes *routes, const struct mo_route *route)
 {
   if (route == NULL)

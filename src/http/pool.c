@@ -198,7 +198,7 @@ void mo_wait_end(struct mo_request *request)
   unlink_waiting(request);
 }
 
-/* Ends the wait of a request. A parked request is queued again; a request about to park will see
+/* Ends the wait of a request. A parked request is requeued; a request about to park will see
  * wait_fired. Call it with the pool's lock held. */
 static void end_wait(struct mo_pool *pool, struct mo_request *request)
 {

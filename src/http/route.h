@@ -29,8 +29,8 @@ enum mo_route_flag {
   MO_ROUTE_ROLLOUT = 256 /* interactive: the handler waits for workers */
 };
 
-/* The right of a token's holder; each right includes those before it. Workers have a server of
- * their own, and no right on the server for clients. */
+/* The right of a token's holder; each right includes the rights before it. Workers have their own
+ * server, and no right on the server for clients. */
 enum mo_right {
   MO_RIGHT_WORKER, /* take leases and return their results */
   MO_RIGHT_READ,   /* read, and compute without storing anything */

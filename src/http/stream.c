@@ -31,7 +31,7 @@ struct mo_stream {
   bool news; /* for a stream that is behind: events arrived since the last call of fill */
   bool ended;
   bool suspended;          /* the connection waits for wake */
-  unsigned tokens_version; /* version for which the client's token was last checked; 0: none */
+  unsigned tokens_version; /* version when the client's token was last checked; 0: none */
   bool busy; /* an API thread fills the buffer; the connection stays suspended until then */
   struct mo_text buffer;
   size_t read;        /* bytes of the buffer that were sent */
@@ -220,7 +220,7 @@ void mo_stream_free(struct mo_request *request)
   request->stream = NULL;
 }
 
-/* Returns whether the token with which a stream was opened has been revoked. */
+/* Returns whether the token of a stream has been revoked since the stream was opened. */
 static bool is_revoked(struct mo_http *http, struct mo_stream *stream)
 {
   const unsigned version = atomic_load(&http->tokens.version);

@@ -21,7 +21,7 @@ void mo_campaign_free_learning(struct mo_campaign_learning *learning);
 uint64_t mo_campaign_n_steps(const struct mo_campaign_run *run); /* of this generation */
 /* Runs the remaining learning steps of this generation. */
 int mo_campaign_learn(struct mo_campaign_run *run);
-/* Ends a campaign in which no robot of generation 0 could learn or be scored. */
+/* Ends a campaign if no robot of generation 0 could learn or be scored. */
 int mo_campaign_check_learned(struct mo_campaign_run *run);
 /* Saves a checkpoint of the steps since the last one. */
 int mo_campaign_save_learning(struct mo_campaign_run *run);

@@ -120,8 +120,8 @@ int mo_campaign_commit(struct mo_campaign_run *run);
 void mo_campaign_writing_free(struct mo_campaign_run *run);
 /* Returns whether mo_campaign_wait_for_commit would have to wait for the store. */
 bool mo_campaign_is_writing(const struct mo_campaign_run *run);
-/* Waits for the commit in progress. Returns MO_OK if there is none, too; errors are those of
- * mo_runner_persist. MO_ERR_CANCELLED: a request arrived while the commit waited for space; the
+/* Waits for the commit in progress. Returns MO_OK even if there is none, and otherwise the errors
+ * of mo_runner_persist. MO_ERR_CANCELLED: a request arrived while the commit waited for space; the
  * call may be repeated. */
 int mo_campaign_wait_for_commit(struct mo_campaign_run *run);
 /* Writes as mo_runner_persist does, but after the commit in progress. Once a campaign has committed

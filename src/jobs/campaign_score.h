@@ -55,7 +55,7 @@ bool mo_race_take(struct mo_campaign_run *run, uint32_t place, bool is_done);
 bool mo_race_pays(const struct mo_campaign_run *run);
 /* Keeps the losses of the survivors in `to`, for the plan of the next generation. */
 void mo_race_keep(const struct mo_campaign_run *run, struct mo_campaign_rows *to);
-/* Reads the losses of the population with which a campaign continues. */
+/* Reads the losses of the population that a campaign continues with. */
 int mo_race_read(struct mo_campaign_run *run);
 
 #endif

@@ -5,7 +5,7 @@
  * - active: a running job and the grid of its cells
  * - rollout: one (genotype, controller, physics, environment) that is being computed or waits for
  *   its commit; other jobs that need it defer the cell until the store has the score
- * - pending: what the next save will write; at most one save is in progress */
+ * - pending: the data that the next save will write; at most one save is in progress */
 #ifndef MORPHO_JOBS_EVALUATION_H
 #define MORPHO_JOBS_EVALUATION_H
 

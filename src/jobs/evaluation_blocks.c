@@ -1,5 +1,5 @@
-/* evaluation_blocks.c: what the blocks of an evaluation do in addition to scoring.c: look-ups,
- * rollouts shared between jobs, recordings.
+/* evaluation_blocks.c: parts of an evaluation's blocks in addition to scoring.c: look-ups, rollouts
+ * shared between jobs, recordings.
  *
  * The look-up for an open cell first checks the rollouts that are being computed or are waiting for
  * their commit (then the cell is deferred), and then the store (then the cell is done). Otherwise

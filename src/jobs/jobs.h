@@ -7,7 +7,7 @@
  * States:
  * - queued → running → succeeded | failed
  * - pause: queued, running → paused
- * - resume: paused → queued (trainings and campaigns: failed → queued, too)
+ * - resume: paused → queued (trainings and campaigns: also failed → queued)
  * - cancel: queued, running, paused → cancelled
  * - restart of the process: running → queued
  *

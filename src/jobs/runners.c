@@ -59,7 +59,7 @@ static void release(struct mo_runner *runner)
   runner->id = 0;
   runner->request = MO_REQUEST_NONE;
   runner->waits = false;
-  runners->look++; /* this job may be queued again, or others may have waited for a thread */
+  runners->look++; /* this job may be requeued, or others may have waited for a thread */
   atomic_fetch_sub(&runners->active, 1);
   pthread_cond_broadcast(&runners->news);
   pthread_mutex_unlock(&runners->mutex);

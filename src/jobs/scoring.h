@@ -42,7 +42,7 @@ static inline bool mo_grid_is_open(const struct mo_grid *grid, uint32_t design, 
 }
 /* Closes the open cells of all designs, starting at `first`. Call it once. MO_ERR_NO_MEMORY. */
 int mo_grid_close(struct mo_grid *grid, uint32_t first);
-/* Opens those of n cells of a design that are closed; they are scored soon. */
+/* Of n cells of a design, opens the closed ones; they are scored soon. */
 void mo_grid_open(struct mo_grid *grid, uint32_t design, const uint8_t *cells, uint32_t n);
 /* Marks a cell as done. Returns whether its design is done. */
 bool mo_grid_finish(struct mo_grid *grid, uint32_t design, uint32_t k);

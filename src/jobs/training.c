@@ -235,7 +235,7 @@ static int write_code(void *context)
 }
 
 /* Records in the lineage which code computed the gradient, before the step is applied, because
- * other code produces other bits. This includes workers that compute what a device does not
+ * other code produces other bits. This includes workers that compute bodies that a device does not
  * support. */
 static int note_code(struct run *run)
 {

@@ -1,7 +1,7 @@
 /* held_out.c: bodies and environments that training never uses.
  *
  * Whether a body is held out depends only on its canonical form: a hash chooses one form in 16. So
- * the bodies on which two controllers are compared are new to both, regardless of their training
+ * the bodies that are used to compare two controllers are new to both, regardless of their training
  * seeds. The hash is one application of Philox; its counter and key hold exactly the 192 bits of a
  * form in the default workspace. */
 #include <morpho/learning.h>

@@ -1,7 +1,7 @@
 /* variation.c: random bodies, mutation, crossover.
  *
- * Results of a seed depend on which numbers are taken from a stream, and in which order: never
- * change that.
+ * The results of a seed depend on which numbers are taken from a stream, and in what order, so
+ * never change that.
  *   random body  one below(volumes), one below(boxes of that volume), one normal, then one
  *                32-bit number per voxel of the box in voxel order; all of it again while no
  *                voxel is active. A voxel is active if its number is below p · 2³²

@@ -1,4 +1,4 @@
-/* block_physics_float.c: the physics of blocks in float; MO_FAST_ISA names the instruction set, and
+/* block_physics_float.c: the physics of blocks in float; MO_FAST_ISA is the instruction set, and
  * MO_VBYTES the size of its vectors. */
 #define MO_FAST_DOUBLE         0
 #define MO_NAME_OF(isa, bytes) mo_physics_##isa##_float_##bytes

@@ -1,5 +1,5 @@
-/* gradient_float.c: gradients of blocks in float; MO_FAST_ISA names the instruction set it is
- * compiled for. */
+/* gradient_float.c: gradients of blocks in float; MO_FAST_ISA is the instruction set it is compiled
+ * for. */
 #define MO_FAST_DOUBLE    0
 #define MO_JOIN2(a, b)    a##b
 #define MO_JOIN(a, b)     MO_JOIN2(a, b)

@@ -1,4 +1,4 @@
-/* kernel_double.c: the fast path in double; MO_FAST_ISA names the instruction set it is compiled
+/* kernel_double.c: the fast path in double; MO_FAST_ISA is the instruction set it is compiled
  * for. */
 #define MO_FAST_DOUBLE    1
 #define MO_JOIN3(a, b, c) a##b##c

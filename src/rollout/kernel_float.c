@@ -1,5 +1,4 @@
-/* kernel_float.c: the fast path in float; MO_FAST_ISA names the instruction set it is compiled for.
- */
+/* kernel_float.c: the fast path in float; MO_FAST_ISA is the instruction set it is compiled for. */
 #define MO_FAST_DOUBLE    0
 #define MO_JOIN3(a, b, c) a##b##c
 #define MO_JOIN(a, b, c)  MO_JOIN3(a, b, c)

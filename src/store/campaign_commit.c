@@ -63,7 +63,7 @@ static int prepare(struct commit_arguments *call)
 
 static int check_turn(struct mo_store *store, struct commit_arguments *call)
 {
-  /* A study waits for its next batch in the queue, and is not started before. */
+  /* A study waits in the queue for its next batch, and is not started until then. */
   static const char sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION ",attempts=0,state=iif(?3 AND state=1,0,state)"
       " WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
@@ -169,8 +169,8 @@ struct part {
   int64_t origin;
 };
 
-/* Collects the losses of a block with the same origin and class as that of environment `first`, and
- * marks them in `taken`. */
+/* Collects the losses of a block with the same origin and class as the loss of environment `first`,
+ * and marks them in `taken`. */
 static void take_part(const struct conditions *conditions, const struct mo_campaign_loss *loss,
                       uint32_t first, uint32_t end, uint64_t *taken, struct part *part)
 {
@@ -191,8 +191,8 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
   }
 }
 
-/* Stores the losses of a child like those of an evaluation: a row for each block of environments,
- * or more if several machines computed it. */
+/* Stores the losses of a child like the losses of an evaluation: a row for each block of
+ * environments, or more if several machines computed it. */
 static int insert_child_scores(struct mo_store *store, const struct commit_arguments *call,
                                const struct mo_campaign_loss *loss, struct conditions *conditions,
                                int64_t now_us)

@@ -99,8 +99,8 @@ struct mo_campaign_commit {
                                 new population */
   uint32_t n_survivors;
   bool race_pays; /* race in the next generation */
-  /* (n_losses) zero-shot: losses of the children, stored in `scores` like those of evaluations;
-   * else NULL. */
+  /* (n_losses) zero-shot: losses of the children, stored in `scores` like the losses of
+   * evaluations; else NULL. */
   const struct mo_campaign_loss *losses;
   uint32_t n_losses;
   int64_t fingerprint, workers_fingerprint; /* mo_store_fingerprint; workers_: for by_workers */

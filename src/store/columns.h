@@ -26,7 +26,7 @@ struct mo_column {
 
 struct mo_columns {
   const struct mo_column *items;
-  size_t n, n_stored; /* number of columns, and of those after them that only the database has */
+  size_t n, n_stored; /* number of columns, and of the later columns that only the database has */
 };
 #define MO_COLUMNS(list, stored)                                                                   \
   {                                                                                                \

@@ -42,7 +42,7 @@ struct mo_designs {
   uint32_t *positions;       /* (n) malloc: places in the request */
   uint32_t n;
 };
-/* Reads the designs of a job. The caller frees the lists, also after an error. */
+/* Reads the designs of a job. The caller frees the lists, even after an error. */
 int mo_designs_read(struct mo_connection *connection, int64_t id, struct mo_designs *designs);
 
 #endif

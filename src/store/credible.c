@@ -1,7 +1,7 @@
 /* credible.c: see credible.h.
  *
  * If the clock were a year ahead, the service would at once delete everything that must be kept for
- * a year. So the database stores the newest time at which the clock was credible. The clock may be
+ * a year. So the database stores the newest time when the clock was credible. The clock may be
  * ahead of it by the time that the process has run since, plus a day, or plus a tenth of the
  * shortest retention time if that is longer: the service may have been off, or the computer may
  * have slept, while mo_clock_us stood still. If it is further ahead, an operator must confirm it

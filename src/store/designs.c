@@ -128,7 +128,7 @@ struct group {
   int64_t controller, physics, fingerprint, set;
 };
 
-/* Columns of the query below: those of the score, then these. */
+/* Columns of the query below: the columns of the score, then these. */
 enum {
   SET = 8,
   POSITION,

@@ -20,7 +20,7 @@ struct mo_design_score {
   struct mo_sha256 controller_sha256, physics_sha256;
   enum mo_precision precision;
   enum mo_sensor sensor;
-  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, named by its hash */
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, identified by its hash */
   struct mo_sha256 environment_sha256;         /* if environment_set is "" */
   uint32_t n_losses;
   double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
@@ -40,8 +40,7 @@ struct mo_design {
   struct mo_genotype form; /* canonical */
   int64_t first_seen_us;
   uint32_t n_orientations;
-  struct mo_design_orientation *orientations; /* (n_orientations) in the order in which they were
-                                                 first seen */
+  struct mo_design_orientation *orientations; /* (n_orientations) in order of first appearance */
   bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
 };
 void mo_design_free(void *design); /* NULL-safe */
@@ -52,7 +51,7 @@ int mo_store_design(struct mo_store *store, const struct mo_genotype *form,
                     struct mo_design **design); /* MO_ERR_NOT_FOUND */
 
 enum mo_design_sort {
-  MO_DESIGNS_BY_ID = 0 /* in the order in which they were first seen */,
+  MO_DESIGNS_BY_ID = 0 /* in order of first appearance */,
   MO_DESIGNS_BY_SCORE = 1 /* best first */
 };
 struct mo_design_query {
@@ -72,8 +71,9 @@ int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *q
                          struct mo_design_row *rows, size_t limit);
 
 /* Reads the designs of a job, in order (malloc): those listed in the request. For a campaign, the
- * initial ones: record.n_listed listed ones, or those of initial_campaign's newest population that
- * fit the campaign's workspace, best first, up to the size of the population. MO_ERR_NOT_FOUND. */
+ * initial ones: record.n_listed listed ones, or the designs of initial_campaign's newest population
+ * that fit the campaign's workspace, best first, up to the size of the population.
+ * MO_ERR_NOT_FOUND. */
 int mo_store_job_designs(struct mo_store *store, int64_t id, struct mo_bits **genotypes,
                          uint32_t *n);
 /* Reads the notes about the designs of a job's request, ascending (malloc; NULL if there are

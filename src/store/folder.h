@@ -31,7 +31,7 @@ bool mo_excluded_name_read(const char *name, struct mo_sha256 *controller, uint6
 int mo_folder_sync(struct mo_store *store, const char *path);
 /* Creates a folder if it is missing, and makes its name durable in any case. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
-/* Counts files without rows in store->orphans, and removes those that this program left behind.
+/* Counts files without rows in store->orphans, and removes the files that this program left behind.
  * connection NULL: finds only unfinished files. Called before the writer starts. */
 int mo_files_sort_out(struct mo_store *store, struct mo_connection *connection, bool removes);
 

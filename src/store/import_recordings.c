@@ -171,7 +171,7 @@ static int insert_job(struct mo_import *import, const struct mo_imported_evaluat
                        mo_string(evaluation->experiment), mo_string(evaluation->note));
 }
 
-/* Returns whether the environments are those of the campaign's named set. */
+/* Returns whether the environments are the same as in the campaign's named set. */
 static bool has_set(const struct mo_import *import, const struct mo_imported_evaluation *evaluation)
 {
   bool same = import->set != 0 && evaluation->environment_set[0] != '\0' &&
@@ -197,8 +197,8 @@ static int insert_evaluation(struct mo_import *import,
                    mo_int(classes->fingerprint), mo_int(classes->workers));
 }
 
-/* Inserts the designs, and reads the steps in which their rollouts diverged. All their losses must
- * be stored. */
+/* Inserts the designs, and reads the divergence steps of their rollouts. All their losses must be
+ * stored. */
 static int insert_designs(struct mo_import *import, const struct mo_imported_evaluation *evaluation,
                           struct mo_saved_design *design)
 {

@@ -1,5 +1,5 @@
 /* imports.c: see imports.h. It writes the same rows as mo_store_submit_campaign and
- * mo_store_campaign_commit, except that times and origins stay those of the source. */
+ * mo_store_campaign_commit, except that times and origins come from the source. */
 #include "store/imports.h"
 
 #include <stdio.h>

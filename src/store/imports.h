@@ -132,7 +132,7 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
  * losses.
  */
 int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
-/* Imports a recording; its job and step are those of the evaluation. */
+/* Imports a recording. Its job and step must be the evaluation's. */
 int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout);
 
 #endif

@@ -141,8 +141,8 @@ void *mo_read_whole(struct mo_store *store, size_t size,
  * thread starts. */
 void mo_reserve_make(struct mo_store *store);
 bool mo_reserve_free(struct mo_store *store);
-/* Queues deletions that are due, including those that the last process left unfinished. Call it
- * after the writer has started. */
+/* Queues due deletions, including the ones that the last process left unfinished. Call it after the
+ * writer has started. */
 void mo_upkeep_begin(struct mo_store *store);
 /* Does the same once a minute, but for recordings only by age. The writer calls it between
  * batches. */

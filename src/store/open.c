@@ -134,7 +134,7 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
       mo_fail(message, error, "%s failed: %s", schema_files[i].name, sqlite3_errmsg(writer->db));
   }
   /* In the same transaction, so that the database can be opened after a kill between this commit
-   * and that of the first opening. */
+   * and the commit of the first opening. */
   if (error == MO_OK && from == 0)
     error = mo_rows_create(writer);
   if (error == MO_OK && from == 0)

@@ -34,7 +34,8 @@ static bool is_of_form(const char *name, const char *format, int n, long long nu
   return strcmp(name, again) == 0 && numbers[0] >= 0 && numbers[1] >= 0 && numbers[2] >= 0;
 }
 
-/* Decides what a file belongs to. connection NULL: recognizes only unfinished files. */
+/* Determines which job or controller a file belongs to. connection NULL: recognizes only unfinished
+ * files. */
 static int judge(struct mo_connection *connection, const char *name, int64_t *whose)
 {
   static const char weights_sql[] = "SELECT 2*EXISTS(SELECT 1 FROM controllers WHERE sha256=?1)";

@@ -75,8 +75,9 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 
 /* ---- reads by the scheduler: on their own connection, from one thread at a time ---- */
 
-/* Reads the ids > after of queued evaluations of a priority, ascending, that have all their designs
- * stored; returns their number. large: includes evaluations of more than MO_DESIGNS_MAX designs. */
+/* Reads the ids of queued evaluations with a given priority, if all their designs are stored: ids >
+ * after, ascending. Returns their number. large: includes evaluations of more than MO_DESIGNS_MAX
+ * designs. */
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, bool large,
                         int64_t *ids, size_t limit);
 

@@ -48,9 +48,8 @@ int mo_run_touch(struct mo_store *store, int64_t id);
 int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *type,
                     enum mo_job_state state, const char *more);
 
-/* Adds an event for each warning of a job; if the job is not new, only for those that its request
- * did not cause.
- */
+/* Adds an event for each warning of a job; if the job is not new, only for warnings that its
+ * request did not cause. */
 int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new);
 
 int mo_training_code_load(struct mo_connection *connection, int64_t id,

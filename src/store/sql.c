@@ -38,7 +38,7 @@ int mo_sql_error(sqlite3 *db, int code)
     if (code == SQLITE_IOERR_SHMMAP)
       return mo_mapping_error();
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
-    /* A failed fsync is never "no space", because it is unknown what the kernel dropped. */
+    /* A failed fsync is never "no space", because the data that the kernel dropped is unknown. */
     if (code != SQLITE_IOERR_FSYNC && code != SQLITE_IOERR_DIR_FSYNC &&
         (system_error == ENOSPC || system_error == EDQUOT || system_error == EFBIG))
       return MO_ERR_NO_SPACE;

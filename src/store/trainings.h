@@ -112,9 +112,9 @@ int mo_store_training_progress(struct mo_store *store, int64_t id,
 int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
                            const char *fingerprint, struct mo_training_lineage *lineage);
 /* Stores a checkpoint: the file, then the row. Then deletes, rows before files, all but the newest
- * `keep` checkpoints, and those of later steps, which do not belong to the current run. A step
- * beyond all earlier checkpoints resets the job's attempts. step ≥ 1. Event "training.checkpoint".
- * MO_ERR_NO_SPACE: nothing changed; retry when there is space. */
+ * `keep` checkpoints, and the checkpoints of later steps, which do not belong to the current run. A
+ * step beyond all earlier checkpoints resets the job's attempts. step ≥ 1. Event
+ * "training.checkpoint". MO_ERR_NO_SPACE: nothing changed; retry when there is space. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
                                  const uint8_t *bytes, size_t size, uint32_t keep);
 /* running → succeeded. Writes the controller's file, then its row, its name and the training's

@@ -21,8 +21,8 @@ void mo_kept_weights_clear(struct mo_kept_weights *weights)
     forget(&weights->items[i]);
 }
 
-/* Returns a free entry, or the one that has been unused for the longest time; Returns NULL if all
- * are in use. */
+/* Returns a free entry, or else the entry that has been unused for the longest time. Returns NULL
+ * if all are in use. */
 static struct mo_kept *oldest(struct mo_kept_weights *weights)
 {
   struct mo_kept *found = NULL;

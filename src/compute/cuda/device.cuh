@@ -46,7 +46,7 @@ enum mo_gradient_place {
 };
 
 struct mo_device_layout {
-  uint32_t shared_bytes;  /* of the devices for which it was made */
+  uint32_t shared_bytes;  /* of the devices that it was made for */
   const mo_robot *robots; /* NULL: none */
   uint32_t n;
   mo_gradient_plan plan;
@@ -81,7 +81,7 @@ struct mo_device {
   mo_cuda_buffer plan, velocities, outcomes, generators, counter;
   /* Pinned memory of the host. */
   mo_cuda_buffer staged_plan, staged_outcomes, staged_generators;
-  double generators_dt_s; /* the dt for which `generators` holds `generators_steps` steps */
+  double generators_dt_s; /* the dt of the `generators_steps` steps in `generators` */
   uint32_t generators_steps;
   mo_cuda_gradient_state gradient;
 };

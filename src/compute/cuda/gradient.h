@@ -42,8 +42,8 @@ struct mo_cuda_gradient_profile {
   double plan_s, upload_s, forward_s, back_s, products_s,
       collect_s;                  /* the last four: device times, by its clock */
   uint64_t device_bytes;          /* allocated */
-  uint32_t passes, groups, walks; /* parts into which the call was divided; groups; backward
-                                     passes */
+  uint32_t passes, groups, walks; /* parts that the call was divided into; groups; backward
+                                   * passes */
   uint32_t halved;                /* groups that were computed in halves */
 };
 const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_device *device);

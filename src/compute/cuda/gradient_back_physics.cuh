@@ -7,7 +7,7 @@
 
 /* The results of a launch for a row. */
 struct back_row {
-  double scale_squared, largest; /* squares, too: largest of the adjoints' norms times scale_m */
+  double scale_squared, largest; /* also squares: largest of the adjoints' norms times scale_m */
   uint32_t steps, clipped;
   int zeroed, padding;
 };

@@ -28,7 +28,7 @@ enum {
 #define MO_GK_LARGE                                                                                \
   1e30f /* a larger derivative counts as not finite: sums of smaller ones are finite */
 
-/* Weights as tiles; the first index is the one that is divided among warps. */
+/* Weights as tiles. The first index is divided among warps. */
 struct mo_gk_weights {
   uint4 *forward[MO_HIDDEN_LAYERS + 1]; /* (16, 16) × 3, (103, 16): [out tile][in tile], float16 */
   uint4 *back[MO_HIDDEN_LAYERS + 1];    /* (16, 16) × 3: [in tile][out tile]; (16, 103): [in
@@ -220,8 +220,8 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   }
 }
 
-/* Allows every launch of the kernel the maximum of a block: the attribute belongs to the device,
- * whichever handle sets it, so it is never set to the needs of one launch. */
+/* Allows every launch of the kernel the maximum of a block: the attribute belongs to the device, no
+ * matter which handle sets it, so it is never set to the needs of a single launch. */
 template <class Kernel>
 static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_bytes)
 {

@@ -69,8 +69,9 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
   return ret->end > first ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
-/* In clocks per step, forward and backward, fitted to those of 128 groups of random bodies (to one
- * hundredth, root mean square). All warps wait for the pair with the most springs and masses. */
+/* In clocks per step, forward and backward, fitted to the times of 128 groups of random bodies (to
+ * one hundredth, root mean square). All warps wait for the pair with the most springs and
+ * masses. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g)
 {
   uint32_t most_chunks = 0, most_masses = 0;

@@ -224,7 +224,7 @@ static bool fits(const struct shard *s, const struct mo_gp_group *g)
 
 /* Returns whether 32 of the largest remaining bodies fit if some of them are replaced by the
  * smallest. s->from_back: the number replaced, at least sixteen, so that no pair has two large
- * bodies, for which all others would wait. */
+ * bodies, because all others would wait for it. */
 static bool mixes(struct shard *s)
 {
   uint32_t masses = 0;

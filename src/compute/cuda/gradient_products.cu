@@ -260,8 +260,8 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   return (int)cudaGetLastError();
 }
 
-/* Sets *wide to whether the current device has the features that the wide kernel needs: those of
- * capability 9.0 only, not of later ones. */
+/* Sets *wide to whether the current device has the features that the wide kernel needs: only
+ * capability 9.0 has them, later ones do not. */
 static cudaError_t has_wide(bool *wide)
 {
   int device = 0, major = 0, minor = 0;

@@ -83,7 +83,7 @@ static __device__ __forceinline__ void add_bias(const operands &o, int row, bool
     o.bias[row] = (is_first ? 0.0f : o.bias[row]) + x;
 }
 
-/* Two bfloat16 ones, by which the left operand is multiplied for its sums. */
+/* Two bfloat16 ones. The left operand is multiplied by them for its sums. */
 enum { ONES = 0x3f803f80 };
 
 /* ---- compute capability 9.0 ---- */

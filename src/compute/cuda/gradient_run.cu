@@ -3,7 +3,7 @@
  * The batch is divided into passes of whole shards that fit the device's memory; nearly always, one
  * pass suffices. A pass runs forward over all steps, then backward, which replaces the tape by the
  * operands of the products, and then computes the products. If a row's adjoint turns out not to be
- * finite, the row has contributed until then, so both directions run again without it. That is
+ * finite, the row has contributed until then, so both directions are rerun without it. This is
  * rare. */
 #include "compute/cuda/device.cuh"
 #include "compute/cuda/gradient_pass.h"
@@ -33,7 +33,7 @@ struct work {
   mo_gradient_pass p;
   mo_gk k;
   uint32_t n_jobs, n_halved;
-  bool told;             /* whether the device has been told that the call is cancelled */
+  bool told;             /* whether the device has been notified that the call is cancelled */
   mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 

@@ -66,7 +66,7 @@ struct mo_gp_group {
   uint32_t shard;
   uint32_t n_masses, n_chunks;
   uint32_t n_outputs;               /* tiles */
-  uint64_t first_mass, first_chunk; /* among those of all groups */
+  uint64_t first_mass, first_chunk; /* among the masses of all groups */
   uint64_t tape_at,
       sum_at; /* bytes from the start of the tape; floats from the start of the sums */
   uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];

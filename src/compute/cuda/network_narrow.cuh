@@ -57,7 +57,7 @@ __device__ __forceinline__ void mo_cuda_activations_written()
 {
 }
 
-/* Fills a row with zeros, using sixteen lanes, of which this is lane `own`. */
+/* Fills a row with zeros, using sixteen lanes; this lane is lane `own` of them. */
 __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r,
                                                   uint32_t own)
 {
@@ -121,7 +121,7 @@ __device__ __forceinline__ void mo_cuda_load_unit(uint4 (&a)[TILES][2],
   }
 }
 
-/* The number of units by which weights are loaded ahead: as many as registers allow. */
+/* How many units ahead weights are loaded: as many as registers allow. */
 template <int SUMS> struct mo_cuda_ahead {
   static constexpr int UNITS = SUMS <= 8 ? 2 : 1;
 };

@@ -48,7 +48,7 @@ __device__ __forceinline__ void mo_cuda_activations_written()
   asm volatile("fence.proxy.async.shared::cta;" ::: "memory");
 }
 
-/* Fills a row with zeros, using sixteen lanes, of which this is lane `own`. */
+/* Fills a row with zeros, using sixteen lanes; this lane is lane `own` of them. */
 __device__ __forceinline__ void mo_cuda_clear_row(const mo_cuda_activations &x, uint32_t r,
                                                   uint32_t own)
 {
@@ -142,9 +142,9 @@ struct mo_cuda_stream {
   uint32_t half;
 };
 
-/* The ring of units into which weights are loaded: one that is being multiplied, and others ahead
- * of it. It is shorter for more sums: all must be in registers, or the compiler waits for each
- * product. */
+/* The ring of units that weights are loaded into: one unit that is being multiplied, and others
+ * ahead of it. It is shorter for more sums: all must be in registers, or the compiler waits for
+ * each product. */
 template <int COLUMNS> struct mo_cuda_ring {
   static constexpr int SLOTS = COLUMNS <= 5 ? 5 : COLUMNS <= 8 ? 4 : 3;
   static constexpr int AHEAD = SLOTS - 1;
@@ -184,8 +184,8 @@ __device__ __forceinline__ void mo_cuda_begin_ring(mo_cuda_ring<COLUMNS> &ring,
     mo_cuda_load_unit(ring.slot[(i + Ring::TURN) % Ring::SLOTS], stream);
 }
 
-/* Adds to `sum` over all units, and loads the first units of the next matrix, to which it sets
- * `stream`. It is unrolled, because the end of a loop would wait for all loads. */
+/* Adds to `sum` over all units, loads the first units of the next matrix, and sets `stream` to it.
+ * It is unrolled, because the end of a loop would wait for all loads. */
 template <int COLUMNS>
 __device__ __forceinline__ void
 mo_cuda_product(float (&sum)[COLUMNS][4], mo_cuda_ring<COLUMNS> &ring, mo_cuda_stream &stream,

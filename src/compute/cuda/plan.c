@@ -482,8 +482,8 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     links[MO_PLAN_LINKS * quad_of[a] + used[a]++] = MO_PLAN_LINK(slot, ranks[b]);
     links[MO_PLAN_LINKS * quad_of[b] + used[b]++] = MO_PLAN_LINK(slot, ranks[a]);
   }
-  for (uint32_t m = 0; m < n; m++) /* of length 0: such a link has no force, whichever of the mass's
-                                      springs it names */
+  for (uint32_t m = 0; m < n; m++) /* of length 0: such a link has no force, no matter which of the
+                                    * mass's springs it refers to */
     for (uint32_t *first = links + MO_PLAN_LINKS * quad_of[m]; used[m] % MO_PLAN_LINKS != 0;
          used[m]++)
       first[used[m]] = MO_PLAN_LINK(MO_PLAN_LINK_SLOT(first[0]), ranks[m]);

@@ -30,8 +30,8 @@
 #define MO_PLAN_DEGREES_MAX 18  /* springs of one mass */
 #define MO_PLAN_NO_PAIR     0xffff
 
-/* Springs are paired, so that one load fetches the weights of two: the two diagonals of a face, of
- * which a body has both or neither, and adjacent edges. Spring i of pair p has slot 2p + i. */
+/* Springs are paired, so that one load fetches the weights of two: the two diagonals of a face (a
+ * body has both or neither), and adjacent edges. Spring i of pair p has slot 2p + i. */
 
 /* A body's masses are numbered in descending order of their number of springs, then as in mo_body.
  * A mass's links (a link is a spring seen from one end) are adjacent, in the order of the body's

@@ -186,7 +186,7 @@ __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
   for (uint32_t c = threadIdx.x; c < n; c += MO_CUDA_THREADS) {
     const Part &part = shared.parts[shared.chunks[c] >> 16];
     const uint32_t mass =
-        (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* those after it do not have more */
+        (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* the ones after it do not have more */
     shared.chunks[c] |= MO_PLAN_MASS_QUADS(__ldg(score.masses + part.first_mass + mass)) << kCost;
   }
   __syncthreads();
