@@ -49,8 +49,8 @@ static bool check_recordings(struct mo_request *request, const int64_t *ids, uin
   if (sum <= MO_BUNDLE_ROLLOUTS)
     return true;
   mo_reply_problem(request, 409, NULL,
-                   "%llu rollouts of these campaigns' designs are recorded; a bundle holds at most "
-                   "%d. Name fewer campaigns, or delete recordings.",
+                   "%llu rollouts of these campaigns' designs are recorded, but a bundle can hold "
+                   "at most %d. Select fewer campaigns, or delete recordings.",
                    (unsigned long long)sum, MO_BUNDLE_ROLLOUTS);
   return false;
 }
@@ -63,7 +63,7 @@ static bool check_all(struct mo_request *request, const int64_t *ids, uint32_t n
     mo_reply_error(request, MO_ERR_NO_MEMORY, "bundle");
   else if (n == 0 || n > MO_BUNDLE_CAMPAIGNS)
     mo_reply_problem(request, n == 0 ? 404 : 400, NULL,
-                     "The request names %u campaigns; a bundle holds 1 to %u.", n,
+                     "The request selects %u campaigns, but a bundle must have 1 to %u.", n,
                      MO_BUNDLE_CAMPAIGNS);
   good = good && n > 0 && n <= MO_BUNDLE_CAMPAIGNS;
   for (uint32_t i = 0; i < n && good; i++)
@@ -142,7 +142,7 @@ static void reply_refusal(struct mo_request *request, int error, const struct mo
   if (error == MO_ERR_FORMAT || error == MO_ERR_INVALID || error == MO_ERR_LIMIT) {
     mo_faults_add(&faults, MO_FAULT_BODY, "", "%s",
                   message->text[0] != '\0' ? message->text
-                                           : "replicates of one group differ in their worlds");
+                                           : "the replicates of a group have different worlds");
     mo_reply_problem(request, 422, &faults, "The bundle was refused, and nothing was stored.");
   } else if (error == MO_ERR_CONFLICT) {
     mo_reply_problem(request, 409, NULL, "The bundle was refused, and nothing was stored: %s.",

@@ -163,7 +163,7 @@ void mo_api_delete_controller(struct mo_request *request)
   struct mo_message message = {""};
   if (strcmp(name, "default") == 0) {
     mo_reply_problem(request, 409, NULL,
-                     "The name default cannot be removed; a PUT points it to another file.");
+                     "The name default cannot be removed; use PUT to point it to another file.");
     return;
   }
   int code = strncmp(name, "sha256:", 7) == 0 ? mo_store_controller_delete(store, name, &message)

@@ -397,12 +397,12 @@ static int whole_number(struct mo_json_slice raw, int64_t *number)
   const bool negative = raw.bytes[0] == '-';
   size_t i = negative, n_digits = 0, zeros = 0; /* zeros: after the last significant digit */
   int64_t value = 0, exponent = 0, fraction = 0;
-  for (bool behind_point = false; i < raw.size && (raw.bytes[i] | 0x20) != 'e'; i++) {
+  for (bool after_point = false; i < raw.size && (raw.bytes[i] | 0x20) != 'e'; i++) {
     const char c = raw.bytes[i];
-    behind_point |= c == '.';
+    after_point |= c == '.';
     if (c == '.')
       continue;
-    fraction += behind_point;
+    fraction += after_point;
     zeros += c == '0' && n_digits > 0;
     if (c == '0')
       continue;

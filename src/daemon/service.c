@@ -439,7 +439,7 @@ static int open_devices(struct service *service, const struct settings *settings
   const int error =
       devices_open(service->compute, &settings->devices, settings->compute_module, message);
   return error == MO_OK && mo_compute_devices(service->compute) == 0 && fleet_is_on(settings)
-             ? mo_compute_expect_devices(service->compute) /* workers may have some */
+             ? mo_compute_expect_devices(service->compute) /* workers may have devices */
              : error;
 }
 

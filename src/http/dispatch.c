@@ -102,15 +102,15 @@ static bool admitted(struct mo_request *request)
   const bool is_proven = known == 1 || (known == 0 && !is_open);
   if (hosted && !is_proven && !mo_guard_host(host, host_size, is_unix, &http->names)) {
     refusal.header = "Host";
-    refusal.detail = "the Host field names a host that this service does not serve";
+    refusal.detail = "the service does not serve the host in the Host field";
   } else if (framing->origin != NULL &&
              !mo_guard_origin(framing->origin, framing->host, &http->names)) {
     refusal.header = "Origin";
-    refusal.detail = "pages of this origin may not use the service";
+    refusal.detail = "pages from this origin may not use the service";
   } else if (route != NULL && strncmp(route->path, "/v1/", 4) == 0 &&
              !mo_guard_fetch_site(framing->fetch_site)) {
     refusal.header = "Sec-Fetch-Site";
-    refusal.detail = "pages of other sites may not use the service";
+    refusal.detail = "pages from other sites may not use the service";
   }
   if (refusal.detail != NULL) {
     refuse(request, &refusal);
@@ -144,8 +144,8 @@ static bool permitted(struct mo_request *request)
   if ((route->flags & MO_ROUTE_OPEN) || caller->right >= route->right)
     return true;
   mo_reply_problem(request, 403, NULL,
-                   "This needs the right \"%s\"; the token \"%s\" has the right \"%s\". The "
-                   "service's operator can give out a token with more rights.",
+                   "This requires the right \"%s\", but the token \"%s\" has only the right "
+                   "\"%s\". The service's operator can issue a token with more rights.",
                    mo_right_words[route->right], caller->name, mo_right_words[caller->right]);
   return false;
 }

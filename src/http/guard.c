@@ -59,11 +59,11 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
       {"If-None-Match", &framing->if_none_match},
   };
   if (n > MO_HEADERS_MAX)
-    return refuse(refusal, 431, true, NULL, "more than 100 header fields; at most 100 are allowed");
+    return refuse(refusal, 431, true, NULL, "there may be at most 100 header fields");
   for (size_t i = 0; i < n; i++) {
     const struct mo_header *header = &headers[i];
     if (!is_token(header->name, header->name_size))
-      return refuse(refusal, 400, true, NULL, "a field name has characters that are not allowed");
+      return refuse(refusal, 400, true, NULL, "a field name has invalid characters");
     if (is_folded(header, "Content-Length") || is_folded(header, "Transfer-Encoding"))
       return refuse(refusal, 400, true, NULL,
                     "a field that frames the body is folded, or has an unknown name");
@@ -86,7 +86,8 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
     if (coding[0] == '\0')
       return refuse(refusal, 400, true, "Transfer-Encoding", "the transfer coding is missing");
     if (http10)
-      return refuse(refusal, 400, true, "Transfer-Encoding", "HTTP/1.0 has no transfer codings");
+      return refuse(refusal, 400, true, "Transfer-Encoding",
+                    "HTTP/1.0 does not support transfer codings");
     if (strcasecmp(coding, "chunked") != 0)
       return refuse(refusal, 501, true, "Transfer-Encoding",
                     "the only supported transfer coding is chunked");

@@ -56,7 +56,7 @@ static void refuse_unparsed(struct mo_connection *connection, struct MHD_Connect
       {413, "The length of the body, or of one of its chunks, is too large."},
       {414, "The request line is too long; " MO_HEADER_WORDS},
       {431, "The header is too large; " MO_HEADER_WORDS},
-      {505, "This service speaks HTTP/1.0 and HTTP/1.1."},
+      {505, "This service supports only HTTP/1.0 and HTTP/1.1."},
       /* The library uses 500 for a line of a chunk that its memory cannot hold. */
       {0, "The request cannot be read."}};
   struct mo_request *request = connection->request;

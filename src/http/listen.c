@@ -64,11 +64,11 @@ int mo_http_parse_address(const char *text, struct mo_listen_address *address,
   if (strncmp(text, "unix:", 5) == 0) {
     const char *path = text + 5;
     if (*path != '/')
-      return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": the path of a unix socket starts with /",
-                     text);
+      return mo_fail(message, MO_ERR_INVALID,
+                     "\"%.100s\": the path of a unix socket must start with /", text);
     if (strlen(path) >= sizeof(((struct sockaddr_un *)0)->sun_path))
       return mo_fail(message, MO_ERR_INVALID,
-                     "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
+                     "\"%.100s…\": the path of a unix socket may have at most %zu bytes", text,
                      sizeof(((struct sockaddr_un *)0)->sun_path) - 1);
     result.is_unix = result.is_loopback = true;
     snprintf(result.host, sizeof(result.host), "%s", path);
@@ -78,14 +78,14 @@ int mo_http_parse_address(const char *text, struct mo_listen_address *address,
   const char *colon = strrchr(text, ':');
   if (colon == NULL || !isdigit((unsigned char)colon[1]))
     return mo_fail(message, MO_ERR_INVALID,
-                   "\"%.100s\" is not host:port, [ipv6]:port or unix:/path", text);
+                   "\"%.100s\" must be host:port, [ipv6]:port or unix:/path", text);
   char *end;
   errno = 0;
   unsigned long port = strtoul(colon + 1, &end, 10);
   if (*end != 0)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" does not end in a port number", text);
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" must end with a port number", text);
   if (errno != 0 || port > 65535)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": a port is at most 65535", text);
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": a port must be at most 65535", text);
   size_t length = (size_t)(colon - text);
   const char *host = text;
   if (length >= 2 && host[0] == '[' && host[length - 1] == ']') {

@@ -134,7 +134,7 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
 {
   if (!mo_last_replies_init())
     return mo_fail(message, MO_ERR_INVALID,
-                   "libmicrohttpd has no MHD_queue_response: it cannot be used");
+                   "libmicrohttpd lacks MHD_queue_response and cannot be used");
   const uint32_t processors = mo_processors();
   if (http->config.n_io_threads == 0)
     http->config.n_io_threads = processors < 2 ? 2 : processors < 4 ? processors : 4;
@@ -236,7 +236,7 @@ int mo_http_set_tokens(struct mo_http *http, const struct mo_token *tokens, size
   const bool is_closed = http->config.token_if_any && http->tokens.n > 0;
   if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback || is_closed))
     return mo_fail(message, MO_ERR_INVALID,
-                   "at least one bearer token is required; the old ones stay");
+                   "at least one bearer token is required; the old tokens stay");
   return mo_tokens_set(&http->tokens, tokens, n, message);
 }
 

@@ -41,7 +41,7 @@ struct mo_active {
   volatile int cancel; /* set when detached: ends its blocks */
   bool failing;        /* detached, and its error is not committed yet */
   bool finishing;      /* a save contains its end */
-  bool changed;        /* counts differ from those last saved */
+  bool changed;        /* counts differ from the saved ones */
   int64_t last_event_us;
   uint64_t computed;   /* rollouts, since this claim */
   struct mo_pace pace; /* part of `computed` */

@@ -52,8 +52,8 @@ static int check_entry(int fd, const char *path, const char *name, mode_t kind,
   if ((status.st_mode & S_IFMT) == kind && status.st_uid == geteuid())
     return MO_OK;
   return mo_fail(message, MO_ERR_INVALID,
-                 "%s/%s must be a %s of uid %u, not a link, but has uid %u, mode %06o: move it "
-                 "away, or chown it",
+                 "%s/%s must be a %s of uid %u, and not a link, but has uid %u and mode %06o; move "
+                 "it away, or chown it",
                  path, name, kind == S_IFDIR ? "folder" : "regular file", (unsigned)geteuid(),
                  (unsigned)status.st_uid, (unsigned)status.st_mode);
 }
@@ -66,9 +66,8 @@ static int check_folder(int fd, const char *path, struct stat *status, struct mo
                             strerrordesc_np(errno));
   if (error == MO_OK && status->st_uid != geteuid())
     error = mo_fail(message, MO_ERR_INVALID,
-                    "the state folder %s belongs to uid %u (mode %04o), and morphod runs as uid "
-                    "%u: run it as its owner,"
-                    " or chown -R it",
+                    "the state folder %s belongs to uid %u (mode %04o), but morphod runs as uid "
+                    "%u; run it as the owner, or run chown -R on the folder",
                     path, (unsigned)status->st_uid, (unsigned)status->st_mode & 07777,
                     (unsigned)geteuid());
   else if (error == MO_OK && (status->st_mode & (S_IWGRP | S_IWOTH)) != 0)

@@ -57,7 +57,7 @@ static int refuse_without_database(const struct mo_store *store, struct mo_messa
   return mo_fail(message, MO_ERR_CONFLICT,
                  "the state folder has lost its database: morphod.db is missing or empty next to "
                  "data files, such as"
-                 " %.48s: mount or restore it, or move them away to start with an empty one: %s",
+                 " %.48s; mount or restore it, or move them away to start with an empty one: %s",
                  has_files ? store->orphans.first : "morphod.db-wal", store->path);
 }
 

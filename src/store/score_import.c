@@ -46,7 +46,7 @@ static int import_condition(struct mo_store *store, struct entry *entry, uint32_
                    name);
   if (error == MO_ERR_UNSUPPORTED || (error == MO_OK && sensor != condition->sensor))
     return mo_fail(entry->message, MO_ERR_INVALID,
-                   "the controller %s has another workspace or sensor than its scores", name);
+                   "the workspace or sensor of controller %s differs from its scores", name);
   return error == MO_OK ? mo_physics_row(writer, &condition->physics, condition->precision,
                                          condition->sensor, &entry->conditions[place][1])
                         : error;
@@ -103,11 +103,11 @@ static int check_environments(const struct entry *entry, uint32_t i)
   for (uint32_t k = 0; k < condition->n; k++)
     for (uint32_t j = 0; j < k; j++)
       if (condition->environments[j] == condition->environments[k])
-        return mo_fail(entry->message, MO_ERR_INVALID,
-                       "scores/%08u.ndjson has a row with one environment twice: lines %u and %u "
-                       "of environments.ndjson, from 0, are the same; name one of them",
-                       entry->block->condition_of[i], score->environments[j],
-                       score->environments[k]);
+        return mo_fail(
+            entry->message, MO_ERR_INVALID,
+            "scores/%08u.ndjson has a row with a duplicate environment: lines %u and %u of "
+            "environments.ndjson, counting from 0, are the same; use only one of them",
+            entry->block->condition_of[i], score->environments[j], score->environments[k]);
   return MO_OK;
 }
 

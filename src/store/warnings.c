@@ -36,11 +36,12 @@ static void warn_of_rollouts(struct mo_job *job)
   const uint64_t run = job->rollouts_done - job->rollouts_cut, diverged = job->rollouts_diverged;
   const bool is_final = mo_job_state_is_final(job->state);
   if (diverged > 0 && diverged >= run && is_final)
-    warn(job, "all_diverged", "every rollout diverged (%llu): no robot has a score; %s",
+    warn(job, "all_diverged", "every rollout diverged (%llu), so no robot has a score; %s",
          (unsigned long long)diverged, remedy);
   else if (diverged > 0)
     warn(job, "diverged",
-         "%llu of %llu rollouts%s diverged: a robot has no score if one of its rollouts did; %s",
+         "%llu of %llu rollouts%s diverged, and a robot has no score if any of its rollouts "
+         "diverged; %s",
          (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far", remedy);
 }
 
@@ -79,7 +80,7 @@ static int warn_of_generation(struct mo_connection *connection, struct mo_job *j
   if (error == MO_OK)
     error = mo_sql_row(connection, &row, sql, mo_int(job->id));
   if (error == MO_OK && sqlite3_column_int(row, 0) == MO_CAMPAIGN_EXHAUSTED)
-    warn(job, "exhausted", "it ended at generation %lld of %u: no unseen body is left",
+    warn(job, "exhausted", "it ended at generation %lld of %u because no unseen body is left",
          (long long)sqlite3_column_int64(row, 1), (unsigned)job->steps_total);
   return error;
 }

@@ -296,7 +296,7 @@ static void checkpoint(struct mo_store *store)
   int result = sqlite3_wal_checkpoint_v2(db, NULL, mode, NULL, NULL);
   abandon(store, mo_sql_error(db, result));
   sqlite3_busy_timeout(db, MO_BUSY_MS);
-  store->wal_frames = 0; /* the hook counts again at the next commit */
+  store->wal_frames = 0; /* the hook recounts at the next commit */
 }
 
 static void maintain(struct mo_store *store)

@@ -38,7 +38,7 @@ RULES = [
     r"the file (is damaged|ends early)",
     r"a block of scores must begin here",
     r"must be a time in UTC",
-    r"a bundle holds 1 to \d+",
+    r"a bundle must have 1 to \d+",
     r"at most the peak",
     r"\d+ distinct bodies; a pretraining has at most \d+",
     r"a finetuning ",

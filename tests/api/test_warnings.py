@@ -159,7 +159,7 @@ def test_a_campaign_without_new_bodies(service):
     assert done["end"] == "exhausted" and codes(done) == ["exhausted"]
     number = done["progress"]["generation"]
     assert done["warnings"][0]["detail"] == (
-        f"it ended at generation {number} of 5: no unseen body is left")
+        f"it ended at generation {number} of 5 because no unseen body is left")
     assert warnings_of_events(service, done) == [("succeeded", "exhausted")]
 
 

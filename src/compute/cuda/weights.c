@@ -120,7 +120,7 @@ static int scale_exponent(const float *values, size_t n)
   if (largest > 0)
     frexpf(largest, &exponent);
   const int scale = LARGEST_EXPONENT - exponent;
-  return scale > 30 ? 30 : scale; /* a matrix close to zero needs no more */
+  return scale > 30 ? 30 : scale; /* enough for a matrix close to zero */
 }
 
 static void put_scaled(const float *values, size_t n, float scale, float *out)

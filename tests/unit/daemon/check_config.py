@@ -67,10 +67,10 @@ def test_state_dir():
 
 
 def test_listen():
-    says(check("--listen=127.0.0.1"), 78, "not host:port")
+    says(check("--listen=127.0.0.1"), 78, "must be host:port")
     says(check("--listen=127.0.0.1:99999"), 78, "at most 65535")
     says(check("--listen=::1:80"), 78, "brackets")
-    says(check("--listen=unix:relative"), 78, "starts with /")
+    says(check("--listen=unix:relative"), 78, "must start with /")
     says(check(f"--listen=unix:/{'x' * 200}"), 78, "at most 107 bytes")
     says(check("--listen=unix:/nonexistent/socket"), 78, "/nonexistent")
     says(check("--listen="), 78, "at least one address")
@@ -117,7 +117,7 @@ def test_fleet():
     token.chmod(0o600)
     says(check("--fleet-listen=127.0.0.1:0"), 0)
     says(check(*beyond, *pair), 0)
-    says(check("--fleet-listen=nowhere"), 78, "fleet_listen", "not host:port")
+    says(check("--fleet-listen=nowhere"), 78, "fleet_listen", "must be host:port")
     says(check(*beyond), 78, "needs fleet_certificate and fleet_key")
     says(check("--fleet-listen=0.0.0.0:8766", *pair), 78, "fleet_listen", "NAME worker TOKEN")
     says(check("--compute=fleet"), 78, "compute: fleet needs fleet_listen")
