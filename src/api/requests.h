@@ -51,8 +51,7 @@ extern const struct mo_field_own mo_name_field;
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
  * placed, unless it was skipped. Returns false if memory runs out. */
 bool mo_parts_design(struct mo_json *json, struct mo_parts *parts, uint32_t place);
-/* Adds a note about a design. A note with a fault means that the design was skipped. Returns false
- * if memory runs out. */
+/* Adds a note about a design; with a fault, the design was skipped. False: out of memory. */
 bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
 /* Reads a robot's notation or an id, perhaps after the letter d as in CSV files, into the words of
  * a genotype with a workspace: placed. Errors and *orientation as in mo_genotype_from_robot. */

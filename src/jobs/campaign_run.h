@@ -37,8 +37,8 @@ struct mo_campaign_run {
   int64_t id;
   struct mo_campaign_status status; /* as of the start of the generation; the campaign may have been
                                      * extended since */
-  const struct mo_campaign_settings *settings; /* part of the status */
-  const struct mo_mode *mode;                  /* part of the settings */
+  const struct mo_campaign_settings *settings; /* in the status */
+  const struct mo_mode *mode;                  /* the mode in the settings */
   struct mo_controller *controller;            /* as submitted; NULL: random weights */
   struct mo_environment *environments;
   uint32_t n_environments;

@@ -33,8 +33,7 @@ int mo_campaign_select(struct mo_campaign_run *run)
     places[n_kept++] = i;
   }
   if (chosen != NULL) {
-    settings.selection.kind = MO_SELECT_TRUNCATION; /* scores of all candidates: this only ranks
-                                                     * them */
+    settings.selection.kind = MO_SELECT_TRUNCATION; /* selects all of them: only ranks */
     settings.population = n_kept;
   }
   if (error == MO_OK)

@@ -25,7 +25,7 @@ struct mo_active {
   enum mo_urgency priority;
   struct mo_loaded *controller;
   struct mo_grid grid;
-  struct mo_window window; /* part of the grid */
+  struct mo_window window; /* over the grid */
   struct mo_best *race;    /* NULL: all rollouts are computed */
   uint64_t n_asked;        /* rollouts of the current round of the race that are not done */
   /* done has cut: rollouts that a race does not need. */
@@ -44,7 +44,7 @@ struct mo_active {
   bool changed;        /* counts differ from the saved ones */
   int64_t last_event_us;
   uint64_t computed;   /* rollouts, since this claim */
-  struct mo_pace pace; /* part of `computed` */
+  struct mo_pace pace; /* rate of `computed` */
   int64_t shown_us;    /* time of the last live figures; 0: none */
   int64_t until_us;    /* after an error: the job is not reclaimed before this time */
   uint32_t references; /* from saves */
@@ -93,7 +93,7 @@ struct mo_evaluations {
   bool visit_again;      /* rollouts were forgotten, so deferred cells can be looked up again */
   pthread_t drawer;
   bool draws;         /* a drawing thread exists */
-  int64_t unstored;   /* its error, if its designs cannot be stored; under the runners' mutex */
+  int64_t unstored;   /* evaluation that it cannot store; 0: none; under the runners' mutex */
   int unstored_error; /* the reason */
 };
 
@@ -129,11 +129,10 @@ bool mo_saver_is_behind(const struct mo_evaluations *all);
 /* Begins the race, with its grid, of a loaded job that requested only its best designs.
  * MO_ERR_NO_MEMORY. */
 int mo_active_race(struct mo_active *active);
-/* Begins the race's next round when the previous one is done. Returns whether there is another
- * round. */
+/* Begins the race's next round when the previous one is done. Returns whether there is one. */
 bool mo_active_race_on(struct mo_active *active);
-/* Estimates the number of rollouts that a job still needs, given how many it has done. Returns a
- * negative number if that is unknown because its race has just begun. */
+/* Estimates the rollouts that a job still needs; `done` are done. < 0: unknown, because its race
+ * has just begun. */
 double mo_active_left(const struct mo_active *active, uint64_t done);
 
 /* ---- evaluation_blocks.c ---- */

@@ -15,7 +15,7 @@
 
 /* A block of an evaluation. */
 struct flight {
-  struct mo_flight flight;                     /* first design */
+  struct mo_flight flight;                     /* must be the first member */
   struct mo_rollout *rollouts[MO_BLOCK_LANES]; /* rollouts of jobs that share them */
   struct mo_body *body;                        /* recorded */
   struct mo_recording recordings[MO_BLOCK_LANES];

@@ -100,8 +100,7 @@ struct mo_store {
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
              void *arguments);
 /* Like mo_write, but may use the reserve: for requests that clients need on a full disk, and for
- * the writes of every start. Use it only for small writes that no job makes or repeats
- * automatically. */
+ * the writes of every start. Only for small writes that no job makes or repeats. */
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                     void *arguments);
 /* Like mo_write, but does not wait. `done` frees the arguments. */
@@ -135,17 +134,15 @@ void *mo_read_whole(struct mo_store *store, size_t size,
 
 /* ---- automatic work of the store ---- */
 
-/* mo_reserve_make restores the reserve; if the disk has no space for it, the store is short of
- * space. mo_reserve_free frees the reserve, and returns true if the store is short of space and
- * some space may be free now. Called only by the writer's thread, and while opening, before that
- * thread starts. */
+/* mo_reserve_make restores the reserve; without disk space for it, the store is short of space.
+ * mo_reserve_free frees it, and returns true if the store is short of space but may get some now.
+ * Called only by the writer's thread, and while opening, before that thread starts. */
 void mo_reserve_make(struct mo_store *store);
 bool mo_reserve_free(struct mo_store *store);
-/* Queues due deletions, including the ones that the last process left unfinished. Call it after the
- * writer has started. */
+/* Queues due deletions, including unfinished ones of the last process. Call it after the writer has
+ * started. */
 void mo_upkeep_begin(struct mo_store *store);
-/* Does the same once a minute, but for recordings only by age. The writer calls it between
- * batches. */
+/* Same, once a minute, but for recordings only by age. The writer calls it between batches. */
 void mo_upkeep(struct mo_store *store);
 /* Creates the paper's test set if it is missing. Call it after the writer has started. */
 int mo_make_paper_test(struct mo_store *store);

@@ -287,9 +287,9 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
                    store->database_path, (long long)header.version, NEWEST_SCHEMA);
   if (header.version > LAST_OF_0_1 && header.version < FIRST_SCHEMA)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the state folder %s has schema %lld of an unreleased program, but this version "
-                   "reads schemas %d to %d; start it once with a program of schema %d, or start "
-                   "with an empty folder and store the files of %s there again",
+                   "the state folder %s has schema %lld of an unreleased program; this version "
+                   "reads %d to %d; start it once with a program of schema %d, or start with an "
+                   "empty folder, and store the files of %s there again",
                    store->path, (long long)header.version, FIRST_SCHEMA, NEWEST_SCHEMA,
                    FIRST_SCHEMA, store->controllers_path);
   if (header.version > 0 && header.version <= LAST_OF_0_1)

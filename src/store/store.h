@@ -44,8 +44,7 @@ struct mo_store_config {
                                     2000 */
   uint64_t max_recordings_bytes; /* above it, recordings of evaluations that have ended are removed,
                                     oldest first; 0: no limit */
-  uint64_t max_excluded_bytes;   /* limit for all files of excluded bodies (excluded.h); 0: none are
-                                  * kept */
+  uint64_t max_excluded_bytes;   /* for all files of excluded bodies (excluded.h); 0: keeps none */
   int64_t keep_jobs_s[MO_JOB_KINDS]; /* after their end; 0: no limit */
   int64_t keep_recordings_s;         /* after the end of their evaluation; 0: no limit */
   bool must_exist;                   /* MO_ERR_NOT_FOUND if no database exists yet */

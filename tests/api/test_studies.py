@@ -163,7 +163,7 @@ def test_a_study(service):
 
     # The same batch again, another one, and one out of order.
     assert tell(service, id, 0, children, sampler_state=packed(b"\x00after 0")) == told
-    for batch, words in ((0, "another content"), (2, "1 is the next"), (7, "1 is the next")):
+    for batch, words in ((0, "different content"), (2, "1 is the next"), (7, "1 is the next")):
         reply = service.request("POST", path + "/tell", {"batch": batch, "children": []})
         assert reply.status == 409 and words in reply.json()["detail"], reply.body
         assert reply.headers["Morphod-Next-Batch"] == "1"

@@ -97,7 +97,7 @@ static void file_mistakes(void)
     const char *line, *fault; /* NULL if it must be accepted */
   } lines[] = {{"worker = 3", "unknown setting \"worker\"; did you mean \"workers\"?"},
                {"zebra = 1", "unknown setting \"zebra\""},
-               {"workers 3", "no \"=\""},
+               {"workers 3", "\"=\" is missing"},
                {"workers = many", "workers: \"many\" is not a whole number"},
                {"max_body = 99G", "max_body: 99G is not between 1K and 1G"},
                {"worker_nice = -1", "worker_nice: \"-1\" is not a whole number"},

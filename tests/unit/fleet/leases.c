@@ -33,12 +33,12 @@ static void refused(void)
   for (int i = 0; i < MO_FLEET_TOKEN_MAX; i++)
     CHECK(mo_fleet_join(fake->fleet, &offer, 1, &message) > 0);
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_LIMIT);
-  CHECK_SAYS(message, "at most 2048 sessions of one token");
+  CHECK_SAYS(message, "the token has 2048 open sessions, which is the limit");
   for (int i = MO_FLEET_TOKEN_MAX; i < MO_FLEET_SESSIONS_MAX; i++)
     join("many");
   offer = fake_offer("w", "h");
   CHECK_INT(mo_fleet_join(fake->fleet, &offer, 1, &message), MO_ERR_LIMIT);
-  CHECK_SAYS(message, "at most 4096 sessions");
+  CHECK_SAYS(message, "4096 sessions are open, which is the limit");
   CHECK_INT(fake->n_origins, 0);
 }
 

@@ -53,9 +53,9 @@ static void refuses_older_versions(void)
     char sql[64];
     snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", version);
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
-    CHECK_SAYS(fixture.message, version <= 8 ? "was written by morphod 0.1"
-                                             : "of a program that was not released; this version"
-                                               " reads 14 to 15");
+    CHECK_SAYS(fixture.message, version <= 8
+                                    ? "was written by morphod 0.1"
+                                    : "of an unreleased program; this version reads 14 to 15");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
