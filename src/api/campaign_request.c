@@ -169,7 +169,7 @@ static void check_repeats(struct founders *founders, uint32_t *first)
                 founders->places[first[i]]);
 }
 
-/* Closes the gaps that designs left out by these checks leave. */
+/* Closes the gaps of designs that these checks left out. */
 static void close_gaps(struct mo_parts *parts)
 {
   uint32_t n = 0;

@@ -250,7 +250,7 @@ static void reply_bytes(struct mo_request *request, uint8_t *bytes, size_t size)
   add_digest(request, &hash);
 }
 
-/* Checks what a worker sends. Returns false after a reply. */
+/* Checks a worker's request. Returns false if it has replied. */
 static bool check_results(struct mo_request *request)
 {
   if (!mo_check_content(request, "application/octet-stream", NULL))

@@ -61,7 +61,7 @@ void *mo_next_item(void **items, size_t n, size_t size);
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 void mo_parts_free(struct mo_parts *parts);
 
-/* Reads a body by a table into `parsed`, which has `parts` (nullable), then calls `check`
+/* Reads a body into `parsed` by a table; `parsed` has `parts` (nullable). Then calls `check`
  * (nullable; MO_OK or MO_ERR_NO_MEMORY), which adds faults about several fields. MO_OK;
  * MO_ERR_FORMAT: not JSON (faults->malformed); MO_ERR_INVALID: see the faults; MO_ERR_NO_MEMORY. */
 int mo_read_body(const char *text, size_t size, const struct mo_fields *fields, void *parsed,

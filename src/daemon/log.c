@@ -230,8 +230,8 @@ static void *write_lines(void *context)
     size_t done = write_all(text, n);
     pthread_mutex_lock(&writer.lock);
     if (done == n)
-      report_dropped(); /* after a failed write, the next line tries again: a notice of its own loss
-                         would repeat endlessly */
+      report_dropped(); /* after a failed write, the next line retries: a notice of its own loss
+                         * would repeat endlessly */
     else
       drop(text + done, n - done);
     atomic_fetch_sub(&writer.pending, n);

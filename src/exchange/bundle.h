@@ -140,7 +140,7 @@ struct mo_bundle_export *mo_bundle_export_create(struct mo_store *store, const c
                                                  int64_t *ids, uint32_t n, bool with_recordings);
 int mo_bundle_export_more(void *context, struct mo_text *text); /* a mo_download_more */
 void mo_bundle_export_free(void *context);
-/* Describes a stored campaign as its bundle would. MO_ERR_CONFLICT: it has not ended. */
+/* Describes a stored campaign in the same way as its bundle. MO_ERR_CONFLICT: it has not ended. */
 int mo_bundle_describe(struct mo_store *store, int64_t id, struct mo_campaign_status *status,
                        struct mo_imported_campaign *campaign);
 /* Computes the digest that a bundle of the campaign would have. is_over (nullable): as above. */

@@ -117,7 +117,7 @@ int mo_fleet_exchange(struct mo_fleet *fleet, uint64_t id, const uint8_t *up, si
 
 /* ---- orders and weights ---- */
 
-/* A session that was told to drop a lease has room for another one. */
+/* A session with an order to drop a lease has room for another one. */
 static void end_told(struct mo_fleet *fleet, struct mo_session *session,
                      const struct mo_fleet_orders *orders, uint64_t now_ns, struct mo_after *after)
 {

@@ -3,7 +3,7 @@
  * The results of a seed depend on which numbers are taken from a stream, and in what order, so
  * never change that.
  *   random body  one below(volumes), one below(boxes of that volume), one normal, then one
- *                32-bit number per voxel of the box in voxel order; all of it again while no
+ *                32-bit number per voxel of the box in voxel order; all of it repeated while no
  *                voxel is active. A voxel is active if its number is below p · 2³²
  *   mutation     one 32-bit number per voxel of the workspace in voxel order; a voxel flips if
  *                its number is below rate · 2³² */

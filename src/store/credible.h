@@ -5,7 +5,7 @@
 
 #include "store/internal.h"
 
-/* Checks the clock, once per round of deletions. The shortest retention time decides for all rules.
+/* Checks the clock, once per round of deletions. The shortest retention time applies to all rules.
  * Stores the newest credible time in the database. If the clock is not credible, the store's
  * figures show how far it is ahead. */
 int mo_clock_check(struct mo_store *store);

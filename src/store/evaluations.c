@@ -79,7 +79,7 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   return MO_OK;
 }
 
-/* Reads the stored losses of the key's genotype that count into row `n` of the results. */
+/* Reads the stored losses that count for the key's genotype into row `n` of the results. */
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
                        uint64_t counted, struct mo_evaluation_results *results)
 {

@@ -31,8 +31,8 @@ struct shard {
   uint32_t number, first, n; /* robots */
   uint32_t *order;           /* larger bodies first */
   uint32_t at, end;          /* robots that are not placed yet */
-  uint32_t from_back; /* for the group being formed: how many robots are taken from the end of that
-                         range, not from its start */
+  uint32_t from_back;    /* for the group being formed: how many robots come from the end of that
+                          * range, not its start */
   struct formed *formed; /* (n_groups) */
   uint32_t n_groups, first_group;
   const struct mo_physics *physics;

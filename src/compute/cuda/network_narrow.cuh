@@ -29,8 +29,8 @@ __device__ __forceinline__ uint32_t mo_cuda_slot(uint32_t n, uint32_t t)
   return (slot ^ (slot >> 3 << 1)) * 16;
 }
 
-/* Returns the byte offset within a column of output pair (g, g + 8) of tile `tile`, for the
- * column's row n: of the high parts; the low parts are 8 bytes after them. */
+/* Returns the byte offset of the high parts of output pair (g, g + 8) of tile `tile` within a
+ * column, for the column's row n. The low parts are 8 bytes after them. */
 __device__ __forceinline__ uint32_t mo_cuda_place(uint32_t n, uint32_t tile, uint32_t g)
 {
   return tile * MO_CUDA_UNIT_BYTES + mo_cuda_slot(n, g >> 1) + (g & 1) * 4;

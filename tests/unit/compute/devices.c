@@ -100,12 +100,12 @@ static void says_what_cannot_be_loaded(void)
                  "another version of this program (interface 7, not 5)");
   reset();
   set("MORPHO_FAKE_DEVICES", "0");
-  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no working device");
   set("MORPHO_FAKE_DEVICES", "1");
   expect_refusal(FAKE_DEVICE, &second, 1, MO_ERR_RANGE, "device 1 does not exist");
   set("MORPHO_FAKE_SHUT", "0");
   expect_refusal(FAKE_DEVICE, &first, 1, MO_ERR_DEVICE, "device 0");
-  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no working device");
 }
 
 static void passes_over_what_cannot_be_opened(void)
@@ -159,7 +159,7 @@ static void uses_one_capability(void)
     check_drop_from(compute);
   }
   expect_refusal(FAKE_DEVICE, both, 2, MO_ERR_DEVICE,
-                 "device 1 cannot be used: its compute capability is 9.0, that of");
+                 "device 1 cannot be used: its compute capability is 9.0, but device");
   expect_refusal(FAKE_DEVICE, backwards, 2, MO_ERR_DEVICE,
                  "device 0 cannot be used: its compute capability is 8.0");
 }

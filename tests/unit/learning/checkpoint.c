@@ -206,7 +206,7 @@ static void wrong_contents(void)
        {UINT64_MAX},
        "a design is empty, not in one piece, or not in its canonical place"},
       {arrays + designs, 4, {.f32 = INFINITY}, "a weight is not finite"},
-      {arrays + designs + 4 * (n - 1), 4, {.f32 = 2e6F}, "a weight is not finite or beyond"},
+      {arrays + designs + 4 * (n - 1), 4, {.f32 = 2e6F}, "a weight is not finite, or exceeds"},
       {first, 8, {.f64 = NAN}, "a moment is not finite"},
       {second + 8 * (n - 1), 8, {.f64 = NAN}, "a moment is not finite"},
       {second, 8, {.f64 = -1}, "a second moment is negative"},
