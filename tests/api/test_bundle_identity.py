@@ -209,7 +209,7 @@ def test_settings_belong_to_a_campaign(service, start, source):
         for mode in ("verify", "enter"):
             reply = enter(other, forged, mode)
             assert reply.status == 409, reply.body
-            assert "other settings" in reply.json()["detail"]
+            assert "different settings" in reply.json()["detail"]
     for change in (put("label", "else"), put("note", "x"), put("weight", 2)):
         reply = enter(other, pack(altered(members, "campaign.json", change)))
         assert reply.status == 200, "people change these"
@@ -225,5 +225,5 @@ def test_altered_recordings_do_not_stay(service, start, source):
     for where in (service, other):
         for mode in ("verify", "enter"):
             reply = enter(where, pack(forged), mode)
-            assert reply.status == 409 and "another recording" in reply.json()["detail"]
+            assert reply.status == 409 and "a different recording" in reply.json()["detail"]
         assert enter(where, pack(members)).status == 200

@@ -216,7 +216,7 @@ def test_altered_files_leave_nothing(home, start, file):
     assert "is not stored here" in refused(block(without), "its weights are in an earlier block")
     alike = members[3][1].splitlines(keepends=True)
     alike = ("environments.ndjson", b"".join(alike[:1] + alike[:1] + alike[2:]))
-    assert "one environment twice: lines 0 and 1" in refused(
+    assert "a duplicate environment: lines 0 and 1" in refused(
         block(members[:3] + [alike] + members[4:]), "two lines with one environment")
     at = len(file) - len(second) // 2
     refused(file[:at] + bytes([file[at] ^ 4]) + file[at + 1:], "the second block", entered=1)
