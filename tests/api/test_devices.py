@@ -220,7 +220,7 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
     without = start(state=state)  # the jobs wait for devices
     assert without.act(jobs[0][1], "resume").status == 200
     paused = await_state(without, f"/v1/campaigns/{jobs[0][1]}", "paused")
-    assert "there are none" in paused["reason"]
+    assert "the service has none" in paused["reason"]
     assert without.stop() == 0
     trigger.unlink()
     service = start(*FLAGS, state=state, environment=fake(devices=2))
