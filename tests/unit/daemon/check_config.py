@@ -59,7 +59,7 @@ def test_defaults_are_sound():
 def test_state_dir():
     pathlib.Path(folder, "file").write_text("")
     says(check(f"--state-dir={folder}/file"), 78, "is not a folder")
-    says(check("--state-dir=relative"), 78, "not an absolute path")
+    says(check("--state-dir=relative"), 78, "must be an absolute path")
     says(check("--state-dir="), 78, "the path is empty")
     says(check(f"--state-dir={folder}/file/below"), 78, "state_dir")
     says(check(f"--state-dir={folder}/a/b/c"), 0)
@@ -120,7 +120,7 @@ def test_fleet():
     says(check("--fleet-listen=nowhere"), 78, "fleet_listen", "must be host:port")
     says(check(*beyond), 78, "needs fleet_certificate and fleet_key")
     says(check("--fleet-listen=0.0.0.0:8766", *pair), 78, "fleet_listen", "NAME worker TOKEN")
-    says(check("--compute=fleet"), 78, "compute: fleet needs fleet_listen")
+    says(check("--compute=fleet"), 78, 'compute: "fleet" needs fleet_listen')
     says(check(pair[0]), 78, "give both or neither")
     says(check(pair[0], f"--fleet-key={base}/other-key.pem"), 78, "do not match")
     says(check(pair[0], f"--fleet-key={token}"), 78, "fleet_certificate, fleet_key")
