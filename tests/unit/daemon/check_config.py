@@ -121,7 +121,7 @@ def test_fleet():
     says(check(*beyond), 78, "needs fleet_certificate and fleet_key")
     says(check("--fleet-listen=0.0.0.0:8766", *pair), 78, "fleet_listen", "NAME worker TOKEN")
     says(check("--compute=fleet"), 78, 'compute: "fleet" needs fleet_listen')
-    says(check(pair[0]), 78, "give both or neither")
+    says(check(pair[0]), 78, "set both or neither")
     says(check(pair[0], f"--fleet-key={base}/other-key.pem"), 78, "do not match")
     says(check(pair[0], f"--fleet-key={token}"), 78, "fleet_certificate, fleet_key")
     says(check(pair[0], f"--fleet-key={folder}"), 78, f"fleet_key: {folder}: not a file")
