@@ -479,8 +479,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define BORN                                                                                       \
   "number:n id:d robot genotype:g parents operator born:n died:n score:n voxels:n"                 \
   " footprint:n masses:n springs:n lower_bound:n measures"
-#define CHAMPIONS            BORN " distinctiveness:n"
-#define CONTROLLERS          "name sha256 bytes:n parameters:n sensor control_period_s:n workspace metadata stored_at"
+#define CHAMPIONS BORN " distinctiveness:n"
+#define CONTROLLERS                                                                                \
+  "name sha256 bytes:n parameters:n sensor control_period_s:n workspace metadata stored_at"
 #define USAGE                "name jobs:n core_seconds:n device_seconds:n"
 #define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m"
 #define CHECKPOINTS          "step:n sha256 size:n stored_at"

@@ -23,7 +23,7 @@ struct mo_reference {
   const struct mo_controller *controller; /* NULL: passive */
   const struct mo_environment *environment;
   const struct mo_physics *physics;
-  uint32_t control_steps; /* in a control period */
+  uint32_t control_steps;               /* in a control period */
   const struct mo_constants *constants; /* of this environment */
   double light_m[3];
   double highest_m;          /* of the terrain */
