@@ -472,7 +472,7 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   mo_controller_free(controller);
 }
 
-/* A period of one step is none; one that is not a whole number of steps is refused. */
+/* A period of one step changes nothing; one that is not a whole number of steps is refused. */
 static void check_short_periods(const struct scene *s)
 {
   enum { FEW = 50, STEPS = 120 };

@@ -372,7 +372,7 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
   free_bodies(bodies, n_bodies);
 }
 
-/* A period of one step is none; one that is not a whole number of steps is refused. */
+/* A period of one step changes nothing; one that is not a whole number of steps is refused. */
 static void check_periods(struct mo_device_controller *controller)
 {
   enum { N = 64 };

@@ -149,7 +149,11 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
       pull_four(quad[i], reach, length, p, j);
     }
     if (item.used) {
-      const lane_physics k = physics_of(score, *shared.scenes[part->first_row + item.row]);
+      const float4 kick = shared.kicks[part->first_row + item.row];
+      lane_physics k = {};
+      k.pull = kick.x;
+      k.keep = kick.y;
+      k.fall = kick.z;
       v[0] = fmaf(j[0], k.pull, lane_coast(&k, 0, before.x));
       v[1] = fmaf(j[1], k.pull, lane_coast(&k, 1, before.y));
       v[2] = fmaf(j[2], k.pull, lane_coast(&k, 2, before.z));
