@@ -8,8 +8,8 @@
 /* The rest of the body was not checked. */
 static bool ended_early(const struct mo_faults *faults)
 {
-  return strstr(faults->items[0].detail, "more than 64") != NULL ||
-         strstr(faults->items[0].detail, "more than 256 bytes") != NULL;
+  return strstr(faults->items[0].detail, "at most 64 levels deep") != NULL ||
+         strstr(faults->items[0].detail, "at most 256 bytes") != NULL;
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
