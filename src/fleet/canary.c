@@ -1,19 +1,21 @@
-/* canary.c: frozen rollouts and a frozen gradient. Every machine of a class must compute the same
+/* canary.c: frozen rollouts and frozen gradients. Every machine of a class must compute the same
  * bits for them. A machine that computes other bits is refused before it computes anything that
  * counts.
  *
  * Half of the bodies use the usual physics. The others fall from a height onto slippery ground, so
- * that masses leave their terrain cells: the reference, not the kernels, computes these moves. The
- * robots of the gradient stand on the ground, so that few steps have contacts. They fill one CPU
- * block and part of another. */
+ * that masses leave their terrain cells: the reference, not the kernels, computes these moves. Some
+ * hold the controller's outputs through control periods. The robots of the gradients stand on the
+ * ground, so that few steps have contacts. They fill one CPU block and part of another. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "fleet/fleet.h"
 
-#define SEED   UINT64_C(0x6d6f72706866)
-#define BODIES 8
-#define ROBOTS (MO_GRADIENT_ROBOTS + 8)
-#define STEPS  50 /* for the gradient */
+#define SEED    UINT64_C(0x6d6f72706866)
+#define BODIES  8
+#define ROBOTS  (MO_GRADIENT_ROBOTS + 8)
+#define STEPS   50 /* for the gradients */
+#define PERIODS 2
 
 struct canary {
   struct mo_lattice *lattice;
@@ -38,6 +40,7 @@ static struct mo_physics physics_of(uint32_t body)
   physics.constants.friction = 0.1;
   physics.drop_height_m = 1;
   physics.scheme.impact = body % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+  physics.scheme.control_period_s = body % 2 == 0 ? 0 : 4 * physics.scheme.dt_s;
   return physics;
 }
 
@@ -102,21 +105,26 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   struct {
     struct mo_sha256 sum;
     double losses[ROBOTS];
-  } bits = {.losses = {0}};
+  } bits[PERIODS] = {{.losses = {0}}};
   batch.physics.scheme.n_steps = STEPS;
   batch.physics.drop_height_m = 0;
   batch.d_parameters = calloc(n, sizeof(*batch.d_parameters));
   int error = batch.d_parameters != NULL ? make_robots(canary) : MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = mo_gradient_state_create(compute, &state);
-  if (error == MO_OK)
+  /* A device has kernels of its own for periods of several steps. */
+  for (uint32_t p = 0; p < PERIODS && error == MO_OK; p++) {
+    batch.physics.scheme.control_period_s = (p == 0 ? 0 : 3) * batch.physics.scheme.dt_s;
+    memset(batch.d_parameters, 0, n * sizeof(*batch.d_parameters));
     error = mo_compute_gradient(state, &batch);
-  if (error == MO_OK) {
-    mo_sha256_of(batch.d_parameters, n * sizeof(*batch.d_parameters), &bits.sum);
+    if (error != MO_OK)
+      break;
+    mo_sha256_of(batch.d_parameters, n * sizeof(*batch.d_parameters), &bits[p].sum);
     for (uint32_t i = 0; i < ROBOTS; i++)
-      bits.losses[i] = canary->outcomes[i].loss;
-    mo_sha256_of(&bits, sizeof(bits), hash);
+      bits[p].losses[i] = canary->outcomes[i].loss;
   }
+  if (error == MO_OK)
+    mo_sha256_of(bits, sizeof(bits), hash);
   mo_gradient_state_free(state);
   for (uint32_t i = 0; i < ROBOTS; i++)
     mo_body_free(canary->bodies[i]);
