@@ -191,7 +191,7 @@ static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha
   struct mo_controller_record stored;
   const int error = mo_store_controller(jobs->store, name, &stored);
   if (error == MO_ERR_NOT_FOUND)
-    return mo_fail(message, error, "there is no controller \"%s\"", name);
+    return mo_fail(message, error, "controller \"%s\" does not exist", name);
   if (error == MO_OK && !mo_workspace_equal(stored.workspace, jobs->lattice->workspace))
     return mo_fail(message, MO_ERR_UNSUPPORTED, "the controller is for another workspace");
   *sha256 = stored.sha256;

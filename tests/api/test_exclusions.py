@@ -71,7 +71,7 @@ def test_a_drawing_is_reported_and_handed_over(start):
         assert seen["state"] == "running" and seen["phase"] == "preparing", seen
         assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total
         assert seen["newest"] is None and seen["progress"]["seconds_left"] > 1
-    assert drawn["reason"] is None and f"campaign {first} draws" in waits["reason"]
+    assert drawn["reason"] is None and f"waiting for campaign {first}, which is redrawing" in waits["reason"]
     job = service.get(f"/v1/jobs/{second}")
     assert job["state"] == "running" and job["reason"] == waits["reason"]
     waits = service.get(f"/v1/campaigns/{second}")
@@ -80,7 +80,7 @@ def test_a_drawing_is_reported_and_handed_over(start):
     assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
     assert service.act(first, "resume").status == 200
     waits = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["reason"] is not None)
-    assert f"campaign {second} draws" in waits["reason"]
+    assert f"waiting for campaign {second}, which is redrawing" in waits["reason"]
     assert waits["progress"]["done"] >= draws["progress"]["done"]
     with soon():
         for id in (second, first):

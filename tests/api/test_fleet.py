@@ -81,7 +81,7 @@ def test_only_tls_1_3(fleet):
 
 def test_tokens_open_one_server_each(fleet, tokens):
     service = fleet.service
-    fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
+    fleet.refuses(404, "path does not exist", "GET", "/v1/whoami")
     for token in (TOKENS["admin"], TOKENS["worker"] + "x", None):
         fleet.token = token
         fleet.refuses(401, "bearer token", "GET", "/v1/whoami")
@@ -89,7 +89,7 @@ def test_tokens_open_one_server_each(fleet, tokens):
     session = fleet.join()
     assert fleet.status()["sessions"][0]["user"] == "node"
     # Workers may address the service by any name; clients without a token may not.
-    fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami", Host="daemon.cluster:8766")
+    fleet.refuses(404, "path does not exist", "GET", "/v1/whoami", Host="daemon.cluster:8766")
     fleet.token = None
     fleet.refuses(401, "bearer token", "GET", "/v1/whoami", Host="daemon.cluster:8766")
     fleet.refuses(403, "Host field", "GET", "/healthz", Host="elsewhere.example")
@@ -104,18 +104,18 @@ def test_tokens_open_one_server_each(fleet, tokens):
     until(lambda: fleet.request("GET", "/v1/whoami")[0] == 401)
     assert [one["state"] for one in fleet.status()["sessions"]] == ["lost"]
     fleet.token = other
-    fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
+    fleet.refuses(404, "path does not exist", "GET", "/v1/whoami")
 
 
 def test_loopback_needs_no_token_where_there_is_none(start, tokens):
     fleet = Workers(start("--fleet-listen=127.0.0.1:0"))
     fleet.refuses(403, "Host field", "GET", "/v1/whoami", Host="elsewhere.example")
-    fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
+    fleet.refuses(404, "path does not exist", "GET", "/v1/whoami")
     # Once a worker's token exists, it is required.
     write_tokens(tokens, ada=("admin", TOKENS["admin"]))
     service = start("--fleet-listen=127.0.0.1:0", f"--token-file={tokens}", token=TOKENS["admin"])
     fleet = Workers(service)
-    fleet.refuses(404, "nothing at this path", "GET", "/v1/whoami")
+    fleet.refuses(404, "path does not exist", "GET", "/v1/whoami")
     write_tokens(tokens, ada=("admin", TOKENS["admin"]), node=("worker", TOKENS["worker"]))
     service.process.send_signal(signal.SIGHUP)
     until(lambda: fleet.request("GET", "/v1/whoami")[0] == 401)
@@ -189,7 +189,7 @@ def test_who_may_join(free):
     good = free.offer()
     kind = good["classes"]["cpu"]
     assert free.join(name="n" * 64) != free.join(name="n" * 64)
-    refused(free, 422, "protocol 2", **good | {"protocol": 2, "unknown": []})
+    refused(free, 422, "must be 1, the protocol of", **good | {"protocol": 2, "unknown": []})
     other = good | {"version": "0.0.1", "classes": {"cpu": kind | {"scores": "other"}}}
     for words in (f"version {good['version']} with", kind["scores"], 'version 0.0.1 with "other"'):
         refused(free, 422, words, **other)

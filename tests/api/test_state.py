@@ -269,7 +269,7 @@ def test_a_database_that_was_lost(start, tmp_path, lost):
 
 
 @pytest.mark.parametrize("version, words", [(8, ("was written by morphod 0.1", "empty folder")),
-                                            (13, ("was not released", "empty folder")),
+                                            (13, ("unreleased program", "empty folder")),
                                             (9999, ("newer", ))])
 def test_a_folder_of_another_version(start, tmp_path, version, words):
     state = tmp_path / "state"
@@ -310,7 +310,7 @@ def test_orphans_stay_until_they_are_cleaned(start, tmp_path):
         after = tree(state)
         assert {name: len(after[name]) for name in FILES} == FILES
         assert "controllers/.tmp-12" not in after and "trainings/9/.tmp-3" not in after
-        line = next(line for line in running.log_text().splitlines() if "nothing refers to" in line)
+        line = next(line for line in running.log_text().splitlines() if "unused files" in line)
         assert "files=5" in line and "bytes=150" in line and any(name in line for name in FILES)
     for answer in ("n\n", ""):
         asked = morphod(state, "store", "clean", text=answer)
@@ -325,7 +325,7 @@ def test_orphans_stay_until_they_are_cleaned(start, tmp_path):
     assert {name for name in tree(state) if "/" in name} == kept
     assert not (state / "campaigns/x").exists()
     again = morphod(state, "store", "clean", "--yes")
-    assert again.returncode == 0 and again.stdout.startswith("0 files")
+    assert again.returncode == 0 and again.stdout.startswith("0 unused files")
     running = start(state=state)
     assert "nothing refers to" not in running.log_text()
     assert running.evaluate({"designs": [DESIGN], "physics": SHORT}).status == 200

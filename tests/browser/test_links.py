@@ -224,9 +224,9 @@ def test_forms_say_what_they_leave_open(service, browser):
     browser.click("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
     contract = (SOURCE / "schema" / "openapi.yaml").read_text()
-    text = re.search(r"CampaignPreset: .*Populations of (.*)'", contract)[1]
-    populations, *generations = [re.findall(r"\d+", part) for part in re.split("[;(]", text)]
-    generations = [row for row in generations if row]
+    text = re.search(r"CampaignPreset: .*description: '(.*)'", contract)[1]
+    rows = [re.findall(r"\d+", part) for part in text.split(". ")]
+    populations, generations = [row[0] for row in rows], [row[1:] for row in rows]
     modes = ("zero-shot", "few-shot", "simultaneous")
     for preset, population, row in zip(("paper", "workstation", "demo"), populations, generations):
         for mode, n in zip(modes, row):

@@ -86,7 +86,7 @@ def test_local_starts_continues_and_ends(tmp_path):
 
 
 def test_local_says_why_it_did_not_start(tmp_path):
-    for wrong, said in (({"binary": tmp_path / "nothing"}, "no program"),
+    for wrong, said in (({"binary": tmp_path / "nothing"}, "not found"),
                         ({"binary": BINARY, "workers": "many"}, "workers")):
         try:
             morphod.local(**wrong)

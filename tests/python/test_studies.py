@@ -105,7 +105,7 @@ def test_ask_tell_and_select(m):
     table = history.frame()
     assert list(table["operator"][6:]) == ["b", "c"] and table["measures_size"][6] == 4
     assert np.isnan(history.measures["own"][:6]).all() and history.measures["own"][7] == 3
-    with pytest.raises(morphod.ConflictError, match="another content"):
+    with pytest.raises(morphod.ConflictError, match="different content"):
         study.next_batch = 1
         study.tell([DESIGN["cells"]])
     with pytest.raises(ValueError, match="2 for 1 children"):

@@ -127,9 +127,9 @@ def test_fleet():
     says(check(pair[0], f"--fleet-key={folder}"), 78, f"fleet_key: {folder}: not a file")
     says(check(pair[0], "--fleet-key=/nonexistent"), 78, "fleet_key: /nonexistent: No such file")
     key.chmod(0o644)
-    says(check(*pair), 0, "fleet_key", "can be read by everyone")
+    says(check(*pair), 0, "fleet_key", "everyone can read")
     # Tokens of workers are not valid for clients, and vice versa.
-    says(check("--listen=0.0.0.0:8765", f"--token-file={token}"), 78, "tokens of workers only")
+    says(check("--listen=0.0.0.0:8765", f"--token-file={token}"), 78, "only worker tokens")
     token.write_text("anna admin 0123456789abcdef\n")
     says(check(*beyond, *pair), 78, "fleet_listen", "NAME worker TOKEN")
     token.write_text("anna overlord 0123456789abcdef\n")

@@ -308,8 +308,8 @@ static struct mo_exclusion *exclusions(void)
 
 static bool names(const struct mo_live *live, int64_t id)
 {
-  char text[64];
-  snprintf(text, sizeof(text), "campaign %lld draws", (long long)id);
+  char text[96];
+  snprintf(text, sizeof(text), "waiting for campaign %lld, which is redrawing", (long long)id);
   return strstr(live->reason, text) != NULL;
 }
 

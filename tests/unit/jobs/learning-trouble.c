@@ -283,7 +283,7 @@ SERVICE_CASE(refuses_nan, 1)
   fake_plan.fail_status = MO_ERR_EXHAUSTED;
   fake_plan.fail_times = 1000;
   job = end_of(submit_one(MO_ZERO_SHOT));
-  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "the design ") != NULL);
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "compute design ") != NULL);
 }
 
 /* Damages the checkpoint at the end of a generation's learning. */
@@ -324,7 +324,7 @@ SERVICE_CASE(reports_damaged_checkpoints, 1)
     CHECK(ends_right(id, MO_SIMULTANEOUS));
     if (round == 0) {
       CHECK_INT(warnings, 1);
-      CHECK(has_warned("learns again"));
+      CHECK(has_warned("repeats its learning"));
     }
   }
 }
