@@ -64,8 +64,10 @@ SERVICE_CASE(of_trainings, 0)
 SERVICE_CASE(of_campaigns, 1)
 {
   struct mo_campaign_request good = campaign(MO_ZERO_SHOT), bad;
-  REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "controller \"nobody\" does not exist", bad.controller = "nobody");
-  REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "campaign 77 does not exist", bad.record.initial_campaign = 77);
+  REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "controller \"nobody\" does not exist",
+          bad.controller = "nobody");
+  REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "campaign 77 does not exist",
+          bad.record.initial_campaign = 77);
   REFUSED(submit_campaign, MO_ERR_NOT_FOUND, "unknown set of environments \"moon\"",
           strcpy(bad.record.environment_set, "moon"));
   /* A known key returns its campaign. */
