@@ -49,7 +49,7 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
 {
   const struct mo_body *body = r->body;
   const struct mo_scheme *scheme = &r->physics->scheme;
-  const struct mo_constants *constants = r->constants;
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
   for (uint32_t s = 0; s < body->n_springs; s++) {
     const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
     double d[3], across[3];
@@ -60,15 +60,15 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
     }
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), guarded = length + 1e-8;
     const double free_rest = body->spring_rest_m[s];
-    const double rest = free_rest * (1.0 + constants->actuation * tape->control.output[s]);
-    const double stiffness = scheme->dt_s * constants->stiffness_n_per_m;
+    const double rest = free_rest * (1.0 + constants.actuation * tape->control.output[s]);
+    const double stiffness = scheme->dt_s * constants.stiffness_n_per_m;
     const double pull = stiffness * (length - rest) / guarded;
     const double d_pull = across[0] * d[0] + across[1] * d[1] + across[2] * d[2];
     /* pull = dt · k · (length − rest) / (length + 1e-8) */
     const double d_length = d_pull * stiffness * (rest + 1e-8) / (guarded * guarded);
     const double d_rest = -d_pull * stiffness / guarded;
     /* rest = free_rest · (1 + actuation · activation) */
-    adjoint->d_activation[s] += d_rest * free_rest * constants->actuation;
+    adjoint->d_activation[s] += d_rest * free_rest * constants.actuation;
     /* length = |d|,   d = position[a] − position[b] */
     for (int axis = 0; axis < 3; axis++) {
       const double dd = pull * across[axis] + (length > 0 ? d_length * d[axis] / length : 0);
@@ -82,17 +82,17 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
                                 struct mo_adjoint *adjoint)
 {
   const struct mo_scheme *scheme = &r->physics->scheme;
-  const struct mo_constants *constants = r->constants;
-  const double keep = exp(-constants->drag_per_s * scheme->dt_s);
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
+  const double keep = exp(-constants.drag_per_s * scheme->dt_s);
   memset(adjoint->d_impulse, 0, (size_t)r->body->n_masses * 3 * sizeof(double));
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const size_t at = 3 * (size_t)i;
-    mo_contact_move_adjoint(scheme, constants, r->environment->terrain_heights_m, r->highest_m,
+    mo_contact_move_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
                             tape->position_m + at, tape->velocity_m_per_s + at,
                             adjoint->d_position + at, adjoint->d_velocity + at);
     /* v = keep · v + impulse / mass,   v[2] −= gravity · dt */
     for (int axis = 0; axis < 3; axis++) {
-      adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / constants->mass_kg;
+      adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / constants.mass_kg;
       adjoint->d_velocity[at + axis] *= keep;
     }
   }

@@ -4,6 +4,7 @@
  * with a body that fits allocates nothing. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
+#include "rollout/scene.h"
 
 #include <stdlib.h>
 
@@ -98,7 +99,7 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
   if (run.control_steps == 0)
     return MO_ERR_INVALID;
   for (uint32_t e = 0; e < n_environments; e++)
-    run.constants[e] = &physics->constants;
+    run.constants[e] = mo_scene_constants(environments[e], physics);
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;

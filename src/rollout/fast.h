@@ -50,8 +50,8 @@ struct mo_fast_run {
   const struct mo_environment *const *environments;
   uint32_t n_environments;
   const struct mo_physics *physics;
-  uint32_t control_steps;                         /* in a control period */
-  const struct mo_constants *constants[MO_LANES]; /* of the environments */
+  uint32_t control_steps;                  /* in a control period */
+  struct mo_constants constants[MO_LANES]; /* of the environments */
   const struct mo_recording *recordings;
   const struct mo_pause_point *pause;
   struct mo_outcome *outcomes;

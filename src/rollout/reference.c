@@ -53,7 +53,7 @@ static void pull_springs(struct mo_reference *r)
 {
   const struct mo_body *body = r->body;
   const struct mo_scheme *scheme = &r->physics->scheme;
-  const struct mo_constants *constants = r->constants;
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
   memset(r->impulse_n_s, 0, (size_t)body->n_masses * 3 * sizeof(double));
   for (uint32_t s = 0; s < body->n_springs; s++) {
     const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
@@ -63,9 +63,9 @@ static void pull_springs(struct mo_reference *r)
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
     double rest = body->spring_rest_m[s];
     if (r->controller != NULL)
-      rest *= 1.0 + constants->actuation * r->tape->control.output[s];
+      rest *= 1.0 + constants.actuation * r->tape->control.output[s];
     const double pull =
-        scheme->dt_s * constants->stiffness_n_per_m * (length - rest) / (length + 1e-8);
+        scheme->dt_s * constants.stiffness_n_per_m * (length - rest) / (length + 1e-8);
     for (int axis = 0; axis < 3; axis++) {
       r->impulse_n_s[a + axis] -= pull * d[axis];
       r->impulse_n_s[b + axis] += pull * d[axis];
@@ -76,15 +76,15 @@ static void pull_springs(struct mo_reference *r)
 static void move_masses(struct mo_reference *r)
 {
   const struct mo_scheme *scheme = &r->physics->scheme;
-  const struct mo_constants *constants = r->constants;
-  const double keep = exp(-constants->drag_per_s * scheme->dt_s);
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
+  const double keep = exp(-constants.drag_per_s * scheme->dt_s);
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     double *v = r->velocity_m_per_s + 3 * (size_t)i;
     for (int axis = 0; axis < 3; axis++)
-      v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / constants->mass_kg;
-    v[2] -= constants->gravity_m_per_s2 * scheme->dt_s;
+      v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / constants.mass_kg;
+    v[2] -= constants.gravity_m_per_s2 * scheme->dt_s;
     memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
-    r->contacts[i] = mo_contact_move(scheme, constants, r->environment->terrain_heights_m,
+    r->contacts[i] = mo_contact_move(scheme, &constants, r->environment->terrain_heights_m,
                                      r->highest_m, r->position_m + 3 * (size_t)i, v);
   }
 }
@@ -137,7 +137,6 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                             .environment = environment,
                             .physics = physics,
                             .control_steps = control_steps,
-                            .constants = &physics->constants,
                             .highest_m = mo_terrain_highest(environment->terrain_heights_m),
                             .position_m = memory,
                             .velocity_m_per_s = memory + n,

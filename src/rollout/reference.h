@@ -23,8 +23,7 @@ struct mo_reference {
   const struct mo_controller *controller; /* NULL: passive */
   const struct mo_environment *environment;
   const struct mo_physics *physics;
-  uint32_t control_steps;               /* in a control period */
-  const struct mo_constants *constants; /* of this environment */
+  uint32_t control_steps; /* in a control period */
   double light_m[3];
   double highest_m;          /* of the terrain */
   double *position_m;        /* (n_masses, 3) */

@@ -27,6 +27,13 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
     position_m[3 * (size_t)i + 2] += lift + physics->drop_height_m;
 }
 
+struct mo_constants mo_scene_constants(const struct mo_environment *environment,
+                                       const struct mo_physics *physics)
+{
+  (void)environment;
+  return physics->constants;
+}
+
 void mo_scene_light(const struct mo_environment *environment, double light_m[3])
 {
   light_m[0] = environment->light_xy_m[0];

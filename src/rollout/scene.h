@@ -12,6 +12,11 @@
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
 
+/* Returns the constants of a rollout. Every path takes them from here; today all environments have
+ * those of the physics. */
+struct mo_constants mo_scene_constants(const struct mo_environment *environment,
+                                       const struct mo_physics *physics);
+
 /* The light stands on the terrain. */
 void mo_scene_light(const struct mo_environment *environment, double light_m[3]);
 

@@ -431,7 +431,8 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
     top = fmax(top, environment->terrain_heights_m[k]);
   }
   scene.highest = (float)(top + 1e-6 * (1 + fabs(top)));
-  scene.constants = lane_constants_of(&physics->scheme, &physics->constants);
+  const struct mo_constants constants = mo_scene_constants(environment, physics);
+  scene.constants = lane_constants_of(&physics->scheme, &constants);
   return scene;
 }
 
