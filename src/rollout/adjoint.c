@@ -3,6 +3,7 @@
 #include "rollout/adjoint.h"
 
 #include "rollout/contact.h"
+#include "rollout/kick.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -83,17 +84,19 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
 {
   const struct mo_scheme *scheme = &r->physics->scheme;
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
-  const double keep = exp(-constants.drag_per_s * scheme->dt_s);
+  const struct mo_kick kick =
+      mo_kick_of(scheme, &constants, exp(-constants.drag_per_s * scheme->dt_s));
   memset(adjoint->d_impulse, 0, (size_t)r->body->n_masses * 3 * sizeof(double));
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const size_t at = 3 * (size_t)i;
     mo_contact_move_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
                             tape->position_m + at, tape->velocity_m_per_s + at,
                             adjoint->d_position + at, adjoint->d_velocity + at);
-    /* v = keep · v + impulse / mass,   v[2] −= gravity · dt */
+    /* v = keep · v + push · impulse / mass,   v[2] −= fall */
     for (int axis = 0; axis < 3; axis++) {
-      adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / constants.mass_kg;
-      adjoint->d_velocity[at + axis] *= keep;
+      adjoint->d_impulse[at + axis] +=
+          kick.push * adjoint->d_velocity[at + axis] / constants.mass_kg;
+      adjoint->d_velocity[at + axis] *= kick.keep;
     }
   }
 }

@@ -4,6 +4,7 @@
 #include "rollout/reference.h"
 
 #include "rollout/contact.h"
+#include "rollout/kick.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -77,12 +78,14 @@ static void move_masses(struct mo_reference *r)
 {
   const struct mo_scheme *scheme = &r->physics->scheme;
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
-  const double keep = exp(-constants.drag_per_s * scheme->dt_s);
+  const struct mo_kick kick =
+      mo_kick_of(scheme, &constants, exp(-constants.drag_per_s * scheme->dt_s));
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     double *v = r->velocity_m_per_s + 3 * (size_t)i;
     for (int axis = 0; axis < 3; axis++)
-      v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / constants.mass_kg;
-    v[2] -= constants.gravity_m_per_s2 * scheme->dt_s;
+      v[axis] = kick.keep * v[axis] +
+                kick.push * r->impulse_n_s[3 * (size_t)i + axis] / constants.mass_kg;
+    v[2] -= kick.fall;
     memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
     r->contacts[i] = mo_contact_move(scheme, &constants, r->environment->terrain_heights_m,
                                      r->highest_m, r->position_m + 3 * (size_t)i, v);
