@@ -71,7 +71,8 @@ def test_a_drawing_is_reported_and_handed_over(start):
         assert seen["state"] == "running" and seen["phase"] == "preparing", seen
         assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total
         assert seen["newest"] is None and seen["progress"]["seconds_left"] > 1
-    assert drawn["reason"] is None and f"waiting for campaign {first}, which is redrawing" in waits["reason"]
+    assert drawn["reason"] is None
+    assert f"waiting for campaign {first}, which is redrawing" in waits["reason"]
     job = service.get(f"/v1/jobs/{second}")
     assert job["state"] == "running" and job["reason"] == waits["reason"]
     waits = service.get(f"/v1/campaigns/{second}")
