@@ -330,7 +330,7 @@ static void check_periods(const struct scene *s)
   } cases[] = {{"1", LIKE, 1000, 4},
                {"1", 64, 200, 3},
                {"1", 64, 300, 64},
-               {"1", 64, 100, 500},
+               {"1", 64, 200, 150},
                {"restart=1:1", 64, 200, 4}};
   static struct reference r;
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {

@@ -62,7 +62,7 @@ struct mo_controller {
   float *norm_gain[MO_HIDDEN_LAYERS];  /* (256) LayerNorm weight */
   float *norm_shift[MO_HIDDEN_LAYERS]; /* (256) LayerNorm bias */
   struct mo_metadata_entry *metadata;  /* the file's __metadata__, in its order; includes "sensor",
-                                          the orders and, unless  it is 0, "control_period_s" */
+                                          the orders and, unless it is 0, "control_period_s" */
   size_t n_metadata;
 };
 

@@ -94,6 +94,9 @@ int mo_gradient_reference(const struct mo_body *body, const struct mo_controller
 
 #define MO_GRADIENT_ROBOTS        32                  /* largest number of robots in a block */
 #define MO_GRADIENT_DEFAULT_BYTES ((size_t)384 << 20) /* budget of one worker's scratch */
+#define MO_GRADIENT_PERIOD_MAX                                                                     \
+  256 /* steps of a control period: a tape has at least four periods,                              \
+         which must fit the budget */
 
 /* One robot of a batch; its pointers are borrowed. */
 struct mo_robot {
@@ -136,7 +139,8 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  *
  * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
  * (n). pause, counts nullable (counts are added to). MO_ERR_INVALID (a body of another workspace,
- * invalid options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
+ * invalid options, an invalid control period or one of more than MO_GRADIENT_PERIOD_MAX steps),
+ * MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,

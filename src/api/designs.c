@@ -233,6 +233,7 @@ void mo_api_list_designs(struct mo_request *request)
       return;
     }
     query.controller_sha256 = controller.sha256;
+    /* With a period that does not fit the default step, nothing can have been scored. */
     (void)mo_physics_complete(&query.physics, controller.control_period_s);
     snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
     snprintf(query.fingerprint, sizeof(query.fingerprint), "%s",

@@ -19,8 +19,9 @@ static int explain(int error, const char *controller, struct mo_message *message
   case MO_ERR_RANGE:
     return mo_fail(message, error,
                    "the control period of controller \"%.80s\" must be a whole multiple of "
-                   "physics.dt_s; choose another dt_s, or set physics.control_period_s",
-                   controller);
+                   "physics.dt_s, and at most %d times it where a controller learns; choose "
+                   "another dt_s, or set physics.control_period_s",
+                   controller, MO_GRADIENT_PERIOD_MAX);
   case MO_ERR_EMPTY:
     return mo_fail(message, error, "no design of that campaign fits the requested workspace");
   case MO_ERR_NO_SPACE:

@@ -107,5 +107,9 @@ int mo_training_settings_check(const struct mo_training_settings *settings,
   int error = mo_fields_check(&mo_training_fields, "", settings, message);
   if (error == MO_OK)
     error = mo_physics_check(&settings->physics, message);
+  if (error == MO_OK && mo_control_steps(&settings->physics.scheme) > MO_GRADIENT_PERIOD_MAX)
+    error = mo_fail(message, MO_ERR_RANGE,
+                    "control_period_s must be at most %d steps where a controller learns, got %u",
+                    MO_GRADIENT_PERIOD_MAX, mo_control_steps(&settings->physics.scheme));
   return error != MO_OK ? error : check_together(settings, message);
 }

@@ -106,7 +106,7 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *p
                                 .outcomes = outcomes,
                                 .d_parameters = d_parameters,
                                 .counts = &block};
-  if (run.control_steps == 0)
+  if (run.control_steps == 0 || run.control_steps > MO_GRADIENT_PERIOD_MAX)
     return MO_ERR_INVALID;
   const int status = mo_gradient_find(pack->isa)(&run);
   if (status == MO_OK && counts != NULL)

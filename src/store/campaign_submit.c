@@ -26,6 +26,8 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_reques
     error = mo_controller_find(writer, request->controller, &setting->controller, &settings->sensor,
                                &settings->physics);
   if (error == MO_OK)
+    error = mo_campaign_settings_check(settings, NULL);
+  if (error == MO_OK)
     error =
         mo_physics_row(writer, &settings->physics, MO_FLOAT32, settings->sensor, &setting->physics);
   if (error == MO_OK && setting->record.environment_set[0] != '\0')

@@ -29,6 +29,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
     error = mo_controller_find(writer, request->parent, &parent, &record.settings.sensor,
                                &record.settings.physics);
   if (error == MO_OK)
+    error = mo_training_settings_check(&record.settings, NULL);
+  if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_TRAINING, id);
   if (error == MO_OK)
     error =

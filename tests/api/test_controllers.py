@@ -96,6 +96,15 @@ def test_control_periods_that_do_not_fit(service):
     learned = {"kind": "pretrain", "name": "n", "steps": 1, "batch": 1,
                "physics": {"n_steps": 4, "control_period_s": 0.006}}
     assert "whole multiple" in service.request("POST", "/v1/trainings", learned).json()["detail"]
+    learned["physics"] = {"n_steps": 400, "control_period_s": 1.028}  # 257 steps
+    assert "at most 256 steps" in service.request("POST", "/v1/trainings", learned).json()["detail"]
+    metadata = {**HEADER["__metadata__"], "control_period_s": "1.028"}
+    service.upload("slower", pack({**HEADER, "__metadata__": metadata}))
+    for kind, more in (("trainings", {"kind": "finetune", "steps": 1, "designs": [DESIGN]}),
+                       ("campaigns", {"mode": "few-shot", "preset": "demo"})):
+        reply = service.request("POST", f"/v1/{kind}", {
+            "name": "n", "controller": "slower", "physics": {"n_steps": 400}, **more})
+        assert reply.status == 422 and "256 times" in reply.json()["detail"], reply.body
     finetune = {"kind": "finetune", "name": "n", "controller": "slow", "steps": 1, "batch": 1,
                 "designs": [DESIGN], "physics": {"n_steps": 4, "dt_s": 0.005}}
     assert "whole multiple" in service.request("POST", "/v1/trainings", finetune).json()["detail"]

@@ -70,9 +70,9 @@ const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.leng
 const squares = (values, middle) => values.reduce((sum, one) => sum + (one - middle) ** 2, 0);
 
 /**
- * Returns the mean of b − a over designs with a finite loss in every environment, and its interval,
- * which holds for other designs in other environments (compare_crossed in stats.h). NaN with fewer
- * than two designs.
+ * Returns the mean of b − a over designs with a finite loss in every environment, and its
+ * interval, which holds for other designs in other environments (compare_crossed in stats.h). NaN
+ * with fewer than two designs.
  * @param {number[][]} a losses by design and environment @param {number[][]} b
  */
 export function compareCrossed(a, b) {

@@ -346,7 +346,7 @@ static void periods_of_a_step_change_nothing(void)
 
 static void budgets_are_kept(void)
 {
-  const struct mo_physics physics = physics_of(1000);
+  struct mo_physics physics = physics_of(1000);
   const struct mo_gradient_options options = mo_default_gradient_options();
   struct mo_outcome outcomes[ROBOTS];
   float *d = make_zeros(shipped->n_parameters, sizeof(float));
@@ -365,6 +365,18 @@ static void budgets_are_kept(void)
          (double)mo_gradient_memory_bytes(memory) / (1 << 20));
   CHECK(mo_gradient_memory_bytes(memory) > MO_GRADIENT_DEFAULT_BYTES / 2);
   CHECK(mo_gradient_memory_bytes(memory) < MO_GRADIENT_DEFAULT_BYTES + ((size_t)32 << 20));
+  /* A tape has whole chunks of control periods, of any number of steps. */
+  physics = physics_of(100000);
+  physics.scheme.control_period_s = MO_GRADIENT_PERIOD_MAX * physics.scheme.dt_s;
+  stop.calls = 0;
+  CHECK_INT(
+      mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, outcomes, d, NULL),
+      MO_ERR_CANCELLED);
+  CHECK(mo_gradient_memory_bytes(memory) < MO_GRADIENT_DEFAULT_BYTES + ((size_t)32 << 20));
+  physics.scheme.control_period_s += physics.scheme.dt_s;
+  CHECK_INT(
+      mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, outcomes, d, NULL),
+      MO_ERR_INVALID);
 }
 
 /* With springs 2.5 times as stiff as usual, a single voxel is stable, and everything larger blows
