@@ -20,7 +20,8 @@
  * restart above the bound with the usual weight ("restart=2:": with 2). Robots are distinct random
  * bodies, each in a training environment; 1000 steps, bound 2. Prints one line per measurement;
  * exit status 1 if a bound is missed, 77 without a device. */
-#include "compute/cuda/gradient.h"
+#include "cuda-gradient.h"
+
 #include "device.h"
 
 #include <math.h>
@@ -31,140 +32,17 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { LIKE = 256, MOST = 8192, REPEATS = 5, BLOCKS = 16 };
+enum { MOST = 8192, REPEATS = 5 };
 #define COSINE_BOUND 0.99
 #define NORM_BOUND   0.1 /* relative */
 #define STEP_BOUND_S 0.25
-
-static struct mo_device *device;
 
 static const char *error_of_device(void)
 {
   return device != NULL ? mo_device_module()->error(device) : "no device";
 }
 
-/* ---- scenes ---- */
-
-struct scene {
-  struct mo_lattice *lattice;
-  uint32_t n;
-  struct mo_body **bodies;
-  struct mo_environment *environments;
-  struct mo_robot *robots;
-};
-
-static void make_scene(struct scene *s, uint32_t n)
-{
-  *s = (struct scene){.n = n,
-                      .environments = must_have(calloc(n, sizeof(*s->environments))),
-                      .robots = must_have(calloc(n, sizeof(*s->robots)))};
-  must(mo_lattice_create(MO_DEFAULT_WORKSPACE, &s->lattice), "lattice");
-  s->bodies = random_bodies(s->lattice, n, 1);
-  for (uint32_t i = 0; i < n; i++) {
-    mo_environment_training(1, 0, i, &s->environments[i]);
-    s->robots[i] = (struct mo_robot){s->bodies[i], &s->environments[i]};
-  }
-}
-
-static void drop_scene(struct scene *s)
-{
-  free_bodies(s->bodies, s->n);
-  free(s->environments);
-  free(s->robots);
-  mo_lattice_free(s->lattice);
-}
-
-static const char *after_rule(const char *weights)
-{
-  const char *const colon = strchr(weights, ':');
-  return colon != NULL && strncmp(weights, "restart", 7) == 0 ? colon + 1 : weights;
-}
-
-static struct mo_gradient_options options_of(const char *weights)
-{
-  struct mo_gradient_options options = mo_default_gradient_options();
-  if (after_rule(weights) != weights)
-    options.adjoint_rule = MO_ADJOINT_RESTART;
-  if (strncmp(weights, "restart=", 8) == 0)
-    options.restart_weight = strtod(weights + 8, NULL);
-  return options;
-}
-
-static struct mo_controller *weights_of(const char *weights)
-{
-  const char *const name = after_rule(weights);
-  struct mo_controller *controller = NULL;
-  struct mo_message message = {""};
-  char *end;
-  const unsigned long long seed = strtoull(name, &end, 10);
-  if (*end != 0) {
-    must(mo_controller_read(name, &controller, &message), name);
-    return controller;
-  }
-  must(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller),
-       "controller");
-  mo_controller_randomize(controller, seed);
-  return controller;
-}
-
-/* Physics of n_steps with control periods of that many steps; 0: none. */
-static struct mo_physics physics_of(uint32_t n_steps, uint32_t control_steps)
-{
-  struct mo_physics physics = mo_default_physics();
-  physics.scheme.n_steps = n_steps;
-  physics.scheme.control_period_s = control_steps * physics.scheme.dt_s;
-  return physics;
-}
-
-/* ---- the reference ---- */
-
-/* Robots i, i + 16, … form one sum; the sums are added in order. */
-struct reference {
-  const struct scene *scene;
-  uint32_t n; /* at most LIKE */
-  const struct mo_controller *controller;
-  struct mo_physics physics;
-  struct mo_gradient_options options;
-  struct mo_gradient_counts counts[BLOCKS];
-  double *sums[BLOCKS];
-  struct mo_outcome outcomes[LIKE];
-  uint32_t next;
-};
-
-static void *reference_work(void *context)
-{
-  struct reference *r = context;
-  for (;;) {
-    const uint32_t block = __atomic_fetch_add(&r->next, 1, __ATOMIC_RELAXED);
-    if (block >= BLOCKS)
-      return NULL;
-    for (uint32_t i = block; i < r->n; i += BLOCKS)
-      must(mo_gradient_reference(r->scene->bodies[i], r->controller, &r->scene->environments[i],
-                                 &r->physics, &r->options, &r->outcomes[i], r->sums[block],
-                                 &r->counts[block]),
-           "reference");
-  }
-}
-
-/* Computes the mean gradient of the scene's first n robots: sums[0], counts[0]; and outcomes. */
-static void compute_reference(struct reference *r, long workers)
-{
-  r->options.weight = 1.0 / r->n;
-  for (int i = 0; i < BLOCKS; i++)
-    r->sums[i] = must_have(calloc(r->controller->n_parameters, sizeof(double)));
-  on_threads(workers, reference_work, r);
-  for (int i = 1; i < BLOCKS; i++) {
-    mo_gradient_counts_add(&r->counts[0], &r->counts[i]);
-    for (size_t k = 0; k < r->controller->n_parameters; k++)
-      r->sums[0][k] += r->sums[i][k];
-  }
-}
-
-static void drop_reference(struct reference *r)
-{
-  for (int i = 0; i < BLOCKS; i++)
-    free(r->sums[i]);
-}
+/* ---- against the reference ---- */
 
 static int make_reference(const char *path, const char *weights, uint32_t workers)
 {
@@ -188,97 +66,6 @@ static int make_reference(const char *path, const char *weights, uint32_t worker
   drop_scene(&scene);
   mo_controller_free(controller);
   return written ? 0 : 1;
-}
-
-/* ---- the device ---- */
-
-struct result {
-  struct mo_device_gradient call;
-  double total_s;
-};
-
-/* Returns a hash of the result: versions that compute the same bits have the same hash. */
-static uint64_t hash_of(const float *values, size_t n)
-{
-  uint64_t hash = UINT64_C(14695981039346656037);
-  for (size_t i = 0; i < n; i++) {
-    uint32_t bits;
-    memcpy(&bits, &values[i], sizeof(bits));
-    hash = (hash ^ bits) * UINT64_C(1099511628211);
-  }
-  return hash;
-}
-
-static void run_with(struct result *r, const struct mo_controller *controller,
-                     const struct scene *s, uint32_t first, uint32_t n,
-                     const struct mo_physics *physics, const struct mo_gradient_options *options,
-                     uint64_t memory_bytes)
-{
-  const uint32_t shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
-  *r = (struct result){
-      .call = {.controller = controller,
-               .robots = s->robots + first,
-               .n = n,
-               .physics = *physics,
-               .options = *options,
-               .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
-               .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
-  r->call.options.weight = 1.0 / n;
-  memset(r->call.d_parameters, 0,
-         shards * controller->n_parameters * sizeof(float)); /* like a caller's, which it keeps */
-  const double start = now_s();
-  must(mo_cuda_gradient_run(device, &r->call, memory_bytes), "gradient");
-  r->total_s = now_s() - start;
-  const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(device);
-  printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums "
-         "%.4f), host %.3f (layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u "
-         "passes, %u backward passes; bits %016llx\n",
-         n, physics->scheme.n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s,
-         p->products_s, p->collect_s, r->call.host_s, p->plan_s, p->upload_s,
-         (double)p->device_bytes * 1e-9, p->groups, p->halved, p->passes, p->walks,
-         (unsigned long long)hash_of(r->call.d_parameters, shards * controller->n_parameters));
-}
-
-static void run(struct result *r, const struct mo_controller *controller, const struct scene *s,
-                uint32_t first, uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
-{
-  struct mo_physics physics = mo_default_physics();
-  const struct mo_gradient_options options = mo_default_gradient_options();
-  physics.scheme.n_steps = n_steps;
-  run_with(r, controller, s, first, n, &physics, &options, memory_bytes);
-}
-
-static void drop(struct result *r)
-{
-  free(r->call.d_parameters);
-  free(r->call.outcomes);
-}
-
-static void print_counts(const char *name, const struct mo_gradient_counts *c)
-{
-  printf(
-      "  %s: %llu steps, clipped %llu in %llu robots, zeroed %llu, diverged %llu, largest m %.3g\n",
-      name, (unsigned long long)c->steps, (unsigned long long)c->clipped_steps,
-      (unsigned long long)c->clipped_robots, (unsigned long long)c->zeroed_robots,
-      (unsigned long long)c->diverged_robots, c->largest);
-}
-
-struct likeness {
-  double cosine, error, norm, norm_reference; /* error: relative */
-};
-
-static struct likeness likeness_of(const float *gradient, const double *reference, size_t n)
-{
-  double product = 0, own = 0, other = 0, apart = 0;
-  for (size_t k = 0; k < n; k++) {
-    const double x = gradient[k], y = reference[k];
-    product += x * y;
-    own += x * x;
-    other += y * y;
-    apart += (x - y) * (x - y);
-  }
-  return (struct likeness){product / sqrt(own * other), sqrt(apart / other), sqrt(own),
-                           sqrt(other)};
 }
 
 static void check_likeness(const char *weights, const char *path, const struct scene *s)
@@ -315,7 +102,7 @@ static void check_likeness(const char *weights, const char *path, const struct s
    * dominate the batch (docs/numerics.md). check_alone compares them one by one. */
   if (*end == 0 && (options.adjoint_rule == MO_ADJOINT_CLIP || options.restart_weight <= 1))
     expect(like.cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
-  drop(&r);
+  drop_result(&r);
   free(reference);
   mo_controller_free(controller);
 }
@@ -352,7 +139,7 @@ static void check_periods(const struct scene *s)
            "%.6g",
            cases[i].weights, cases[i].n_steps, cases[i].control_steps, like.cosine, like.error,
            like.norm, like.norm_reference);
-    drop(&own);
+    drop_result(&own);
     drop_reference(&r);
     mo_controller_free(controller);
   }
@@ -427,7 +214,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
            like[0].cosine, like[0].error, alone_weights[1], like[1].cosine, like[1].error);
     differ[n++] = like[0].error;
     nearer += like[0].error < like[1].error;
-    drop(&r);
+    drop_result(&r);
   }
   printf("%u robots restart: relative error of single robots, median %.3g, p90 %.3g; %u of them "
          "are closer to float64 with their weight than with another\n",
@@ -452,23 +239,23 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   const uint32_t n = MO_DEVICE_SHARD, all = 2 * n;
   struct mo_controller *controller = weights_of("1");
   struct result a, b;
-  run(&a, controller, s, 0, all, n_steps, 0);
-  run(&b, controller, s, 0, all, n_steps, 0);
+  run_steps(&a, controller, s, 0, all, n_steps, 0);
+  run_steps(&b, controller, s, 0, all, n_steps, 0);
   expect(same_result(&a, &b), "two runs produce the same bits");
-  drop(&b);
-  run(&b, controller, s, n, n, n_steps, 0);
+  drop_result(&b);
+  run_steps(&b, controller, s, n, n, n_steps, 0);
   const float *with = a.call.d_parameters + controller->n_parameters;
   int same = 1;
   for (size_t k = 0; k < controller->n_parameters; k++)
     same &= b.call.d_parameters[k] == 2 * with[k]; /* its weight is 1/1024, not 1/2048 */
   expect(same, "a shard has the same bits when computed separately");
-  drop(&b);
+  drop_result(&b);
   mo_cuda_gradient_trim(device);
-  run(&b, controller, s, 0, all, n_steps, UINT64_C(3) << 30);
+  run_steps(&b, controller, s, 0, all, n_steps, UINT64_C(3) << 30);
   expect(mo_cuda_gradient_times(device)->passes == 2 && same_result(&a, &b),
          "with memory for one shard, one after the other, the same bits");
-  drop(&b);
-  drop(&a);
+  drop_result(&b);
+  drop_result(&a);
   mo_controller_free(controller);
 }
 
@@ -484,14 +271,14 @@ static void check_short_periods(const struct scene *s)
   run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
   run_with(&b, controller, s, 0, FEW, &step, &options, 0);
   expect(same_result(&a, &b), "a period of one step changes no bit");
-  drop(&b);
+  drop_result(&b);
   run_with(&b, controller, s, 0, FEW, &held, &options, 0);
   expect(!same_result(&a, &b), "one of seven steps does");
   struct mo_device_gradient call = b.call;
   call.physics.scheme.control_period_s *= 1.1;
   expect(mo_cuda_gradient_run(device, &call, 0) == MO_ERR_INVALID, "7.7 steps are refused");
-  drop(&a);
-  drop(&b);
+  drop_result(&a);
+  drop_result(&b);
   mo_controller_free(controller);
 }
 
@@ -539,7 +326,7 @@ static void check_halves(const struct scene *s)
     expect(same_result(&ways[0], &ways[1]), "some of both have the same bits: %s", cases[i].name);
     print_counts(cases[i].name, &ways[0].call.counts);
     for (int way = 0; way < 3; way++)
-      drop(&ways[way]);
+      drop_result(&ways[way]);
     mo_controller_free(controller);
   }
 }
@@ -569,8 +356,8 @@ static void check_rare(const struct scene *s)
   expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW && is_finite(&a),
          "some diverge, the others' gradient is finite");
   expect(same_result(&a, &b), "two runs are the same");
-  drop(&a);
-  drop(&b);
+  drop_result(&a);
+  drop_result(&b);
   physics = mo_default_physics();
   options.adjoint_bound = 0;
   unsigned long long zeroed = 0;
@@ -586,9 +373,9 @@ static void check_rare(const struct scene *s)
     if (zeroed > 0) {
       run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
       expect(same_result(&a, &b), "two runs are the same");
-      drop(&b);
+      drop_result(&b);
     }
-    drop(&a);
+    drop_result(&a);
   }
   expect(zeroed > 0, "a robot was left out");
   mo_controller_free(controller);
@@ -610,7 +397,7 @@ static void check_cancel(const struct scene *s)
   struct result before, after;
   pthread_t thread;
   const uint32_t n = MO_DEVICE_SHARD;
-  run(&before, controller, s, 0, n, 1000, 0);
+  run_steps(&before, controller, s, 0, n, 1000, 0);
   struct mo_device_gradient call = before.call;
   call.d_parameters = must_have(malloc(controller->n_parameters * sizeof(float)));
   call.outcomes = must_have(calloc(n, sizeof(*call.outcomes)));
@@ -622,12 +409,12 @@ static void check_cancel(const struct scene *s)
   expect(status == MO_ERR_CANCELLED && took < 0.1, "cancelled after 0.030 s: returned after %.3f s",
          took);
   pthread_join(thread, NULL);
-  run(&after, controller, s, 0, n, 1000, 0);
+  run_steps(&after, controller, s, 0, n, 1000, 0);
   expect(same_result(&before, &after), "the next call returns what the previous one returned");
   free(call.d_parameters);
   free(call.outcomes);
-  drop(&before);
-  drop(&after);
+  drop_result(&before);
+  drop_result(&after);
   mo_controller_free(controller);
 }
 
@@ -647,7 +434,7 @@ static void time_steps(const struct scene *s, uint32_t n, const struct mo_physic
       total[i] = r.total_s;
       device_s[i] = r.call.device_s;
     }
-    drop(&r);
+    drop_result(&r);
   }
   mo_cuda_gradient_set_halves(device, MO_CUDA_HALVES_IF_FASTER);
   printf("%u robots%s, %u steps of %g ms, control periods of %g ms: median %.3f s, of the device "
@@ -707,12 +494,12 @@ int main(int argc, char **argv)
     for (int halves = MO_CUDA_HALVES_NEVER; halves <= MO_CUDA_HALVES_ALWAYS; halves++) {
       struct result r;
       mo_cuda_gradient_set_halves(device, (enum mo_cuda_halves)halves);
-      run(&r, controller, &s, 0, n, n_steps, 0);
-      drop(&r);
+      run_steps(&r, controller, &s, 0, n, n_steps, 0);
+      drop_result(&r);
       const struct mo_physics held = physics_of(n_steps, 2);
       const struct mo_gradient_options options = mo_default_gradient_options();
       run_with(&r, controller, &s, 0, n, &held, &options, 0);
-      drop(&r);
+      drop_result(&r);
     }
     mo_controller_free(controller);
   } else {
