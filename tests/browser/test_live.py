@@ -133,7 +133,7 @@ def test_the_phase_before_the_first_generation_is_named(browser, service, busy):
     """, busy)
     go(browser, "campaigns/" + busy)
     said = "document.querySelector('progress + div').innerText"
-    text = "Leaving out the bodies of pretraining: {} of 11,468,800 drawn again, 4 min left"
+    text = "Leaving out the bodies of pretraining: {} of 11,468,800 redrawn, 4 min left"
     for done in ("1,000", "2,000"):
         browser.until(f"{said} === {text.format(done)!r}")
     assert browser.run("return document.querySelector('progress').value") < 0.001

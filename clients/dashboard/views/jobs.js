@@ -96,7 +96,7 @@ export function progressOf(job) {
     return {
       share: total ? done / total : null, secondsLeft,
       text: 'Leaving out the bodies of pretraining' +
-        (total ? `: ${count(done)} of ${count(total)} drawn again` : ''),
+        (total ? `: ${count(done)} of ${count(total)} redrawn` : ''),
     };
   }
   const within = progress.total > 0 ? progress.done / progress.total : 0;

@@ -56,7 +56,8 @@ async function mountList(main, app) {
       h('td', {}, h('code', {}, one.sha256.slice(0, 12)),
         h('span.muted', {}, ` ${bytes(one.bytes)}`)),
       h('td', { 'data-name': 'Parameters' }, count(one.parameters)),
-      h('td', { 'data-name': 'Sensor' }, one.sensor), ...lineageOf(one, trainings),
+      h('td', { 'data-name': 'Sensor' }, one.sensor),
+      h('td', { 'data-name': 'Outputs' }, periodOf(one)), ...lineageOf(one, trainings),
       h('td', {}, ago(one.stored_at)),
     ];
   }
@@ -84,7 +85,7 @@ async function mountList(main, app) {
   fill(main, h('div.title', {}, h('h1', {}, 'Trainings'),
     h('div.actions', {}, compare, copy, startButton(app, 'training', { class: 'primary' }))),
   panel, none, h('section.panel.stack', {}, h('h2', {}, 'Controllers'), h('div.scroll', {}, table(
-    ['Name', 'File', 'Parameters', 'Sensor', 'Made by', 'From', 'Stored'], files))),
+    ['Name', 'File', 'Parameters', 'Sensor', 'Outputs', 'Made by', 'From', 'Stored'], files))),
   named.length && may('submit') ? comparison(app, named) : null);
   const later = coalesced(refresh, stop.signal);
   return {
@@ -98,6 +99,11 @@ async function mountList(main, app) {
 /** A training with the members that all jobs have: its kind is that of the job; trainingKind is its
  * own. */
 const asJob = (item) => ({ ...item, trainingKind: item.kind, kind: 'training' });
+
+/** How often a controller computes its outputs. */
+function periodOf({ control_period_s: period }) {
+  return period ? `every ${number(1000 * period)} ms` : 'every step';
+}
 
 /** Returns where a controller comes from: the training that made it, and what that started from. */
 function lineageOf(controller, trainings) {
