@@ -185,7 +185,7 @@ def test_rollouts_are_bounded(service):
     block = {"designs": [{"cells": [[x, y, z] for x in range(6) for y in range(6)
                                     for z in range(4)]}]}
     for value, words in ((many, "at most 64"), (block | {"physics": {"n_steps": 10000}}, "second"),
-                         ({"designs": [DESIGN], "controller": "none"}, "no controller"),
+                         ({"designs": [DESIGN], "controller": "none"}, "does not exist"),
                          ({"designs": [DESIGN], "label": "x"}, ""), ({"designs": []}, "")):
         reply = service.request("POST", "/v1/rollouts", value)
         assert reply.status == 422 and words in json.dumps(reply.json()), value

@@ -15,11 +15,15 @@
  *   MORPHO_FAKE_MEET      this many layouts must run in parallel: one that waits 20 s fails
  *   MORPHO_FAKE_BESIDE    the same for calls to `score`, until it has happened once
  *   MORPHO_FAKE_OLDER     this device has compute capability 8.0, the others have 9.0
- *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE  the interface and code versions that it reports */
+ *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE  the interface and code versions that it reports
+ *
+ * Tests may also set `turns`: the calls to `score` numbered from it on wait until it is raised. */
 #include "compute/device.h"
 
 #include <pthread.h>
+#include <limits.h>
 #include <signal.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -193,6 +197,16 @@ static int begin(struct mo_device *device, const struct mo_robot *robots, uint32
   return device->is_lost ? MO_ERR_DEVICE : look(device) != 0 ? MO_ERR_CANCELLED : MO_OK;
 }
 
+__attribute__((visibility("default"))) atomic_int turns = INT_MAX, started;
+
+static void wait_for_turn(void)
+{
+  const struct timespec millisecond = {.tv_nsec = 1000000};
+  const int number = atomic_fetch_add(&started, 1);
+  while (atomic_load(&turns) <= number)
+    nanosleep(&millisecond, NULL);
+}
+
 static int fake_score(struct mo_device *device, struct mo_device_score *score)
 {
   static struct meeting meeting = MEETING;
@@ -207,6 +221,7 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
   const uint32_t beside = number("MORPHO_FAKE_BESIDE", 0);
   if (beside > 0 && !meet(&meeting, beside, true))
     return MO_ERR_DEVICE;
+  wait_for_turn();
   status = begin(device, score->robots, score->n, score->cancel);
   for (uint32_t i = 0; i < score->n && status == MO_OK;) {
     const struct mo_environment *environments[MO_BLOCK_LANES];

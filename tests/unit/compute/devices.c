@@ -2,6 +2,9 @@
  * or a device is lost; and no block is forgotten. */
 #include "devices_fixture.h"
 
+#include <dlfcn.h>
+#include <limits.h>
+
 static struct mo_outcome expected[DESIGNS][ENVIRONMENTS]; /* computed by the workers */
 static struct mo_block blocks[DESIGNS];
 
@@ -442,13 +445,16 @@ static void note_order(struct mo_block *block, void *context)
 }
 
 /* Urgent blocks start before everything that is waiting, including a share that has rested and is
- * behind. */
+ * behind. The device ends its calls one by one, in the order of their starts. */
 static void urgent_blocks_go_first(void)
 {
   static struct order order;
   reset();
-  set("MORPHO_FAKE_DELAY_MS", "80");
   struct mo_compute *compute = open_devices("1");
+  void *module = dlopen(FAKE_DEVICE, RTLD_NOW);
+  REQUIRE(module != NULL);
+  atomic_int *turns = dlsym(module, "turns"), *started = dlsym(module, "started");
+  REQUIRE(turns != NULL && started != NULL);
   struct mo_compute_controller *brain = make_compute_controller(compute, controller);
   struct mo_compute_share *busy = make_compute_share(compute, 1);
   struct mo_compute_share *rested = make_compute_share(compute, 0.01);
@@ -457,6 +463,8 @@ static void urgent_blocks_go_first(void)
     blocks[0].share = busy;
     CHECK_INT(mo_compute_run(compute, blocks, 1), MO_OK);
   }
+  const int first = atomic_load(started);
+  atomic_store(turns, first);
   for (uint32_t d = 0; d < 4; d++) {
     blocks[d] = design_block(d, brain, 2);
     blocks[d].share = d == 0 ? busy : rested;
@@ -464,20 +472,21 @@ static void urgent_blocks_go_first(void)
     blocks[d].done = note_order;
     blocks[d].context = &order;
   }
-  const double start_s = now_s();
-  struct mo_device_status status = {.is_busy = false};
   CHECK_INT(mo_compute_submit(compute, &blocks[0]), MO_OK);
-  while (!status.is_busy && atomic_load(&order.next) == 0 && now_s() - start_s < 60) {
-    usleep(1000);
-    CHECK_INT(mo_compute_device(compute, 0, &status), MO_OK);
-  }
-  mo_compute_begin_blocks(compute); /* else both calls start together */
+  REQUIRE(await(started, first + 1));
+  mo_compute_begin_blocks(compute); /* no call starts before all of them wait */
   for (uint32_t d = 1; d < 4; d++)
     CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
   mo_compute_end_blocks(compute);
-  REQUIRE(await(&order.next, 4));
+  for (int ended = 1; ended <= 2; ended++) {
+    atomic_store(turns, first + ended);
+    REQUIRE(await(&order.next, ended));
+  }
   CHECK_INT(atomic_load(&order.place[0]), 1);
   CHECK_INT(atomic_load(&order.place[3]), 2);
+  atomic_store(turns, INT_MAX);
+  REQUIRE(await(&order.next, 4));
+  dlclose(module);
 }
 
 static const struct check_case cases[] = {
