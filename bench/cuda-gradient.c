@@ -277,6 +277,9 @@ static void check_short_periods(const struct scene *s)
   struct mo_device_gradient call = b.call;
   call.physics.scheme.control_period_s *= 1.1;
   expect(mo_cuda_gradient_run(device, &call, 0) == MO_ERR_INVALID, "7.7 steps are refused");
+  call.physics = physics;
+  call.physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  expect(mo_cuda_gradient_run(device, &call, 0) == MO_ERR_UNSUPPORTED, "split is left to the CPU");
   drop_result(&a);
   drop_result(&b);
   mo_controller_free(controller);

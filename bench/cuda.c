@@ -393,6 +393,9 @@ static void check_periods(struct mo_device_controller *controller)
                                   .physics = refused,
                                   .outcomes = again};
   expect(module->score(device, &score) == MO_ERR_INVALID, "one and a half steps are refused");
+  score.physics = physics;
+  score.physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  expect(module->score(device, &score) == MO_ERR_UNSUPPORTED, "split is left to the CPU");
   free_rows(rows);
   free_bodies(bodies, N);
 }

@@ -11,7 +11,7 @@
   "precision", 0, "float32|float64", "Precision of the simulation (default: float32).", "precision"
 #define PHYSICS                                                                                    \
   "physics", 'p', "KEY=VALUE",                                                                     \
-      "One physics setting, e.g. dt_s=0.002 or impact=bisection8; can be repeated."
+      "One physics setting, e.g. dt_s=0.002 or integrator=split; can be repeated."
 #define ENVIRONMENTS                                                                               \
   "environments", 'e', "FILE",                                                                     \
       "paper-test (default), or a JSON file with a list of environments; - is standard input."

@@ -35,6 +35,12 @@ enum mo_impact {
                              quadratic; the default */
   MO_IMPACT_BISECTION = 1 /* `bisections` halvings of [0, dt], lower end kept (paper: 8) */
 };
+/* How a step goes on from positions and velocities; docs/model.md has both. */
+enum mo_integrator {
+  MO_INTEGRATOR_PAPER = 0, /* the paper's: a whole kick, then a drift; first order */
+  MO_INTEGRATOR_SPLIT = 1  /* leapfrog: velocities are those of the middle of a step; an impact acts
+                              on the velocity of its own time; second order */
+};
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
 /* Settings that all rollouts of a block share, because they determine the operations. */
@@ -44,8 +50,9 @@ struct mo_scheme {
   double control_period_s; /* 0: the controller computes its outputs in every step. Otherwise a
                               whole multiple of dt_s: it computes them at the start of each period,
                               and they are held until the next one */
-  enum mo_impact impact;   /* exact */
-  uint32_t bisections;     /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
+  enum mo_integrator integrator; /* paper */
+  enum mo_impact impact;         /* exact */
+  uint32_t bisections;           /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
 };
 /* Numbers that the kernels keep for each of their lanes. */
 struct mo_constants {

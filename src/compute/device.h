@@ -23,8 +23,8 @@
  *                       are still released
  *   MO_ERR_CANCELLED    the flag `cancel` was set
  *   MO_ERR_INVALID      the control period is not a whole number of steps
- *   MO_ERR_UNSUPPORTED  a workspace, sensor or option that the kernels lack: the caller uses
- *                       the CPU */
+ *   MO_ERR_UNSUPPORTED  a workspace, sensor, integrator or option that the kernels lack: the
+ *                       caller uses the CPU */
 #ifndef MORPHO_COMPUTE_DEVICE_H
 #define MORPHO_COMPUTE_DEVICE_H
 
@@ -40,7 +40,7 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      6
+#define MO_DEVICE_ABI      7
 #define MO_DEVICE_SHARD    1024 /* consecutive robots whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 131072
 

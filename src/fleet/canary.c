@@ -4,18 +4,19 @@
  *
  * Half of the bodies use the usual physics. The others fall from a height onto slippery ground, so
  * that masses leave their terrain cells: the reference, not the kernels, computes these moves. Some
- * hold the controller's outputs through control periods. The robots of the gradients stand on the
- * ground, so that few steps have contacts. They fill one CPU block and part of another. */
+ * hold the controller's outputs through control periods, and some use the integrator `split`. The
+ * robots of the gradients stand on the ground, so that few steps have contacts. They fill one CPU
+ * block and part of another. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "fleet/fleet.h"
 
-#define SEED    UINT64_C(0x6d6f72706866)
-#define BODIES  8
-#define ROBOTS  (MO_GRADIENT_ROBOTS + 8)
-#define STEPS   50 /* for the gradients */
-#define PERIODS 2
+#define SEED   UINT64_C(0x6d6f72706866)
+#define BODIES 8
+#define ROBOTS (MO_GRADIENT_ROBOTS + 8)
+#define STEPS  50 /* for the gradients */
+#define KINDS  4  /* of gradients */
 
 struct canary {
   struct mo_lattice *lattice;
@@ -41,6 +42,7 @@ static struct mo_physics physics_of(uint32_t body)
   physics.drop_height_m = 1;
   physics.scheme.impact = body % 2 == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
   physics.scheme.control_period_s = body % 2 == 0 ? 0 : 4 * physics.scheme.dt_s;
+  physics.scheme.integrator = body < BODIES - 2 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
   return physics;
 }
 
@@ -105,7 +107,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   struct {
     struct mo_sha256 sum;
     double losses[ROBOTS];
-  } bits[PERIODS] = {{.losses = {0}}};
+  } bits[KINDS] = {{.losses = {0}}};
   batch.physics.scheme.n_steps = STEPS;
   batch.physics.drop_height_m = 0;
   batch.d_parameters = calloc(n, sizeof(*batch.d_parameters));
@@ -113,8 +115,9 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   if (error == MO_OK)
     error = mo_gradient_state_create(compute, &state);
   /* A device has kernels of its own for periods of several steps. */
-  for (uint32_t p = 0; p < PERIODS && error == MO_OK; p++) {
-    batch.physics.scheme.control_period_s = (p == 0 ? 0 : 3) * batch.physics.scheme.dt_s;
+  for (uint32_t p = 0; p < KINDS && error == MO_OK; p++) {
+    batch.physics.scheme.control_period_s = (p % 2 == 0 ? 0 : 3) * batch.physics.scheme.dt_s;
+    batch.physics.scheme.integrator = p < 2 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
     memset(batch.d_parameters, 0, n * sizeof(*batch.d_parameters));
     error = mo_compute_gradient(state, &batch);
     if (error != MO_OK)

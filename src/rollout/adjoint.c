@@ -3,7 +3,6 @@
 #include "rollout/adjoint.h"
 
 #include "rollout/contact.h"
-#include "rollout/kick.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -45,12 +44,13 @@ static void sense_light_adjoint(const struct mo_reference *r, const double *posi
   }
 }
 
-static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_step_tape *tape,
-                                 struct mo_adjoint *adjoint)
+static void pull_springs_adjoint(const struct mo_reference *r, uint32_t step,
+                                 const struct mo_step_tape *tape, struct mo_adjoint *adjoint)
 {
   const struct mo_body *body = r->body;
   const struct mo_scheme *scheme = &r->physics->scheme;
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
+  const bool blends = mo_reference_blends(r, step);
   for (uint32_t s = 0; s < body->n_springs; s++) {
     const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
     double d[3], across[3];
@@ -61,7 +61,7 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
     }
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), guarded = length + 1e-8;
     const double free_rest = body->spring_rest_m[s];
-    const double rest = free_rest * (1.0 + constants.actuation * tape->control.output[s]);
+    const double rest = free_rest * (1.0 + constants.actuation * tape->activation[s]);
     const double stiffness = scheme->dt_s * constants.stiffness_n_per_m;
     const double pull = stiffness * (length - rest) / guarded;
     const double d_pull = across[0] * d[0] + across[1] * d[1] + across[2] * d[2];
@@ -69,7 +69,10 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
     const double d_length = d_pull * stiffness * (rest + 1e-8) / (guarded * guarded);
     const double d_rest = -d_pull * stiffness / guarded;
     /* rest = free_rest · (1 + actuation · activation) */
-    adjoint->d_activation[s] += d_rest * free_rest * constants.actuation;
+    const double d_activation = d_rest * free_rest * constants.actuation;
+    /* activation = the output, or 0.5 · (previous output + output) */
+    adjoint->d_output[s] += blends ? 0.5 * d_activation : d_activation;
+    adjoint->d_previous[s] = blends ? 0.5 * d_activation : 0;
     /* length = |d|,   d = position[a] − position[b] */
     for (int axis = 0; axis < 3; axis++) {
       const double dd = pull * across[axis] + (length > 0 ? d_length * d[axis] / length : 0);
@@ -79,23 +82,32 @@ static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_s
   }
 }
 
-static void move_masses_adjoint(const struct mo_reference *r, const struct mo_step_tape *tape,
-                                struct mo_adjoint *adjoint)
+static void move_masses_adjoint(const struct mo_reference *r, uint32_t step,
+                                const struct mo_step_tape *tape, struct mo_adjoint *adjoint)
 {
   const struct mo_scheme *scheme = &r->physics->scheme;
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
-  const struct mo_kick kick =
-      mo_kick_of(scheme, &constants, exp(-constants.drag_per_s * scheme->dt_s));
+  const struct mo_kick kick = mo_reference_kick(r, &constants, step);
   memset(adjoint->d_impulse, 0, (size_t)r->body->n_masses * 3 * sizeof(double));
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const size_t at = 3 * (size_t)i;
-    mo_contact_move_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
-                            tape->position_m + at, tape->velocity_m_per_s + at,
-                            adjoint->d_position + at, adjoint->d_velocity + at);
-    /* v = keep · v + push · impulse / mass,   v[2] −= fall */
+    double da[3] = {0, 0, 0};
+    if (scheme->integrator == MO_INTEGRATOR_SPLIT)
+      mo_contact_split_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
+                               tape->acceleration + at, tape->position_m + at,
+                               tape->velocity_m_per_s + at, adjoint->d_position + at,
+                               adjoint->d_velocity + at, da);
+    else
+      mo_contact_move_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
+                              tape->position_m + at, tape->velocity_m_per_s + at,
+                              adjoint->d_position + at, adjoint->d_velocity + at);
+    /* v = keep · v + push · impulse / mass,   v[2] −= fall
+     * acceleration = impulse / (mass · dt),   acceleration[2] −= gravity */
     for (int axis = 0; axis < 3; axis++) {
       adjoint->d_impulse[at + axis] +=
           kick.push * adjoint->d_velocity[at + axis] / constants.mass_kg;
+      if (scheme->integrator == MO_INTEGRATOR_SPLIT)
+        adjoint->d_impulse[at + axis] += da[axis] / (constants.mass_kg * scheme->dt_s);
       adjoint->d_velocity[at + axis] *= kick.keep;
     }
   }
@@ -104,15 +116,18 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
 void mo_adjoint_step(const struct mo_reference *r, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint)
 {
-  move_masses_adjoint(r, tape, adjoint);
-  if ((step + 1) % r->control_steps == 0 || step + 1 == r->physics->scheme.n_steps)
-    memset(adjoint->d_activation, 0, r->body->n_springs * sizeof(double));
-  pull_springs_adjoint(r, tape, adjoint);
+  const size_t bytes = r->body->n_springs * sizeof(double);
+  move_masses_adjoint(r, step, tape, adjoint);
+  if (step + 1 == r->physics->scheme.n_steps)
+    memset(adjoint->d_output, 0, bytes);
+  else if ((step + 1) % r->control_steps == 0)
+    memcpy(adjoint->d_output, adjoint->d_previous, bytes);
+  pull_springs_adjoint(r, step, tape, adjoint);
   if (step % r->control_steps != 0)
     return;
   memset(adjoint->d_input, 0, r->controller->n_inputs * sizeof(double));
   mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs,
-                         adjoint->d_activation, &tape->control, adjoint->d_input);
+                         adjoint->d_output, &tape->control, adjoint->d_input);
   sense_light_adjoint(r, tape->position_m, adjoint);
 }
 

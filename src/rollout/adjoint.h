@@ -9,11 +9,12 @@
 
 /* The adjoint of a state; dx is ∂loss/∂x. */
 struct mo_adjoint {
-  double *d_position;   /* (n_masses, 3) per m */
-  double *d_velocity;   /* (n_masses, 3) per m/s */
-  double *d_impulse;    /* (n_masses, 3) per N s */
-  double *d_activation; /* (n_springs) summed over the steps of a control period */
-  double *d_input;      /* (n_inputs) */
+  double *d_position; /* (n_masses, 3) per m */
+  double *d_velocity; /* (n_masses, 3) per m/s */
+  double *d_impulse;  /* (n_masses, 3) per N s */
+  double *d_output;   /* (n_springs) summed over the steps in which the outputs act */
+  double *d_previous; /* (n_springs) what a step adds to that of the outputs before its own */
+  double *d_input;    /* (n_inputs) */
 };
 
 /* Turns ∂loss/∂ the state after step number `step`, which is on the tape, into ∂loss/∂ the state

@@ -46,12 +46,16 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   struct carver carver = {base, 0};
   for (int i = 0; i < 2; i++)
     run->position[i] = carve(&carver, n_masses * 3 * MO_LANES, real);
+  const bool splits = run->physics->scheme.integrator == MO_INTEGRATOR_SPLIT;
   run->velocity = carve(&carver, n_masses * 3 * MO_LANES, real);
+  run->coasted = carve(&carver, splits ? n_masses * 3 * MO_LANES : 0, real);
+  run->keeps = splits || run->control_steps > 1;
   run->start = carve(&carver, n_masses * 3, sizeof(double));
   run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
   run->spring_rest = carve(&carver, n_springs, real);
   run->activation = carve(&carver, MO_LANES * panel, real);
-  run->held = carve(&carver, MO_LANES * (run->control_steps > 1 ? springs_padded : panel), real);
+  run->held = carve(&carver, MO_LANES * (run->keeps ? springs_padded : panel), real);
+  run->blended = carve(&carver, splits ? MO_LANES * panel : 0, real);
   run->contacts = carve(&carver, n_masses, sizeof(uint32_t));
   run->terrain = carve(&carver, (size_t)MO_LANES * MO_CELLS * 4, real);
   if (!pack->passive) {

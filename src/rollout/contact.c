@@ -12,7 +12,10 @@
  * rows of "cells" with a slope of 0. */
 #include "rollout/contact.h"
 
+#include "rollout/kick.h"
+
 #include <math.h>
+#include <string.h>
 
 #define CELLS       (MO_TERRAIN_SIDE - 1)
 #define CELLS_PER_M (CELLS / MO_TERRAIN_SIZE_M)
@@ -170,6 +173,129 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
   return true;
 }
 
+/* ---- split ----
+ *
+ * The velocity v is that of the middle of the step; with the acceleration a by springs and gravity
+ * follows the velocity w at the impact. Then the ground takes the part of w along its normal, and
+ * friction takes from the tangential part what an impact with that speed takes; not from a mass
+ * that lies on the ground, which strikes nothing. During the rest of the step, r = dt − τ, the mass
+ * slides: tangential forces accelerate it, the normal force presses it to the ground, and friction
+ * takes friction · (normal force) · r from its momentum, or stops it. Forces that pull it off lift
+ * it. Its velocity at the end of the step is then taken back to the middle, from where the next
+ * kick starts. */
+
+/* Coefficients of `split`. With a constant acceleration a, a velocity v becomes v + E (a − drag v)
+ * after t seconds, E = (1 − exp(−drag t)) / drag. D = t (1 − bend t) is E to second order, and
+ * exactly E half a step back, so that a mass at rest stays at rest. */
+static double drag_bend(const struct mo_scheme *scheme, const struct mo_constants *constants)
+{
+  const double x = 0.5 * constants->drag_per_s * scheme->dt_s;
+  return (mo_kick_mean(-x, exp(x)) - 1) * 2 / scheme->dt_s;
+}
+
+struct split {
+  bool lies;                    /* on the ground when the step starts */
+  double bend;                  /* see drag_bend */
+  double before, after, back;   /* D: of the time from the middle of the step to the impact, of the
+                                   rest, of half a step back */
+  double impact, rest;          /* s */
+  double hit[3], g[2], n[3];    /* place, the terrain's gradient, its unit normal */
+  double w[3], wn, t[3], speed; /* velocity at impact; its normal part; the tangential; its size */
+  double kept;                  /* of t after the impact */
+  double y[3];                  /* after it */
+  double b;                     /* normal velocity after it */
+  double an, q[3], pace;        /* normal acceleration; tangential velocity without friction; |q| */
+  double lift, press;           /* normal velocity at the end without the ground; what it takes */
+  double held;                  /* of q after friction */
+  double z[3];                  /* after it */
+  double end[3];                /* place */
+};
+
+static double dot(const double a[3], const double b[3])
+{
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* Returns the share of a speed that friction leaves. */
+static double left_by(double lost, double speed)
+{
+  return speed > 0 ? 1 - fmin(lost, speed) / speed : 0;
+}
+
+static struct split split_of(const struct mo_scheme *scheme, const struct mo_constants *constants,
+                             const double heights_m[MO_TERRAIN_HEIGHTS], const double a[3],
+                             const double p[3], const double v[3])
+{
+  const double dt = scheme->dt_s, drag = constants->drag_per_s;
+  struct split s;
+  s.lies = p[2] - mo_terrain_height(heights_m, p[0], p[1]) < MO_LIES_M;
+  s.bend = drag_bend(scheme, constants);
+  s.impact = s.lies ? 0
+             : scheme->impact == MO_IMPACT_EXACT
+                 ? mo_impact_exact(heights_m, p, v, dt)
+                 : mo_impact_bisection(heights_m, p, v, dt, scheme->bisections);
+  s.rest = dt - s.impact;
+  for (int k = 0; k < 2; k++)
+    s.hit[k] = p[k] + s.impact * v[k];
+  s.hit[2] = mo_terrain_height(heights_m, s.hit[0], s.hit[1]);
+  mo_terrain_gradient(heights_m, s.hit[0], s.hit[1], s.g);
+  const double length = sqrt(s.g[0] * s.g[0] + s.g[1] * s.g[1] + 1.0);
+  s.n[0] = -s.g[0] / length;
+  s.n[1] = -s.g[1] / length;
+  s.n[2] = 1.0 / length;
+  s.before = (s.impact - 0.5 * dt) * (1 - s.bend * (s.impact - 0.5 * dt));
+  s.after = s.rest * (1 - s.bend * s.rest);
+  s.back = -0.5 * dt * (1 + s.bend * 0.5 * dt);
+  for (int k = 0; k < 3; k++)
+    s.w[k] = v[k] + s.before * (a[k] - drag * v[k]);
+  s.wn = dot(s.w, s.n);
+  for (int k = 0; k < 3; k++)
+    s.t[k] = s.w[k] - s.wn * s.n[k];
+  s.speed = sqrt(dot(s.t, s.t));
+  s.b = s.lies ? s.wn : fmax(s.wn, 0);
+  s.kept =
+      s.lies
+          ? 1
+          : left_by(fmin(constants->friction * fmax(-s.wn, 0), constants->friction_cap * s.speed),
+                    s.speed);
+  s.an = dot(a, s.n);
+  for (int k = 0; k < 3; k++) {
+    s.y[k] = s.kept * s.t[k];
+    s.q[k] = s.y[k] + s.after * (a[k] - s.an * s.n[k] - drag * s.y[k]);
+  }
+  s.pace = sqrt(dot(s.q, s.q));
+  s.lift = s.b + s.after * (s.an - drag * s.b);
+  s.press = fmax(-s.lift, 0);
+  s.held = left_by(constants->friction * s.press, s.pace);
+  for (int k = 0; k < 3; k++) {
+    s.z[k] = s.held * s.q[k];
+    s.end[k] = s.hit[k] + 0.5 * s.rest * (s.y[k] + s.z[k] + fmax(s.lift, 0) * s.n[k]);
+  }
+  return s;
+}
+
+bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants *constants,
+                      const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                      const double acceleration[3], double position_m[3],
+                      double velocity_m_per_s[3])
+{
+  const double dt = scheme->dt_s;
+  double *p = position_m, *v = velocity_m_per_s;
+  const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+    memcpy(p, next, sizeof(next));
+    return false;
+  }
+  const struct split s = split_of(scheme, constants, heights_m, acceleration, p, v);
+  for (int k = 0; k < 3; k++) {
+    const double end = s.z[k] + fmax(s.lift, 0) * s.n[k];
+    v[k] = end + s.back * (acceleration[k] - constants->drag_per_s * end);
+    p[k] = s.end[k];
+  }
+  p[2] = fmax(p[2], mo_terrain_height(heights_m, p[0], p[1]));
+  return true;
+}
+
 /* ---- the backward pass: dx is ∂loss/∂x; every contribution is added ---- */
 
 /* Returns the second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other
@@ -247,6 +373,34 @@ static void impact_adjoint(double impact, double dt, const double *ground, const
     dp[k] += ground == NULL ? along[k] : k < 2 ? push * (g[k] - ground[k]) : 0;
 }
 
+/* Differentiates the place and time of an impact, at p + impact · v in x and y, and the terrain's
+ * gradient g there. */
+static void place_adjoint(const struct mo_scheme *scheme, const double *heights_m, double impact,
+                          const double hit[3], const double g[2], const double p[3],
+                          const double v[3], double d_hit[3], const double dg[2], double d_impact,
+                          double dp[3], double dv[3])
+{
+  /* g = ∇h(hit) */
+  const double bend = twist(heights_m, hit[0], hit[1]);
+  d_hit[0] += bend * dg[1];
+  d_hit[1] += bend * dg[0];
+  /* hit[2] = h(hit) */
+  d_hit[0] += d_hit[2] * g[0];
+  d_hit[1] += d_hit[2] * g[1];
+  /* hit[0, 1] = p + impact · v */
+  for (int k = 0; k < 2; k++) {
+    dp[k] += d_hit[k];
+    dv[k] += impact * d_hit[k];
+    d_impact += v[k] * d_hit[k];
+  }
+  /* impact = mo_impact_exact(p, v) */
+  double ground[2];
+  const bool lies = !(p[2] > mo_terrain_height(heights_m, p[0], p[1]));
+  mo_terrain_gradient(heights_m, p[0], p[1], ground);
+  if (scheme->impact == MO_IMPACT_EXACT)
+    impact_adjoint(impact, scheme->dt_s, lies ? ground : NULL, g, v, d_impact, dp, dv);
+}
+
 void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
                              const double position_m[3], const double velocity_m_per_s[3],
@@ -298,23 +452,125 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
   }
   /* slid = strike(g, v) */
   strike_adjoint(constants, g, v, d_slid, dv, dg);
-  /* g = ∇h(hit) */
-  const double bend = twist(heights_m, hit[0], hit[1]);
-  d_hit[0] += bend * dg[1];
-  d_hit[1] += bend * dg[0];
-  /* hit[2] = h(hit) */
-  d_hit[0] += d_hit[2] * g[0];
-  d_hit[1] += d_hit[2] * g[1];
-  /* hit[0, 1] = p + impact · v */
-  for (int k = 0; k < 2; k++) {
-    dp[k] += d_hit[k];
-    dv[k] += impact * d_hit[k];
-    d_impact += v[k] * d_hit[k];
+  place_adjoint(scheme, heights_m, impact, hit, g, p, v, d_hit, dg, d_impact, dp, dv);
+}
+
+/* Differentiates z = (1 − min(lost, |q|)/|q|) · q by q; returns ∂loss/∂lost. `speed`: |q|. Once
+ * friction stops the mass, nothing flows through it. */
+static double slow_adjoint(double lost, double speed, const double q[3], const double dz[3],
+                           double dq[3])
+{
+  if (!(speed > 0) || lost >= speed)
+    return 0;
+  const double along = dot(q, dz) / speed, share = lost / speed;
+  for (int k = 0; k < 3; k++)
+    dq[k] += (1 - share) * dz[k] + share / speed * along * q[k];
+  return -along;
+}
+
+/* From ∂loss/∂ the place and velocity at the end, d_end and de, to that of the place of impact, of
+ * the velocity then, of the acceleration, and of the time of impact, which is returned. dg: of the
+ * terrain's gradient. */
+static double slide_adjoint(const struct mo_constants *constants, const struct split *s,
+                            const double a[3], const double d_end[3], const double de[3],
+                            double d_hit[3], double dw[3], double da[3], double dg[2])
+{
+  const double drag = constants->drag_per_s, half = 0.5 * s->rest, up = fmax(s->lift, 0);
+  double dz[3], dy[3], dq[3] = {0, 0, 0}, dt[3] = {0, 0, 0}, dn[3], d_rest = 0, d_an = 0, d_wn = 0;
+  /* end = hit + rest/2 · (y + z + up · n),   e = z + up · n */
+  for (int k = 0; k < 3; k++) {
+    d_hit[k] = d_end[k];
+    d_rest += 0.5 * (s->y[k] + s->z[k] + up * s->n[k]) * d_end[k];
+    dy[k] = half * d_end[k];
+    dz[k] = half * d_end[k] + de[k];
+    dn[k] = up * dz[k];
   }
-  /* impact = mo_impact_exact(p, v) */
-  double ground[2];
-  const bool lies = !(p[2] > mo_terrain_height(heights_m, p[0], p[1]));
-  mo_terrain_gradient(heights_m, p[0], p[1], ground);
-  if (scheme->impact == MO_IMPACT_EXACT)
-    impact_adjoint(impact, dt, lies ? ground : NULL, g, v, d_impact, dp, dv);
+  /* up = max(lift, 0),   press = max(−lift, 0) */
+  double d_lift = s->lift > 0 ? dot(dz, s->n) : 0;
+  const double d_lost = slow_adjoint(constants->friction * s->press, s->pace, s->q, dz, dq);
+  if (s->lift < 0)
+    d_lift -= constants->friction * d_lost;
+  /* lift = b + after · (an − drag · b),   b = wn, or max(wn, 0) */
+  if (s->lies || s->wn > 0)
+    d_wn += (1 - s->after * drag) * d_lift;
+  double d_after = (s->an - drag * s->b) * d_lift;
+  d_an += s->after * d_lift;
+  /* q = y + after · (a − an · n − drag · y) */
+  for (int k = 0; k < 3; k++) {
+    dy[k] += (1 - s->after * drag) * dq[k];
+    d_after += (a[k] - s->an * s->n[k] - drag * s->y[k]) * dq[k];
+    da[k] += s->after * dq[k];
+    d_an -= s->after * s->n[k] * dq[k];
+    dn[k] -= s->after * s->an * dq[k];
+  }
+  /* after = rest · (1 − bend · rest) */
+  d_rest += (1 - 2 * s->bend * s->rest) * d_after;
+  /* y = kept · t */
+  const double slowed = constants->friction * fmax(-s->wn, 0),
+               cap = constants->friction_cap * s->speed;
+  if (s->lies) {
+    memcpy(dt, dy, sizeof(dt));
+  } else if (slowed < cap) {
+    const double d_slowed = slow_adjoint(slowed, s->speed, s->t, dy, dt);
+    d_wn -= s->wn < 0 ? constants->friction * d_slowed : 0;
+  } else if (s->speed > 0) {
+    for (int k = 0; k < 3; k++)
+      dt[k] += s->kept * dy[k];
+  }
+  /* t = w − wn · n,   wn = w · n,   an = a · n */
+  d_wn -= dot(dt, s->n);
+  for (int k = 0; k < 3; k++) {
+    dw[k] = dt[k] + d_wn * s->n[k];
+    da[k] += d_an * s->n[k];
+    dn[k] += d_wn * s->w[k] + d_an * a[k] - s->wn * dt[k];
+  }
+  /* n = (−g, 1) / length */
+  const double along = dot(dn, s->n);
+  for (int k = 0; k < 2; k++)
+    dg[k] = -(dn[k] - along * s->n[k]) * s->n[2];
+  return -d_rest; /* rest = dt − impact */
+}
+
+void mo_contact_split_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
+                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                              const double acceleration[3], const double position_m[3],
+                              const double velocity_m_per_s[3], double d_position[3],
+                              double d_velocity[3], double d_acceleration[3])
+{
+  const double dt = scheme->dt_s, drag = constants->drag_per_s;
+  const double *p = position_m, *v = velocity_m_per_s, *a = acceleration;
+  double *dp = d_position, *dv = d_velocity, *da = d_acceleration;
+  const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
+  memset(da, 0, 3 * sizeof(*da));
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+    for (int k = 0; k < 3; k++)
+      dv[k] += dt * dp[k];
+    return;
+  }
+  const struct split s = split_of(scheme, constants, heights_m, a, p, v);
+  double d_end[3] = {dp[0], dp[1], 0}, de[3], d_hit[3], dw[3], dg[2];
+  /* p[2] = max(end[2], h(end)) */
+  if (s.end[2] >= mo_terrain_height(heights_m, s.end[0], s.end[1])) {
+    d_end[2] = dp[2];
+  } else {
+    double slope[2];
+    mo_terrain_gradient(heights_m, s.end[0], s.end[1], slope);
+    d_end[0] += dp[2] * slope[0];
+    d_end[1] += dp[2] * slope[1];
+  }
+  /* v = e + back · (a − drag · e) */
+  for (int k = 0; k < 3; k++) {
+    de[k] = (1 - s.back * drag) * dv[k];
+    da[k] += s.back * dv[k];
+    dp[k] = dv[k] = 0;
+  }
+  double d_impact = slide_adjoint(constants, &s, a, d_end, de, d_hit, dw, da, dg);
+  /* w = v + before · (a − drag · v),   before = s · (1 − bend · s),   s = impact − dt/2 */
+  const double rate = 1 - 2 * s.bend * (s.impact - 0.5 * dt);
+  for (int k = 0; k < 3; k++) {
+    dv[k] += (1 - s.before * drag) * dw[k];
+    da[k] += s.before * dw[k];
+    d_impact += rate * (a[k] - drag * v[k]) * dw[k];
+  }
+  place_adjoint(scheme, heights_m, s.impact, s.hit, s.g, p, v, d_hit, dg, d_impact, dp, dv);
 }

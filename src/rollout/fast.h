@@ -64,12 +64,15 @@ struct mo_fast_run {
   void *spring_rest;     /* (n_springs) rest lengths */
   void *position[2];     /* (n_masses, 3, lanes): now and next; x, y from the world's center */
   void *velocity;        /* (n_masses, 3, lanes) */
+  void *coasted;         /* (n_masses, 3, lanes) velocities without the springs; for `split` only */
   double *start;         /* (n_masses, 3) */
   void *sensor;          /* (n_masses, lanes) */
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel) */
-  void *held;            /* (n_panels · panel, lanes) activations of all springs through a control
-                            period; one panel's if every step has its own */
+  bool keeps;            /* activations outlast their step: a control period, or `split` */
+  void *held;            /* (n_panels · panel, lanes) the latest activations of all springs; one
+                            panel's if they do not outlast their step */
+  void *blended;         /* (panel, lanes) the mean of new and previous activations; for `split` */
   void *terrain;         /* (lanes, MO_CELLS, 4) */
   uint32_t *contacts;    /* (n_masses) bits of the lanes that touched the terrain, in steps that end
                           * at a frame; undefined in other steps */

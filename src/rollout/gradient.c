@@ -18,7 +18,7 @@ struct gradient {
   const struct mo_gradient_probe *probe;
   uint32_t segment;           /* steps per segment, in whole control periods; the last one may be
                                  shorter */
-  size_t n_state;             /* doubles of a stored state: positions and velocities */
+  size_t n_state;             /* doubles of a stored state: positions, velocities, outputs */
   double *memory;             /* of all arrays of doubles */
   double *states;             /* (segments + 1, n_state) at the start of each, and at the end */
   struct mo_step_tape *steps; /* (segment) */
@@ -54,12 +54,12 @@ static int allocate(struct gradient *g)
   const size_t pass = mo_controller_tape_doubles(controller, body->n_springs);
   const uint32_t n_steps = g->reference.physics->scheme.n_steps,
                  period = g->reference.control_steps;
-  g->n_state = 2 * n;
+  g->n_state = 2 * n + body->n_springs;
   const uint32_t periods = ((uint32_t)ceil(sqrt((double)n_steps)) + period - 1) / period;
   g->segment = periods * period;
-  const size_t states = (size_t)(segments(g) + 1) * g->n_state,
-               tapes = g->segment * 2 * n + periods * pass;
-  g->memory = calloc(states + tapes + 3 * n + body->n_springs + controller->n_inputs +
+  const size_t states = (size_t)(segments(g) + 1) * g->n_state, step = 3 * n + body->n_springs,
+               tapes = g->segment * step + periods * pass;
+  g->memory = calloc(states + tapes + 3 * n + 2 * (size_t)body->n_springs + controller->n_inputs +
                          controller->n_parameters,
                      sizeof(double));
   g->steps = calloc(g->segment, sizeof(*g->steps));
@@ -69,14 +69,16 @@ static int allocate(struct gradient *g)
   double *memory = g->memory;
   for (uint32_t p = 0; p < periods; p++, memory += pass)
     g->control[p] = mo_controller_tape_place(controller, body->n_springs, memory);
-  for (uint32_t s = 0; s < g->segment; s++, memory += 2 * n)
-    g->steps[s] = (struct mo_step_tape){memory, memory + n, g->control[s / period]};
+  for (uint32_t s = 0; s < g->segment; s++, memory += step)
+    g->steps[s] = (struct mo_step_tape){memory, memory + n, memory + 2 * n, memory + 3 * n,
+                                        g->control[s / period]};
   g->states = g->memory + tapes;
   g->adjoint.d_position = g->states + states;
   g->adjoint.d_velocity = g->adjoint.d_position + n;
   g->adjoint.d_impulse = g->adjoint.d_velocity + n;
-  g->adjoint.d_activation = g->adjoint.d_impulse + n;
-  g->adjoint.d_input = g->adjoint.d_activation + body->n_springs;
+  g->adjoint.d_output = g->adjoint.d_impulse + n;
+  g->adjoint.d_previous = g->adjoint.d_output + body->n_springs;
+  g->adjoint.d_input = g->adjoint.d_previous + body->n_springs;
   g->d_parameters = g->adjoint.d_input + controller->n_inputs;
   return MO_OK;
 }
@@ -85,22 +87,25 @@ static int allocate(struct gradient *g)
 static void keep_state(void *context, uint32_t step)
 {
   struct gradient *g = context;
-  const size_t half = g->n_state / 2;
+  const struct mo_reference *r = &g->reference;
+  const size_t n = 3 * (size_t)r->body->n_masses;
   double *state = g->states + step / g->segment * g->n_state;
   if (step % g->segment != 0)
     return;
-  memcpy(state, g->reference.position_m, half * sizeof(double));
-  memcpy(state + half, g->reference.velocity_m_per_s, half * sizeof(double));
+  memcpy(state, r->position_m, n * sizeof(double));
+  memcpy(state + n, r->velocity_m_per_s, n * sizeof(double));
+  memcpy(state + 2 * n, r->output, r->body->n_springs * sizeof(double));
 }
 
 /* Reruns steps first … first + n − 1, onto the tapes. */
 static void replay(struct gradient *g, uint32_t first, uint32_t n)
 {
   struct mo_reference *r = &g->reference;
-  const size_t half = g->n_state / 2;
+  const size_t size = 3 * (size_t)r->body->n_masses;
   const double *state = g->states + first / g->segment * g->n_state;
-  memcpy(r->position_m, state, half * sizeof(double));
-  memcpy(r->velocity_m_per_s, state + half, half * sizeof(double));
+  memcpy(r->position_m, state, size * sizeof(double));
+  memcpy(r->velocity_m_per_s, state + size, size * sizeof(double));
+  memcpy(r->output, state + 2 * size, r->body->n_springs * sizeof(double));
   for (uint32_t s = 0; s < n; s++) {
     r->tape = &g->steps[s];
     mo_reference_step(r, first + s);
@@ -126,7 +131,7 @@ static void take_back(struct gradient *g, double m, const double *before_m)
     return;
   }
   const double scale = g->options->adjoint_bound / m;
-  for (size_t i = 0; i < g->n_state / 2; i++) {
+  for (size_t i = 0; i < 3 * (size_t)g->reference.body->n_masses; i++) {
     g->adjoint.d_position[i] *= scale;
     g->adjoint.d_velocity[i] *= scale;
   }
@@ -136,7 +141,7 @@ static void take_back(struct gradient *g, double m, const double *before_m)
  * it is not finite. */
 static bool limit(struct gradient *g, uint32_t step, const double *before_m, bool *clipped)
 {
-  const size_t n = g->n_state / 2;
+  const size_t n = 3 * (size_t)g->reference.body->n_masses;
   double *dx = g->adjoint.d_position, *dv = g->adjoint.d_velocity;
   if (g->probe != NULL && g->probe->before != NULL)
     g->probe->before(g->probe->context, step, dx, dv);

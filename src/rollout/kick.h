@@ -1,8 +1,15 @@
 /* kick.h: the coefficients of a step's kick, for the reference and all kernels:
  *
- *   v' = keep · v + push · J/m − (0, 0, fall),   J: the impulse of the springs */
+ *   v' = keep · v + push · J/m − (0, 0, fall),   J: the impulse of the springs
+ *
+ * The paper's integrator adds what forces do in a step to a velocity that drag has slowed. `split`
+ * is leapfrog with drag in closed form: v is the velocity in the middle of a step, and the kick
+ * solves v' = −drag v + F/m over the time between two middles with F constant. The first kick comes
+ * from rest, over half a step. */
 #ifndef MORPHO_ROLLOUT_KICK_H
 #define MORPHO_ROLLOUT_KICK_H
+
+#include <math.h>
 
 #include <morpho/rollout.h>
 
@@ -10,11 +17,35 @@ struct mo_kick {
   double keep, push, fall;
 };
 
+/* (1 − exp(−x)) / x from exp(−x): without the cancellation near 0. */
+static inline double mo_kick_mean(double x, double decay)
+{
+  return fabs(x) > 1e-3 ? (1 - decay) / x : 1 - x / 2 * (1 - x / 3 * (1 - x / 4));
+}
+
 /* decay: exp(−drag · dt), which kernels compute on their own. */
 static inline struct mo_kick mo_kick_of(const struct mo_scheme *scheme,
                                         const struct mo_constants *constants, double decay)
 {
-  const struct mo_kick kick = {decay, 1, constants->gravity_m_per_s2 * scheme->dt_s};
+  const double fall = constants->gravity_m_per_s2 * scheme->dt_s;
+  struct mo_kick kick = {decay, 1, fall};
+  if (scheme->integrator == MO_INTEGRATOR_SPLIT) {
+    kick.push = mo_kick_mean(constants->drag_per_s * scheme->dt_s, decay);
+    kick.fall = kick.push * fall;
+  }
+  return kick;
+}
+
+/* Of the first step. */
+static inline struct mo_kick mo_kick_first(const struct mo_scheme *scheme,
+                                           const struct mo_constants *constants, double decay)
+{
+  const double fall = constants->gravity_m_per_s2 * scheme->dt_s;
+  struct mo_kick kick = mo_kick_of(scheme, constants, decay);
+  if (scheme->integrator == MO_INTEGRATOR_SPLIT) {
+    kick.push = mo_kick_mean(0.5 * constants->drag_per_s * scheme->dt_s, sqrt(decay)) / 2;
+    kick.fall = kick.push * fall;
+  }
   return kick;
 }
 

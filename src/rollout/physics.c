@@ -90,6 +90,7 @@ static const struct mo_field impact_rows[] = {
     {"bisections", MO_FIELD_COUNT, 0, AT(scheme.bisections), .min = 1, .max = BISECTIONS_MAX},
 };
 static const struct mo_fields impact_members = MO_FIELDS(impact_rows);
+static const char *const integrator_words[] = {"paper", "split", NULL};
 static const struct mo_field rows[] = {
     {"dt_s", MO_FIELD_NUMBER, 0, AT(scheme.dt_s), .min = 1e-7, .max = 0.1, .unit = "s",
      .help = "time step"},
@@ -116,6 +117,8 @@ static const struct mo_field rows[] = {
      .help = "extra height of the body at the start"},
     {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .group = &impact_members, .unit = "",
      .help = "time of impact: exact, or bisection with 1 to 52 halvings"},
+    {"integrator", MO_FIELD_WORD, 0, AT(scheme.integrator), .words = integrator_words, .since = 3,
+     .unit = "", .help = "paper: first order; split: second order, impacts at their own time"},
 };
 #undef AT
 const struct mo_fields mo_physics_fields = MO_FIELDS(rows);

@@ -4,7 +4,6 @@
 #include "rollout/reference.h"
 
 #include "rollout/contact.h"
-#include "rollout/kick.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -49,6 +48,23 @@ static void control(const struct mo_reference *r, uint32_t step)
   mo_controller_forward(r->controller, r->body->spring_lattice, r->body->n_springs, tape);
 }
 
+bool mo_reference_blends(const struct mo_reference *r, uint32_t step)
+{
+  return r->physics->scheme.integrator == MO_INTEGRATOR_SPLIT && step > 0 &&
+         step % r->control_steps == 0;
+}
+
+/* Sets what the springs pull with. */
+static void activate(struct mo_reference *r, uint32_t step)
+{
+  const bool blends = mo_reference_blends(r, step);
+  for (uint32_t s = 0; s < r->body->n_springs; s++) {
+    const double output = r->tape->control.output[s];
+    r->tape->activation[s] = blends ? 0.5 * (r->output[s] + output) : output;
+    r->output[s] = output;
+  }
+}
+
 /* Computes the impulses of all springs over one step. */
 static void pull_springs(struct mo_reference *r)
 {
@@ -64,7 +80,7 @@ static void pull_springs(struct mo_reference *r)
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
     double rest = body->spring_rest_m[s];
     if (r->controller != NULL)
-      rest *= 1.0 + constants.actuation * r->tape->control.output[s];
+      rest *= 1.0 + constants.actuation * r->tape->activation[s];
     const double pull =
         scheme->dt_s * constants.stiffness_n_per_m * (length - rest) / (length + 1e-8);
     for (int axis = 0; axis < 3; axis++) {
@@ -74,21 +90,34 @@ static void pull_springs(struct mo_reference *r)
   }
 }
 
-static void move_masses(struct mo_reference *r)
+struct mo_kick mo_reference_kick(const struct mo_reference *r, const struct mo_constants *constants,
+                                 uint32_t step)
+{
+  const struct mo_scheme *scheme = &r->physics->scheme;
+  const double decay = exp(-constants->drag_per_s * scheme->dt_s);
+  return step == 0 ? mo_kick_first(scheme, constants, decay) : mo_kick_of(scheme, constants, decay);
+}
+
+static void move_masses(struct mo_reference *r, uint32_t step)
 {
   const struct mo_scheme *scheme = &r->physics->scheme;
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
-  const struct mo_kick kick =
-      mo_kick_of(scheme, &constants, exp(-constants.drag_per_s * scheme->dt_s));
+  const struct mo_kick kick = mo_reference_kick(r, &constants, step);
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
-    double *v = r->velocity_m_per_s + 3 * (size_t)i;
-    for (int axis = 0; axis < 3; axis++)
-      v[axis] = kick.keep * v[axis] +
-                kick.push * r->impulse_n_s[3 * (size_t)i + axis] / constants.mass_kg;
+    double *v = r->velocity_m_per_s + 3 * (size_t)i, *a = r->tape->acceleration + 3 * (size_t)i;
+    for (int axis = 0; axis < 3; axis++) {
+      const double impulse = r->impulse_n_s[3 * (size_t)i + axis];
+      v[axis] = kick.keep * v[axis] + kick.push * impulse / constants.mass_kg;
+      a[axis] = impulse / (constants.mass_kg * scheme->dt_s);
+    }
     v[2] -= kick.fall;
+    a[2] -= constants.gravity_m_per_s2;
     memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
-    r->contacts[i] = mo_contact_move(scheme, &constants, r->environment->terrain_heights_m,
-                                     r->highest_m, r->position_m + 3 * (size_t)i, v);
+    r->contacts[i] = scheme->integrator == MO_INTEGRATOR_SPLIT
+                         ? mo_contact_split(scheme, &constants, r->environment->terrain_heights_m,
+                                            r->highest_m, a, r->position_m + 3 * (size_t)i, v)
+                         : mo_contact_move(scheme, &constants, r->environment->terrain_heights_m,
+                                           r->highest_m, r->position_m + 3 * (size_t)i, v);
   }
 }
 
@@ -111,8 +140,10 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
   memcpy(r->tape->position_m, r->position_m, bytes);
   if (r->controller != NULL && step % r->control_steps == 0)
     control(r, step);
+  if (r->controller != NULL)
+    activate(r, step);
   pull_springs(r);
-  move_masses(r);
+  move_masses(r, step);
   if (is_sane(r))
     return true;
   memcpy(r->position_m, r->tape->position_m, bytes);
@@ -131,7 +162,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                tape =
                    controller != NULL ? mo_controller_tape_doubles(controller, body->n_springs) : 0,
                contacts = (body->n_masses + sizeof(double) - 1) / sizeof(double);
-  double *memory = calloc(5 * n + tape + contacts, sizeof(double));
+  double *memory = calloc(6 * n + tape + contacts + 2 * (size_t)body->n_springs, sizeof(double));
   if (memory == NULL)
     return MO_ERR_NO_MEMORY;
   *reference =
@@ -144,11 +175,15 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                             .position_m = memory,
                             .velocity_m_per_s = memory + n,
                             .impulse_n_s = memory + 2 * n,
-                            .contacts = (uint8_t *)(memory + 5 * n + tape),
-                            .own = {memory + 3 * n, memory + 4 * n, {0}},
+                            .output = memory + 6 * n,
                             .tape = &reference->own};
+  memory += 3 * n;
+  reference->own = (struct mo_step_tape){
+      memory, memory + n, memory + 2 * n, memory + 3 * n + body->n_springs, {0}};
+  memory += 3 * n + 2 * (size_t)body->n_springs;
+  reference->contacts = (uint8_t *)(memory + tape);
   if (controller != NULL)
-    reference->own.control = mo_controller_tape_place(controller, body->n_springs, memory + 5 * n);
+    reference->own.control = mo_controller_tape_place(controller, body->n_springs, memory);
   mo_scene_light(environment, reference->light_m);
   mo_scene_start(body, environment, physics, reference->position_m);
   return MO_OK;

@@ -6,6 +6,7 @@
 #include <stdbool.h>
 
 #include "controller/tape.h"
+#include "rollout/kick.h"
 
 #include <morpho/rollout.h>
 
@@ -14,6 +15,8 @@
 struct mo_step_tape {
   double *position_m;       /* (n_masses, 3) at the start of the step */
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
+  double *acceleration;     /* (n_masses, 3) m/s² by springs and gravity */
+  double *activation;       /* (n_springs) what the springs pulled with */
   struct mo_controller_tape control; /* over the body's springs; the steps of a control period share
                                         one */
 };
@@ -29,6 +32,7 @@ struct mo_reference {
   double *position_m;        /* (n_masses, 3) */
   double *velocity_m_per_s;  /* (n_masses, 3) */
   double *impulse_n_s;       /* (n_masses, 3) impulses of the last step's springs */
+  double *output;            /* (n_springs) the latest outputs of the controller */
   uint8_t *contacts;         /* (n_masses) 1: touched the terrain in the last step */
   struct mo_step_tape own;   /* its `control` is empty without a controller */
   struct mo_step_tape *tape; /* of the next step; initially `own` */
@@ -45,6 +49,13 @@ void mo_reference_done(struct mo_reference *reference);
  * unless a control period starts. Returns false if it diverged; the positions are then those before
  * the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
+
+/* Returns whether the springs pull with the mean of new and previous outputs in a step. */
+bool mo_reference_blends(const struct mo_reference *reference, uint32_t step);
+
+/* Returns the kick of a step. */
+struct mo_kick mo_reference_kick(const struct mo_reference *reference,
+                                 const struct mo_constants *constants, uint32_t step);
 
 /* Runs all steps until a divergence. Calls visit(context, step) with the state before each step and
  * after the last one, also after a divergence. */

@@ -56,9 +56,40 @@ def test_physics_are_echoed(service):
     physics = {
         "dt_s": 0.002, "n_steps": 30, "control_period_s": 0.008, "stiffness_n_per_m": 12000,
         "mass_kg": 1.5, "drag_per_s": 10, "gravity_m_per_s2": 9.81, "actuation": 0.1,
-        "friction": 0.8, "friction_cap": 0.9, "drop_height_m": 0.01, "impact": "bisection8"
+        "friction": 0.8, "friction_cap": 0.9, "drop_height_m": 0.01, "impact": "bisection8",
+        "integrator": "split"
     }
     assert service.evaluate({"designs": [DESIGN], "physics": physics}).json()["physics"] == physics
+
+
+def test_integrators(service):
+    """Each integrator has its own scores. The default is the paper's."""
+    def evaluate(**physics):
+        request = {"designs": [DESIGN], "physics": {"n_steps": 57, **physics}}
+        value = service.evaluate(request).json()
+        assert value == service.get(f"/v1/evaluations/{value['id']}")
+        rolled = service.post("/v1/rollouts", request)
+        losses = value["results"][0]["losses"]
+        assert [rollout["loss"] for rollout in rolled["rollouts"]] == losses
+        assert rolled["physics"] == value["physics"]
+        return value["physics"]["integrator"], losses, value["rollouts_cached"], value["results"][0]
+
+    word, paper, _, result = evaluate()
+    assert word == "paper" and evaluate(integrator="paper")[:3] == ("paper", paper, 10)
+    word, split, cached, _ = evaluate(integrator="split")
+    assert word == "split" and cached == 0
+    assert all(a != b for a, b in zip(paper, split))
+    assert evaluate(integrator="split")[:3] == ("split", split, 10)
+
+    known = service.get(f"/v1/designs/{result['id']}")
+    scores = [score for orientation in known["orientations"] for score in orientation["scores"]]
+    stored = [service.get(f"/v1/physics/{score['physics']}")["physics"] for score in scores]
+    assert {one["integrator"] for one in stored if one["n_steps"] == 57} == {"paper", "split"}
+
+    request = {"designs": [DESIGN], "physics": {"integrator": "euler"}}
+    fault = service.request("POST", "/v1/evaluations", request).json()["errors"][0]
+    assert fault["pointer"] == "/physics/integrator"
+    assert fault["detail"] == 'must be "paper" or "split", got "euler"'
 
 
 def test_divergence_is_reported(service):

@@ -54,6 +54,7 @@ COMMON = {
     "/physics/mass_kg": [{"mass_kg": -1}],
     "/physics/n_steps": [{"n_steps": 0}, {"n_steps": 10**12}],
     "/physics/impact": [{"impact": impact} for impact in ("soft", "bisection53", "bisection08")],
+    "/physics/integrator": [{"integrator": word} for word in ("euler", "Split", "", 1, None)],
     "/physics/gravity": [{"gravity": 9.8}],
     "/priority": ["urgent", 1],
     "/label": ["x" * 201, "é" * 201, 7],

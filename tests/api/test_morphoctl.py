@@ -105,6 +105,19 @@ def test_faults_name_their_place(ctl):
     assert status in (3, 6) and "nobody" in err, err
     status, _, err = ctl("eval --physics dt_s=7", input_text=CELLS)
     assert status == 6 and "/physics/dt_s" in err, err
+    status, _, err = ctl("eval -p integrator=euler", input_text=CELLS)
+    assert status == 6 and "/physics/integrator" in err and '"split"' in err, err
+
+
+@pytest.mark.parametrize("given, shown", [
+    ("", ""), ("-p integrator=paper", ""), ("-p integrator=split", ", integrator split"),
+    ("-p integrator=split -p control_period_s=0.008",
+     ", integrator split, outputs held for 0.008 s"),
+])
+def test_a_job_shows_settings_that_are_not_the_default(ctl, given, shown):
+    job = json.loads(ctl(f"eval {SHORT} {given} --json", input_text=CELLS)[1])["id"]
+    facts = ctl(f"job show {job}")[1]
+    assert re.search(f"^physics .* s, impact exact{shown}$", facts, re.M), facts
 
 
 @pytest.mark.parametrize("text, said", [

@@ -20,8 +20,8 @@
  * Tests may also set `turns`: the calls to `score` numbered from it on wait until it is raised. */
 #include "compute/device.h"
 
-#include <pthread.h>
 #include <limits.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdatomic.h>
 #include <stdbool.h>

@@ -102,6 +102,7 @@ export async function worldOfJob(kind, job) {
     words: `World of ${kind} ${job.id}: ` +
       `${set ?? `${countOf(environments.length, 'custom environment')}`}, ` +
       `${physics.n_steps} steps of ${physics.dt_s} s, ` +
+      `${physics.integrator === 'paper' ? '' : `integrator ${physics.integrator}, `}` +
       `${job.precision === 'float64' ? 'float64, ' : ''}` +
       `controller ${file?.name ?? file?.sha256?.slice(0, 12) ?? DEFAULT_CONTROLLER}`,
   };

@@ -277,7 +277,7 @@ MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights
       lane_strike_back_of(k, &hit.cell, s, v, above, slope[0], slope[1], dp, dv);
 
   const bool lies = p[2] <= lane_ground(heights, p[0], p[1], &g);
-  lane_lies_back(&hit.cell, s, v, lies, &b);
+  lane_lies_back(&hit.cell, v, lies, &b);
   if (lies && hit.crosses) { /* the gradients at the impact and at p belong to two cells */
     lane_slope(&g, p[0], p[1], slope);
     b.dp[0] = b.hit[0] + b.push * (s->gx - slope[0]);

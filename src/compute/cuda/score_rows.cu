@@ -8,6 +8,7 @@ extern "C" {
 }
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -161,6 +162,10 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
 {
   if (mo_control_steps(&score->physics.scheme) == 0)
     return MO_ERR_INVALID;
+  if (score->physics.scheme.integrator == MO_INTEGRATOR_SPLIT) {
+    snprintf(device->error, sizeof(device->error), "the kernels lack the integrator split");
+    return MO_ERR_UNSUPPORTED;
+  }
   const double start_s = now_s();
   const mo_cuda_score_kernel &kernel = *device->score;
   const uint32_t blocks = (uint32_t)device->multiprocessors * kernel.blocks;

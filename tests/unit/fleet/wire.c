@@ -1,5 +1,6 @@
 /* wire.c: messages are decoded exactly as they were encoded, and no other message is accepted. */
 #include "messages.h"
+#include "rollout/physics.h"
 
 #define HEADER 24
 #define LEASE  152
@@ -245,6 +246,49 @@ static void gradients(void)
   }
 }
 
+/* Physics has the first version that has all its settings. */
+static void later_physics(void)
+{
+  static const struct {
+    double period_s;
+    enum mo_integrator integrator;
+    unsigned version;
+    size_t added; /* to the size of version 1 */
+  } given[] = {{0, MO_INTEGRATOR_PAPER, 1, 0},
+               {0.016, MO_INTEGRATOR_PAPER, 2, 8},
+               {0, MO_INTEGRATOR_SPLIT, 3, 12},
+               {0.016, MO_INTEGRATOR_SPLIT, 3, 12}};
+  enum { VERSION = HEADER + 17, INTEGRATOR = HEADER + 64 + 10 * 8 + 3 * 4 };
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  const size_t size = leases_of(workspace, 1).size;
+  for (size_t i = 0; i < COUNT(given); i++) {
+    struct mo_wire_leases leases = {1, {lease_of(workspace, 0, 1, 1)}}, got;
+    struct message message = {true, workspace, NULL, 0};
+    struct mo_physics *physics = &leases.items[0].physics;
+    struct mo_message why;
+    physics->scheme.control_period_s = given[i].period_s;
+    physics->scheme.integrator = given[i].integrator;
+    make_check(mo_wire_put_leases(&leases, workspace, &message.bytes, &message.size), "a lease");
+    check_keep(message.bytes, free);
+    CHECK_INT(message.size, size + given[i].added);
+    CHECK_INT(message.bytes[VERSION], given[i].version - 1);
+    CHECK_OK(decode(&message, message.size, &why));
+    REQUIRE_OK(mo_wire_get_leases(message.bytes, message.size, workspace, &got, &why));
+    CHECK(mo_physics_equal(&got.items[0].physics, physics));
+    mo_wire_free_leases(&got);
+    mo_wire_free_leases(&leases);
+    if (given[i].version < 3)
+      continue;
+    CHECK_INT(message.bytes[INTEGRATOR], MO_INTEGRATOR_SPLIT);
+    /* An unknown word, and a version that the settings do not need. */
+    for (uint8_t word = 0; word <= 2; word += 2) {
+      message.bytes[INTEGRATOR] = word;
+      CHECK_INT(decode(&message, message.size, &why), MO_ERR_FORMAT);
+      CHECK_SAYS(why, "unknown flags");
+    }
+  }
+}
+
 /* A message that does not fit the format is not sent. */
 static void too_large(void)
 {
@@ -284,8 +328,13 @@ static void too_large(void)
 }
 
 static const struct check_case cases[] = {
-    {"round trip", round_trip},       {"cut short", cut_short}, {"any bit flipped", bits_flipped},
-    {"hostile numbers", hostile},     {"bodies", bodies},       {"gradients", gradients},
+    {"round trip", round_trip},
+    {"cut short", cut_short},
+    {"any bit flipped", bits_flipped},
+    {"hostile numbers", hostile},
+    {"bodies", bodies},
+    {"gradients", gradients},
+    {"versions of physics", later_physics},
     {"too large to send", too_large},
 };
 CHECK_MAIN(cases)

@@ -99,6 +99,7 @@ static void settings_kept(void)
                                   .constants.friction = 0.8,
                                   .constants.friction_cap = 0.9,
                                   .drop_height_m = 0.5,
+                                  .scheme.integrator = MO_INTEGRATOR_SPLIT,
                                   .scheme.impact = MO_IMPACT_BISECTION,
                                   .scheme.bisections = 9};
   const struct mo_training *training = decoded(encoded(make_training(&s, NULL, NULL, 0)));
@@ -284,7 +285,8 @@ static void lineage(void)
              "\"dt_s\":0.004,\"n_steps\":1000,\"control_period_s\":0,"
              "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,"
              "\"actuation\":0.2,"
-             "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"}"
+             "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\","
+             "\"integrator\":\"paper\"}"
              ",\"designs\":4}");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);

@@ -3,7 +3,9 @@
 #include "second.h"
 
 #include <math.h>
+#include <stdbool.h>
 #include <stdlib.h>
+#include <string.h>
 
 typedef struct dual num;
 
@@ -265,57 +267,150 @@ static num bisected_impact(const double *heights, const num p[3], const num v[3]
 
 /* ---- one mass ---- */
 
-static uint64_t move(const struct second_setup *setup, double highest, num p[3], num v[3])
+struct hit {
+  num impact, rest; /* the time of impact; the time left in the step */
+  num normal[3];
+  int cell;
+};
+
+/* Moves a mass to the end of its segment, or to the terrain if the terrain is in the way. */
+static bool strike(const struct second_setup *setup, double highest, bool lies, num p[3],
+                   const num v[3], struct hit *hit)
 {
-  const struct mo_physics *physics = setup->physics;
+  const struct mo_scheme *scheme = &setup->physics->scheme;
   const double *heights = setup->environment->terrain_heights_m;
-  const double dt = physics->scheme.dt_s;
+  const double dt = scheme->dt_s;
   const num next[3] = {add(p[0], scaled(v[0], dt)), add(p[1], scaled(v[1], dt)),
                        add(p[2], scaled(v[2], dt))};
   if (val(next[2]) >= highest ||
       !(val(next[2]) < val(terrain(heights, next[0], next[1], NULL, NULL)))) {
     for (int k = 0; k < 3; k++)
       p[k] = next[k];
-    return 0;
+    return false;
   }
-  const num impact = physics->scheme.impact == MO_IMPACT_EXACT
-                         ? exact_impact(heights, p, v, dt)
-                         : bisected_impact(heights, p, v, dt, physics->scheme.bisections);
+  hit->impact = lies ? con(0)
+                : scheme->impact == MO_IMPACT_EXACT
+                    ? exact_impact(heights, p, v, dt)
+                    : bisected_impact(heights, p, v, dt, scheme->bisections);
+  hit->rest = sub(con(dt), hit->impact);
   num g[2];
-  int cell, end_cell;
-  p[0] = add(p[0], mul(impact, v[0]));
-  p[1] = add(p[1], mul(impact, v[1]));
-  p[2] = terrain(heights, p[0], p[1], g, &cell);
+  p[0] = add(p[0], mul(hit->impact, v[0]));
+  p[1] = add(p[1], mul(hit->impact, v[1]));
+  p[2] = terrain(heights, p[0], p[1], g, &hit->cell);
   const num length = root(add(add(mul(g[0], g[0]), mul(g[1], g[1])), con(1)));
-  const num normal[3] = {div_(scaled(g[0], -1), length), div_(scaled(g[1], -1), length),
-                         div_(con(1), length)};
-  const num vn = dot3(v, normal);
+  hit->normal[0] = div_(scaled(g[0], -1), length);
+  hit->normal[1] = div_(scaled(g[1], -1), length);
+  hit->normal[2] = div_(con(1), length);
+  return true;
+}
+
+/* Returns a vector's part along the normal, and leaves the tangential part. */
+static num split_off(num vector[3], const num normal[3])
+{
+  const num along = dot3(vector, normal);
   for (int k = 0; k < 3; k++)
-    v[k] = sub(v[k], mul(vn, normal[k]));
-  const double still = sqrt(val(v[0]) * val(v[0]) + val(v[1]) * val(v[1]) + val(v[2]) * val(v[2]));
-  const double slowed = physics->constants.friction * fabs(val(vn)),
-               cap = physics->constants.friction_cap * still;
+    vector[k] = sub(vector[k], mul(along, normal[k]));
+  return along;
+}
+
+/* Slows v by `slowed`, but at most by the share `cap` of its length. Returns whether it was less
+ * than the cap. */
+static bool rub(num v[3], num slowed, double cap)
+{
+  const double speed = sqrt(val(v[0]) * val(v[0]) + val(v[1]) * val(v[1]) + val(v[2]) * val(v[2]));
+  const bool below = val(slowed) < cap * speed;
   num scale = con(0);
-  if (still > 0 && slowed < cap)
-    scale = sub(con(1), div_(scaled(vn, val(vn) < 0 ? -physics->constants.friction
-                                                    : physics->constants.friction),
-                             root(square_sum(v))));
-  else if (still > 0)
-    scale = con(1.0 - cap / still);
-  const num rest = sub(con(dt), impact);
-  for (int k = 0; k < 3; k++) {
+  if (speed > 0 && below)
+    scale = sub(con(1), div_(slowed, root(square_sum(v))));
+  else if (speed > 0)
+    scale = con(1.0 - cap * speed / speed);
+  for (int k = 0; k < 3; k++)
     v[k] = mul(v[k], scale);
-    p[k] = add(p[k], mul(rest, v[k]));
-  }
+  return below;
+}
+
+/* Raises a mass to the terrain; returns the branches of the contact's end. */
+static uint64_t end_contact(const struct second_setup *setup, const struct hit *hit, num p[3])
+{
   num slope[2];
-  const num ground = terrain(heights, p[0], p[1], slope, &end_cell);
+  int end_cell;
+  const num ground = terrain(setup->environment->terrain_heights_m, p[0], p[1], slope, &end_cell);
   /* If a mass is on the ground to within rounding, both branches of the maximum have the same
    * derivative: no event. */
-  const int raised = val(p[2]) < val(ground) - 1e-12;
+  const bool raised = val(p[2]) < val(ground) - 1e-12;
   if (val(p[2]) < val(ground))
     p[2] = ground;
-  return 1 + 2 * (uint64_t)(slowed < cap) + 4 * (uint64_t)(val(vn) < 0) + 8 * (uint64_t)raised +
-         16 * (uint64_t)cell + 65536 * (uint64_t)end_cell;
+  return (raised ? SECOND_RAISED : 0) + 16 * (uint64_t)hit->cell + 65536 * (uint64_t)end_cell;
+}
+
+static uint64_t move(const struct second_setup *setup, double highest, num p[3], num v[3])
+{
+  const struct mo_constants *constants = &setup->physics->constants;
+  struct hit hit;
+  if (!strike(setup, highest, false, p, v, &hit))
+    return 0;
+  const num vn = split_off(v, hit.normal);
+  const bool into = val(vn) < 0;
+  const bool below = rub(v, scaled(vn, into ? -constants->friction : constants->friction),
+                         constants->friction_cap);
+  for (int k = 0; k < 3; k++)
+    p[k] = add(p[k], mul(hit.rest, v[k]));
+  return SECOND_CONTACT + (below ? SECOND_BELOW_CAP : 0) + (into ? SECOND_INTO : 0) +
+         end_contact(setup, &hit, p);
+}
+
+/* v + t (a − γ v) */
+static void accelerate(num v[3], num t, const num a[3], double drag)
+{
+  for (int k = 0; k < 3; k++)
+    v[k] = add(v[k], mul(t, sub(a[k], scaled(v[k], drag))));
+}
+
+/* D of docs/model.md. */
+static num drag_time(const struct mo_physics *physics, num t)
+{
+  const double half = physics->scheme.dt_s / 2, x = physics->constants.drag_per_s * half;
+  const double bend = x > 0 ? (expm1(x) / x - 1) / half : 0;
+  return sub(t, scaled(mul(t, t), bend));
+}
+
+/* `split`: the names are those of docs/model.md; v becomes w, y, q, z and e in turn. */
+static uint64_t move_split(const struct second_setup *setup, double highest, const num a[3],
+                           num p[3], num v[3])
+{
+  const struct mo_physics *physics = setup->physics;
+  const struct mo_constants *constants = &physics->constants;
+  const double half = physics->scheme.dt_s / 2, drag = constants->drag_per_s;
+  const double *heights = setup->environment->terrain_heights_m;
+  const bool lies = val(p[2]) - val(terrain(heights, p[0], p[1], NULL, NULL)) < 1e-6;
+  struct hit hit;
+  if (!strike(setup, highest, lies, p, v, &hit))
+    return 0;
+  accelerate(v, drag_time(physics, sub(hit.impact, con(half))), a, drag);
+  const num wn = split_off(v, hit.normal);
+  const bool into = val(wn) < 0 && !lies;
+  uint64_t branch = SECOND_CONTACT + (into ? SECOND_INTO : 0);
+  if (lies || rub(v, into ? scaled(wn, -constants->friction) : con(0), constants->friction_cap))
+    branch += SECOND_BELOW_CAP;
+  const num y[3] = {v[0], v[1], v[2]};
+  num along[3] = {a[0], a[1], a[2]};
+  const num an = split_off(along, hit.normal);
+  const num after = drag_time(physics, hit.rest), b = into ? con(0) : wn;
+  accelerate(v, after, along, drag);
+  const num l = add(b, mul(after, sub(an, scaled(b, drag))));
+  const num leaving = val(l) > 0 ? l : con(0);
+  if (val(l) < 0) {
+    branch += SECOND_PRESSED;
+    if (!rub(v, scaled(l, -constants->friction), 1))
+      branch += SECOND_STOPPED;
+  }
+  for (int k = 0; k < 3; k++) {
+    const num rise = mul(leaving, hit.normal[k]);
+    p[k] = add(p[k], mul(scaled(hit.rest, 0.5), add(add(y[k], v[k]), rise)));
+    v[k] = add(v[k], rise);
+  }
+  accelerate(v, drag_time(physics, con(-half)), a, drag);
+  return branch + end_contact(setup, &hit, p);
 }
 
 /* ---- the rollout ---- */
@@ -326,6 +421,8 @@ struct second {
   uint32_t n_inputs, n_springs; /* of the lattice */
   double highest, light[3];
   num *p, *v, *impulse, *input, *hidden, *activation;
+  num *previous; /* activation before the last control; then its mean with the new one */
+  const num *activation_now; /* that the springs use in this step */
 };
 
 static num light_at(const struct second *s, const num *p)
@@ -396,6 +493,22 @@ static void control_all(struct second *s)
     s->activation[i] = tanh_(s->activation[i]);
 }
 
+static void control_step(struct second *s, uint32_t step, bool computes)
+{
+  const uint32_t n = s->setup->body->n_springs;
+  s->activation_now = s->activation;
+  if (!computes)
+    return;
+  memcpy(s->previous, s->activation, n * sizeof(num));
+  sense_all(s, step);
+  control_all(s);
+  if (s->setup->physics->scheme.integrator != MO_INTEGRATOR_SPLIT || step == 0)
+    return;
+  for (uint32_t i = 0; i < n; i++)
+    s->previous[i] = scaled(add(s->activation[i], s->previous[i]), 0.5);
+  s->activation_now = s->previous;
+}
+
 static void pull_all(struct second *s)
 {
   const struct mo_body *body = s->setup->body;
@@ -406,7 +519,7 @@ static void pull_all(struct second *s)
     const num *a = s->p + 3 * body->spring_a[k], *b = s->p + 3 * body->spring_b[k];
     const num d[3] = {sub(a[0], b[0]), sub(a[1], b[1]), sub(a[2], b[2])};
     const num length = root(square_sum(d));
-    const num stretch = add(con(1), scaled(s->activation[k], physics->constants.actuation));
+    const num stretch = add(con(1), scaled(s->activation_now[k], physics->constants.actuation));
     const num rest = scaled(stretch, body->spring_rest_m[k]);
     const num pull =
         div_(scaled(sub(length, rest), physics->scheme.dt_s * physics->constants.stiffness_n_per_m),
@@ -431,6 +544,24 @@ static void move_all(struct second *s)
                     div_(s->impulse[3 * i + axis], con(physics->constants.mass_kg)));
     v[2] = sub(v[2], con(physics->constants.gravity_m_per_s2 * physics->scheme.dt_s));
     (void)move(s->setup, s->highest, s->p + 3 * i, v);
+  }
+}
+
+/* The first step starts from rest: v is 0. */
+static void move_all_split(struct second *s, bool first)
+{
+  const struct mo_constants *constants = &s->setup->physics->constants;
+  const double dt = s->setup->physics->scheme.dt_s, fade = constants->drag_per_s * dt;
+  const double keep = exp(-fade), reach = first ? fade / 2 : fade;
+  const double phi = fade > 0 ? -expm1(-reach) / fade : first ? 0.5 : 1;
+  for (uint32_t i = 0; i < s->setup->body->n_masses; i++) {
+    num *v = s->v + 3 * i, a[3];
+    for (int axis = 0; axis < 3; axis++)
+      a[axis] = div_(s->impulse[3 * i + axis], con(constants->mass_kg * dt));
+    a[2] = sub(a[2], con(constants->gravity_m_per_s2));
+    for (int axis = 0; axis < 3; axis++)
+      v[axis] = add(scaled(v[axis], keep), scaled(a[axis], phi * dt));
+    (void)move_split(s->setup, s->highest, a, s->p + 3 * i, v);
   }
 }
 
@@ -488,8 +619,8 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   s.light[1] = xy[1];
   s.light[2] =
       val(terrain(setup->environment->terrain_heights_m, con(xy[0]), con(xy[1]), NULL, NULL));
-  num *memory =
-      calloc(9 * (size_t)body->n_masses + s.n_inputs + 512 + body->n_springs, sizeof(num));
+  num *memory = calloc(9 * (size_t)body->n_masses + s.n_inputs + 512 + 2 * (size_t)body->n_springs,
+                       sizeof(num));
   if (memory == NULL)
     return -1;
   s.p = memory;
@@ -498,6 +629,7 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   s.input = s.impulse + 3 * body->n_masses;
   s.hidden = s.input + s.n_inputs;
   s.activation = s.hidden + 512;
+  s.previous = s.activation + body->n_springs;
   place_body(&s);
   const num start = add(distance_to_light(&s), con(1e-8));
   const struct mo_scheme *scheme = &setup->physics->scheme;
@@ -509,18 +641,22 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
       losses[reported++] = div_(distance_to_light(&s), start);
     if (step == setup->physics->scheme.n_steps)
       break;
-    if (step % held == 0) {
-      sense_all(&s, step);
-      control_all(&s);
-    }
+    control_step(&s, step, step % held == 0);
     pull_all(&s);
-    move_all(&s);
+    if (scheme->integrator == MO_INTEGRATOR_SPLIT)
+      move_all_split(&s, step == 0);
+    else
+      move_all(&s);
   }
   free(memory);
   return 0;
 }
 
-uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3])
+uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3],
+                   const struct dual acceleration[3])
 {
-  return move(setup, highest_of(setup->environment->terrain_heights_m), p, v);
+  const double highest = highest_of(setup->environment->terrain_heights_m);
+  return setup->physics->scheme.integrator == MO_INTEGRATOR_SPLIT
+             ? move_split(setup, highest, acceleration, p, v)
+             : move(setup, highest, p, v);
 }

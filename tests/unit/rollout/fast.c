@@ -177,9 +177,10 @@ static void lanes_keep_to_themselves(void)
   struct mo_physics physics = physics_of(150);
   enum { STRIDE = 25 };
   EACH_KERNEL(isa, precision)
-  for (int variant = 0; variant < 3; variant++) {
+  for (int variant = 0; variant < 4; variant++) {
     physics.scheme.impact = variant == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
     physics.scheme.control_period_s = variant == 2 ? 4 * physics.scheme.dt_s : 0;
+    physics.scheme.integrator = variant == 3 ? MO_INTEGRATOR_SPLIT : MO_INTEGRATOR_PAPER;
     struct mo_body *body = body_number(1, 10);
     struct mo_outcome alone[MO_PAPER_TEST_COUNT], outcomes[MO_BLOCK_LANES];
     static struct path paths[MO_PAPER_TEST_COUNT], path[MO_BLOCK_LANES];
@@ -257,9 +258,11 @@ static void close_to_reference(void)
 {
   struct mo_physics physics = physics_of(100);
   static const uint32_t held[] = {1, 4, 7, 200};
-  for (int variant = 0; variant < 8; variant++) {
+  for (int variant = 0; variant < 16; variant++) {
     physics.scheme.impact = variant & 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
-    physics.scheme.control_period_s = variant < 4 ? 0 : held[variant - 4] * physics.scheme.dt_s;
+    physics.scheme.control_period_s =
+        variant % 8 < 4 ? 0 : held[variant % 8 - 4] * physics.scheme.dt_s;
+    physics.scheme.integrator = variant < 8 ? MO_INTEGRATOR_PAPER : MO_INTEGRATOR_SPLIT;
     controller->sensor = variant & 2 ? MO_SENSOR_INVERSE_SQUARE : MO_SENSOR_INVERSE_SQRT;
     for (uint64_t number = 0; number < 4; number++) {
       struct mo_body *body = body_number(number, 1 + 12 * (uint32_t)number);
@@ -312,6 +315,7 @@ static void channels_agree(void)
   static const int lanes[LANES] = {0, 4, 7};
   for (uint64_t number = 0; number < 4; number++) {
     physics.scheme.control_period_s = number == 3 ? 8 * physics.scheme.dt_s : 0;
+    physics.scheme.integrator = number > 1 ? MO_INTEGRATOR_SPLIT : MO_INTEGRATOR_PAPER;
     struct mo_body *body = body_number(number, 1 + 20 * (uint32_t)number);
     struct mo_recording reference[LANES], recordings[LANES];
     struct mo_outcome outcomes[LANES];

@@ -192,10 +192,16 @@ static void agrees_on_few_steps(void)
 {
   struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1),
                     bisection = physics_of(40), forty_steps = physics_of(40), held = physics_of(45),
-                    held_for_long = physics_of(13);
+                    held_for_long = physics_of(13), split = physics_of(13),
+                    split_bisection = physics_of(13), split_and_held = physics_of(45);
   held.scheme.control_period_s = 3 * held.scheme.dt_s;
   held_for_long.scheme.control_period_s = 10 * held.scheme.dt_s;
   bisection.scheme.impact = MO_IMPACT_BISECTION;
+  split.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  split_bisection.scheme = split.scheme;
+  split_bisection.scheme.impact = MO_IMPACT_BISECTION;
+  split_and_held.scheme = held.scheme;
+  split_and_held.scheme.integrator = MO_INTEGRATOR_SPLIT;
   enum { CLIP = MO_ADJOINT_CLIP, RESTART = MO_ADJOINT_RESTART };
   const double bound = MO_ADJOINT_BOUND;
   const struct mo_physics *short_life = &chunk_and_part;
@@ -212,7 +218,11 @@ static void agrees_on_few_steps(void)
       {"restarts, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, RESTART},
       {"held outputs, 32 robots", fresh, robots, ROBOTS, &held_for_long, bound, 2e-4, CLIP},
       {"held outputs, 45 steps", shipped, robots + 3, 9, &held, 0, 2e-3, CLIP},
-      {"held outputs, restarts", fresh, robots + 3, 4, &held, 0.5, 2e-3, RESTART}};
+      {"held outputs, restarts", fresh, robots + 3, 4, &held, 0.5, 2e-3, RESTART},
+      {"split, 32 robots", shipped, robots, ROBOTS, &split, 0, 2e-4, CLIP},
+      {"split, random weights", fresh, robots, 17, &split, bound, 2e-4, CLIP},
+      {"split, bisection", shipped, robots + 3, 9, &split_bisection, bound, 2e-3, CLIP},
+      {"split, held outputs", shipped, robots + 3, 9, &split_and_held, 0, 2e-3, CLIP}};
   for (size_t i = 0; i < COUNT(list); i++)
     compare(MO_ISA_BASELINE, list[i]);
 }
@@ -231,12 +241,13 @@ static double cosine(const float *a, const double *b, size_t n)
 
 /* In a longer float32 rollout, masses touch the ground a step earlier or later, and the adjoint
  * then differs. For most robots, and for the batch, the direction stays the same. */
-static void agrees_over_hundreds_of_steps(void)
+static void agree_over_hundreds(enum mo_integrator integrator)
 {
   enum { N = 12, FIRST = 8 };
-  const struct mo_physics physics = physics_of(200);
+  struct mo_physics physics = physics_of(200);
   const struct mo_gradient_options options = mo_default_gradient_options();
   const size_t n = shipped->n_parameters;
+  physics.scheme.integrator = integrator;
   double *one = make_zeros(n, sizeof(double)), *sum = make_zeros(n, sizeof(double));
   uint32_t alike = 0;
   for (uint32_t i = FIRST; i < FIRST + N; i++) {
@@ -257,6 +268,12 @@ static void agrees_over_hundreds_of_steps(void)
          1 - together);
   CHECK(alike >= N * 3 / 4);
   CHECK(together > 0.999);
+}
+
+static void agrees_over_hundreds_of_steps(void)
+{
+  agree_over_hundreds(MO_INTEGRATOR_PAPER);
+  agree_over_hundreds(MO_INTEGRATOR_SPLIT);
 }
 #endif
 
@@ -307,6 +324,8 @@ static void budgets_do_not_matter(void)
       struct mo_physics physics = physics_of(n_steps);
       if (n_steps > 77) /* a period divides neither the rollout nor a segment without it */
         physics.scheme.control_period_s = 3 * physics.scheme.dt_s;
+      if (n_steps % 2 != 0) /* 77 and 171 steps */
+        physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
       /* A pause after every step, forwards, backwards and again. */
       struct stop whole_stop = {.after = UINT32_MAX};
       struct mo_pause_point pause = {1, count_down, &whole_stop};

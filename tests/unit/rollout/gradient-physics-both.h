@@ -50,7 +50,10 @@ static inline struct both *make_both(const struct gradient_case *c)
   for (size_t i = 0; i < COUNT(vectors); i++)
     *vectors[i] = make_zeros(n, sizeof(double));
   b->at_kink = make_zeros(c->body->n_masses, sizeof(bool));
-  b->adjoint.d_activation = make_zeros(springs, sizeof(double));
+  b->adjoint.d_output = make_zeros(springs, sizeof(double));
+  b->adjoint.d_previous = make_zeros(springs, sizeof(double));
+  b->tape.acceleration = make_zeros(n, sizeof(double));
+  b->tape.activation = make_zeros(springs, sizeof(double));
   b->fast_d_activation = make_zeros(springs, sizeof(double));
   b->adjoint.d_input = make_zeros(c->controller->n_inputs, sizeof(double));
   b->tape.control =

@@ -194,7 +194,7 @@ static struct scales scales_of(const struct both *b)
 {
   const size_t n = 3 * (size_t)b->c->body->n_masses;
   return (struct scales){size_of(b->adjoint.d_velocity, n), size_of(b->adjoint.d_position, n),
-                         size_of(b->adjoint.d_activation, b->c->body->n_springs)};
+                         size_of(b->adjoint.d_output, b->c->body->n_springs)};
 }
 
 static bool agrees(const struct both *b, uint32_t m, const struct scales *size, bool with_positions)
@@ -268,9 +268,8 @@ static void compare(struct both *b, const char *where, struct tally *t)
              turned, pulled, pushed, b->at_kink[m] ? ", at a kink" : "");
   }
   for (uint32_t s = 0; s < body->n_springs; s++)
-    t->d_activation =
-        fmax(t->d_activation,
-             fabs(b->fast_d_activation[s] - b->adjoint.d_activation[s]) / size.d_activation);
+    t->d_activation = fmax(t->d_activation, fabs(b->fast_d_activation[s] - b->adjoint.d_output[s]) /
+                                                size.d_activation);
 }
 
 static void one_step(void)

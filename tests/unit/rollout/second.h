@@ -39,7 +39,20 @@ struct dual {
 int dual_rollout(const struct second_setup *setup, const struct second_parameters *parameters,
                  const uint32_t *at, uint32_t n, struct dual *losses);
 
-/* Computes one mass's motion and contact; returns the branches taken (0 = no contact). */
-uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3]);
+/* The branches that a contact took. Friction at the impact is capped unless SECOND_BELOW_CAP is
+ * set; in `split`, there is none without SECOND_INTO. Bits 4 … 15 have the cell of the impact, bits
+ * 16 … 39 that of the end: 4 · its index, + 2 if beyond the map along y, + 1 if along x. */
+#define SECOND_CONTACT   UINT64_C(1)
+#define SECOND_BELOW_CAP UINT64_C(2)
+#define SECOND_INTO      UINT64_C(4)         /* the normal velocity at the impact is negative */
+#define SECOND_RAISED    UINT64_C(8)         /* from below the terrain, at the end */
+#define SECOND_PRESSED   (UINT64_C(1) << 40) /* split: l < 0, so there is friction over time */
+#define SECOND_STOPPED   (UINT64_C(1) << 41) /* split: that friction stops the mass */
+
+/* Computes one mass's motion and contact; returns the branches taken (0 = no contact). v is the
+ * velocity after the kick; it becomes the one that the next kick starts from. acceleration: by
+ * springs and gravity, without drag; only `split` uses it (`paper`: may be NULL). */
+uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3],
+                   const struct dual acceleration[3]);
 
 #endif

@@ -3,6 +3,7 @@
 #include "store/encode.h"
 
 #include "../check.h"
+#include "rollout/physics.h"
 #include "store/hash.h"
 
 /* The plain encoding of version 1, written by hand. */
@@ -41,6 +42,46 @@ static void encodes_physics(void)
           found.scheme.impact == physics.scheme.impact && found.scheme.n_steps == 1000 &&
           found.constants.drag_per_s == 13 && found.drop_height_m == 0);
     CHECK(precision == MO_FLOAT64 && sensor == MO_SENSOR_INVERSE_SQUARE);
+  }
+}
+
+/* Settings of later versions are packed in the order of the table. */
+static void encodes_later_settings(void)
+{
+  static const struct {
+    uint8_t version;
+    double period_s;
+    enum mo_integrator integrator;
+    size_t size;
+  } given[] = {{2, 0.016, MO_INTEGRATOR_PAPER, 101},
+               {3, 0, MO_INTEGRATOR_SPLIT, 105},
+               {3, 0.016, MO_INTEGRATOR_SPLIT, 105}};
+  enum { PERIOD = 1 + 8, WORDS = 1 + 10 * 8, INTEGRATOR = WORDS + 3 * 4 };
+  for (size_t i = 0; i < COUNT(given); i++) {
+    struct mo_physics physics = mo_default_physics(), found;
+    uint8_t bytes[MO_PHYSICS_BYTES_MAX];
+    enum mo_precision precision;
+    enum mo_sensor sensor;
+    double period_s;
+    physics.scheme.control_period_s = given[i].period_s;
+    physics.scheme.integrator = given[i].integrator;
+    const size_t size = mo_encode_physics(&physics, MO_FLOAT32, MO_SENSOR_INVERSE_SQUARE, bytes);
+    REQUIRE(size == given[i].size && bytes[0] == given[i].version);
+    memcpy(&period_s, bytes + PERIOD, sizeof(period_s));
+    CHECK(period_s == given[i].period_s);
+    if (given[i].version == 3)
+      CHECK_INT(bytes[INTEGRATOR], given[i].integrator);
+    REQUIRE_OK(mo_decode_physics(bytes, size, &found, &precision, &sensor));
+    CHECK(mo_physics_equal(&physics, &found) && sensor == MO_SENSOR_INVERSE_SQUARE);
+    if (given[i].version == 3) {
+      bytes[INTEGRATOR] = 2;
+      CHECK_INT(mo_decode_physics(bytes, size, &found, &precision, &sensor), MO_ERR_CORRUPT);
+    }
+    /* Equal settings have one encoding: a version that the settings do not need is refused. */
+    memset(bytes + PERIOD, 0, sizeof(period_s));
+    if (given[i].version == 3)
+      bytes[INTEGRATOR] = MO_INTEGRATOR_PAPER;
+    CHECK_INT(mo_decode_physics(bytes, size, &found, &precision, &sensor), MO_ERR_CORRUPT);
   }
 }
 
@@ -89,6 +130,10 @@ static void hashes(void)
   mo_physics_hash(&physics, MO_FLOAT32, MO_SENSOR_INVERSE_SQRT, &hash);
   CHECK_TEXT(MO_SHA256_HEX(&hash),
              "b91aae0860adacfc0d9697aca4034ab2b9cc25df772552e7b316eaf374bb11c8");
+  physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  mo_physics_hash(&physics, MO_FLOAT32, MO_SENSOR_INVERSE_SQRT, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash),
+             "c206598e7d523cd4c319d994bbb5d9118b6dd62ed6a742c86ec72899395ff711");
   mo_environment_hash(&environment, &hash);
   CHECK_TEXT(MO_SHA256_HEX(&hash),
              "e68393e703c13e7004db2d8b7d341dd6dad5ece4be2ad3c3caf9d5f6ab7b23e4");
@@ -96,6 +141,7 @@ static void hashes(void)
 
 static const struct check_case cases[] = {
     {"encodes physics", encodes_physics},
+    {"encodes settings of later versions", encodes_later_settings},
     {"encodes environments", encodes_environments},
     {"refuses other bytes", refuses_other_bytes},
     {"hashes", hashes},

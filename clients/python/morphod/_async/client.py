@@ -92,11 +92,12 @@ class AsyncClient:
 
         `wait=False` returns at once, when the evaluation is durable. `record` accepts "com" and
         "masses", which are recorded every `record_stride` steps. `physics` overrides single
-        numbers, such as `{"n_steps": 500}`. `repair="largest"` keeps the largest piece of bodies
-        that are not in one piece. `on_fault="skip"` skips invalid bodies; their results have a
-        `fault` and NaN. `best=10` computes complete scores only for the ten best; the others are
-        cut short, and have lower bounds. An id without an orientation is scored in the orientation
-        with the best stored score, or else in the canonical one; `Result.orientation` says which.
+        settings, such as `{"n_steps": 500, "integrator": "split"}`. `repair="largest"` keeps the
+        largest piece of bodies that are not in one piece. `on_fault="skip"` skips invalid bodies;
+        their results have a `fault` and NaN. `best=10` computes complete scores only for the ten
+        best; the others are cut short, and have lower bounds. An id without an orientation is
+        scored in the orientation with the best stored score, or else in the canonical one;
+        `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _LARGE_MAX:
