@@ -35,11 +35,12 @@ enum mo_impact {
                              quadratic; the default */
   MO_IMPACT_BISECTION = 1 /* `bisections` halvings of [0, dt], lower end kept (paper: 8) */
 };
-/* How a step goes on from positions and velocities; docs/model.md has both. */
+/* How a step advances positions and velocities; docs/model.md has both. */
 enum mo_integrator {
   MO_INTEGRATOR_PAPER = 0, /* the paper's: a whole kick, then a drift; first order */
   MO_INTEGRATOR_SPLIT = 1  /* leapfrog: velocities are those of the middle of a step; an impact acts
-                              on the velocity of its own time; second order */
+                              on the velocity that the mass has at that moment; second order. Needs
+                              drag · dt ≤ 1 */
 };
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
@@ -58,11 +59,11 @@ struct mo_scheme {
 struct mo_constants {
   double stiffness_n_per_m; /* 15000, of every spring */
   double mass_kg;           /* 1, of every node */
-  double drag_per_s;        /* 15: velocities are scaled by exp(−drag·dt) */
+  double drag_per_s;        /* 15: rate at which velocities decay */
   double gravity_m_per_s2;  /* 9.8 */
   double actuation;         /* 0.2: rest length L0 (1 + actuation · a), a in [−1, 1] */
   double friction;          /* 0.9: tangential speed lost per normal speed */
-  double friction_cap;      /* 0.95: largest share of the tangential speed lost in one contact */
+  double friction_cap;      /* 0.95: largest share of the tangential speed lost in one impact */
 };
 struct mo_physics {
   struct mo_scheme scheme;

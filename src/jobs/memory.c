@@ -22,12 +22,15 @@
 #define OVERTAKEN_MAX 8
 
 /* Measured, and rounded up. */
-#define SERVICE_BYTES      (64 * MIB)    /* evaluations, requests, caches of the store */
-#define LEARNING_BYTES     (28 * MIB)    /* weights, Adam, gradient, a checkpoint being written */
-#define SLOT_BYTES         (5 * MIB / 2) /* the gradient of a block */
-#define SCRATCH_BYTES      (12 * MIB)    /* a worker's gradients without the tape */
-#define TAPE_STEP_BYTES    ((uint64_t)550 << 10) /* a step of a full block of the largest bodies */
-#define TAPE_SEGMENT_BYTES ((uint64_t)300 << 10) /* the start of a tape segment */
+#define SERVICE_BYTES  (64 * MIB)    /* evaluations, requests, caches of the store */
+#define LEARNING_BYTES (28 * MIB)    /* weights, Adam, gradient, a checkpoint being written */
+#define SLOT_BYTES     (5 * MIB / 2) /* the gradient of a block */
+#define SCRATCH_BYTES  (12 * MIB)    /* a worker's gradients without the tape */
+/* A step of a full block of the largest bodies, and the start of a segment of its tape. */
+#define TAPE_STEP_BYTES          ((uint64_t)550 << 10)
+#define TAPE_SEGMENT_BYTES       ((uint64_t)300 << 10)
+#define SPLIT_TAPE_STEP_BYTES    ((uint64_t)850 << 10)
+#define SPLIT_TAPE_SEGMENT_BYTES ((uint64_t)430 << 10)
 
 /* ---- the limit ---- */
 
@@ -57,11 +60,13 @@ void mo_memory_init(struct mo_jobs *jobs)
 
 /* Returns the scratch memory of one worker: the whole tape, or a tape in segments that fit the
  * budget. If no segments fit, uses the segments that need the least memory (sqrt). */
-static uint64_t scratch(const struct mo_jobs *jobs, uint32_t n_steps)
+static uint64_t scratch(const struct mo_jobs *jobs, const struct mo_scheme *scheme)
 {
-  const uint64_t whole = n_steps * TAPE_STEP_BYTES, cut = jobs->memory.tape_bytes;
-  const uint64_t least =
-      (uint64_t)(2 * sqrt((double)n_steps * TAPE_STEP_BYTES * TAPE_SEGMENT_BYTES));
+  const bool splits = scheme->integrator == MO_INTEGRATOR_SPLIT;
+  const uint64_t step = splits ? SPLIT_TAPE_STEP_BYTES : TAPE_STEP_BYTES,
+                 segment = splits ? SPLIT_TAPE_SEGMENT_BYTES : TAPE_SEGMENT_BYTES;
+  const uint64_t whole = scheme->n_steps * step, cut = jobs->memory.tape_bytes;
+  const uint64_t least = (uint64_t)(2 * sqrt((double)scheme->n_steps * (double)(step * segment)));
   const uint64_t tape = least > cut ? least : cut;
   return SCRATCH_BYTES + (tape < whole ? tape : whole);
 }
@@ -76,7 +81,7 @@ void mo_memory_add_learning(const struct mo_jobs *jobs, uint32_t batch,
   if (back_end == MO_ON_DEVICE)
     return;
   need->own += (blocks < 2 * n ? blocks : 2 * n) * SLOT_BYTES;
-  need->scratch = (blocks < n ? blocks : n) * scratch(jobs, physics->scheme.n_steps);
+  need->scratch = (blocks < n ? blocks : n) * scratch(jobs, &physics->scheme);
 }
 
 static uint64_t need_alone(const struct mo_need *need)

@@ -13,7 +13,7 @@ struct mo_adjoint {
   double *d_velocity; /* (n_masses, 3) per m/s */
   double *d_impulse;  /* (n_masses, 3) per N s */
   double *d_output;   /* (n_springs) summed over the steps in which the outputs act */
-  double *d_previous; /* (n_springs) what a step adds to that of the outputs before its own */
+  double *d_previous; /* (n_springs) the step's share of ∂loss/∂ the previous outputs */
   double *d_input;    /* (n_inputs) */
 };
 

@@ -12,6 +12,7 @@
  * rows of "cells" with a slope of 0. */
 #include "rollout/contact.h"
 
+#include "rollout/fast.h"
 #include "rollout/kick.h"
 
 #include <math.h>
@@ -175,27 +176,22 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
 
 /* ---- split ----
  *
- * The velocity v is that of the middle of the step; with the acceleration a by springs and gravity
- * follows the velocity w at the impact. Then the ground takes the part of w along its normal, and
- * friction takes from the tangential part what an impact with that speed takes; not from a mass
- * that lies on the ground, which strikes nothing. During the rest of the step, r = dt − τ, the mass
- * slides: tangential forces accelerate it, the normal force presses it to the ground, and friction
- * takes friction · (normal force) · r from its momentum, or stops it. Forces that pull it off lift
- * it. Its velocity at the end of the step is then taken back to the middle, from where the next
- * kick starts. */
-
-/* Coefficients of `split`. With a constant acceleration a, a velocity v becomes v + E (a − drag v)
- * after t seconds, E = (1 − exp(−drag t)) / drag. D = t (1 − bend t) is E to second order, and
- * exactly E half a step back, so that a mass at rest stays at rest. */
-static double drag_bend(const struct mo_scheme *scheme, const struct mo_constants *constants)
-{
-  const double x = 0.5 * constants->drag_per_s * scheme->dt_s;
-  return (mo_kick_mean(-x, exp(x)) - 1) * 2 / scheme->dt_s;
-}
+ * The velocity v of the middle of the step and the acceleration a by springs and gravity give the
+ * velocity w at the impact. The ground takes the part of w along its normal, and friction takes
+ * from the tangential part what an impact at that speed takes, unless the mass lies on the ground
+ * and so strikes nothing. During the rest of the step, r = dt − τ, the mass slides: tangential
+ * forces accelerate it, the normal force presses it to the ground, and friction takes friction ·
+ * (normal force) · r from its momentum, or stops it. Forces that pull it off lift it. Its velocity
+ * at the end of the step is then taken back to the middle, from where the next kick starts.
+ *
+ * With a constant acceleration a, a velocity v becomes v + E (a − drag v) after t seconds, E = (1 −
+ * exp(−drag t)) / drag. D = t (1 − bend t) is E to second order, and exactly E half a step back, so
+ * that a mass at rest stays at rest. Its exponential has the same bits on all machines, because
+ * kernels compute rare moves here. */
 
 struct split {
   bool lies;                    /* on the ground when the step starts */
-  double bend;                  /* see drag_bend */
+  double bend;                  /* of D, see above */
   double before, after, back;   /* D: of the time from the middle of the step to the impact, of the
                                    rest, of half a step back */
   double impact, rest;          /* s */
@@ -219,7 +215,7 @@ static double dot(const double a[3], const double b[3])
 /* Returns the share of a speed that friction leaves. */
 static double left_by(double lost, double speed)
 {
-  return speed > 0 ? 1 - fmin(lost, speed) / speed : 0;
+  return speed > 0 ? 1 - fmin(lost, speed) / speed : lost > 0 ? 0 : 1;
 }
 
 static struct split split_of(const struct mo_scheme *scheme, const struct mo_constants *constants,
@@ -229,7 +225,7 @@ static struct split split_of(const struct mo_scheme *scheme, const struct mo_con
   const double dt = scheme->dt_s, drag = constants->drag_per_s;
   struct split s;
   s.lies = p[2] - mo_terrain_height(heights_m, p[0], p[1]) < MO_LIES_M;
-  s.bend = drag_bend(scheme, constants);
+  s.bend = mo_kick_bend(scheme, constants, mo_fast_exp(-drag * dt));
   s.impact = s.lies ? 0
              : scheme->impact == MO_IMPACT_EXACT
                  ? mo_impact_exact(heights_m, p, v, dt)
@@ -460,8 +456,11 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
 static double slow_adjoint(double lost, double speed, const double q[3], const double dz[3],
                            double dq[3])
 {
-  if (!(speed > 0) || lost >= speed)
+  if (!(speed > 0) || lost >= speed) {
+    for (int k = 0; k < 3 && !(lost > 0); k++)
+      dq[k] += dz[k];
     return 0;
+  }
   const double along = dot(q, dz) / speed, share = lost / speed;
   for (int k = 0; k < 3; k++)
     dq[k] += (1 - share) * dz[k] + share / speed * along * q[k];

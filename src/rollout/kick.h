@@ -23,6 +23,14 @@ static inline double mo_kick_mean(double x, double decay)
   return fabs(x) > 1e-3 ? (1 - decay) / x : 1 - x / 2 * (1 - x / 3 * (1 - x / 4));
 }
 
+/* The coefficient of contact's drag (contact.c). decay: exp(−drag · dt). */
+static inline double mo_kick_bend(const struct mo_scheme *scheme,
+                                  const struct mo_constants *constants, double decay)
+{
+  const double x = 0.5 * constants->drag_per_s * scheme->dt_s;
+  return (mo_kick_mean(-x, 1 / sqrt(decay)) - 1) * 2 / scheme->dt_s;
+}
+
 /* decay: exp(−drag · dt), which kernels compute on their own. */
 static inline struct mo_kick mo_kick_of(const struct mo_scheme *scheme,
                                         const struct mo_constants *constants, double decay)

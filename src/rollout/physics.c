@@ -104,7 +104,7 @@ static const struct mo_field rows[] = {
     {"mass_kg", MO_FIELD_NUMBER, 0, AT(constants.mass_kg), .min = 1e-6, .max = 1e6, .unit = "kg",
      .help = "mass of every node"},
     {"drag_per_s", MO_FIELD_NUMBER, 0, AT(constants.drag_per_s), .min = 0, .max = 1e4,
-     .unit = "1/s", .help = "velocities are scaled by exp(-drag dt) in each step"},
+     .unit = "1/s", .help = "rate at which velocities decay"},
     {"gravity_m_per_s2", MO_FIELD_NUMBER, 0, AT(constants.gravity_m_per_s2), .min = 0, .max = 1000,
      .unit = "m/s^2", .help = "acceleration downward"},
     {"actuation", MO_FIELD_NUMBER, 0, AT(constants.actuation), .min = 0, .max = 0.9, .unit = "",
@@ -118,7 +118,8 @@ static const struct mo_field rows[] = {
     {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .group = &impact_members, .unit = "",
      .help = "time of impact: exact, or bisection with 1 to 52 halvings"},
     {"integrator", MO_FIELD_WORD, 0, AT(scheme.integrator), .words = integrator_words, .since = 3,
-     .unit = "", .help = "paper: first order; split: second order, impacts at their own time"},
+     .unit = "",
+     .help = "paper: first order; split: second order, drag_per_s times dt_s at most 1"},
 };
 #undef AT
 const struct mo_fields mo_physics_fields = MO_FIELDS(rows);
@@ -131,6 +132,12 @@ int mo_physics_check(const struct mo_physics *physics, struct mo_message *messag
                    "control_period_s must be a whole multiple of dt_s, got %.9g s with steps of "
                    "%.9g s",
                    physics->scheme.control_period_s, physics->scheme.dt_s);
+  const double drag = physics->constants.drag_per_s * physics->scheme.dt_s;
+  if (status == MO_OK && physics->scheme.integrator == MO_INTEGRATOR_SPLIT && !(drag <= 1))
+    return mo_fail(message, MO_ERR_RANGE,
+                   "with the integrator \"split\", drag_per_s times dt_s must be at most 1, got "
+                   "%.9g; use smaller steps, or \"paper\"",
+                   drag);
   return status;
 }
 

@@ -86,6 +86,9 @@ def test_integrators(service):
     stored = [service.get(f"/v1/physics/{score['physics']}")["physics"] for score in scores]
     assert {one["integrator"] for one in stored if one["n_steps"] == 57} == {"paper", "split"}
 
+    request = {"designs": [DESIGN], "physics": {"integrator": "split", "drag_per_s": 300}}
+    refused = service.request("POST", "/v1/evaluations", request)
+    assert refused.status == 422 and "drag_per_s times dt_s" in refused.json()["detail"]
     request = {"designs": [DESIGN], "physics": {"integrator": "euler"}}
     fault = service.request("POST", "/v1/evaluations", request).json()["errors"][0]
     assert fault["pointer"] == "/physics/integrator"

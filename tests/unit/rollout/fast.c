@@ -272,6 +272,26 @@ static void close_to_reference(void)
   controller->sensor = MO_SENSOR_INVERSE_SQRT;
 }
 
+/* Contact of `split` where its constants are extreme. */
+static void close_at_the_bounds(void)
+{
+  static const struct {
+    double dt_s, drag_per_s, friction, friction_cap;
+  } cases[] = {{0.004, 250, 0.9, 0.95}, {0.004, 15, 0, 0.95}, {0.004, 15, 0.9, 0},
+               {0.004, 15, 0.9, 1},     {0.0005, 0, 2, 0.95}, {0.001, 1e-6, 0.5, 0.5}};
+  for (size_t i = 0; i < COUNT(cases); i++) {
+    struct mo_physics physics = physics_of(100);
+    physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+    physics.scheme.dt_s = cases[i].dt_s;
+    physics.constants.drag_per_s = cases[i].drag_per_s;
+    physics.constants.friction = cases[i].friction;
+    physics.constants.friction_cap = cases[i].friction_cap;
+    REQUIRE_OK(mo_physics_check(&physics, NULL));
+    for (uint64_t number = 0; number < 2; number++)
+      compare_kernels(body_number(number, 1 + 20 * (uint32_t)number), &physics, 100 + (int)i);
+  }
+}
+
 /* ---- channels ---- */
 
 enum { CHANNEL_FRAMES = 21, CHANNEL_STRIDE = 5 };
@@ -568,6 +588,7 @@ static const struct check_case cases[] = {
     {"products bit for bit", products},
     {"a lane's bits do not depend on other lanes", lanes_keep_to_themselves},
     {"close to the reference", close_to_reference},
+    {"split at the bounds of its constants", close_at_the_bounds},
     {"actuation and contacts agree with the reference", channels_agree},
     {"contacts of a fall", contacts_of_a_fall},
     {"passive bodies", passive_bodies},

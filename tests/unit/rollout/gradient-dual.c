@@ -221,8 +221,14 @@ static void contact_of(enum mo_integrator integrator)
       m.back_v[i] = mo_random_normal(&random);
     }
     m.v[2] = -2 * fabs(m.v[2]);
-    for (int i = 0; i < 3 && integrator == MO_INTEGRATOR_SPLIT; i++)
-      m.a[i] = 200 * mo_random_normal(&random);
+    if (integrator == MO_INTEGRATOR_SPLIT) {
+      static const double drags_per_s[] = {15, 0, 250}, frictions[] = {0.9, 0, 2};
+      for (int i = 0; i < 3; i++)
+        m.a[i] = 200 * mo_random_normal(&random);
+      physics.constants.drag_per_s = drags_per_s[k / 7 % 3] * 0.004 / physics.scheme.dt_s;
+      physics.constants.friction = frictions[k / 21 % 3];
+      physics.constants.friction_cap = k / 63 % 2 == 0 ? 0.95 : 1;
+    }
     m.p[2] = mo_terrain_height(m.environment.terrain_heights_m, m.p[0], m.p[1]) +
              0.5 * physics.scheme.dt_s * fabs(m.v[2]) * mo_random_uniform(&random);
     const uint64_t branch = step_back(&m, &error);

@@ -203,8 +203,8 @@ static double creep(enum mo_integrator integrator, double dt_s)
 }
 
 /* With `split`, a mass that does not slip stays where it is, also with drag. With `paper`, friction
- * leaves 5 % (`friction_cap`) of the speed g sin a dt that a mass gains in a
- * step: it creeps. The feet carry two layers of masses, which doubles that. */
+ * leaves 5 % (`friction_cap`) of the speed g sin a dt that a mass gains in a step: it creeps. The
+ * feet carry two layers of masses, which doubles that. */
 static void rest_on_slope(void)
 {
   const double pull = GRAVITY_M_PER_S2 * 0.3 / sqrt(1 + 0.3 * 0.3);

@@ -337,6 +337,13 @@ static void settings(void)
       CHECK_INT(mo_physics_check(&p, NULL), k == 0 ? fields[i].code : MO_ERR_INVALID);
     }
   }
+  p = mo_default_physics();
+  p.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  p.constants.drag_per_s = 1 / p.scheme.dt_s;
+  CHECK_INT(mo_physics_check(&p, &message), MO_OK);
+  p.constants.drag_per_s *= 1.001;
+  CHECK_INT(mo_physics_check(&p, &message), MO_ERR_RANGE);
+  CHECK_SAYS(message, "drag_per_s times dt_s");
 }
 
 static const struct check_case cases[] = {{"free fall", free_fall},
