@@ -1,12 +1,13 @@
 /* accuracy.c: run time against error.
  *
- * Every combination of precision, impact mode and time step simulates the same 4 seconds. The
- * reference for a time step dt is the float64 `exact` rollout at dt/16. The errors are the largest
- * distance of the center of mass from the reference up to a time, and the difference in loss.
- * Contact makes rollouts chaotic: a rounding difference grows by orders of magnitude per second.
- * The path error is therefore also reported after 0.2 s and 1 s, where it still separates the
- * methods. The time step dominates everything else, so the last columns compare with float64
- * `exact` at the same time step to show the effect of precision and impact mode. */
+ * Every combination of integrator, control period, precision, impact mode and time step simulates
+ * the same 4 seconds. A digital controller makes the motion well defined while the time step goes
+ * to 0, so each integrator and period has a limit of its own: the float64 `exact` rollout at 1/64
+ * ms. The errors are the largest distance of the center of mass from it up to a time, and the
+ * difference in loss. Contact makes rollouts chaotic: a rounding difference grows by orders of
+ * magnitude per second. The path error is therefore also reported after 0.2 s and 1 s, where it
+ * still separates the methods. The time step dominates everything else, so the last columns compare
+ * with float64 `exact` at the same time step to show the effect of precision and impact mode. */
 #include "bench.h"
 
 #include <math.h>
@@ -16,16 +17,21 @@
 #define LIFE_S  4.0
 #define FRAME_S 0.02
 
-enum { DTS = 4, MODES = 5, FRAMES = 201, REFINEMENT = 16, TIMES = 3 };
+#define LIMIT_DT_S (0.001 / 64)
 
+enum { INTEGRATORS = 2, PERIODS = 3, DTS = 4, MODES = 5, FRAMES = 201, TIMES = 3 };
+
+static const char *const integrator_names[INTEGRATORS] = {"paper", "split"};
+static const double periods_s[PERIODS] = {0.004, 0.008, 0.016};
 static const double dts_s[DTS] = {0.004, 0.002, 0.001, 0.0005};
+/* All but the first two are measured with one integrator and period only. */
 static const struct {
   const char *name;
   enum mo_impact impact;
   uint32_t bisections;
 } modes[MODES] = {{"exact", MO_IMPACT_EXACT, 8},
-                  {"bisection4", MO_IMPACT_BISECTION, 4},
                   {"bisection8", MO_IMPACT_BISECTION, 8},
+                  {"bisection4", MO_IMPACT_BISECTION, 4},
                   {"bisection12", MO_IMPACT_BISECTION, 12},
                   {"bisection16", MO_IMPACT_BISECTION, 16}};
 static const char *const precision_names[] = {"float32", "float64"};
@@ -45,9 +51,17 @@ static void rollouts_create(struct rollouts *rollouts, uint32_t n)
   rollouts->diverged = bench_zeros(n, 1);
 }
 
-static struct mo_physics physics_at(double dt_s, int mode)
+/* What is held while the time step, precision and impact mode vary. */
+struct motion {
+  enum mo_integrator integrator;
+  double period_s;
+};
+
+static struct mo_physics physics_at(struct motion motion, double dt_s, int mode)
 {
   struct mo_physics physics = mo_default_physics();
+  physics.scheme.integrator = motion.integrator;
+  physics.scheme.control_period_s = motion.period_s;
   physics.scheme.dt_s = dt_s;
   physics.scheme.n_steps = (uint32_t)lround(LIFE_S / dt_s);
   physics.scheme.impact = modes[mode].impact;
@@ -57,7 +71,7 @@ static struct mo_physics physics_at(double dt_s, int mode)
 
 static void simulate(struct rollouts *rollouts, const struct bench_scene *scene,
                      struct mo_compute *compute, struct mo_compute_controller *controller,
-                     double dt_s, int mode, enum mo_precision precision)
+                     struct motion motion, double dt_s, int mode, enum mo_precision precision)
 {
   const uint32_t n = scene->n_bodies;
   struct mo_block *blocks = bench_zeros(n, sizeof(*blocks));
@@ -69,7 +83,7 @@ static void simulate(struct rollouts *rollouts, const struct bench_scene *scene,
                                   .controller = controller,
                                   .environments = {scene->list[i % MO_PAPER_TEST_COUNT]},
                                   .n_environments = 1,
-                                  .physics = physics_at(dt_s, mode),
+                                  .physics = physics_at(motion, dt_s, mode),
                                   .precision = precision,
                                   .recordings = recordings + i};
   }
@@ -84,13 +98,13 @@ static void simulate(struct rollouts *rollouts, const struct bench_scene *scene,
 
 /* Returns milliseconds per rollout on one core. The whole test set of a body runs at once, as in
  * evaluations. */
-static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double dt_s, int mode,
-                      enum mo_precision precision)
+static double time_ms(const struct bench_scene *scene, enum mo_isa isa, struct motion motion,
+                      double dt_s, int mode, enum mo_precision precision)
 {
   struct mo_pack *pack = NULL;
   struct mo_workspace_memory *memory = NULL;
   struct mo_outcome outcomes[MO_BLOCK_LANES];
-  const struct mo_physics physics = physics_at(dt_s, mode);
+  const struct mo_physics physics = physics_at(motion, dt_s, mode);
   const uint32_t n = scene->n_bodies < 5 ? scene->n_bodies : 5;
   bench_check(mo_pack_create(scene->controller, isa, precision, &pack), "pack");
   bench_check(mo_workspace_memory_create(&memory), "scratch");
@@ -153,7 +167,7 @@ static struct spread loss_error(const struct rollouts *rollouts, const struct ro
 static void print_header(void)
 {
   static const char *const kinds[] = {"median", "p90", "max"};
-  printf("precision,impact,dt_ms,bodies,time_ms_per_rollout");
+  printf("integrator,period_ms,precision,impact,dt_ms,bodies,time_ms_per_rollout");
   for (int t = 0; t < TIMES; t++)
     for (int k = 0; k < 3; k++)
       printf(",path_error_m_%gs_%s", frame_ends[t] * FRAME_S, kinds[k]);
@@ -171,10 +185,11 @@ static void print_spread(struct spread spread)
   printf(",%.3e,%.3e,%.3e", spread.median, spread.p90, spread.most);
 }
 
-static void print_row(const char *precision, const char *mode, double dt_s, uint32_t n,
-                      const struct row *row)
+static void print_row(struct motion motion, enum mo_precision precision, int mode, double dt_s,
+                      uint32_t n, const struct row *row)
 {
-  printf("%s,%s,%g,%u,%.4f", precision, mode, 1e3 * dt_s, n, row->ms);
+  printf("%s,%g,%s,%s,%g,%u,%.4f", integrator_names[motion.integrator], 1e3 * motion.period_s,
+         precision_names[precision], modes[mode].name, 1e3 * dt_s, n, row->ms);
   for (int t = 0; t < TIMES; t++)
     print_spread(row->path[t]);
   print_spread(row->loss);
@@ -184,37 +199,59 @@ static void print_row(const char *precision, const char *mode, double dt_s, uint
   fflush(stdout);
 }
 
+struct bench {
+  struct bench_scene scene;
+  struct mo_compute *compute;
+  struct mo_compute_controller *controller;
+  enum mo_isa isa;
+  uint32_t n;
+  struct rollouts limit, same_dt, rollouts;
+  double *errors; /* (n) scratch */
+};
+
+/* All precisions and impact modes at one time step. */
+static void measure(struct bench *b, struct motion motion, double dt_s, int n_modes)
+{
+  const uint32_t n = b->n;
+  simulate(&b->same_dt, &b->scene, b->compute, b->controller, motion, dt_s, 0, MO_FLOAT64);
+  for (int s = 0; s < 2 * n_modes; s++) {
+    const enum mo_precision precision = s < n_modes ? MO_FLOAT32 : MO_FLOAT64;
+    const int mode = s % n_modes;
+    simulate(&b->rollouts, &b->scene, b->compute, b->controller, motion, dt_s, mode, precision);
+    struct row row = {.ms = time_ms(&b->scene, b->isa, motion, dt_s, mode, precision)};
+    for (int t = 0; t < TIMES; t++)
+      row.path[t] = path_error(&b->rollouts, &b->limit, n, frame_ends[t], b->errors);
+    row.loss = loss_error(&b->rollouts, &b->limit, n, b->errors);
+    row.same_dt_path = path_error(&b->rollouts, &b->same_dt, n, frame_ends[1], b->errors);
+    row.same_dt_loss = loss_error(&b->rollouts, &b->same_dt, n, b->errors);
+    for (uint32_t i = 0; i < n; i++)
+      row.diverged += b->rollouts.diverged[i];
+    print_row(motion, precision, mode, dt_s, n, &row);
+  }
+}
+
 int bench_accuracy(const struct bench_options *options)
 {
-  const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 10 : 100;
-  struct bench_scene scene;
-  struct rollouts truth, same_dt, rollouts;
-  struct mo_compute_controller *controller = NULL;
-  bench_scene_create(&scene, options, n);
-  rollouts_create(&truth, n);
-  rollouts_create(&same_dt, n);
-  rollouts_create(&rollouts, n);
-  double *errors = bench_zeros(n, sizeof(*errors));
-  struct mo_compute *compute = bench_compute(options->workers, options->isa);
-  bench_check(mo_compute_controller_create(compute, scene.controller, &controller), "controller");
+  struct bench b = {.isa = options->isa,
+                    .n = options->bodies > 0 ? options->bodies
+                         : options->quick    ? 10
+                                             : 100};
+  bench_scene_create(&b.scene, options, b.n);
+  rollouts_create(&b.limit, b.n);
+  rollouts_create(&b.same_dt, b.n);
+  rollouts_create(&b.rollouts, b.n);
+  b.errors = bench_zeros(b.n, sizeof(*b.errors));
+  b.compute = bench_compute(options->workers, options->isa);
+  bench_check(mo_compute_controller_create(b.compute, b.scene.controller, &b.controller),
+              "controller");
   print_header();
-  for (int d = 0; d < DTS; d++) {
-    simulate(&truth, &scene, compute, controller, dts_s[d] / REFINEMENT, 0, MO_FLOAT64);
-    simulate(&same_dt, &scene, compute, controller, dts_s[d], 0, MO_FLOAT64);
-    for (int s = 0; s < 2 * MODES; s++) {
-      const enum mo_precision precision = s / MODES == 0 ? MO_FLOAT32 : MO_FLOAT64;
-      simulate(&rollouts, &scene, compute, controller, dts_s[d], s % MODES, precision);
-      struct row row = {.ms = time_ms(&scene, options->isa, dts_s[d], s % MODES, precision)};
-      for (int t = 0; t < TIMES; t++)
-        row.path[t] = path_error(&rollouts, &truth, n, frame_ends[t], errors);
-      row.loss = loss_error(&rollouts, &truth, n, errors);
-      row.same_dt_path = path_error(&rollouts, &same_dt, n, frame_ends[1], errors);
-      row.same_dt_loss = loss_error(&rollouts, &same_dt, n, errors);
-      for (uint32_t i = 0; i < n; i++)
-        row.diverged += rollouts.diverged[i];
-      print_row(precision_names[precision], modes[s % MODES].name, dts_s[d], n, &row);
+  for (int i = 0; i < INTEGRATORS; i++)
+    for (int p = 0; p < PERIODS; p++) {
+      const struct motion motion = {(enum mo_integrator)i, periods_s[p]};
+      simulate(&b.limit, &b.scene, b.compute, b.controller, motion, LIMIT_DT_S, 0, MO_FLOAT64);
+      for (int d = 0; d < DTS; d++)
+        measure(&b, motion, dts_s[d], i == 0 && p == 0 ? MODES : 2);
+      fprintf(stderr, "%s, outputs every %g ms: done\n", integrator_names[i], 1e3 * periods_s[p]);
     }
-    fprintf(stderr, "dt %g ms done\n", 1e3 * dts_s[d]);
-  }
   return 0;
 }

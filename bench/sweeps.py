@@ -41,25 +41,45 @@ def name(panel, place, text, color):
     panel.chart.legend(panel.right + 16, panel.top + 20 * place + 12, [(text, color, "")])
 
 
+def front(points):
+    """The points than which no other takes less time and has a smaller error."""
+    best, least = [], math.inf
+    for point in sorted(points):
+        if point[1] < least:
+            best.append(point)
+            least = point[1]
+    return best
+
+
 def draw_accuracy(rows, path):
     chart = Chart(WIDTH, 2 * HEIGHT)
-    error = "path_error_m_1s_median"
-    for place, (title, column) in enumerate((
-        ("Against float64 exact at a sixteenth of the time step (4, 2, 1, 0.5 ms from left to "
-         "right)", error),
-        ("Against float64 exact at the same time step: only precision and impact mode",
-         "same_dt_" + error))):
-        shown = [row for row in rows if 0 < row[column] < math.inf]  # not float64 exact itself
-        panel = panel_of(chart, place, title, "milliseconds per rollout of 4 s, one core",
-                         "error of the center of mass in the first second, median, m",
-                         [row["time_ms_per_rollout"] for row in shown],
-                         [row[column] for row in shown])
-        for i, (words, group) in enumerate(records.group(rows, "precision", "impact").items()):
-            color = COLORS[i]
-            points = [(row["time_ms_per_rollout"], row[column]) for row in group if row in shown]
-            panel.line(points, color)
-            panel.dots(points, color, 3)
-            name(panel, i, " ".join(words), color)
+    time, error = "time_ms_per_rollout", "path_error_m_1s_median"
+    x_name = "milliseconds per rollout of 4 s, one core"
+    y_name = "error of the center of mass in the first second, median, m"
+    shown = [row for row in rows if row["impact"] == "exact" and row["precision"] == "float32"]
+    panel = panel_of(chart, 0, "Against the limit of small steps (4, 2, 1, 0.5 ms from left to "
+                     "right; float32, exact impacts)", x_name, y_name,
+                     [row[time] for row in shown], [row[error] for row in shown])
+    panel.line(front([(row[time], row[error]) for row in shown]), "#c8c8c8", style="stroke-width:9")
+    groups = records.group(shown, "integrator", "period_ms").items()
+    for place, ((integrator, period), group) in enumerate(groups):
+        color = COLORS[place % 3 if integrator == "paper" else 5 + place % 3]
+        points = [(row[time], row[error]) for row in group]
+        panel.line(points, color)
+        panel.dots(points, color, 4)
+        name(panel, place, f"{integrator}, outputs every {period:g} ms", color)
+    name(panel, len(groups), "front", "#c8c8c8")
+    # Not float64 exact itself.
+    first = [row for row in rows if row["integrator"] == "paper" and row["period_ms"] == 4
+             and 0 < row["same_dt_" + error] < math.inf]
+    panel = panel_of(chart, 1, "Against float64 exact at the same time step: only precision and "
+                     "impact mode (paper, 4 ms)", x_name, y_name, [row[time] for row in first],
+                     [row["same_dt_" + error] for row in first])
+    for place, (words, group) in enumerate(records.group(first, "precision", "impact").items()):
+        points = [(row[time], row["same_dt_" + error]) for row in group]
+        panel.line(points, COLORS[place])
+        panel.dots(points, COLORS[place], 3)
+        name(panel, place, " ".join(words), COLORS[place])
     chart.save(path)
 
 
@@ -105,7 +125,8 @@ def main():
             sys.exit(status)
     if arguments.csv and arguments.svg:
         draw = draw_accuracy if arguments.what == "accuracy" else draw_stability
-        draw(records.read(arguments.csv, ("precision", "impact", "body", "mode")), arguments.svg)
+        words = ("integrator", "precision", "impact", "body", "mode")
+        draw(records.read(arguments.csv, words), arguments.svg)
 
 
 if __name__ == "__main__":
