@@ -112,7 +112,7 @@ static const struct mo_field rows[] = {
     {"friction", MO_FIELD_NUMBER, 0, AT(constants.friction), .min = 0, .max = 1000, .unit = "",
      .help = "tangential speed lost per normal speed in a contact"},
     {"friction_cap", MO_FIELD_NUMBER, 0, AT(constants.friction_cap), .min = 0, .max = 1, .unit = "",
-     .help = "largest share of the tangential speed lost in a contact"},
+     .help = "largest share of the tangential speed lost in an impact; paper: in each contact"},
     {"drop_height_m", MO_FIELD_NUMBER, 0, AT(drop_height_m), .min = 0, .max = 1000, .unit = "m",
      .help = "extra height of the body at the start"},
     {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .group = &impact_members, .unit = "",

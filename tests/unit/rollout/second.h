@@ -40,8 +40,9 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
                  const uint32_t *at, uint32_t n, struct dual *losses);
 
 /* The branches that a contact took. Friction at the impact is capped unless SECOND_BELOW_CAP is
- * set; in `split`, there is none without SECOND_INTO. Bits 4 … 15 have the cell of the impact, bits
- * 16 … 39 that of the end: 4 · its index, + 2 if beyond the map along y, + 1 if along x. */
+ * set; with `split`, an impact has friction only if SECOND_INTO is set. Bits 4 … 15 hold the cell
+ * of the impact, bits 16 … 39 the cell of the end: 4 · its index, + 2 if beyond the map along y, +
+ * 1 if along x. */
 #define SECOND_CONTACT   UINT64_C(1)
 #define SECOND_BELOW_CAP UINT64_C(2)
 #define SECOND_INTO      UINT64_C(4)         /* the normal velocity at the impact is negative */
