@@ -199,17 +199,23 @@ static void load_references(const char *path, const struct mo_robot *robots, uin
   }
 }
 
-static struct mo_physics physics_with_period(uint32_t control_steps)
+/* control_steps: 0: no control period. */
+static struct mo_physics physics_with(enum mo_integrator integrator, uint32_t control_steps)
 {
   struct mo_physics physics = mo_default_physics();
+  physics.scheme.integrator = integrator;
   if (control_steps > 0)
     physics.scheme.control_period_s = control_steps * physics.scheme.dt_s;
   return physics;
 }
 
-/* control_steps: 0: no control period. */
+static struct mo_physics physics_with_period(uint32_t control_steps)
+{
+  return physics_with(MO_INTEGRATOR_PAPER, control_steps);
+}
+
 static void check_random(struct mo_device_controller *controller, const char *name, uint32_t n,
-                         uint32_t control_steps, const char *path)
+                         const struct mo_physics *physics, const char *path)
 {
   struct mo_body **bodies = random_bodies(golden.lattice, RANDOM, 20251101);
   static struct mo_environment environments[RANDOM];
@@ -220,9 +226,8 @@ static void check_random(struct mo_device_controller *controller, const char *na
     mo_environment_held_out(20251101, i, environments + i);
     robots[i] = (struct mo_robot){bodies[i], environments + i};
   }
-  const struct mo_physics physics = physics_with_period(control_steps);
-  load_references(path, robots, n, &physics, truth);
-  run(controller, robots, n, &physics, outcomes);
+  load_references(path, robots, n, physics, truth);
+  run(controller, robots, n, physics, outcomes);
   compare(name, outcomes, truth, n);
   free_bodies(bodies, RANDOM);
 }
@@ -291,15 +296,23 @@ static void check_sizes(uint32_t n_steps)
     enum mo_impact impact;
     int is_passive;
     uint32_t control_steps;
-  } kinds[] = {{"inverse root", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 0},
-               {"inverse root, bisection8", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_BISECTION, 0, 0},
-               {"inverse square", MO_SENSOR_INVERSE_SQUARE, MO_IMPACT_EXACT, 0, 0},
-               {"passive", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 0},
-               {"period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 4},
-               {"period of 3 steps, bisection8, inverse square", MO_SENSOR_INVERSE_SQUARE,
-                MO_IMPACT_BISECTION, 0, 3},
-               {"period of 100 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 100},
-               {"passive, period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 4}};
+    enum mo_integrator integrator;
+  } kinds[] = {
+      {"inverse root", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 0},
+      {"inverse root, bisection8", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_BISECTION, 0, 0},
+      {"inverse square", MO_SENSOR_INVERSE_SQUARE, MO_IMPACT_EXACT, 0, 0},
+      {"passive", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 0},
+      {"period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 4},
+      {"period of 3 steps, bisection8, inverse square", MO_SENSOR_INVERSE_SQUARE,
+       MO_IMPACT_BISECTION, 0, 3},
+      {"period of 100 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 100},
+      {"passive, period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 4},
+      {"split", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 0, MO_INTEGRATOR_SPLIT},
+      {"split, period of 4 steps", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 0, 4,
+       MO_INTEGRATOR_SPLIT},
+      {"split, period of 3 steps, bisection8, inverse square", MO_SENSOR_INVERSE_SQUARE,
+       MO_IMPACT_BISECTION, 0, 3, MO_INTEGRATOR_SPLIT},
+      {"split, passive", MO_SENSOR_INVERSE_SQRT, MO_IMPACT_EXACT, 1, 0, MO_INTEGRATOR_SPLIT}};
   enum { SIZES = sizeof(sizes) / sizeof(sizes[0]), PLACES = 3 };
   struct mo_body *bodies[SIZES];
   for (int b = 0; b < SIZES; b++)
@@ -308,7 +321,7 @@ static void check_sizes(uint32_t n_steps)
   const enum mo_sensor sensor = golden.controller->sensor;
   for (size_t kind = 0; kind < sizeof(kinds) / sizeof(kinds[0]); kind++) {
     struct mo_device_controller *controller = NULL;
-    struct mo_physics physics = physics_with_period(kinds[kind].control_steps);
+    struct mo_physics physics = physics_with(kinds[kind].integrator, kinds[kind].control_steps);
     double worst = 0, start = 0;
     physics.scheme.n_steps = n_steps;
     physics.drop_height_m = 0.05;
@@ -341,7 +354,7 @@ static void check_sizes(uint32_t n_steps)
 }
 
 static void check_bits(struct mo_device_controller *controller, uint32_t n_bodies, uint32_t n_steps,
-                       uint32_t control_steps)
+                       struct mo_physics physics)
 {
   struct mo_body **bodies = random_bodies(golden.lattice, n_bodies, 5);
   struct rows *rows = make_rows(bodies, n_bodies, 3);
@@ -351,7 +364,6 @@ static void check_bits(struct mo_device_controller *controller, uint32_t n_bodie
   int same = 1;
   for (uint32_t i = 0; i < n; i++)
     turned[n - 1 - i] = rows->robots[i];
-  struct mo_physics physics = physics_with_period(control_steps);
   physics.scheme.n_steps = n_steps;
   run(controller, rows->robots, n, &physics, rows->outcomes);
   run(controller, rows->robots, n, &physics, again);
@@ -393,9 +405,6 @@ static void check_periods(struct mo_device_controller *controller)
                                   .physics = refused,
                                   .outcomes = again};
   expect(module->score(device, &score) == MO_ERR_INVALID, "one and a half steps are refused");
-  score.physics = physics;
-  score.physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
-  expect(module->score(device, &score) == MO_ERR_UNSUPPORTED, "split is left to the CPU");
   free_rows(rows);
   free_bodies(bodies, N);
 }
@@ -526,10 +535,14 @@ static void time_all(struct mo_device_controller *controller)
   struct mo_physics fine = held; /* half the step, the same periods */
   fine.scheme.dt_s /= 2;
   fine.scheme.n_steps *= 2;
+  struct mo_physics split = fine;
+  split.scheme.integrator = MO_INTEGRATOR_SPLIT;
   time_rows(controller, "random bodies", &physics, bodies, N, 10, 1.0);
   time_rows(controller, "random bodies, period 16 ms", &held, bodies, N, 10, 0);
   time_rows(controller, "random bodies, period 16 ms, dt 2 ms, 2000 steps", &fine, bodies, N, 10,
             0);
+  time_rows(controller, "random bodies, split, period 16 ms, dt 2 ms, 2000 steps", &split, bodies,
+            N, 10, 0);
   time_rows(controller, "evolved bodies", &physics, evolved, N, 10, 1.0);
   time_rows(controller, "random bodies", &physics, bodies, N, 1, 0);
   time_rows(controller, "random bodies", &physics, bodies, 1024, 1, 0);
@@ -653,6 +666,8 @@ int main(int argc, char **argv)
     return 2;
   }
   const char *what = argc > 2 ? argv[2] : "check";
+  const struct mo_physics every = physics_with_period(0),
+                          split = physics_with(MO_INTEGRATOR_SPLIT, 4);
   load(argv[1]);
   device_error = error_of_module;
   uint32_t n = 0;
@@ -675,17 +690,21 @@ int main(int argc, char **argv)
     spread(n);
   } else if (strcmp(what, "short") == 0) {
     check_sizes(3);
-    check_bits(controller, 20, 3, 0);
-    check_bits(controller, 20, 3, 2);
+    check_bits(controller, 20, 3, every);
+    check_bits(controller, 20, 3, physics_with_period(2));
+    check_bits(controller, 20, 3, split);
   } else {
     check_sizes(40);
     check_starts(controller);
     check_golden(controller);
-    check_random(controller, "random, exact impact", RANDOM, 0, argc > 3 ? argv[3] : NULL);
-    check_random(controller, "random, period of 4 steps", RANDOM / 2, 4, NULL);
-    check_random(controller, "random, period of 3 steps", RANDOM / 2, 3, NULL);
-    check_bits(controller, 400, 1000, 0);
-    check_bits(controller, 100, 1000, 3);
+    const struct mo_physics fours = physics_with_period(4), threes = physics_with_period(3);
+    check_random(controller, "random, exact impact", RANDOM, &every, argc > 3 ? argv[3] : NULL);
+    check_random(controller, "random, period of 4 steps", RANDOM / 2, &fours, NULL);
+    check_random(controller, "random, period of 3 steps", RANDOM / 2, &threes, NULL);
+    check_random(controller, "random, split, period of 4 steps", RANDOM / 2, &split, NULL);
+    check_bits(controller, 400, 1000, every);
+    check_bits(controller, 100, 1000, threes);
+    check_bits(controller, 100, 1000, split);
     check_periods(controller);
     check_divergence(controller);
     check_cancel(controller);

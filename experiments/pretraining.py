@@ -19,6 +19,7 @@ TEXTS = ("recipe", "device", "machine", "row")
 COLUMNS = TEXTS + ("seed", "step", "loss", "gradient_norm", "rate", "clipped_share",
                    "clipped_robots", "zeroed", "diverged", "skipped", "seconds", "standard_error")
 PAPER_LOSS = 0.30
+DT_MS = 4  # the usual step of physics
 MARKS = (50, 150, 750, 1050)
 SCHEDULES = {
     "one-cosine": {"kind": "cosine", "peak": 2e-3, "floor": 1e-5, "warmup_steps": 10},
@@ -46,6 +47,18 @@ def schedule_of(arguments):
     return schedule
 
 
+def physics_of(arguments):
+    physics = {"n_steps": arguments.rollout_steps, "impact": arguments.impact}
+    if arguments.integrator != "paper":
+        physics["integrator"] = arguments.integrator
+    if arguments.dt_ms != DT_MS:
+        physics["dt_s"] = arguments.dt_ms / 1000
+        physics["n_steps"] = round(arguments.rollout_steps * DT_MS / arguments.dt_ms)
+    if arguments.control_period_ms != 0:
+        physics["control_period_s"] = arguments.control_period_ms / 1000
+    return physics
+
+
 def request_of(arguments, seed):
     body = {
         "kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch,
@@ -54,8 +67,7 @@ def request_of(arguments, seed):
         "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2,
                  "epsilon": arguments.epsilon}, "adjoint_bound": arguments.bound,
         "adjoint_rule": arguments.rule, "restart_weight": arguments.restart_weight,
-        "physics": {"n_steps": arguments.rollout_steps,
-                    "impact": arguments.impact}, "device": arguments.device, "validation": {
+        "physics": physics_of(arguments), "device": arguments.device, "validation": {
                         "every_steps": arguments.validation_every,
                         "designs": arguments.validation_designs,
                         "environments": arguments.validation_environments
@@ -84,14 +96,23 @@ def recipe_of(body):
     for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"),
                                      (adam["beta1"], 0.9, "beta1"), (adam["beta2"], 0.999, "beta2"),
                                      (adam["epsilon"], 1e-8,
-                                      "epsilon"), (body["physics"]["n_steps"], 1000, "lives of")):
+                                      "epsilon"), (usual_steps(body["physics"]), 1000, "lives of")):
         if value != usual_value:
             words.append(f"{word} {value:g}")
+    for name, word in (("dt_s", "dt"), ("control_period_s", "period")):
+        if name in body["physics"]:
+            words.append(f"{word} {1000 * body['physics'][name]:g} ms")
     words += [
-        word for word, usual_word in ((body["physics"]["impact"], "exact"),
+        word for word, usual_word in ((body["physics"].get("integrator", "paper"), "paper"),
+                                      (body["physics"]["impact"], "exact"),
                                       (body["sensor"], "inverse_sqrt")) if word != usual_word
     ]
     return " ".join(words) + f" / {body['batch']} x {body['steps']}"
+
+
+def usual_steps(physics):
+    """Returns how many steps of the usual length a life has."""
+    return physics["n_steps"] * physics.get("dt_s", DT_MS / 1000) * 1000 / DT_MS
 
 
 def file_of(folder, recipe, seed):
@@ -338,6 +359,11 @@ def options():
         ("--epsilon", float, 1e-8, "epsilon of Adam (default 1e-8)"),
         ("--impact", str, "exact",
          "time of impact: exact, or bisection8 as in the paper (default exact)"),
+        ("--integrator", ("paper", "split"), "paper", None),
+        ("--dt-ms", float, DT_MS,
+         f"step of the physics; lives last as long as with {DT_MS} (default {DT_MS})"),
+        ("--control-period-ms", float, 0,
+         "how often the controller computes its outputs; 0: at every step (default 0)"),
         ("--norm-limit", float, 1.0, "largest norm of the gradient of a batch; 0: off (default 1)"),
         ("--sensor", ("inverse_sqrt", "inverse_square"), "inverse_sqrt", None),
         ("--validation-every", int, 50, "steps between validations (default 50; 0: never)"),

@@ -106,11 +106,6 @@ int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end bac
 
 /* ---- jobs ---- */
 
-bool mo_devices_compute(const struct mo_physics *physics)
-{
-  return physics->scheme.integrator != MO_INTEGRATOR_SPLIT;
-}
-
 int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool suits,
                        bool is_large, struct mo_message *message)
 {
@@ -122,8 +117,8 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool
           : MO_ON_CPU;
   if (request->back_end == MO_ON_DEVICE && !suits)
     return mo_fail(message, MO_ERR_DEVICE,
-                   "devices can only compute batches in float32 with the integrator \"paper\" that "
-                   "record nothing; request \"cpu\" or \"auto\", or such a batch");
+                   "devices can only compute batches in float32 that record nothing; request "
+                   "\"cpu\" or \"auto\", or such a batch");
   if (request->back_end == MO_ON_CPU || serves_devices(jobs))
     return MO_OK;
   if (mo_compute_expects_devices(jobs->compute))

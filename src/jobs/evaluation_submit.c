@@ -54,10 +54,9 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
       is_interactive && mo_is_short(request->n_designs, springs, request->n_environments,
                                     &request->physics, request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
-  error = mo_back_end_choose(jobs, job,
-                             !is_interactive && request->precision == MO_FLOAT32 &&
-                                 request->record == 0 && mo_devices_compute(&request->physics),
-                             n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
+  error = mo_back_end_choose(
+      jobs, job, !is_interactive && request->precision == MO_FLOAT32 && request->record == 0,
+      n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,
                     "the recordings would take %llu bytes, and the limit is %llu; record less, or "

@@ -83,9 +83,6 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS]);
 
 /* ---- back_end.c ---- */
-/* Returns whether devices have kernels for a job with this physics. */
-bool mo_devices_compute(const struct mo_physics *physics);
-
 /* Chooses the back end if the request leaves it open. suits: devices can compute the job; is_large:
  * devices are worth it. MO_ERR_DEVICE. */
 int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool suits,

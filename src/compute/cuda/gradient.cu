@@ -120,10 +120,6 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
   call->host_s = call->device_s = 0;
   if (mo_control_steps(&call->physics.scheme) == 0)
     return MO_ERR_INVALID;
-  if (call->physics.scheme.integrator == MO_INTEGRATOR_SPLIT) {
-    snprintf(device->error, sizeof(device->error), "the kernels lack the integrator split");
-    return MO_ERR_UNSUPPORTED;
-  }
   if (!mo_workspace_equal(call->controller->workspace, mo_workspace{6, 6, 4}) ||
       !fits_half(call->controller)) {
     snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");

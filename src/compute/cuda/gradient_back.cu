@@ -87,17 +87,17 @@ static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t fo
       (const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
 }
 
-template <int MT, int SHARE, bool PERIODIC> struct back : back_physics<MT, SHARE, PERIODIC> {
-  using own = back_physics<MT, SHARE, PERIODIC>;
-  using own::activation_at, own::begin, own::begins_period, own::end, own::end_step,
+template <int MT, int SHARE, int TIME> struct back : back_physics<MT, SHARE, TIME> {
+  using own = back_physics<MT, SHARE, TIME>;
+  using own::activation_at, own::begin, own::begins_period, own::blends, own::end, own::end_step,
       own::ends_period, own::excluded, own::failed, own::first, own::first_row, own::first_step,
       own::forget, own::g, own::group_first, own::group_row, own::gx, own::half, own::half_begin,
       own::HELD, own::hold, own::input, own::k, own::kick_back, own::lane, own::lane_begin,
       own::layer_bytes, own::left, own::mass, own::move_back, own::n_chunks, own::n_masses,
       own::n_outputs, own::n_own, own::normal_at, own::output_at, own::output_tile, own::outputs,
       own::own_row, own::part, own::pass_of, own::position_at, own::result, own::ROWS,
-      own::scale_at, own::sense_back, own::springs_back, own::start, own::tape, own::TAPE_ROWS,
-      own::velocity_at, own::warp, own::width;
+      own::scale_at, own::sense_back, own::SPLIT, own::springs_back, own::start, own::tape,
+      own::TAPE_ROWS, own::use_pull, own::velocity_at, own::warp, own::width;
   using typename own::held;
   /* This block's share of the group's chunks: the first, and how many. */
   int block_chunk, block_chunks;
@@ -390,6 +390,9 @@ template <int MT, int SHARE, bool PERIODIC> struct back : back_physics<MT, SHARE
     const uint32_t pass = pass_of(step);
     if (ends_period(step))
       fetch(tape + activation_at + ((size_t)pass * n_chunks + block_chunk) * 64, 64 * block_chunks);
+    if (blends(step))
+      fetch(tape + activation_at + ((size_t)(pass - 1) * n_chunks + block_chunk) * 64,
+            64 * block_chunks);
     if (!begins_period(step))
       return;
 #pragma unroll 1
@@ -449,10 +452,12 @@ template <int MT, int SHARE, bool PERIODIC> struct back : back_physics<MT, SHARE
       hold(step, h);
       if (step > 0)
         fetch_step(step - 1);
+      else if (SPLIT)
+        use_pull(true);
       move_back(step, h);
       springs_back(step);
       if (!begins_period(step)) {
-        kick_back();
+        kick_back(step);
         continue;
       }
       forget();
@@ -463,7 +468,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back : back_physics<MT, SHARE
             128 * block_chunks); /* they may be evicted before the next step */
       control_back(pass_of(step), ahead);
       forget();
-      sense_back(inputs);
+      sense_back(step, inputs);
     }
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
       k.position[state + i] = own_gx[i];

@@ -80,15 +80,16 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
                : "memory");
 }
 
-template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHARE, PERIODIC> {
-  using own = walker<MT, SHARE, PERIODIC>;
-  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::constants_of,
-      own::d_activation_at, own::end, own::ends_period, own::first, own::first_row, own::g,
-      own::group_first, own::group_row, own::is_second, own::k, own::lane, own::lane_begin,
-      own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs, own::n_own,
-      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
-      own::pass_of, own::physics_of, own::position_at, own::ROWS, own::rows, own::tape,
-      own::velocity_at, own::warp, own::width;
+template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, TIME> {
+  using own = walker<MT, SHARE, TIME>;
+  using own::activation_at, own::begin, own::begins_period, own::blends, own::chunk_at,
+      own::constants_of, own::d_activation_at, own::end, own::ends_period, own::first,
+      own::first_row, own::g, own::group_first, own::group_row, own::is_second, own::k, own::lane,
+      own::lane_begin, own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs,
+      own::n_own, own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row,
+      own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of, own::position_at, own::push_at,
+      own::ROWS, own::rows, own::SPLIT, own::split_of, own::tape, own::velocity_at, own::warp,
+      own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, being loaded from the tape. */
   struct held {
@@ -100,6 +101,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
   __nv_bfloat16 *outputs, *left;
   int *failed; /* (rows) */
   bool excluded[2];
+  uint32_t struck;  /* bit i: this lane's i-th mass strikes in this step; with SPLIT */
   back_row *result; /* (rows) */
 
   __device__ __forceinline__ back_physics(const mo_gk &args, const mo_gp_group &group,
@@ -288,7 +290,21 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
       float dp[3] = {s * d[0], s * d[1], s * d[2]},
             dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
       const lane_physics physics = physics_of(own_row(second));
-      lane_move_back(&physics, of.heights, of.highest, p, v, dp, dv);
+      if (SPLIT) {
+        float *pushes = (float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + m;
+        const float push[3] = {load_if(true, pushes), load_if(true, pushes + n_masses),
+                               load_if(true, pushes + 2 * n_masses)};
+        const lane_split split = split_of(own_row(second), step);
+        float da[3];
+        lane_move_split_back(&physics, &split, of.heights, push, p, v, dp, dv, da);
+        for (int axis = 0; axis < 3; axis++) {
+          const float d_push = lane_push_back(&split, 0.0f, da[axis]);
+          store(pushes + axis * n_masses, d_push);
+          dv[axis] += d_push;
+        }
+      } else {
+        lane_move_back(&physics, of.heights, of.highest, p, v, dp, dv);
+      }
       for (int axis = 0; axis < 3; axis++)
         d[axis] = dp[axis];
       to.z_gx.y = dv[0];
@@ -301,7 +317,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
   __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2],
                                            int &n_aside)
   {
-    bool struck = false;
+    bool strikes = false;
     if (m < end()) {
       const bool second = is_second(m);
       const mo_plan_scene &of = rows[own_row(second)];
@@ -312,8 +328,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
       const lane_physics physics = physics_of(own_row(second));
       float next[3];
       lane_cell g;
-      struck = s > 0 && lane_strikes(&physics, of.heights, of.highest, p, v, next, &g);
-      if (!struck) {
+      strikes = s > 0 && lane_strikes(&physics, of.heights, of.highest, p, v, next, &g);
+      if (!strikes) {
         float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
         if (s > 0) {
           const float2 yz = to.gyz;
@@ -329,8 +345,10 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
         to.gyz = make_float2(dv[1], dv[2]);
       }
     }
-    const uint32_t which = __ballot_sync(0xffffffffu, struck);
-    if (struck)
+    if (SPLIT)
+      struck |= (uint32_t)strikes << (m - lane_begin()) / 32;
+    const uint32_t which = __ballot_sync(0xffffffffu, strikes);
+    if (strikes)
       *aside(n_aside + __popc(which & ((1u << lane) - 1))) = (uint16_t)m;
     n_aside += __popc(which);
   }
@@ -339,6 +357,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
   {
     float scale[2];
     int n_aside = 0;
+    struck = 0;
     const uint32_t restarts = limit(scale);
     wait_copies();
     __syncwarp();
@@ -375,7 +394,8 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
     const int16_t *kept =
         (const int16_t *)(tape + activation_at) + (size_t)pass_of(step) * n_chunks * 32 + chunk_at;
     float *const sums = (float *)(tape + d_activation_at) + chunk_at;
-    const bool begins = begins_period(step), adds = !ends_period(step);
+    const bool begins = begins_period(step), blend = blends(step),
+               adds = SPLIT ? step + 1 < k.n_steps : !ends_period(step);
     const int n = own_chunks;
     if (n == 0)
       return;
@@ -407,12 +427,19 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
 #pragma unroll
       for (int i = 0; i < N; i++)
         later[i] = PERIODIC ? load_if(adds, sums + 32 * (c + i)) : 0.0f;
+      int16_t old[N]; /* activations of the control period before */
+      if (SPLIT && blend) {
+#pragma unroll
+        for (int i = 0; i < N; i++)
+          old[i] = load_once(kept + 32 * (c + i) - n_chunks * 32);
+      }
       __syncwarp(); /* here, not where they are needed */
 #pragma unroll
       for (int i = 0; i < N; i++) {
         const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
         const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
         const float a = activation_of(kept_now[i]);
+        const float pulls = SPLIT && blend ? 0.5f * (a + activation_of(old[i])) : a;
         const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y,
                             here.z_gx.x - other.z_gx.x};
         const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x,
@@ -420,9 +447,13 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
         const struct lane_length length = lane_length_of(lane_squared(d));
         float dd[3];
         const float d_wanted =
-            -lane_spring_back(pull, &length, wanted_length(actuation, s, a), d, across, dd);
+            -lane_spring_back(pull, &length, wanted_length(actuation, s, pulls), d, across, dd);
         float d_activation = d_wanted * (lane_rest(MO_GP_SPRING_DIAGONAL(s)) * actuation);
-        if (PERIODIC) {
+        if (SPLIT && blend) { /* half belongs to the period before */
+          d_activation *= 0.5f;
+          store(sums + 32 * (c + i), d_activation);
+          d_activation += later[i];
+        } else if (PERIODIC) {
           d_activation += later[i];
           if (!begins)
             store(sums + 32 * (c + i), d_activation);
@@ -467,7 +498,7 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
 
   /* ∂loss/∂(what a mass senses), minus its row's mean. inputs: the places of the first of this
    * lane's masses among the network's inputs. */
-  __device__ __forceinline__ void sense_back(uint32_t inputs)
+  __device__ __forceinline__ void sense_back(uint32_t step, uint32_t inputs)
   {
     float d[HELD], sum[2] = {0, 0};
     const auto sensed = [&](int m, uint32_t at) {
@@ -496,43 +527,55 @@ template <int MT, int SHARE, bool PERIODIC> struct back_physics : walker<MT, SHA
 #pragma unroll
     for (int i = 0; i < HELD; i++)
       if (lane_begin() + 32 * i < end())
-        push_back(lane_begin() + 32 * i, d[i], mean);
+        push_back(step, lane_begin() + 32 * i, d[i], mean);
 #pragma unroll 1
     for (int m = lane_begin() + 32 * HELD; m < end(); m += 32)
-      push_back(m, sensed(m, __ldg(input + m)), mean);
+      push_back(step, m, sensed(m, __ldg(input + m)), mean);
     __syncwarp();
   }
 
   /* The velocities' adjoints back through the kick, in a step without sensors. */
-  __device__ __forceinline__ void kick_back()
+  __device__ __forceinline__ void kick_back(uint32_t step)
   {
     pair_sync(); /* the other warp's springs have read them */
 #pragma unroll 1
-    for (int m = lane_begin(); m < end(); m += 32) {
-      back_mass &to = mass[first + m];
-      const lane_physics physics = physics_of(own_row(is_second(m)));
-      to.z_gx.y = lane_kick_back(&physics, to.z_gx.y);
-      to.gyz = make_float2(lane_kick_back(&physics, to.gyz.x), lane_kick_back(&physics, to.gyz.y));
-    }
+    for (int m = lane_begin(); m < end(); m += 32)
+      kick_one_back(step, m);
     __syncwarp();
   }
 
+  /* The velocity before the kick does not see the acceleration: with `split` a mass that strikes
+   * has that part of its adjoint taken off. */
+  __device__ __forceinline__ void kick_one_back(uint32_t step, int m)
+  {
+    back_mass &to = mass[first + m];
+    const float2 yz = to.gyz;
+    float dv[3] = {to.z_gx.y, yz.x, yz.y};
+    if (SPLIT) {
+      const bool strikes = struck >> (m - lane_begin()) / 32 & 1;
+      const float *pushes =
+          (const float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + m;
+      for (int axis = 0; axis < 3; axis++)
+        dv[axis] -= load_if(strikes, pushes + axis * n_masses);
+    }
+    const lane_physics physics = physics_of(own_row(is_second(m)));
+    to.z_gx.y = lane_kick_back(&physics, dv[0]);
+    to.gyz = make_float2(lane_kick_back(&physics, dv[1]), lane_kick_back(&physics, dv[2]));
+  }
+
   /* To the mass's adjoint, whose velocity then goes back through the kick. */
-  __device__ __forceinline__ void push_back(int m, float d, const float (&mean)[2])
+  __device__ __forceinline__ void push_back(uint32_t step, int m, float d, const float (&mean)[2])
   {
     const bool second = is_second(m);
     const mo_plan_scene &of = rows[own_row(second)];
     back_mass &to = mass[first + m];
     float *d_place = gx + 3 * (first + m);
-    const float2 z_gx = to.z_gx, gyz = to.gyz;
-    const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], z_gx.x - of.light[2]};
+    const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], to.z_gx.x - of.light[2]};
     const float push =
         (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
     for (int axis = 0; axis < 3; axis++)
       d_place[axis] = fmaf(push, away[axis], d_place[axis]);
-    const lane_physics physics = physics_of(own_row(second));
-    to.z_gx.y = lane_kick_back(&physics, z_gx.y);
-    to.gyz = make_float2(lane_kick_back(&physics, gyz.x), lane_kick_back(&physics, gyz.y));
+    kick_one_back(step, m);
   }
 };
 

@@ -28,16 +28,17 @@ struct strikes {
   }
 };
 
-template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, PERIODIC> {
-  using own = walker<MT, SHARE, PERIODIC>;
-  using own::activation_at, own::begin, own::begins_period, own::chunk_at, own::constants_of,
-      own::end, own::end_step, own::first, own::first_row, own::first_step, own::g,
-      own::group_first, own::group_row, own::half_begin, own::hidden_at, own::input_at,
+template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> {
+  using own = walker<MT, SHARE, TIME>;
+  using own::activation_at, own::begin, own::begins_period, own::blends, own::chunk_at,
+      own::constants_of, own::end, own::end_step, own::first, own::first_row, own::first_step,
+      own::g, own::group_first, own::group_row, own::half_begin, own::hidden_at, own::input_at,
       own::is_second, own::k, own::lane, own::layer_bytes, own::list, own::n_chunks, own::n_masses,
       own::n_outputs, own::n_own, own::normal_at, own::output_tile, own::own_begin, own::own_chunks,
       own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::part, own::pass_of,
-      own::physics_of, own::position_at, own::rows, own::scale_at, own::tape, own::TAPE_ROWS,
-      own::velocity_at, own::warp, own::width;
+      own::physics_of, own::plan_split_of, own::position_at, own::push_at, own::rows, own::scale_at,
+      own::SPLIT, own::split_of, own::tape, own::TAPE_ROWS, own::use_pull, own::velocity_at,
+      own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -348,7 +349,8 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     enum { N = MO_GK_SPRINGS_AHEAD };
     int16_t *keep =
         (int16_t *)(tape + activation_at) + (size_t)pass_of(step) * n_chunks * 32 + chunk_at;
-    const bool keeps = begins_period(step);
+    const bool keeps = begins_period(step), blend = blends(step);
+    float *pushes = (float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first();
     const int n = own_chunks;
     if (n == 0)
       return;
@@ -361,6 +363,12 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     float4 here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
     float pull = constants_of(s).pull, actuation = constants_of(s).actuation, sum[3] = {0, 0, 0};
     for (int c = 0;; c += N) {
+      int16_t old[N]; /* activations of the control period before */
+      if (SPLIT && blend) {
+#pragma unroll
+        for (int i = 0; i < N; i++)
+          old[i] = __ldcg(keep + (c + i) * 32 - n_chunks * 32);
+      }
       if (c + N < n) {
 #pragma unroll
         for (int i = 0; i < N; i++)
@@ -370,17 +378,23 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
       for (int i = 0; i < N; i++) {
         const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
         const spring q = spring_of(next);
+        float a = activation_of(p.a);
+        if (SPLIT && blend)
+          a = 0.5f * (a + activation_of(old[i]));
         if (keeps)
           keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
         const struct lane_length length = lane_length_of(lane_squared(d));
-        const float f = lane_spring(pull, &length, wanted_length(actuation, s, activation_of(p.a)));
+        const float f = lane_spring(pull, &length, wanted_length(actuation, s, a));
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(-f, d[axis], sum[axis]);
         if (s & MO_GP_SPRING_LAST) {
           if (at != MO_GP_NO_MASS)
-            for (int axis = 0; axis < 3; axis++)
+            for (int axis = 0; axis < 3; axis++) {
               v[3 * (first + at) + axis] += sum[axis];
+              if (SPLIT)
+                pushes[axis * n_masses + at] = sum[axis];
+            }
           at = MO_GP_SPRING_OWN(next);
           here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
           pull = constants_of(next).pull;
@@ -453,7 +467,15 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
           const float *pv = v + 3 * (first + at);
           const float4 before = x[first + at];
           float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
-          lane_move(&physics, of.heights, of.highest, p, u);
+          if (SPLIT) {
+            const float *pushes =
+                (const float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + at;
+            const float push[3] = {pushes[0], pushes[n_masses], pushes[2 * n_masses]};
+            const lane_split split = split_of(own_row(second), step);
+            lane_move_split(&physics, &split, of.heights, push, p, u);
+          } else {
+            lane_move(&physics, of.heights, of.highest, p, u);
+          }
           if (!leave(at, p, u))
             (second ? sane[1] : sane[0]) = false;
         }
@@ -508,11 +530,18 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
     for (int m = begin() + lane; m < end(); m += 32)
       x[first + m] = make_float4(state_x[3 * m], state_x[3 * m + 1], state_x[3 * m + 2], 0);
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
-      own_v[i] = first_step > 0 ? state_v[i] : unpushed(i / 3, i % 3, 0.0f);
+      if (first_step > 0)
+        own_v[i] = state_v[i];
+      else if (SPLIT)
+        own_v[i] = i % 3 == 2 ? -plan_split_of(own_row(is_second(i / 3))).first_fall : 0.0f;
+      else
+        own_v[i] = unpushed(i / 3, i % 3, 0.0f);
     }
     dead[0] = k.results[first_row + group_row(own_row(0))].diverged != 0;
     dead[1] = MT > 1 && k.results[first_row + group_row(own_row(MT - 1))].diverged != 0;
     __syncthreads();
+    if (SPLIT && first_step == 0)
+      use_pull(true);
     for (uint32_t step = first_step; step < end_step; step++) {
       weights_ahead<MO_GK_AHEAD> ahead;
       float *keep = (float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
@@ -536,6 +565,8 @@ template <int MT, int SHARE, bool PERIODIC> struct forward : walker<MT, SHARE, P
       springs(step);
       pair_sync(); /* also waits for the other warp's springs */
       move(step);
+      if (SPLIT && step == 0)
+        use_pull(false);
     }
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
       state_x[i] = ((const float *)(x + first + i / 3))[i % 3];

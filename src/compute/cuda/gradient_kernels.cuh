@@ -67,6 +67,7 @@ struct mo_gk {
   uint32_t n_steps, n_walks;
   uint32_t part_steps;    /* steps of a task: whole control periods */
   uint32_t control_steps; /* in a control period; not 0 */
+  bool splits;            /* the integrator */
   uint32_t *tickets;      /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
   const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
                                * so slowly (1.3 µs each, one after the other) that products waited
@@ -77,6 +78,9 @@ struct mo_gk {
 #define MO_GK_WALK(group, half) ((uint32_t)(group) << 1 | (uint32_t)(half))
 #define MO_GK_HALVED            (UINT32_C(1) << 31) /* the walk is half of a group */
 enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
+/* The paper's integrator with an output of the network in every step; with control periods of
+ * several steps; and `split`, with any. */
+enum { MO_GK_EVERY, MO_GK_PERIODS, MO_GK_SPLIT };
 
 /* A forward or backward pass is divided into *tasks*, each a part of the steps of one walk, so that
  * no multiprocessor waits long for the last one. A block does one task. Tasks are handed out part
@@ -259,9 +263,9 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
  * rows, and some of the springs of both. Rows and masses are numbered within the block; on the tape
  * and in the tables, within the group.
  *
- * PERIODIC: control periods have several steps. The others have kernels of their own, because
- * registers are short. */
-template <int MT, int SHARE, bool PERIODIC> struct walker {
+ * TIME: MO_GK_EVERY … . They have kernels of their own, because registers are short. */
+template <int MT, int SHARE, int TIME> struct walker {
+  static constexpr bool PERIODIC = TIME != MO_GK_EVERY, SPLIT = TIME == MO_GK_SPLIT;
   const mo_gk &k;
   const mo_gp_group &g;
   enum {
@@ -281,8 +285,8 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
   uint32_t chunk_at;
   unsigned char *tape;
   /* Offsets on the group's tape, in bytes; layer_bytes: from one layer to the next. */
-  uint32_t position_at, velocity_at, activation_at, d_activation_at, input_at, normal_at, hidden_at,
-      scale_at, output_at;
+  uint32_t position_at, velocity_at, push_at, activation_at, d_activation_at, input_at, normal_at,
+      hidden_at, scale_at, output_at;
   uint32_t layer_bytes;
   uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂outputs */
   uint32_t first_step, end_step;
@@ -318,10 +322,12 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
     first_row = g.first_row;
     list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;
     chunk_at = first_chunk * 32 + lane;
-    const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps, PERIODIC ? k.control_steps : 1);
+    const mo_gp_tape at =
+        mo_gp_tape_of(&g, mo_gp_time{k.n_steps, PERIODIC ? k.control_steps : 1, SPLIT});
     tape = k.tape + g.tape_at;
     position_at = (uint32_t)at.position;
     velocity_at = (uint32_t)at.velocity;
+    push_at = (uint32_t)at.push;
     activation_at = (uint32_t)at.activation;
     d_activation_at = (uint32_t)at.d_activation;
     input_at = (uint32_t)at.input;
@@ -353,6 +359,12 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
   __device__ __forceinline__ bool ends_period(uint32_t step) const
   {
     return !PERIODIC || (step + 1) % k.control_steps == 0 || step + 1 == k.n_steps;
+  }
+
+  /* Whether a step has new outputs, which the springs blend with the ones before. */
+  __device__ __forceinline__ bool blends(uint32_t step) const
+  {
+    return SPLIT && step > 0 && begins_period(step);
   }
 
   /* Whether this warp's only row is the pair's second. */
@@ -414,6 +426,29 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
   {
     return lane_physics_alike(k.dt, k.bisections, &rows[row].constants);
   }
+  /* The constants of `split` for a row, which are read rarely, from global memory. */
+  __device__ __forceinline__ const mo_plan_split &plan_split_of(int row) const
+  {
+    return k.rows[first_row + group_row(row)].split;
+  }
+  __device__ __forceinline__ lane_split split_of(int row, uint32_t step) const
+  {
+    const mo_plan_split &of = plan_split_of(row);
+    lane_split split = lane_split_alike(&of.constants);
+    if (step == 0)
+      split.per_push = of.first_per_push;
+    return split;
+  }
+  /* Sets the springs' pull in all rows: that of the first step or of the others. */
+  __device__ __forceinline__ void use_pull(bool is_first) const
+  {
+    __syncthreads();
+    for (int row = threadIdx.x; row < ROWS; row += MO_GK_THREADS)
+      rows[row].constants.pull = is_first ? plan_split_of(row).first_pull
+                                          : k.rows[first_row + group_row(row)].scene.constants.pull;
+    __syncthreads();
+  }
+
   /* The constants of the row that one of the pair's springs belongs to. */
   __device__ __forceinline__ const lane_constants &constants_of(uint32_t spring) const
   {
@@ -437,15 +472,15 @@ template <int MT, int SHARE, bool PERIODIC> struct walker {
 };
 
 /* Groups of 16 rows: rare, with registers of their own. */
-template <template <int, int, bool> class Way, bool PERIODIC>
+template <template <int, int, int> class Way, int TIME>
 static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g,
                                                unsigned char *shared, const mo_gk_task &task)
 {
-  Way<1, 1, PERIODIC>(k, g, shared, task).run();
+  Way<1, 1, TIME>(k, g, shared, task).run();
 }
 
 /* WALKED: how groups of 32 rows are computed. */
-template <template <int, int, bool> class Way, int WALKED, bool PERIODIC>
+template <template <int, int, int> class Way, int WALKED, int TIME>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
     way_kernel(const __grid_constant__ mo_gk k)
 {
@@ -455,30 +490,31 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
     return;
   const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
   if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
-    Way<1, 2, PERIODIC>(k, g, shared, task).run();
+    Way<1, 2, TIME>(k, g, shared, task).run();
   else if (g.n_rows == MO_GP_ROWS_MAX)
-    Way<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1, PERIODIC>(k, g, shared,
-                                                                                  task)
+    Way<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1, TIME>(k, g, shared, task)
         .run();
   else
-    walk_small<Way, PERIODIC>(k, g, shared, task);
+    walk_small<Way, TIME>(k, g, shared, task);
   end_task(k, task);
 }
 
-/* The kernels of one direction: with PERIODIC or without, by MO_GK_WHOLE … . */
-template <template <int, int, bool> class Way> struct way_kernels {
-  static constexpr void (*kernels[2][3])(const mo_gk) = {
-      {way_kernel<Way, MO_GK_WHOLE, false>, way_kernel<Way, MO_GK_HALVES, false>,
-       way_kernel<Way, MO_GK_MIXED, false>},
-      {way_kernel<Way, MO_GK_WHOLE, true>, way_kernel<Way, MO_GK_HALVES, true>,
-       way_kernel<Way, MO_GK_MIXED, true>}};
+/* The kernels of one direction, by MO_GK_EVERY … and MO_GK_WHOLE … . */
+template <template <int, int, int> class Way> struct way_kernels {
+  static constexpr void (*kernels[3][3])(const mo_gk) = {
+      {way_kernel<Way, MO_GK_WHOLE, MO_GK_EVERY>, way_kernel<Way, MO_GK_HALVES, MO_GK_EVERY>,
+       way_kernel<Way, MO_GK_MIXED, MO_GK_EVERY>},
+      {way_kernel<Way, MO_GK_WHOLE, MO_GK_PERIODS>, way_kernel<Way, MO_GK_HALVES, MO_GK_PERIODS>,
+       way_kernel<Way, MO_GK_MIXED, MO_GK_PERIODS>},
+      {way_kernel<Way, MO_GK_WHOLE, MO_GK_SPLIT>, way_kernel<Way, MO_GK_HALVES, MO_GK_SPLIT>,
+       way_kernel<Way, MO_GK_MIXED, MO_GK_SPLIT>}};
 
   /* Finds how much shared memory each of them can use. */
   static int open(uint32_t block_bytes, uint32_t *dynamic_bytes)
   {
     int status = 0;
     *dynamic_bytes = block_bytes;
-    for (size_t i = 0; i < 6 && status == 0; i++) {
+    for (size_t i = 0; i < 9 && status == 0; i++) {
       uint32_t bytes = 0;
       status = allow_shared(kernels[i / 3][i % 3], block_bytes, &bytes);
       *dynamic_bytes = min(*dynamic_bytes, bytes);
@@ -489,7 +525,8 @@ template <template <int, int, bool> class Way> struct way_kernels {
   static int launch(const mo_gk *k, uint32_t shared_bytes, void *stream)
   {
     const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-    const auto kernel = kernels[k->control_steps > 1][k->walked];
+    const int time = k->splits ? MO_GK_SPLIT : k->control_steps > 1 ? MO_GK_PERIODS : MO_GK_EVERY;
+    const auto kernel = kernels[time][k->walked];
     kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
     return (int)cudaGetLastError();
   }

@@ -21,17 +21,17 @@ static uint64_t bytes_of(const struct mo_gradient_plan *plan, const struct mo_gr
          plan->n_masses * 25 + plan->n_chunks * 128 + ((uint64_t)16 << 20);
 }
 
-static void add_group(struct mo_gradient_pass *p, const struct mo_gp_group *g, uint32_t n_steps,
-                      uint32_t control_steps)
+static void add_group(struct mo_gradient_pass *p, const struct mo_gp_group *g,
+                      struct mo_gp_time time)
 {
   const uint32_t shared = mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs);
-  p->tape += mo_gp_tape_of(g, n_steps, control_steps).bytes;
+  p->tape += mo_gp_tape_of(g, time).bytes;
   p->sums += (mo_gp_sum_of(g).floats + 63) / 64 * 64;
   p->shared = p->shared > shared ? p->shared : shared;
 }
 
-bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, uint32_t n_steps,
-                             uint32_t control_steps, uint64_t most)
+bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, struct mo_gp_time time,
+                             uint64_t most)
 {
   struct mo_gradient_pass p = {0};
   for (uint32_t i = 0; i < plan->n_groups; i++) {
@@ -39,16 +39,15 @@ bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, uint32_t n_ste
     if (i == 0 || g->shard != plan->groups[i - 1].shard)
       p = (struct mo_gradient_pass){
           .first = i, .end = i, .first_shard = g->shard, .end_shard = g->shard + 1};
-    add_group(&p, g, n_steps, control_steps);
-    if (mo_gp_tape_of(g, n_steps, control_steps).bytes > UINT32_MAX || p.tape + 4 * p.sums > most)
+    add_group(&p, g, time);
+    if (mo_gp_tape_of(g, time).bytes > UINT32_MAX || p.tape + 4 * p.sums > most)
       return false;
   }
   return plan->n_shards > 1 || bytes_of(plan, &p) <= most;
 }
 
 int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, uint32_t first,
-                          uint32_t n_steps, uint32_t control_steps, uint64_t budget,
-                          struct mo_gradient_pass *ret)
+                          struct mo_gp_time time, uint64_t budget, struct mo_gradient_pass *ret)
 {
   struct mo_gradient_pass p = {
       .first = first, .end = first, .first_shard = first_shard, .end_shard = first_shard};
@@ -59,7 +58,7 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
       struct mo_gp_group *g = &plan->groups[p.end];
       g->tape_at = p.tape;
       g->sum_at = p.sums;
-      add_group(&p, g, n_steps, control_steps);
+      add_group(&p, g, time);
     }
     p.end_shard = shard + 1;
     if (bytes_of(plan, &p) > budget)

@@ -4,8 +4,7 @@
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PASS_H
 
 #include "compute/cuda/gradient_plan.h"
-
-#include <stdbool.h>
+#include "compute/cuda/gradient_tape.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -19,16 +18,15 @@ struct mo_gradient_pass {
 };
 
 /* Returns, before any work, whether the kernels' offsets can address each group's part of the tape,
- * and any single shard fits in `most` bytes. control_steps: in a control period. */
-bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, uint32_t n_steps,
-                             uint32_t control_steps, uint64_t most);
+ * and any single shard fits in `most` bytes. */
+bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, struct mo_gp_time time,
+                             uint64_t most);
 
 /* Makes a pass of as many shards, starting with `first_shard` and its first group `first`, as fit
  * in `budget` bytes; places their groups' parts of the tape and the sums. MO_ERR_NO_MEMORY: not
  * even one fits. */
 int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, uint32_t first,
-                          uint32_t n_steps, uint32_t control_steps, uint64_t budget,
-                          struct mo_gradient_pass *ret);
+                          struct mo_gp_time time, uint64_t budget, struct mo_gradient_pass *ret);
 
 /* Returns the relative cost of a group. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g);

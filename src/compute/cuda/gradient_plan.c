@@ -311,6 +311,7 @@ static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
     row->light_m[axis] = light[axis] - MO_WORLD_CENTER_M;
   row->goal = mo_goal_of(environment, start->com_start_m);
   row->scene = mo_plan_scene_of(environment, s->physics);
+  row->split = mo_plan_split_of(environment, s->physics);
   for (size_t i = 0; i < body->n_masses; i++) {
     s->plan->input[at + i] = (uint8_t)body->mass_lattice[i];
     for (size_t axis = 0; axis < 3; axis++)

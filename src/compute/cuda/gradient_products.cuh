@@ -31,7 +31,7 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
 {
   const mo_gp_group &g = k.groups[job >> 8];
   const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
-  const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps, k.control_steps);
+  const mo_gp_tape tape = mo_gp_tape_of(&g, mo_gp_time{k.n_steps, k.control_steps, k.splits});
   const mo_gp_sum sum = mo_gp_sum_of(&g);
   uint64_t left, right, to, bias;
   int m_all = MO_HIDDEN;

@@ -403,13 +403,12 @@ uint64_t held(const mo_device *device)
 
 /* Finds how much of the device's memory a pass may use. It queries the driver only if the buffers
  * may have to grow, because an answer occasionally takes ten milliseconds. */
-int find_budget(mo_device *device, mo_gradient_plan &plan, uint32_t n_steps, uint32_t control_steps,
-                uint64_t most, uint64_t *budget)
+int find_budget(mo_device *device, mo_gradient_plan &plan, const mo_gp_time &time, uint64_t most,
+                uint64_t *budget)
 {
   mo_gradient_pass all = {};
   *budget = share_of(held(device));
-  if (most == 0 &&
-      mo_gradient_pass_next(&plan, 0, 0, n_steps, control_steps, *budget, &all) == MO_OK &&
+  if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, time, *budget, &all) == MO_OK &&
       all.end == plan.n_groups)
     return MO_OK;
   size_t free_bytes = 0, total = 0;
@@ -433,15 +432,16 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
                          uint64_t memory_bytes)
 {
   mo_cuda_gradient_state *s = &device->gradient;
-  const uint32_t n_steps = call->physics.scheme.n_steps,
-                 control_steps = mo_control_steps(&call->physics.scheme);
+  const mo_scheme &scheme = call->physics.scheme;
+  const mo_gp_time time = {scheme.n_steps, mo_control_steps(&scheme),
+                           scheme.integrator == MO_INTEGRATOR_SPLIT};
   uint64_t budget = 0;
-  if (!mo_gradient_can_be_held(&plan, n_steps, control_steps, share_of(device->total_bytes))) {
+  if (!mo_gradient_can_be_held(&plan, time, share_of(device->total_bytes))) {
     snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device",
-             (unsigned)n_steps);
+             (unsigned)time.n_steps);
     return MO_ERR_UNSUPPORTED;
   }
-  int found = find_budget(device, plan, n_steps, control_steps, memory_bytes, &budget);
+  int found = find_budget(device, plan, time, memory_bytes, &budget);
   if (found < 0)
     return found;
   for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
@@ -450,18 +450,19 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     w.s = s;
     w.call = call;
     w.plan = &plan;
-    int r = mo_gradient_pass_next(&plan, shard, group, n_steps, control_steps, budget, &w.p);
+    int r = mo_gradient_pass_next(&plan, shard, group, time, budget, &w.p);
     if (r < 0)
       return r;
-    w.k.dt = (float)call->physics.scheme.dt_s;
-    w.k.bisections = lane_bisections(&call->physics.scheme);
+    w.k.dt = (float)scheme.dt_s;
+    w.k.bisections = lane_bisections(&scheme);
     w.k.sensor = call->controller->sensor;
     w.k.bound = call->options.adjoint_bound;
     w.k.restarts = call->options.adjoint_rule == MO_ADJOINT_RESTART;
     w.k.restart_weight = call->options.restart_weight;
-    w.k.n_steps = n_steps;
-    w.k.control_steps = control_steps;
-    w.k.part_steps = mo_gp_passes(PART_STEPS, control_steps) * control_steps;
+    w.k.n_steps = time.n_steps;
+    w.k.control_steps = time.control_steps;
+    w.k.splits = time.splits;
+    w.k.part_steps = mo_gp_passes(PART_STEPS, time.control_steps) * time.control_steps;
     const double since = now_s();
     r = upload_pass(w);
     if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls take the space: free all of them

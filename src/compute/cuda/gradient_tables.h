@@ -77,6 +77,7 @@ struct mo_gp_row {
   double light_m[2]; /* from the world's center */
   struct mo_goal goal;
   struct mo_plan_scene scene;
+  struct mo_plan_split split;
   uint32_t robot; /* index in the batch; MO_GP_NO_ROBOT: an empty row */
   uint32_t n_masses;
 };

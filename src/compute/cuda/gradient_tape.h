@@ -5,14 +5,26 @@
 
 #include "compute/cuda/gradient_tables.h"
 
-/* Offsets in a group's part of the tape, in bytes. Positions and velocities are (n_steps, …), the
- * rest (passes, …): the network computes its outputs once per control period. */
+#include <stdbool.h>
+
+/* A rollout's time, as the tape sees it. */
+struct mo_gp_time {
+  uint32_t n_steps, control_steps; /* control_steps: in a control period; not 0 */
+  bool splits;                     /* the integrator */
+};
+
+/* Offsets in a group's part of the tape, in bytes. Positions, velocities and pushes are
+ * (n_steps, …), the rest (passes, …): the network computes its outputs once per control period. */
 struct mo_gp_tape {
   uint64_t position;     /* float (3, n_masses) */
   uint64_t velocity;     /* float (3, n_masses) before contact */
+  uint64_t push;         /* float (3, n_masses): what the springs add to the velocity; the backward
+                            pass replaces it by ∂loss/∂push through the acceleration alone, where a
+                            mass strikes. With `split`, otherwise absent */
   uint64_t activation;   /* int16 (n_chunks, 32) in units of 1/32767 */
   uint64_t d_activation; /* float (n_chunks, 32), once: ∂loss/∂activation, summed over
-                            the steps of a control period; absent if it is one step */
+                            the steps of a control period; absent if it is one step and the
+                            integrator is the paper's */
   uint64_t input;        /* bfloat16 (n_rows, 256) */
   uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the backward pass replaces it by
                                         ∂loss/∂(sums of the layer), bfloat16 */
@@ -46,17 +58,18 @@ MO_GP_BOTH uint32_t mo_gp_passes(uint32_t n_steps, uint32_t control_steps)
   return (n_steps + control_steps - 1) / control_steps;
 }
 
-/* control_steps: in a control period. */
-MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, uint32_t n_steps,
-                                           uint32_t control_steps)
+MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, struct mo_gp_time time)
 {
   struct mo_gp_tape t;
-  const uint64_t n = n_steps, passes = mo_gp_passes(n_steps, control_steps), rows = g->n_rows;
+  const uint64_t n = time.n_steps, passes = mo_gp_passes(time.n_steps, time.control_steps),
+                 rows = g->n_rows;
+  const bool sums = time.control_steps > 1 || time.splits;
   uint64_t at = 0;
   t.position = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
   t.velocity = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
+  t.push = at, at += time.splits ? MO_GP_ALIGN(n * g->n_masses * 12) : 0;
   t.activation = at, at += MO_GP_ALIGN(passes * g->n_chunks * MO_GP_LANES * 2);
-  t.d_activation = at, at += control_steps > 1 ? MO_GP_ALIGN(g->n_chunks * MO_GP_LANES * 4) : 0;
+  t.d_activation = at, at += sums ? MO_GP_ALIGN(g->n_chunks * MO_GP_LANES * 4) : 0;
   t.input = at, at += MO_GP_ALIGN(passes * rows * MO_GP_INPUTS * 2);
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     t.normal[l] = at, at += MO_GP_ALIGN(passes * rows * MO_HIDDEN * 2);

@@ -1,5 +1,5 @@
-/* lane.cuh: rollout/lane_physics.inc and lane_adjoint.inc for one lane of a device: a vector of one
- * float.
+/* lane.cuh: rollout/lane_physics.inc, lane_split.inc and their adjoints for one lane of a device: a
+ * vector of one float.
  *
  * This file adds the parts that they leave to the kernels: choosing the terrain cell of a lane,
  * cutting segments at the borders of their cell, and complete moves of a mass, forward and
@@ -41,6 +41,7 @@ typedef bool M;
 #define v_eq(a, b)       ((a) == (b))
 #define v_sel(m, a, b)   ((m) ? (a) : (b))
 #define v_keep(m, a)     ((m) ? (a) : 0.0f)
+#define v_not(m)         (!(m))
 
 /* Divisions and roots are the device's own instructions, accurate to two units in the last place,
  * like the float32 arithmetic around them; their subnormal operands count as 0. */
@@ -70,7 +71,7 @@ MO_INLINE V v_sqrt(V a)
 #pragma nv_diag_suppress 1675 /* their loops are unrolled without a request */
 #endif
 #define LANE_HEIGHT float
-#include "rollout/lane_adjoint.inc"
+#include "rollout/lane_split_adjoint.inc"
 
 /* ---- springs ---- */
 
@@ -184,12 +185,41 @@ MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uin
 
 /* ---- moves ---- */
 
-/* The strike of a lane's mass. */
+/* Where a lane's mass strikes. */
+struct lane_place {
+  V time;
+  struct lane_cell cell;
+  bool crosses; /* the segment leaves its cell */
+};
+
+/* From p with velocity v; next: the ground under the end of the straight segment. */
+MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, const float *heights,
+                                          const struct lane_cell *next, const V p[3], const V v[3])
+{
+  struct lane_place at;
+  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+  V time;
+  at.cell = *next;
+  at.crosses = !lane_within(next, x, y);
+  if (k->bisections > 0 || at.crosses) {
+    const struct lane_impact impact = k->bisections > 0
+                                          ? lane_impact_halving(heights, k->dt, k->bisections, p, v)
+                                          : lane_impact_across(heights, k->dt, p, v);
+    time = impact.time;
+    at.cell = lane_cell_at(heights, impact.i, impact.j);
+  } else {
+    const struct lane_descent d = lane_descend(next, x - next->i, y - next->j, p[2], v);
+    time = v_sel(d.comes, d.time, k->dt);
+  }
+  at.time = lane_in_step(k, time);
+  return at;
+}
+
+/* The strike of a lane's mass with the paper's integrator. */
 struct lane_hit {
-  struct lane_cell cell; /* where it struck */
+  struct lane_place at;
   struct lane_strike strike;
-  bool crosses, stays; /* crosses: the segment leaves its cell; stays: the strike ends in the cell
-                          where it struck */
+  bool stays; /* the strike ends in the cell where it struck */
 };
 
 /* Computes the strike from p with velocity v; next: the ground under the end of the straight
@@ -198,24 +228,91 @@ MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, const float 
                                       const struct lane_cell *next, const V p[3], const V v[3])
 {
   struct lane_hit hit;
-  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
-  V time;
-  hit.cell = *next;
-  hit.crosses = !lane_within(next, x, y);
-  if (k->bisections > 0 || hit.crosses) {
-    const struct lane_impact impact = k->bisections > 0
-                                          ? lane_impact_halving(heights, k->dt, k->bisections, p, v)
-                                          : lane_impact_across(heights, k->dt, p, v);
-    time = impact.time;
-    hit.cell = lane_cell_at(heights, impact.i, impact.j);
-  } else {
-    const struct lane_descent d = lane_descend(next, x - next->i, y - next->j, p[2], v);
-    time = v_sel(d.comes, d.time, k->dt);
-  }
-  hit.strike = lane_strike_at(k, &hit.cell, lane_in_step(k, time), p, v);
-  hit.stays = lane_within(&hit.cell, lane_coordinate(hit.strike.end[0]),
+  hit.at = lane_place_of(k, heights, next, p, v);
+  hit.strike = lane_strike_at(k, &hit.at.cell, hit.at.time, p, v);
+  hit.stays = lane_within(&hit.at.cell, lane_coordinate(hit.strike.end[0]),
                           lane_coordinate(hit.strike.end[1]));
   return hit;
+}
+
+/* And with `split`. A mass that lies strikes where it is. */
+struct lane_glide {
+  struct lane_place at;
+  struct lane_slide slide;
+  bool stays;
+};
+
+/* From p with velocity v, to which the springs have added push. a: set to the acceleration. */
+MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const struct lane_split *c,
+                                          const float *heights, const V push[3], const V p[3],
+                                          const V v[3], V a[3])
+{
+  struct lane_glide glide;
+  struct lane_cell next;
+  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+  for (int axis = 0; axis < 3; axis++)
+    a[axis] = lane_acceleration(c, axis, push[axis]);
+  lane_ground(heights, lane_drift(k, p[0], v[0]), lane_drift(k, p[1], v[1]), &next);
+  struct lane_cell own = next;
+  const bool crosses = !lane_within(&next, x, y);
+  if (crosses)
+    own = lane_cell_at(heights, lane_cell_number(x), lane_cell_number(y));
+  const bool lies = lane_lies(&own, x - own.i, y - own.j, p[2]);
+  if (lies) {
+    glide.at.time = 0;
+    glide.at.cell = own;
+    glide.at.crosses = crosses;
+  } else {
+    glide.at = lane_place_of(k, heights, &next, p, v);
+  }
+  glide.slide = lane_slide_at(k, c, &glide.at.cell, lies, glide.at.time, p, v, a);
+  glide.stays = lane_within(&glide.at.cell, lane_coordinate(glide.slide.end[0]),
+                            lane_coordinate(glide.slide.end[1]));
+  return glide;
+}
+
+/* Finds where a strike ends: sets p; rise: above the polynomial of the cell, if it stays there. */
+MO_INLINE void lane_land(const float *heights, const struct lane_cell *cell, bool stays, V rise,
+                         const V end[3], V p[3])
+{
+  struct lane_cell g = *cell;
+  if (!stays)
+    rise = end[2] - lane_ground(heights, end[0], end[1], &g);
+  p[0] = end[0];
+  p[1] = end[1];
+  p[2] = lane_landing(&g, lane_coordinate(p[0]) - g.i, lane_coordinate(p[1]) - g.j, rise);
+}
+
+/* Returns whether the strike ended above the ground; slope: the ground's there. */
+MO_INLINE bool lane_lands_above(const float *heights, const struct lane_cell *cell, bool stays,
+                                V rise, const V end[3], V slope[2])
+{
+  struct lane_cell g = *cell;
+  bool above = rise >= 0;
+  if (!stays)
+    above = lane_ground(heights, end[0], end[1], &g) <= end[2];
+  lane_slope(&g, end[0], end[1], slope);
+  return above;
+}
+
+/* The derivative for a mass that lies on the ground at p: sets dp and dv. gx, gy: gradient of the
+ * ground where it struck. */
+MO_INLINE void lane_lift(const float *heights, const struct lane_place *at, V gx, V gy,
+                         const V p[3], const V v[3], struct lane_strike_back *b, V dp[3], V dv[3])
+{
+  struct lane_cell g;
+  const bool lies = p[2] <= lane_ground(heights, p[0], p[1], &g);
+  lane_lies_back(&at->cell, v, lies, b);
+  if (lies && at->crosses) { /* the gradients at the impact and at p belong to two cells */
+    V slope[2];
+    lane_slope(&g, p[0], p[1], slope);
+    b->dp[0] = b->hit[0] + b->push * (gx - slope[0]);
+    b->dp[1] = b->hit[1] + b->push * (gy - slope[1]);
+  }
+  for (int axis = 0; axis < 3; axis++) {
+    dp[axis] = b->dp[axis];
+    dv[axis] = b->dv[axis];
+  }
 }
 
 /* Returns whether a mass at p with velocity v strikes the ground, which is nowhere above `highest`.
@@ -242,16 +339,22 @@ MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V h
   }
   const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);
   const struct lane_strike *s = &hit.strike;
-  V rise = lane_rise(&hit.cell, s);
-  g = hit.cell;
-  if (!hit.stays)
-    rise = s->end[2] - lane_ground(heights, s->end[0], s->end[1], &g);
-  p[0] = s->end[0];
-  p[1] = s->end[1];
-  p[2] = lane_landing(&g, lane_coordinate(p[0]) - g.i, lane_coordinate(p[1]) - g.j, rise);
+  lane_land(heights, &hit.at.cell, hit.stays, lane_rise(&hit.at.cell, s), s->end, p);
   for (int axis = 0; axis < 3; axis++)
     v[axis] = s->slid[axis];
   return true;
+}
+
+/* Moves a mass that strikes, with `split`. push: what the springs have added to the velocity. */
+MO_INLINE void lane_move_split(const struct lane_physics *k, const struct lane_split *c,
+                               const float *heights, const V push[3], V p[3], V v[3])
+{
+  V a[3];
+  const struct lane_glide glide = lane_glide_of(k, c, heights, push, p, v, a);
+  const struct lane_slide *s = &glide.slide;
+  lane_land(heights, &glide.at.cell, glide.stays, lane_slide_rise(&glide.at.cell, s), s->end, p);
+  for (int axis = 0; axis < 3; axis++)
+    v[axis] = s->velocity[axis];
 }
 
 /* Computes the derivative of lane_move at its inputs p and v. dp, dv: ∂loss/∂(its outputs),
@@ -268,25 +371,28 @@ MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights
   }
   const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);
   const struct lane_strike *s = &hit.strike;
-  bool above = lane_rise(&hit.cell, s) >= 0;
-  g = hit.cell;
-  if (!hit.stays)
-    above = lane_ground(heights, s->end[0], s->end[1], &g) <= s->end[2];
-  lane_slope(&g, s->end[0], s->end[1], slope);
-  struct lane_strike_back b =
-      lane_strike_back_of(k, &hit.cell, s, v, above, slope[0], slope[1], dp, dv);
+  const struct lane_cell *cell = &hit.at.cell;
+  const bool above = lane_lands_above(heights, cell, hit.stays, lane_rise(cell, s), s->end, slope);
+  struct lane_strike_back b = lane_strike_back_of(k, cell, s, v, above, slope[0], slope[1], dp, dv);
+  lane_lift(heights, &hit.at, s->gx, s->gy, p, v, &b, dp, dv);
+}
 
-  const bool lies = p[2] <= lane_ground(heights, p[0], p[1], &g);
-  lane_lies_back(&hit.cell, v, lies, &b);
-  if (lies && hit.crosses) { /* the gradients at the impact and at p belong to two cells */
-    lane_slope(&g, p[0], p[1], slope);
-    b.dp[0] = b.hit[0] + b.push * (s->gx - slope[0]);
-    b.dp[1] = b.hit[1] + b.push * (s->gy - slope[1]);
-  }
-  for (int axis = 0; axis < 3; axis++) {
-    dp[axis] = b.dp[axis];
-    dv[axis] = b.dv[axis];
-  }
+/* Computes the derivative of lane_move_split. da: set to ∂loss/∂ the mass's acceleration. */
+MO_INLINE void lane_move_split_back(const struct lane_physics *k, const struct lane_split *c,
+                                    const float *heights, const V push[3], const V p[3],
+                                    const V v[3], V dp[3], V dv[3], V da[3])
+{
+  V slope[2], a[3];
+  const struct lane_glide glide = lane_glide_of(k, c, heights, push, p, v, a);
+  const struct lane_slide *s = &glide.slide;
+  const struct lane_cell *cell = &glide.at.cell;
+  const bool above =
+      lane_lands_above(heights, cell, glide.stays, lane_slide_rise(cell, s), s->end, slope);
+  struct lane_slide_back b =
+      lane_slide_back_of(k, c, cell, s, v, a, above, slope[0], slope[1], dp, dv);
+  lane_lift(heights, &glide.at, s->gx, s->gy, p, v, &b.strike, dp, dv);
+  for (int axis = 0; axis < 3; axis++)
+    da[axis] = b.da[axis];
 }
 
 #endif

@@ -432,8 +432,18 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
   }
   scene.highest = (float)(top + 1e-6 * (1 + fabs(top)));
   const struct mo_constants constants = mo_scene_constants(environment, physics);
-  scene.constants = lane_constants_of(&physics->scheme, &constants);
+  scene.constants = lane_both_of(&physics->scheme, &constants, false).physics;
   return scene;
+}
+
+struct mo_plan_split mo_plan_split_of(const struct mo_environment *environment,
+                                      const struct mo_physics *physics)
+{
+  const struct mo_constants constants = mo_scene_constants(environment, physics);
+  const struct lane_both_constants other = lane_both_of(&physics->scheme, &constants, false),
+                                   first = lane_both_of(&physics->scheme, &constants, true);
+  return (struct mo_plan_split){other.split, first.physics.pull, first.physics.fall,
+                                first.split.per_push};
 }
 
 /* Returns a body's own slot for a slot of the lattice. */
@@ -572,6 +582,7 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
     memcpy(environments[e].heights_m, plan->environments[e]->terrain_heights_m,
            sizeof(environments[e].heights_m));
     environments[e].scene = mo_plan_scene_of(plan->environments[e], plan->physics);
+    environments[e].split = mo_plan_split_of(plan->environments[e], plan->physics);
   }
   struct mo_plan_group *groups = (struct mo_plan_group *)(void *)(base + block->groups);
   for (uint32_t g = share; g < plan->n_groups; g += n_shares) {

@@ -74,6 +74,8 @@ int mo_plan_input_mass(uint32_t input);
 
 struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
                                       const struct mo_physics *physics);
+struct mo_plan_split mo_plan_split_of(const struct mo_environment *environment,
+                                      const struct mo_physics *physics);
 
 /* Writes the slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
 int mo_plan_slots(uint16_t *slots);

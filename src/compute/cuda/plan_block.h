@@ -98,10 +98,16 @@ struct mo_plan_scene {
   float heights[MO_TERRAIN_HEIGHTS];
   struct lane_constants constants;
 };
+/* What the integrator `split` needs besides: read where a mass strikes, and in the first step. */
+struct mo_plan_split {
+  struct lane_split_constants constants;
+  float first_pull, first_fall, first_per_push; /* the first step's */
+};
 /* An environment with its heights in float64, for the start. */
 struct mo_plan_environment {
   double heights_m[MO_TERRAIN_HEIGHTS];
   struct mo_plan_scene scene;
+  struct mo_plan_split split;
 };
 
 /* Offsets in the block in bytes, each a multiple of 256. */

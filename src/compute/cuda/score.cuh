@@ -28,7 +28,7 @@ struct mo_cuda_score {
   const uint16_t *columns;
   const char *weights;       /* NULL: passive bodies */
   const float *generators;   /* (n_steps, MO_CPG_INPUTS) */
-  float *velocities;         /* (blocks, max_places, 3) */
+  float *velocities;         /* (blocks, max_places, 3); with `split` (blocks, 2, max_places, 3) */
   mo_cuda_outcome *outcomes; /* by the caller's row */
   uint32_t *next_group;      /* 0 before the launch */
   const volatile int *cancel;
@@ -38,6 +38,7 @@ struct mo_cuda_score {
   double drop_height_m;
   uint32_t n_groups, n_steps, max_places;
   uint32_t control_steps; /* in a control period */
+  bool splits;            /* the integrator */
 };
 
 /* A kernel: rows per group, blocks per multiprocessor, the memory of a group (mo_plan_options), and

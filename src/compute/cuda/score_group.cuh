@@ -39,9 +39,9 @@ struct Shared {
   Part parts[kRows];
   Row rows[kRows];
   __align__(16) Home homes[kRows]; /* unused rows refer to the empty pairs after the last part */
-  const mo_plan_scene *scenes[kRows];
-  float4 kicks[kRows]; /* the constants that every mass needs in every step: pull, keep, fall.
-                          Reading them from the scene took 2 % of a rollout */
+  const mo_plan_environment *environments[kRows];
+  float4 kicks[kRows]; /* the constants that every mass needs in every step: pull, keep, fall; and
+                          for `split` per_push. Reading them from the scene took 2 % of a rollout */
   __align__(8) float actuation[kRows];
   uint32_t chunks[kChunks]; /* part << 16 | number */
   int insane[kRows], diverged[kRows];
@@ -142,7 +142,7 @@ struct Memory {
   mo_plan_pairs *pairs; /* (parts + 1): the last is empty */
   float *lengths;       /* (lengths) the target lengths of springs */
   float2 *partial;      /* partial sums of LayerNorm, in the memory of lengths before these exist */
-  float *velocity;      /* (places, 3), in global memory */
+  float *velocity;      /* (places, 3), in global memory; with `split` (2, max_places, 3) */
 };
 
 extern __shared__ __align__(128) char block_memory[];
@@ -176,6 +176,20 @@ __device__ __forceinline__ lane_physics physics_of(const mo_cuda_score &score,
                                                    const mo_plan_scene &scene)
 {
   return lane_physics_alike(score.dt, score.bisections, &scene.constants);
+}
+
+/* Sets the rows' kicks for `split`: those of the first step or of the others. */
+__device__ void set_kicks(Shared &shared, bool is_first)
+{
+  const uint32_t row = threadIdx.x;
+  if (row < shared.plan.n_rows) {
+    const lane_constants &of = shared.environments[row]->scene.constants;
+    const mo_plan_split &split = shared.environments[row]->split;
+    shared.kicks[row] =
+        is_first ? make_float4(split.first_pull, of.keep, split.first_fall, split.first_per_push)
+                 : make_float4(of.pull, of.keep, of.fall, split.constants.per_push);
+  }
+  __syncthreads();
 }
 
 /* Sorts the chunks in descending order of their number of links, then arranges them in alternating
@@ -239,11 +253,12 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Me
     shared.insane[thread] = 0;
     shared.diverged[thread] = 0;
     if (thread < plan.n_rows) {
-      const mo_plan_scene &scene =
-          score.environments[score.rows[plan.first_row + thread].environment].scene;
+      const mo_plan_environment &environment =
+          score.environments[score.rows[plan.first_row + thread].environment];
+      const mo_plan_scene &scene = environment.scene;
       shared.light[thread] =
           make_float4(scene.light[0], scene.light[1], scene.light[2], scene.highest);
-      shared.scenes[thread] = &scene;
+      shared.environments[thread] = &environment;
       shared.actuation[thread] = scene.constants.actuation;
       shared.kicks[thread] =
           make_float4(scene.constants.pull, scene.constants.keep, scene.constants.fall, 0.0f);

@@ -22,6 +22,7 @@
 
 namespace {
 
+template <bool SPLIT>
 __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
     live(const __grid_constant__ mo_cuda_score score)
 {
@@ -46,11 +47,28 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
       shared.plan = score.groups[shared.group];
     __syncthreads();
     const uint32_t n_rows = shared.plan.n_rows;
-    const Memory memory = memory_of(score);
+    Memory memory = memory_of(score);
+    if (SPLIT)
+      memory.velocity = score.velocities + (size_t)blockIdx.x * 6 * score.max_places;
     const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
     begin_group(score, shared, memory);
+    if (SPLIT)
+      set_kicks(shared, true);
     for (uint32_t step = 0; step < score.n_steps; step++) {
+      float *velocity = memory.velocity;
+      Pull how = {velocity, 1.0f, true};
+      if (SPLIT) {
+        velocity += (step + 1) % 2 * 3 * score.max_places;
+        how.before += step % 2 * 3 * score.max_places;
+      }
+      const float *const before = how.before;
       if (score.weights != nullptr && step % score.control_steps == 0) {
+        if (SPLIT && step > 0) {
+          how.share = 0.5f;
+          pull<SPLIT>(shared, memory.position, memory.lengths, velocity, how);
+          how.before = velocity;
+          how.coasts = false;
+        }
         const Start start = thread < MO_HIDDEN ? load_start(score, step) : Start{};
         sense<true>(score, shared, sensor, memory.position, memory.x, step);
         if (thread < MO_HIDDEN)
@@ -62,13 +80,15 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
       } else {
         sense<false>(score, shared, sensor, memory.position, memory.x, step);
       }
-      pull(shared, memory.position, memory.lengths, memory.velocity);
+      pull<SPLIT>(shared, memory.position, memory.lengths, velocity, how);
       if (thread == 0 && step % kCancelSteps == 0 && *score.cancel != 0)
         shared.cancelled = 1;
       if (!__syncthreads_or(thread < n_rows && shared.diverged[thread] == 0) || shared.cancelled)
         break;
-      move(score, shared, memory.position, memory.velocity);
+      move<SPLIT>(score, shared, memory.position, velocity, before);
       __syncthreads();
+      if (SPLIT && step == 0)
+        set_kicks(shared, false);
       if (thread < n_rows && shared.insane[thread] != 0 && shared.diverged[thread] == 0) {
         shared.diverged[thread] = (int)(step + 1);
         mo_cuda_outcome *outcome = score.outcomes + score.rows[shared.plan.first_row + thread].row;
@@ -84,12 +104,18 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
 
 cudaError_t prepare_live()
 {
-  return cudaFuncSetAttribute(live, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+  const cudaError_t status =
+      cudaFuncSetAttribute(live<false>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+  return status != cudaSuccess
+             ? status
+             : cudaFuncSetAttribute(live<true>, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                    MO_CUDA_BYTES);
 }
 
 cudaError_t launch_live(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream)
 {
-  live<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
+  const auto kernel = score.splits ? live<true> : live<false>;
+  kernel<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
   return cudaGetLastError();
 }
 

@@ -108,10 +108,21 @@ __device__ __forceinline__ void load_links(const uint32_t *links, const Part &pa
     quad[i] = __ldg(quads + min(i, last));
 }
 
+/* With `split`, a step reads the velocities that the one before it wrote, and writes others, so
+ * that contact can see what the springs have added. In a step with new outputs the springs pull
+ * with the mean of the old and the new lengths: half of what they add by the ones and half by the
+ * others, since it is linear in the length. */
+struct Pull {
+  const float *before; /* velocities (places, 3) to start from */
+  float share;
+  bool coasts; /* drag and gravity act on them first */
+};
+
 /* The loads for a chunk are hidden behind the computation of previous chunks: the links of the next
- * chunk, and the mass of the one after it, are in flight. */
+ * chunk, and the mass of the one after it, are in flight. how: read with SPLIT. */
+template <bool SPLIT>
 __device__ __forceinline__ void pull(const Shared &shared, const float *position,
-                                     const float *all_lengths, float *velocity)
+                                     const float *all_lengths, float *velocity, const Pull &how)
 {
   const mo_cuda_score &score = shared.score;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, n = shared.n_chunks;
@@ -132,7 +143,7 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
     asm(""
         : "+r"(reach.mass_stride), "+r"(reach.length_stride)); /* one multiplication per address */
     float *v = velocity + 3 * item.place;
-    const float3 before = load_velocity(v);
+    const float3 before = load_velocity(SPLIT ? how.before + 3 * item.place : v);
     load_links(read_again(score.links), *next_part, next_mass, next_quad);
     const Part *after_part;
     const Item after = item_at(shared, c + 2 * MO_CUDA_WARPS, lane, &after_part);
@@ -154,9 +165,12 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
       k.pull = kick.x;
       k.keep = kick.y;
       k.fall = kick.z;
-      v[0] = fmaf(j[0], k.pull, lane_coast(&k, 0, before.x));
-      v[1] = fmaf(j[1], k.pull, lane_coast(&k, 1, before.y));
-      v[2] = fmaf(j[2], k.pull, lane_coast(&k, 2, before.z));
+      if (SPLIT)
+        k.pull *= how.share;
+      const bool coasts = !SPLIT || how.coasts;
+      v[0] = fmaf(j[0], k.pull, coasts ? lane_coast(&k, 0, before.x) : before.x);
+      v[1] = fmaf(j[1], k.pull, coasts ? lane_coast(&k, 1, before.y) : before.y);
+      v[2] = fmaf(j[2], k.pull, coasts ? lane_coast(&k, 2, before.z) : before.z);
     }
 #pragma unroll
     for (int i = 0; i < kTurns; i++)
@@ -170,8 +184,24 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
   }
 }
 
+/* Contact with `split`; before: the velocity at the end of the step before. */
+__device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_environment &in,
+                                           const float4 &kick, const float3 &before, float (&p)[3],
+                                           float (&v)[3])
+{
+  lane_split split = lane_split_alike(&in.split.constants);
+  split.per_push = kick.w;
+  lane_physics of = k;
+  of.fall = kick.z; /* the first step has its own */
+  const float push[3] = {v[0] - lane_coast(&of, 0, before.x), v[1] - lane_coast(&of, 1, before.y),
+                         v[2] - lane_coast(&of, 2, before.z)};
+  lane_move_split(&k, &split, in.scene.heights, push, p, v);
+}
+
+/* before: read with SPLIT. */
+template <bool SPLIT>
 __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared, float *position,
-                                     float *velocity)
+                                     float *velocity, const float *before)
 {
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
   const Part *part, *next_part;
@@ -187,9 +217,23 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       const uint32_t row = part->first_row + item.row;
       float *at = position + 3 * item.place;
       float p[3] = {at[0], at[1], at[2]};
-      const mo_plan_scene &scene = *shared.scenes[row];
-      const lane_physics k = physics_of(score, scene);
-      if (lane_move(&k, scene.heights, shared.light[row].w, p, v)) {
+      const mo_plan_environment &in = *shared.environments[row];
+      const lane_physics k = physics_of(score, in.scene);
+      const float highest = shared.light[row].w;
+      bool struck;
+      if (SPLIT) {
+        float next[3];
+        lane_cell ground;
+        struck = lane_strikes(&k, in.scene.heights, highest, p, v, next, &ground);
+        if (struck)
+          move_split(k, in, shared.kicks[row], load_velocity(before + 3 * item.place), p, v);
+        else
+          for (int axis = 0; axis < 3; axis++)
+            p[axis] = next[axis];
+      } else {
+        struck = lane_move(&k, in.scene.heights, highest, p, v);
+      }
+      if (struck) {
         speed[0] = v[0];
         speed[1] = v[1];
         speed[2] = v[2];

@@ -54,14 +54,15 @@ uint32_t most_places(const mo_plan &plan)
   return (most + 31) / 32 * 32;
 }
 
-int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t places)
+/* per_place: bytes of velocities. */
+int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t places,
+            size_t per_place)
 {
   const size_t outcomes = plan.n * sizeof(mo_cuda_outcome);
   return in_turn(
       [&] { return mo_cuda_reserve(device, &device->plan, plan.block.bytes); },
       [&] {
-        return mo_cuda_reserve(device, &device->velocities,
-                               (size_t)blocks * 3 * places * sizeof(float));
+        return mo_cuda_reserve(device, &device->velocities, (size_t)blocks * places * per_place);
       },
       [&] { return mo_cuda_reserve(device, &device->outcomes, outcomes); },
       [&] { return mo_cuda_reserve(device, &device->counter, sizeof(uint32_t)); },
@@ -101,6 +102,7 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.n_steps = score->physics.scheme.n_steps;
   s.max_places = places;
   s.control_steps = mo_control_steps(&score->physics.scheme);
+  s.splits = score->physics.scheme.integrator == MO_INTEGRATOR_SPLIT;
   return s;
 }
 
@@ -122,7 +124,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   const uint32_t places = most_places(plan);
   if (plan.n_groups < blocks)
     blocks = plan.n_groups;
-  int status = reserve(device, plan, blocks, places);
+  const bool splits = score->physics.scheme.integrator == MO_INTEGRATOR_SPLIT;
+  int status = reserve(device, plan, blocks, places, (splits ? 6 : 3) * sizeof(float));
   if (status != MO_OK)
     return status;
   void *block = device->staged_plan.memory;
@@ -162,10 +165,6 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
 {
   if (mo_control_steps(&score->physics.scheme) == 0)
     return MO_ERR_INVALID;
-  if (score->physics.scheme.integrator == MO_INTEGRATOR_SPLIT) {
-    snprintf(device->error, sizeof(device->error), "the kernels lack the integrator split");
-    return MO_ERR_UNSUPPORTED;
-  }
   const double start_s = now_s();
   const mo_cuda_score_kernel &kernel = *device->score;
   const uint32_t blocks = (uint32_t)device->multiprocessors * kernel.blocks;

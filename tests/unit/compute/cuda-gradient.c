@@ -240,6 +240,11 @@ static void a_shard_is_its_own(void)
   mo_gradient_plan_free(&second);
 }
 
+static struct mo_gp_time in_steps(uint32_t n_steps, uint32_t control_steps, bool splits)
+{
+  return (struct mo_gp_time){n_steps, control_steps, splits};
+}
+
 /* A pass has as many whole shards as fit. Existing memory is reused for a smaller batch. */
 static void passes(void)
 {
@@ -248,22 +253,24 @@ static void passes(void)
   struct mo_gradient_pass all, pass;
   const struct mo_physics physics = mo_default_physics();
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
-  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, 1, UINT64_MAX, &all) == MO_OK);
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, in_steps(1000, 1, false), UINT64_MAX, &all) == MO_OK);
   CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 &&
         all.shared <= options.shared_bytes);
-  CHECK(mo_gradient_can_be_held(&plan, 1000, 1, UINT64_MAX) &&
-        !mo_gradient_can_be_held(&plan, 100000, 1, UINT64_MAX));
-  CHECK(mo_gradient_can_be_held(&plan, 1000, 1, all.tape / 2) &&
-        !mo_gradient_can_be_held(&plan, 1000, 1, all.tape / 8));
+  CHECK(mo_gradient_can_be_held(&plan, in_steps(1000, 1, false), UINT64_MAX) &&
+        !mo_gradient_can_be_held(&plan, in_steps(100000, 1, false), UINT64_MAX));
+  CHECK(mo_gradient_can_be_held(&plan, in_steps(1000, 1, false), all.tape / 2) &&
+        !mo_gradient_can_be_held(&plan, in_steps(1000, 1, false), all.tape / 8));
   uint32_t shard = 0;
   uint64_t tape = 0;
   for (uint32_t group = 0; group < plan.n_groups; group = pass.end, shard = pass.end_shard) {
-    REQUIRE(mo_gradient_pass_next(&plan, shard, group, 1000, 1, all.tape / 2, &pass) == MO_OK);
+    REQUIRE(mo_gradient_pass_next(&plan, shard, group, in_steps(1000, 1, false), all.tape / 2,
+                                  &pass) == MO_OK);
     CHECK(pass.first == group && pass.end_shard > shard && plan.groups[group].tape_at == 0);
     tape += pass.tape;
   }
   CHECK(shard == 3 && tape == all.tape);
-  CHECK(mo_gradient_pass_next(&plan, 0, 0, 1000, 1, all.tape / 8, &pass) == MO_ERR_NO_MEMORY);
+  CHECK(mo_gradient_pass_next(&plan, 0, 0, in_steps(1000, 1, false), all.tape / 8, &pass) ==
+        MO_ERR_NO_MEMORY);
   const uint32_t *springs = plan.springs;
   REQUIRE(mo_gradient_plan_make(robots, SHARD, &physics, &options, &plan) == MO_OK);
   CHECK(plan.springs == springs && plan.n_shards == 1);
@@ -272,6 +279,20 @@ static void passes(void)
 
 /* With control periods of several steps the network's part of the tape has as many passes as
  * periods; positions and velocities stay; a sum per spring and lane is added. */
+/* Push and sums of activations are on the tape of `split` alone, whatever its control period. */
+static void tape_of_split(void)
+{
+  const struct mo_gp_group g = {.n_rows = 32, .n_masses = 3001, .n_chunks = 700, .n_outputs = 20};
+  for (uint32_t control_steps = 1; control_steps <= 4; control_steps += 3) {
+    const struct mo_gp_tape paper = mo_gp_tape_of(&g, in_steps(1000, control_steps, false)),
+                            split = mo_gp_tape_of(&g, in_steps(1000, control_steps, true));
+    CHECK(paper.activation == paper.push && split.push == paper.push);
+    CHECK(split.activation - split.push == MO_GP_ALIGN(1000 * 3001 * UINT64_C(12)));
+    CHECK(split.input - split.d_activation == MO_GP_ALIGN(700 * MO_GP_LANES * sizeof(float)));
+    CHECK(split.bytes - split.input == paper.bytes - paper.input);
+  }
+}
+
 static void passes_of_periods(void)
 {
   struct mo_robot *robots = make_batch();
@@ -283,8 +304,9 @@ static void passes_of_periods(void)
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
   for (uint32_t i = 0; i < plan.n_groups; i++) {
     const struct mo_gp_group *g = plan.groups + i;
-    const struct mo_gp_tape steps = mo_gp_tape_of(g, 1000, 1), periods = mo_gp_tape_of(g, 1000, 3),
-                            network = mo_gp_tape_of(g, 334, 1);
+    const struct mo_gp_tape steps = mo_gp_tape_of(g, in_steps(1000, 1, false)),
+                            periods = mo_gp_tape_of(g, in_steps(1000, 3, false)),
+                            network = mo_gp_tape_of(g, in_steps(334, 1, false));
     CHECK(steps.d_activation == steps.input);
     CHECK(periods.velocity == steps.velocity && periods.activation == steps.activation);
     CHECK(periods.d_activation - periods.activation == network.input - network.activation);
@@ -294,14 +316,14 @@ static void passes_of_periods(void)
     CHECK(periods.normal[2] - periods.normal[1] == network.normal[2] - network.normal[1]);
     CHECK(periods.bytes - periods.d_output == network.bytes - network.d_output);
   }
-  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, 1, UINT64_MAX, &each) == MO_OK);
-  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, 4, UINT64_MAX, &held) == MO_OK);
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, in_steps(1000, 1, false), UINT64_MAX, &each) == MO_OK);
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, in_steps(1000, 4, false), UINT64_MAX, &held) == MO_OK);
   CHECK(held.end == each.end && held.sums == each.sums && held.shared == each.shared);
   CHECK(held.tape < each.tape / 2 && held.tape > each.tape / 4);
-  CHECK(!mo_gradient_can_be_held(&plan, 20000, 1, UINT64_MAX) &&
-        mo_gradient_can_be_held(&plan, 20000, 8, UINT64_MAX));
-  CHECK(!mo_gradient_can_be_held(&plan, 1000, 1, each.tape / 4) &&
-        mo_gradient_can_be_held(&plan, 1000, 8, each.tape / 4));
+  CHECK(!mo_gradient_can_be_held(&plan, in_steps(20000, 1, false), UINT64_MAX) &&
+        mo_gradient_can_be_held(&plan, in_steps(20000, 8, false), UINT64_MAX));
+  CHECK(!mo_gradient_can_be_held(&plan, in_steps(1000, 1, false), each.tape / 4) &&
+        mo_gradient_can_be_held(&plan, in_steps(1000, 8, false), each.tape / 4));
   mo_gradient_plan_free(&plan);
 }
 
@@ -395,6 +417,7 @@ static const struct check_case cases[] = {
     {"a shard's layout does not depend on other shards or threads", a_shard_is_its_own},
     {"passes of whole shards", passes},
     {"the tape of control periods", passes_of_periods},
+    {"the tape of the integrator split", tape_of_split},
     {"what a group costs", cost_of_a_group},
     {"groups in halves", halves},
     {"small groups stay whole", no_halves_of_small_groups},

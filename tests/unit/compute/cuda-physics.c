@@ -32,7 +32,7 @@ static void random_heights(double highest, double heights[MO_TERRAIN_HEIGHTS],
 static struct lane_physics physics_of(const struct mo_physics *physics)
 {
   const struct mo_scheme *scheme = &physics->scheme;
-  const struct lane_constants constants = lane_constants_of(scheme, &physics->constants);
+  const struct lane_constants constants = lane_both_of(scheme, &physics->constants, false).physics;
   return lane_physics_alike((float)scheme->dt_s, lane_bisections(scheme), &constants);
 }
 
@@ -67,13 +67,18 @@ enum { STRIKES = 20000 };
 /* Masses that hit the ground, forward and backward: near the ground and above it, some below it,
  * some across cell borders and beyond the map, at up to `reach` m/s in each direction, every eighth
  * one `far` times as fast. */
-static void check_contact(enum mo_impact impact, double reach, double far, double median_m,
-                          double most_m, double most_apart)
+static void check_contact(enum mo_integrator integrator, enum mo_impact impact, double reach,
+                          double far, double median_m, double most_m, double most_apart)
 {
   static double moved[STRIKES], differ[STRIKES];
   struct mo_physics physics = mo_default_physics();
+  physics.scheme.integrator = integrator;
   physics.scheme.impact = impact;
+  const bool splits = integrator == MO_INTEGRATOR_SPLIT;
   const struct lane_physics lane = physics_of(&physics);
+  const struct lane_split_constants constants =
+      lane_both_of(&physics.scheme, &physics.constants, false).split;
+  const struct lane_split split = lane_split_alike(&constants);
   int n = 0, crossing = 0;
   mo_random_init(&dice, 11, MO_PURPOSE_CHECK, 0, impact);
   while (n < STRIKES) {
@@ -93,16 +98,35 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
     double position[3] = {x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M, z},
            speed[3] = {v[0], v[1], v[2]}, d_position[3], d_velocity[3];
     const double from[3] = {position[0], position[1], position[2]}, with[3] = {v[0], v[1], v[2]};
+    float push[3] = {0, 0, 0}, da[3] = {0, 0, 0};
+    double a[3], d_acceleration[3] = {0, 0, 0};
+    for (int k = 0; k < 3; k++) {
+      push[k] = splits ? (float)uniform(-0.05, 0.05) : 0;
+      a[k] = lane_acceleration(&split, k, push[k]);
+    }
     if (!lane_move(&lane, heights32, 1e9f, p, w))
       continue;
-    mo_contact_move(&physics.scheme, &physics.constants, heights, INFINITY, position, speed);
+    if (splits) {
+      memcpy(p, start, sizeof(p));
+      memcpy(w, v, sizeof(w));
+      lane_move_split(&lane, &split, heights32, push, p, w);
+      mo_contact_split(&physics.scheme, &physics.constants, heights, INFINITY, a, position, speed);
+    } else {
+      mo_contact_move(&physics.scheme, &physics.constants, heights, INFINITY, position, speed);
+    }
     for (int k = 0; k < 3; k++) {
       d_position[k] = dp[k] = (float)uniform(-1, 1);
       d_velocity[k] = dv[k] = (float)uniform(-0.05, 0.05);
     }
-    lane_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
-    mo_contact_move_adjoint(&physics.scheme, &physics.constants, heights, INFINITY, from, with,
-                            d_position, d_velocity);
+    if (splits) {
+      lane_move_split_back(&lane, &split, heights32, push, start, v, dp, dv, da);
+      mo_contact_split_adjoint(&physics.scheme, &physics.constants, heights, INFINITY, a, from,
+                               with, d_position, d_velocity, d_acceleration);
+    } else {
+      lane_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
+      mo_contact_move_adjoint(&physics.scheme, &physics.constants, heights, INFINITY, from, with,
+                              d_position, d_velocity);
+    }
     double distance = 0, error = 0, size = 0;
     for (int k = 0; k < 3; k++) {
       const double center = k < 2 ? MO_WORLD_CENTER_M : 0;
@@ -110,6 +134,8 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
           fmax(distance, fmax(fabs(p[k] + center - position[k]), 0.004 * fabs(w[k] - speed[k])));
       error += pow(dp[k] - d_position[k], 2) + pow(15 * (dv[k] - d_velocity[k]), 2);
       size += pow(d_position[k], 2) + pow(15 * d_velocity[k], 2);
+      error += pow(3000 * (da[k] - d_acceleration[k]), 2);
+      size += pow(3000 * d_acceleration[k], 2);
     }
     crossing += floor(from[0] * 1.4) != floor((from[0] + 0.004 * v[0]) * 1.4);
     moved[n] = distance;
@@ -128,8 +154,14 @@ static void check_contact(enum mo_impact impact, double reach, double far, doubl
 
 static void contact(void)
 {
-  check_contact(MO_IMPACT_EXACT, 2, 30, 1e-6, 1e-5, 1e-2);
-  check_contact(MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
+  check_contact(MO_INTEGRATOR_PAPER, MO_IMPACT_EXACT, 2, 30, 1e-6, 1e-5, 1e-2);
+  check_contact(MO_INTEGRATOR_PAPER, MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
+}
+
+static void contact_split(void)
+{
+  check_contact(MO_INTEGRATOR_SPLIT, MO_IMPACT_EXACT, 2, 30, 1e-6, 1e-5, 1e-2);
+  check_contact(MO_INTEGRATOR_SPLIT, MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
 }
 
 /* A mass in the air only flies; one that hits the ground in the next step lies on it, in float32 as
@@ -269,6 +301,7 @@ static void lights(void)
 
 static const struct check_case cases[] = {{"terrain", terrain},
                                           {"contact, forward and backward", contact},
+                                          {"contact with split", contact_split},
                                           {"masses on the ground", lying},
                                           {"values that are not finite", insanity},
                                           {"springs", springs},
