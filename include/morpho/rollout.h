@@ -14,6 +14,7 @@
 #ifndef MORPHO_ROLLOUT_H
 #define MORPHO_ROLLOUT_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -42,6 +43,7 @@ enum mo_integrator {
                               on the velocity that the mass has at that moment; second order. Needs
                               drag · dt ≤ 1 */
 };
+extern const char *const mo_integrator_words[]; /* "paper", "split", NULL */
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
 /* Settings that all rollouts of a block share, because they determine the operations. */
@@ -73,6 +75,15 @@ struct mo_physics {
 struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
+
+/* Returns the largest time step at which the springs of a body, linearized about rest, are stable
+ * with this stiffness, mass, drag and integrator. eigenvalue: the largest one of the body's
+ * stiffness matrix, in units of the stiffness. No body exceeds MO_EIGENVALUE_MAX. Without stiffness
+ * the step is INFINITY. docs/numerics.md derives both bounds. */
+#define MO_EIGENVALUE_MAX 12.0
+double mo_stable_step_s(const struct mo_physics *physics, double eigenvalue);
+/* Returns whether dt_s is below that step, at less cost. */
+bool mo_step_is_stable(const struct mo_physics *physics, double eigenvalue);
 
 /* Completes settings for a controller whose file states this control period: a period of 0 becomes
  * the controller's. A period of one step becomes 0 again if the controller has none, so that equal

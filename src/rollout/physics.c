@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "rollout/kick.h"
+
 #define BISECTIONS_MAX 52 /* halvings of a float64 mantissa */
 
 struct mo_physics mo_default_physics(void)
@@ -30,6 +32,36 @@ uint32_t mo_control_steps(const struct mo_scheme *scheme)
   if (!(whole >= 1 && fabs(steps - whole) <= 1e-9 * whole))
     return 0;
   return whole < scheme->n_steps ? (uint32_t)whole : scheme->n_steps;
+}
+
+/* A mode follows v' = keep v − push dt λ k/m q, q' = q + dt v'. */
+static bool is_stable(const struct mo_physics *physics, double eigenvalue, double dt_s)
+{
+  const struct mo_constants *constants = &physics->constants;
+  struct mo_scheme scheme = physics->scheme;
+  scheme.dt_s = dt_s;
+  const struct mo_kick kick = mo_kick_of(&scheme, constants, exp(-constants->drag_per_s * dt_s));
+  const double rate = eigenvalue * constants->stiffness_n_per_m / constants->mass_kg;
+  return kick.push * rate * dt_s * dt_s < 2 * (1 + kick.keep);
+}
+
+bool mo_step_is_stable(const struct mo_physics *physics, double eigenvalue)
+{
+  return is_stable(physics, eigenvalue, physics->scheme.dt_s);
+}
+
+double mo_stable_step_s(const struct mo_physics *physics, double eigenvalue)
+{
+  double low = 0, high = 1;
+  if (!(eigenvalue * physics->constants.stiffness_n_per_m > 0))
+    return INFINITY;
+  while (is_stable(physics, eigenvalue, high)) {
+    low = high;
+    high *= 2;
+  }
+  for (double middle; middle = 0.5 * (low + high), low < middle && middle < high;)
+    *(is_stable(physics, eigenvalue, middle) ? &low : &high) = middle;
+  return low;
 }
 
 /* ---- the fields ---- */
@@ -90,7 +122,7 @@ static const struct mo_field impact_rows[] = {
     {"bisections", MO_FIELD_COUNT, 0, AT(scheme.bisections), .min = 1, .max = BISECTIONS_MAX},
 };
 static const struct mo_fields impact_members = MO_FIELDS(impact_rows);
-static const char *const integrator_words[] = {"paper", "split", NULL};
+const char *const mo_integrator_words[] = {"paper", "split", NULL};
 static const struct mo_field rows[] = {
     {"dt_s", MO_FIELD_NUMBER, 0, AT(scheme.dt_s), .min = 1e-7, .max = 0.1, .unit = "s",
      .help = "time step"},
@@ -117,8 +149,8 @@ static const struct mo_field rows[] = {
      .help = "extra height of the body at the start"},
     {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .group = &impact_members, .unit = "",
      .help = "time of impact: exact, or bisection with 1 to 52 halvings"},
-    {"integrator", MO_FIELD_WORD, 0, AT(scheme.integrator), .words = integrator_words, .since = 3,
-     .unit = "",
+    {"integrator", MO_FIELD_WORD, 0, AT(scheme.integrator), .words = mo_integrator_words,
+     .since = 3, .unit = "",
      .help = "paper: first order; split: second order, drag_per_s times dt_s at most 1"},
 };
 #undef AT

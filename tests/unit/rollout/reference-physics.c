@@ -179,13 +179,11 @@ static void momentum(void)
   CHECK(moved > 0.5); /* the controller did pull */
 }
 
-/* Returns the largest deviation from a rigid lattice at rest after many steps, starting from a tiny
+/* Returns the largest deviation from a rigid lattice at rest after 2000 steps, starting from a tiny
  * disturbance. */
-static double disturbance_after(struct mo_workspace workspace, double dt_s, uint32_t steps)
+static double disturbance_after(struct mo_workspace workspace, struct mo_physics physics)
 {
-  struct scene *s = make_scene(workspace, mo_default_physics(), NULL);
-  s->physics.scheme.dt_s = dt_s;
-  s->physics.constants.gravity_m_per_s2 = 0;
+  struct scene *s = make_scene(workspace, physics, NULL);
   double *start = make_zeros(3 * (size_t)s->body->n_masses, sizeof(double));
   struct mo_random random = dice(3, 0, 0);
   double largest = 0;
@@ -194,7 +192,7 @@ static double disturbance_after(struct mo_workspace workspace, double dt_s, uint
     s->r.position_m[k] += 1e-7 * mo_random_normal(&random);
   }
   double drift[3] = {0}; /* the mean of the disturbance stays, because the body is free */
-  for (uint32_t n = 0; n < steps; n++)
+  for (uint32_t n = 0; n < 2000; n++)
     if (!mo_reference_step(&s->r, n))
       break;
   for (uint32_t k = 0; k < 3 * s->body->n_masses; k++)
@@ -204,22 +202,44 @@ static double disturbance_after(struct mo_workspace workspace, double dt_s, uint
   return largest;
 }
 
-/* The step is stable if dt² λ < 2 (1 + e), where λ is the largest stiffness eigenvalue: 10.9 k/m
- * for the full lattice, dt < 4.86 ms; 6 k/m for one voxel, dt < 6.52 ms. */
+/* The largest eigenvalue is 6 for one voxel and 10.900 for the full lattice (tools/bench
+ * stability). */
 static void stability(void)
 {
-  const double stable = disturbance_after(MO_DEFAULT_WORKSPACE, 0.0048, 2000);
-  const double unstable = disturbance_after(MO_DEFAULT_WORKSPACE, 0.0050, 2000);
-  const double one_stable = disturbance_after(one, 0.0064, 3000),
-               one_unstable = disturbance_after(one, 0.0066, 3000);
-  printf("# full lattice: %.1e m after 2000 steps of 4.8 ms, %.1e m of 5.0 ms; one voxel: %.1e m "
-         "at 6.4 ms, %.1e m at "
-         "6.6 ms\n",
-         stable, unstable, one_stable, one_unstable);
-  CHECK(stable < 1e-6);
-  CHECK(unstable > 1e-3);
-  CHECK(one_stable < 1e-6);
-  CHECK(one_unstable > 1e-3);
+  static const struct {
+    struct mo_workspace workspace;
+    double eigenvalue;
+  } bodies[] = {{{1, 1, 1}, 6}, {{6, 6, 4}, 10.900}};
+  static const double drags_per_s[] = {0, 15, 40};
+  for (int i = 0; i < 12; i++) {
+    const int b = i % 2, integrator = i / 2 % 2;
+    struct mo_physics physics = mo_default_physics();
+    physics.scheme.integrator = (enum mo_integrator)integrator;
+    physics.constants.gravity_m_per_s2 = 0;
+    physics.constants.drag_per_s = drags_per_s[i / 4];
+    physics.constants.mass_kg = 1 + i;
+    const double bound = mo_stable_step_s(&physics, bodies[b].eigenvalue);
+    physics.scheme.dt_s = 0.998 * bound;
+    CHECK(mo_step_is_stable(&physics, bodies[b].eigenvalue));
+    const double below = disturbance_after(bodies[b].workspace, physics);
+    physics.scheme.dt_s = 1.002 * bound;
+    CHECK(!mo_step_is_stable(&physics, bodies[b].eigenvalue));
+    const double above = disturbance_after(bodies[b].workspace, physics);
+    printf("# %s, drag %g /s, mass %g kg, eigenvalue %g: bound %.4f ms, disturbance of 1e-7 m "
+           "becomes %.1e m 0.2 %% below it, %.1e m above\n",
+           mo_integrator_words[integrator], physics.constants.drag_per_s, physics.constants.mass_kg,
+           bodies[b].eigenvalue, 1e3 * bound, below, above);
+    CHECK(below < 1e-5);
+    CHECK(above > 1e-3);
+    CHECK(mo_stable_step_s(&physics, MO_EIGENVALUE_MAX) < bound);
+  }
+  struct mo_physics physics = mo_default_physics();
+  CHECK_NEAR(mo_stable_step_s(&physics, 6), 0.00651, 5e-6);
+  CHECK_NEAR(mo_stable_step_s(&physics, 10.900), 0.00486, 5e-6);
+  physics.constants.drag_per_s = 0; /* leapfrog: w dt < 2 */
+  CHECK_NEAR(mo_stable_step_s(&physics, 6), 2 / sqrt(6 * 15000.0), 1e-12);
+  physics.constants.stiffness_n_per_m = 0;
+  CHECK(isinf(mo_stable_step_s(&physics, MO_EIGENVALUE_MAX)));
 }
 
 /* A body at rest in the air without gravity stays at rest. */
