@@ -16,7 +16,7 @@ from charts import Chart, Panel, Scale, decades  # noqa: E402
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 860, 560, 80, 230, 50, 60
 COLORS = ("#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",  # float32
           "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5")  # float64
-ROLLOUTS = 10
+ROBOTS = 32
 
 
 def scale_of(values):
@@ -84,28 +84,30 @@ def draw_accuracy(rows, path):
 
 
 def draw_stability(rows, path):
-    """Draws stable, partly and completely diverged points, and the linear bound."""
-    maps = records.group(rows, "body", "mode").items()
+    """Draws what happened to the robots at each step and stiffness, and the linear bound."""
+    rows = [row for row in rows if row["row"].endswith("N/m")]
+    maps = records.group(rows, "integrator", "period").items()
     chart = Chart(WIDTH, len(maps) * HEIGHT)
-    for place, ((body, mode), group) in enumerate(maps):
-        moved = "passive" if mode == "passive" else "with the trained controller"
-        panel = panel_of(chart, place, f"{body}, {moved}", "time step, ms", "stiffness, N/m",
-                         (1, 10), (1e3, 1e6))
+    for place, ((integrator, period), group) in enumerate(maps):
+        panel = panel_of(chart, place, f"{integrator}, outputs every {period}", "time step, ms",
+                         "stiffness, N/m", (0.1, 10), (1e3, 1e7))
         for i, (words, color, shown) in enumerate((
-            ("all ten rollouts are stable", "#58b368", lambda n: n == 0),
-            ("some diverge", "#f0a30a", lambda n: 0 < n < ROLLOUTS),
-            ("all ten diverge", "#d6604d", lambda n: n == ROLLOUTS))):
+            ("all robots stay intact", "#58b368", lambda row: row["stays"] == ROBOTS),
+            ("some blow up for a moment", "#f7dc6f",
+             lambda row: row["stays"] < ROBOTS and row["diverged"] == 0),
+            ("some diverge", "#f0a30a", lambda row: 0 < row["diverged"] < ROBOTS),
+            ("all diverge", "#d6604d", lambda row: row["diverged"] == ROBOTS))):
             squares = "".join(
-                f"M{panel.at_x(row['dt_ms']) - 4:.0f} "
-                f"{panel.at_y(row['stiffness_n_per_m']) - 4:.0f}h8v8h-8z"
-                for row in group if shown(row["diverged_of_10"]))
+                f"M{panel.at_x(row['dt_ms']) - 8:.0f} "
+                f"{panel.at_y(row['stiffness_n_per_m']) - 8:.0f}h16v16h-16z"
+                for row in group if shown(row))
             chart.out.append(f'<path fill="{color}" d="{squares}"/>')
             name(panel, i, words, color)
         panel.dots([(4, 15000)], "#1b6ca8", 5)
-        name(panel, 3, "the default", "#1b6ca8")
-        bound = {row["dt_ms"]: row["linear_bound_n_per_m"] for row in group}
-        panel.line([(dt, most) for dt, most in bound.items() if 1e3 <= most <= 1e6], "#111")
-        name(panel, 4, "linear bound", "#111")
+        name(panel, 4, "the default", "#1b6ca8")
+        bound = {row["stiffness_n_per_m"]: row["linear_bound_ms"] for row in group}
+        panel.line([(dt, most) for most, dt in sorted(bound.items()) if 0.1 <= dt <= 10], "#111")
+        name(panel, 5, "linear bound", "#111")
     chart.save(path)
 
 
@@ -125,7 +127,7 @@ def main():
             sys.exit(status)
     if arguments.csv and arguments.svg:
         draw = draw_accuracy if arguments.what == "accuracy" else draw_stability
-        words = ("integrator", "precision", "impact", "body", "mode")
+        words = ("integrator", "precision", "impact", "period", "row")
         draw(records.read(arguments.csv, words), arguments.svg)
 
 
