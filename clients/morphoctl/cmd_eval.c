@@ -144,6 +144,7 @@ void run_eval(struct ctl *ctl)
                  "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
                  "rollout{rollouts_total:s}; "
                  "morphoctl watch {id}");
+    complain_of_warnings("job", evaluation);
     return;
   }
   print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);

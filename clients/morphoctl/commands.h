@@ -85,7 +85,8 @@ void print_facts(const struct ctl *ctl, const json_t *json, const struct fact *f
   "[[{" place ".name}, ]sha256:{" place ".sha256}" otherwise "]"
 #define JOB_STATE_FACTS(phase)                                                                     \
   {"state", "{state}"},                                                                            \
-      {"warning", "{warnings.0.detail}[; {warnings.1.detail}][; {warnings.2.detail}]"},            \
+      {"warning", "{warnings.0.detail}[; {warnings.1.detail}][; {warnings.2.detail}]"              \
+                  "[; {warnings.3.detail}]"},                                                      \
       {"reason", "{reason}"}, {"phase", phase}, {"weight", "{weight:g}"}, {"device", "{device}"},  \
       {"label", "{label}"}, {"experiment", "{experiment}"}, {"note", "{note}"},                    \
       {"archived", "[{archived_at:time}]"}, {"error", "[{error.code}: {error.detail}]"},           \

@@ -242,6 +242,7 @@ void live_start(struct ctl *ctl, const json_t *request)
     print_left_out(job);
     say_orientations(ctl, json_object_get(job, "notes"));
     say_orientations(ctl, json_object_get(job, "founders"));
+    complain_of_warnings(kind->noun, job); /* the ones that the request causes */
   }
   if (!watches)
     return;

@@ -89,6 +89,18 @@ static bool lacks_device(const struct mo_job *job)
   return job->state == MO_JOB_PAUSED && job->error == MO_ERR_DEVICE;
 }
 
+void mo_member_warnings(struct mo_text *text, const struct mo_warning *warnings, uint32_t n)
+{
+  mo_text_open(text, "warnings", "[");
+  for (uint32_t i = 0; i < n; i++) {
+    mo_text_object(text);
+    mo_text_member(text, "code", warnings[i].code);
+    mo_text_member(text, "detail", warnings[i].detail);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
 enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_live *live)
 {
   bool waits = job->state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
@@ -120,14 +132,7 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
   } else {
     mo_text_member(text, "error", NULL);
   }
-  mo_text_open(text, "warnings", "[");
-  for (uint32_t i = 0; i < job->n_warnings; i++) {
-    mo_text_object(text);
-    mo_text_member(text, "code", job->warnings[i].code);
-    mo_text_member(text, "detail", job->warnings[i].detail);
-    mo_text_add(text, "}");
-  }
-  mo_text_add(text, "]");
+  mo_member_warnings(text, job->warnings, job->n_warnings);
   const bool waits = live->reason[0] != '\0' && !mo_job_state_is_final(job->state);
   mo_text_member(text, "reason", waits ? live->reason : lacks_device(job) ? job->error_text : NULL);
 }

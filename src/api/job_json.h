@@ -25,6 +25,9 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
  * request. */
 void mo_member_environments(struct mo_text *text, const char *set, uint32_t n);
 
+/* Writes warnings as a member. */
+void mo_member_warnings(struct mo_text *text, const struct mo_warning *warnings, uint32_t n);
+
 /* Returns the state to show: a running job that waits for disk space is shown as paused. */
 enum mo_job_state mo_job_state_shown(const struct mo_job *job, const struct mo_live *live);
 /* Writes the members that jobs of every kind have, from state to error, and why a training or

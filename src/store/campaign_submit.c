@@ -155,7 +155,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
     error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
   if (error == MO_OK && record->initial_campaign != 0)
     error = insert_inherited(writer, record, *id);
-  for (uint32_t r = 0; r < record->replicates && error == MO_OK && setting.set == 0; r++)
+  for (uint32_t r = 0; r < record->replicates && error == MO_OK; r++)
     error = mo_run_announce_warnings(store, *id + r, true);
   return error;
 }

@@ -6,6 +6,10 @@
 
 struct mo_store;
 
+/* Writes the warning of a time step beyond the linear stability bound. Returns false, and writes
+ * nothing, if the step is below it. */
+bool mo_warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning);
+
 /* ---- submission (by jobs) ---- */
 
 /* Bodies `first` to `first + count − 1` of a seed's stream (mo_body_stream). count 0: none. */

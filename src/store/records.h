@@ -75,13 +75,14 @@ struct mo_submission {
   struct mo_request_key key;
 };
 
-/* A caution for readers of a job's result. */
+/* A caution for readers of a job's result. code: "all_diverged", "diverged", "exhausted",
+ * "light_near_start" or "unstable_step". */
 struct mo_warning {
-  const char *code; /* "all_diverged", "diverged", "exhausted", "light_near_start" */
-  bool of_request;  /* known already at submission */
+  const char *code;
+  bool of_request; /* known already at submission */
   char detail[231];
 };
-#define MO_WARNINGS_MAX 3
+#define MO_WARNINGS_MAX 4
 
 /* A job. It has everything about an evaluation except its results. For a training or a campaign, it
  * has the members that lists show (for the rest, see store/trainings.h and store/campaigns.h). It

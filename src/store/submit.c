@@ -250,7 +250,9 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             "\"rollouts_total\":%llu}",
                             (long long)*id,
                             (unsigned long long)request->n_designs * (uint64_t)n_environments);
-  return error == MO_OK && set == 0 ? mo_run_announce_warnings(store, *id, true) : error;
+  /* Most submissions cannot have a warning, and need not be read back. */
+  const bool may_warn = set == 0 || !mo_step_is_stable(&request->physics, MO_EIGENVALUE_MAX);
+  return error == MO_OK && may_warn ? mo_run_announce_warnings(store, *id, true) : error;
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

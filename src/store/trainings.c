@@ -43,12 +43,12 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_designs_insert(writer, *id, request->forms, request->genotypes, record.n_designs,
                               NULL, 0, mo_clock_wall_us());
-  if (error != MO_OK)
-    return error;
-  return mo_writer_event(
-      store, *id, "job.created",
-      "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}", (long long)*id,
-      (unsigned)record.settings.n_steps);
+  if (error == MO_OK)
+    error =
+        mo_writer_event(store, *id, "job.created",
+                        "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
+                        (long long)*id, (unsigned)record.settings.n_steps);
+  return error == MO_OK ? mo_run_announce_warnings(store, *id, true) : error;
 }
 
 int mo_store_submit_training(struct mo_store *store, const struct mo_training_request *request,

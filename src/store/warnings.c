@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "store/campaigns.h"
+#include "store/evaluations.h"
 #include "store/rows.h"
 #include "store/trainings.h"
 
@@ -85,7 +86,35 @@ static int warn_of_generation(struct mo_connection *connection, struct mo_job *j
   return error;
 }
 
-/* ---- lights near the start ---- */
+/* ---- the request ---- */
+
+/* Rounds down to two digits. */
+static double lower(double value)
+{
+  const double unit = pow(10, floor(log10(value)) - 1);
+  return floor(value / unit) * unit;
+}
+
+bool mo_warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning)
+{
+  const struct mo_constants *constants = &physics->constants;
+  if (mo_step_is_stable(physics, MO_EIGENVALUE_MAX))
+    return false;
+  const double stable_s = mo_stable_step_s(physics, MO_EIGENVALUE_MAX);
+  *warning = (struct mo_warning){.code = "unstable_step", .of_request = true};
+  snprintf(warning->detail, sizeof(warning->detail),
+           "dt_s %.6g is beyond the linear stability bound of %.3g for stiffness_n_per_m %.6g, "
+           "mass_kg %.6g, drag_per_s %.6g and integrator %s: expect bodies to blow up; use a dt_s "
+           "of at most %.2g",
+           physics->scheme.dt_s, stable_s, constants->stiffness_n_per_m, constants->mass_kg,
+           constants->drag_per_s, mo_integrator_words[physics->scheme.integrator], lower(stable_s));
+  return true;
+}
+
+static void warn_of_physics(struct mo_job *job)
+{
+  job->n_warnings += mo_warn_of_dt(&job->physics, &job->warnings[job->n_warnings]);
+}
 
 static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, int64_t owner)
 {
@@ -124,11 +153,19 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
 {
   job->n_warnings = 0;
   switch (job->kind) {
-  case MO_JOB_EVALUATION: warn_of_rollouts(job); return warn_of_lights(connection, job, job->id);
-  case MO_JOB_TRAINING: return warn_of_step(connection, job, record);
+  case MO_JOB_EVALUATION:
+    warn_of_rollouts(job);
+    warn_of_physics(job);
+    return warn_of_lights(connection, job, job->id);
+  case MO_JOB_TRAINING: {
+    const int error = warn_of_step(connection, job, record);
+    warn_of_physics(job);
+    return error;
+  }
   case MO_JOB_CAMPAIGN: {
     const struct mo_campaign_record *campaign = record;
     const int error = warn_of_generation(connection, job);
+    warn_of_physics(job);
     return error == MO_OK ? warn_of_lights(connection, job, campaign->group) : error;
   }
   }

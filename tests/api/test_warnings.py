@@ -1,6 +1,7 @@
 """Warnings about successful jobs with questionable results: starts on steep ground, lights at the
-start, robots that diverged, morphospaces without new bodies."""
+start, time steps that are too large, robots that diverged, morphospaces without new bodies."""
 
+import math
 import struct
 
 import pytest
@@ -92,6 +93,51 @@ def test_no_warning_without_a_reason(service):
     assert service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["warnings"] == []
 
 
+# ---- time steps beyond the linear stability bound ----
+
+
+def bound_s(eigenvalue, stiffness, mass, drag, integrator):
+    """Returns the largest stable step of docs/numerics.md, by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        dt = (low + high) / 2
+        e = math.exp(-drag * dt)
+        push = (1 - e) / (drag * dt) if integrator == "split" else 1
+        stable = push * eigenvalue * stiffness / mass * dt * dt < 2 * (1 + e)
+        low, high = (dt, high) if stable else (low, dt)
+    return low
+
+
+@pytest.mark.parametrize("integrator", ["paper", "split"])
+def test_a_step_beyond_the_bound_is_flagged(service, integrator):
+    """Every request with physics gets the warning at once, and a step just below the bound none."""
+    bound = bound_s(12, 50000, 2, 20, integrator)
+    given = {"n_steps": 4, "stiffness_n_per_m": 50000, "mass_kg": 2, "drag_per_s": 20,
+             "integrator": integrator}
+    near = given | {"dt_s": round(0.999 * bound, 7)}
+    beyond = given | {"dt_s": round(1.001 * bound, 7)}
+    evaluation = {"designs": [DESIGN]}
+    training = {"kind": "pretrain", "steps": 1, "batch": 2, "validation": {"every_steps": 0}}
+    requests = [("evaluations", evaluation), ("evaluations", evaluation | {"environments": HERE}),
+                ("trainings", training), ("campaigns", CAMPAIGN),
+                ("campaigns", CAMPAIGN | {"environments": "paper-test"}),
+                ("campaigns", {"mode": "study", "population": 3, "environments": HERE})]
+    for path, request in requests:
+        job = service.post(f"/v1/{path}", request | {"physics": beyond})
+        assert codes(job)[-1] == "unstable_step", (path, job)
+        detail = job["warnings"][-1]["detail"]
+        assert f"dt_s {beyond['dt_s']:.6g} is beyond" in detail and integrator in detail, detail
+        assert f" bound of {bound:.3g} for stiffness_n_per_m 50000, mass_kg 2" in detail, detail
+        usable = float(detail.rsplit(" ", 1)[1])
+        assert 0.9 * bound < usable <= bound, detail
+        assert "unstable_step" in codes(listed(service, job))
+        assert warnings_of_events(service, job)[0] == ("queued", "unstable_step")
+        assert codes(service.post(f"/v1/{path}", request | {"physics": near})) == [], path
+    rolled = service.post("/v1/rollouts", evaluation | {"physics": beyond})
+    assert codes(rolled) == ["unstable_step"] and rolled["warnings"][0]["detail"] == detail
+    assert codes(service.post("/v1/rollouts", evaluation | {"physics": near})) == []
+
+
 # ---- robots that diverged ----
 
 
@@ -99,12 +145,13 @@ def test_an_evaluation_in_which_all_diverge(service):
     done = service.evaluate({"designs": [DESIGN, BAR], "environments": HERE,
                              "physics": STIFF}).json()
     assert done["state"] == "succeeded" and done["rollouts_diverged"] == 2
-    assert codes(done) == codes(listed(service, done)) == ["all_diverged"]
+    assert codes(done) == codes(listed(service, done)) == ["all_diverged", "unstable_step"]
     assert "stiffness_n_per_m" in done["warnings"][0]["detail"]
-    assert warnings_of_events(service, done) == [("succeeded", "all_diverged")]
+    assert warnings_of_events(service, done) == [("queued", "unstable_step"),
+                                                 ("succeeded", "all_diverged")]
     again = service.evaluate({"designs": [DESIGN, BAR], "environments": HERE,
                               "physics": STIFF}).json()
-    assert again["rollouts_cached"] == 2 and codes(again) == ["all_diverged"]
+    assert again["rollouts_cached"] == 2 and codes(again)[0] == "all_diverged"
 
 
 def test_an_evaluation_in_which_some_diverge(service):
@@ -113,7 +160,8 @@ def test_an_evaluation_in_which_some_diverge(service):
         "designs": [{"voxels": "1" * 144}, {"cells": [[0, 0, 0]]}], "environments": HERE,
         "physics": {"n_steps": 300, "stiffness_n_per_m": 30000}
     }).json()
-    assert done["rollouts_diverged"] == 1 and codes(done) == ["diverged"], done
+    assert done["rollouts_diverged"] == 1, done
+    assert codes(done) == ["diverged", "unstable_step"], done
     assert "1 of 2 rollouts" in done["warnings"][0]["detail"]
 
 
@@ -126,7 +174,7 @@ def test_a_training_in_which_all_diverge_fails(service, steps, least):
     assert failed["state"] == "failed" and failed["attempts"] == 1, failed
     assert f"first {least} step" in failed["error"]["detail"]
     assert "stiffness_n_per_m" in failed["error"]["detail"]
-    assert codes(failed) == codes(listed(service, failed)) == ["all_diverged"]
+    assert codes(failed) == codes(listed(service, failed)) == ["all_diverged", "unstable_step"]
     rows = service.pages(failed["links"]["steps"])
     assert [row["diverged"] for row in rows] == [4] * least
     assert service.request("GET", f"/v1/controllers/stiff-{steps}").status == 404
@@ -135,10 +183,10 @@ def test_a_training_in_which_all_diverge_fails(service, steps, least):
 def test_a_campaign_in_which_all_diverge(service):
     done = run(service, "campaigns", CAMPAIGN | {"physics": STIFF})
     assert done["state"] == "succeeded" and done["newest"]["score"]["diverged"] == 6
-    assert codes(done) == codes(listed(service, done)) == ["all_diverged"]
+    assert codes(done) == codes(listed(service, done)) == ["all_diverged", "unstable_step"]
     assert "generation 1" in done["warnings"][0]["detail"]
     shown = warnings_of_events(service, done)
-    assert [code for _, code in shown] == ["all_diverged"] * 2, shown
+    assert [code for _, code in shown] == ["unstable_step"] + ["all_diverged"] * 2, shown
     assert shown[-1][0] == "succeeded"
 
 
@@ -171,7 +219,7 @@ def test_morphoctl_prints_warnings(ctl, service):
     status, _, errors = ctl(f"eval {stiff}", CELLS)
     assert status == 0 and "warning: job" in errors and "every rollout diverged" in errors, errors
     done = service.get("/v1/evaluations?limit=1")["items"][0]
-    assert codes(done) == ["all_diverged"]
+    assert codes(done) == ["all_diverged", "unstable_step"]
     for command, words in (("job show", "warning        every rollout diverged"),
                            ("watch", "job.warning"), ("wait", f"job {done['id']} has succeeded")):
         status, output, errors = ctl(f"{command} {done['id']}")
@@ -179,6 +227,16 @@ def test_morphoctl_prints_warnings(ctl, service):
     assert "warning: job" in errors and "every rollout diverged" in errors, errors
     status, output, _ = ctl("job list --limit 1")
     assert "succeeded (all_diverged)" in output, output
+
+
+def test_morphoctl_prints_warnings_about_a_request(ctl):
+    physics = "--physics n_steps=4 --physics dt_s=0.006"
+    for command, given in ((f"eval --no-wait {physics}", CELLS),
+                           (f"campaign start zero-shot --population 4 --generations 0 {physics}",
+                            None)):
+        status, output, errors = ctl(command, given) if given else ctl(command)
+        assert status == 0 and output.strip().isdigit(), (output, errors)
+        assert f" {output.strip()}: dt_s 0.006 is beyond the linear stability" in errors, errors
 
 
 def test_morphoctl_watches_a_campaign_without_new_bodies(ctl):

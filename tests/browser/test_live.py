@@ -217,7 +217,8 @@ def test_replicates_are_one_row(service, browser):
 
 
 def test_warnings_appear_next_to_the_state(start):
-    """Warnings about robots that all diverged, and about a campaign that found no new bodies."""
+    """Warnings about robots that all diverged, about the time step that explains it, and about a
+    campaign that found no new bodies."""
     other = start()
     stiff = {"n_steps": 20, "stiffness_n_per_m": 1e6}
     diverged = run(other, "campaigns", CAMPAIGN | {"physics": stiff, "generations": 1})["id"]
@@ -226,11 +227,12 @@ def test_warnings_appear_next_to_the_state(start):
     await_end(other, f"/v1/trainings/{training}")
     other.evaluate({"designs": [DESIGN], "physics": stiff})
     page = Browser(other)
+    why = "every robot diverged, the time step is too large"
     try:
         for path, state, detail in (
-            (f"campaigns/{diverged}", "succeeded, but every robot diverged", "generation 1"),
+            (f"campaigns/{diverged}", f"succeeded, but {why}", "generation 1"),
             (f"campaigns/{ended}", "succeeded, but no unseen body is left", "it ended at"),
-            (f"trainings/{training}", "failed, but every robot diverged", "nothing was learned")):
+            (f"trainings/{training}", f"failed, but {why}", "nothing was learned")):
             page.open(path)
             page.until(f"document.querySelector('.title .state')?.textContent === {state!r}")
             assert detail in page.run("return document.querySelector('p.error').textContent")

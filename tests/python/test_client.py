@@ -108,8 +108,10 @@ def test_what_a_result_does_not_show_is_a_warning(m):
     with pytest.warns(UserWarning, match="job [0-9]+: every rollout diverged .10."):
         evaluation = m.evaluate([[[0, 0, 0]]], physics=stiff)
     assert np.isnan(evaluation.scores).all()
-    assert len(evaluation.warnings) == 1 and "dt_s" in evaluation.warnings[0]
-    assert repr(evaluation).endswith(": succeeded, all_diverged>")
+    assert len(evaluation.warnings) == 2 and "dt_s" in evaluation.warnings[0]
+    assert repr(evaluation).endswith(": succeeded, all_diverged, unstable_step>")
+    with pytest.warns(UserWarning, match="linear stability bound"):
+        assert "linear stability bound" in m.rollouts([[[0, 0, 0]]], physics=stiff).warnings[0]
     with pytest.warns(UserWarning, match="no unseen body is left"):
         campaign = m.campaign("zero-shot", population=4, generations=5, workspace=[2, 1, 1],
                               physics={"n_steps": 20}, exclude_pretraining=False)

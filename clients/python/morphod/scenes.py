@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import MorphodError, reading
+from .errors import MorphodError, printable, reading
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -118,6 +118,7 @@ class Scene:
         self.frame_s = float(self.header["frame_s"])
         self.designs: list[dict[str, Any]] = self.header["designs"]
         self.environments: list[dict[str, Any]] = self.header["environments"]
+        self.warnings = [printable(each["detail"]) for each in self.header.get("warnings", ())]
         known = {"design", "environment", "loss", "diverged_step", "masses_m", "com_m"}
         self.rollouts = [
             Rollout(row["design"], row["environment"], row["loss"], row["diverged_step"],

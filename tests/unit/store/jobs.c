@@ -120,6 +120,36 @@ static void warns_of_divergence(void)
   CHECK_HAS(job.warnings[0].detail, "every rollout diverged (100)");
 }
 
+/* The longest warning fits, and its step is below the bound, rounded to two digits. */
+static void warns_of_unstable_steps(void)
+{
+  struct mo_physics physics = mo_default_physics();
+  struct mo_warning warning;
+  CHECK(!mo_warn_of_dt(&physics, &warning));
+  physics.scheme.dt_s = 1.23456e-5;
+  physics.constants.stiffness_n_per_m = 1.23456e8;
+  physics.constants.mass_kg = 1.23456e-5;
+  physics.constants.drag_per_s = 1234.56;
+  physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  REQUIRE(mo_warn_of_dt(&physics, &warning));
+  CHECK_TEXT(warning.code, "unstable_step");
+  CHECK(warning.of_request);
+  CHECK_TEXT(
+      warning.detail,
+      "dt_s 1.23456e-05 is beyond the linear stability bound of 1.83e-07 for "
+      "stiffness_n_per_m 1.23456e+08, mass_kg 1.23456e-05, drag_per_s 1234.56 and integrator "
+      "split: expect bodies to blow up; use a dt_s of at most 1.8e-07");
+  CHECK(strlen(warning.detail) <= 230);
+  physics = mo_default_physics();
+  const double bound = mo_stable_step_s(&physics, MO_EIGENVALUE_MAX);
+  physics.scheme.dt_s = 0.999 * bound;
+  CHECK(!mo_warn_of_dt(&physics, &warning));
+  physics.scheme.dt_s = 1.001 * bound;
+  CHECK(mo_warn_of_dt(&physics, &warning));
+  CHECK_HAS(warning.detail, "bound of 0.00463 for");
+  CHECK_HAS(warning.detail, "at most 0.0046");
+}
+
 struct received {
   int64_t sequences[64];
   size_t n;
@@ -254,6 +284,7 @@ static const struct check_case cases[] = {
     {"answers a repeated key with the same job", answers_a_repeated_key},
     {"changes states only as the machine allows", changes_states},
     {"warns of divergence", warns_of_divergence},
+    {"warns of unstable steps", warns_of_unstable_steps},
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
     {"removes the oldest recordings", removes_the_oldest_recordings},

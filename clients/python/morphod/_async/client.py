@@ -185,13 +185,17 @@ class AsyncClient:
                        precision: Literal["float32", "float64"] = "float32",
                        repair: Repair | None = None) -> Scene:
         """Computes up to 64 rollouts and their recordings without storing them, for viewers and
-        editors. The losses are the same as in an evaluation, bit for bit."""
+        editors. The losses are the same as in an evaluation, bit for bit. A warning about the
+        physics is issued as a `UserWarning`."""
         request = Request.post("/v1/rollouts", without_none({
             "designs": designs_of(bodies), "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
             "physics": physics, "repair": repair,
         }), accept=MEDIA_TYPE)
-        return Scene((await self._connection.send(request)).content)
+        scene = Scene((await self._connection.send(request)).content)
+        for warning in scene.warnings:
+            warnings.warn(warning, stacklevel=2)
+        return scene
 
     async def show(self, bodies: Iterable[BodyLike] | NDArray[Any],
                    environments: Environments = "paper-test", *,

@@ -104,9 +104,9 @@ class AsyncJob:
     @property
     @reading()
     def warnings(self) -> list[str]:
-        """Caveats about a successful result, as last reported; for example, that every robot
-        diverged. `wait` and `live` issue each as a `UserWarning`; `data["warnings"]` has their
-        codes."""
+        """Caveats about the result, as last reported; for example, that every robot diverged, or
+        that the time step is too large to be stable. `wait` and `live` issue each as a
+        `UserWarning`; `data["warnings"]` has their codes."""
         return [printable(warning["detail"]) for warning in self.data["warnings"]]
 
     @reading()
