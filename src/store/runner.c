@@ -55,6 +55,8 @@ static int change_job(struct mo_store *store, void *arguments)
   error = mo_sql_do(&store->writer, sql, mo_int(call->id), mo_int(target),
                     mo_int(target == MO_JOB_CANCELLED ? mo_clock_wall_us() : 0),
                     mo_int(MO_ERR_DEVICE), mo_int(call->change == MO_CHANGE_RETRY));
+  if (error == MO_OK && target == MO_JOB_CANCELLED && kind == MO_JOB_EVALUATION)
+    error = mo_waiting_delete(&store->writer, call->id);
   return error == MO_OK ? mo_run_announce(store, call->id, kind, types[call->change], target, "")
                         : error;
 }

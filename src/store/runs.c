@@ -61,6 +61,11 @@ int mo_job_step(struct mo_store *store, struct mo_job_update *update, enum mo_jo
   return MO_OK;
 }
 
+int mo_waiting_delete(struct mo_connection *writer, int64_t id)
+{
+  return mo_sql_do(writer, "DELETE FROM waiting_designs WHERE job=?1", mo_int(id));
+}
+
 int mo_run_insert(struct mo_connection *writer, int64_t id, enum mo_job_kind kind,
                   const void *record, const char *name, int64_t controller, const char *reference)
 {
@@ -139,9 +144,11 @@ static int run_step(struct mo_store *store, void *arguments)
 {
   struct mo_job_update *update = arguments;
   enum mo_job_kind kind;
-  const int error = mo_job_step(store, update, &kind);
+  int error = mo_job_step(store, update, &kind);
   if (error == MO_ERR_CONFLICT && update->step != MO_STEP_START)
     return mo_job_state_get(&store->writer, update->job, &update->state, &kind);
+  if (error == MO_OK && update->state == MO_JOB_FAILED && kind == MO_JOB_EVALUATION)
+    error = mo_waiting_delete(&store->writer, update->job);
   return error != MO_OK ? error
                         : mo_run_announce(store, update->job, kind,
                                           update->state == MO_JOB_RUNNING  ? "job.started"

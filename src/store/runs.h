@@ -33,6 +33,9 @@ int mo_key_insert(struct mo_connection *writer, const struct mo_request_key *key
 
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
+/* Deletes the listed designs of an evaluation that has ended before they were stored: at most 24
+ * MB, 40 ms for a million designs. */
+int mo_waiting_delete(struct mo_connection *writer, int64_t id);
 /* Applies the step of an update to the job's state, and sets update->state. MO_ERR_CONFLICT: the
  * step cannot start in the job's state, or the job was not started under this opening. */
 int mo_job_step(struct mo_store *store, struct mo_job_update *update, enum mo_job_kind *kind);

@@ -404,8 +404,32 @@ static void stores_long_lists_in_groups(void)
   CHECK_INT(mo_store_queued(store, urgency, 0, true, queued, 4), 1);
 }
 
+/* A list that will never be stored is deleted with the end of its job, not of other jobs. */
+static void deletes_lists_of_ended_jobs(void)
+{
+  enum { N = MO_DESIGN_GROUP + 5 };
+  struct mo_evaluation_request submission = draw_evaluation(8, N);
+  enum mo_job_state after = MO_JOB_QUEUED;
+  submission.forms = NULL;
+  const int64_t cancelled = submit_evaluation(&submission), failed = submit_evaluation(&submission),
+                kept = submit_evaluation(&submission);
+  CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 6);
+  CHECK_OK(change(cancelled, MO_CHANGE_PAUSE));
+  CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 6);
+  CHECK_OK(change(cancelled, MO_CHANGE_CANCEL));
+  CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 4);
+  CHECK_OK(mo_store_run_park(store, failed, MO_ERR_CORRUPT, "damaged", 2, &after));
+  CHECK_INT(after, MO_JOB_QUEUED);
+  CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 4);
+  CHECK_OK(mo_store_run_park(store, failed, MO_ERR_CORRUPT, "damaged", 2, &after));
+  CHECK_INT(after, MO_JOB_FAILED);
+  CHECK_INT(outside_integer("SELECT count(DISTINCT job) FROM waiting_designs"), 1);
+  CHECK_INT(outside_integer("SELECT min(job) FROM waiting_designs"), kept);
+}
+
 static const struct check_case cases[] = {
     {"stores long lists in groups", stores_long_lists_in_groups},
+    {"deletes lists of ended jobs", deletes_lists_of_ended_jobs},
     {"shares a design between its orientations", shares_designs_between_orientations},
     {"resolves an id to the best scored orientation", orients_ids},
     {"keeps every bit of a loss", keeps_every_bit},
