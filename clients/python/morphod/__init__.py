@@ -17,6 +17,7 @@ from ._sync.fleet import Fleet
 from ._sync.handles import Campaign, Campaigns, Evaluation, Job, Training
 from ._sync.studies import Study, StudyObjective
 from .bodies import WORKSPACE, Body
+from .comparisons import CampaignComparison, ControllerComparison
 from .errors import (AccessError, ApiError, BodyError, BusyError, ConflictError, InvalidError,
                      JobError, MorphodError, NotFoundError, UnreachableError, WaitError)
 from .imports import read_bodies
@@ -34,9 +35,9 @@ __all__ = [
     "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncCampaign", "AsyncCampaigns",
     "AsyncClient", "AsyncEvaluation", "AsyncFleet", "AsyncJob", "AsyncObjective", "AsyncStudy",
     "AsyncStudyObjective", "AsyncTraining", "Batch", "Body", "BodyError", "BusyError", "Campaign",
-    "Campaigns", "Client", "ConflictError", "Controller", "Entered", "Evaluation", "Fleet",
-    "InvalidError", "Job", "JobError", "LocalClient", "MorphodError", "NotFoundError", "Objective",
-    "Phylogeny", "Player", "Result", "Rollout", "Scene", "Study", "StudyObjective", "Training",
-    "UnreachableError", "WaitError", "local", "read_bodies", "read_safetensors",
-    "write_safetensors",
+    "CampaignComparison", "Campaigns", "Client", "ConflictError", "Controller",
+    "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
+    "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
+    "Rollout", "Scene", "Study", "StudyObjective", "Training", "UnreachableError", "WaitError",
+    "local", "read_bodies", "read_safetensors", "write_safetensors",
 ]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ..bodies import (BodyLike, OnFault, Repair, designs_of, packed, requests_of, voxels_of,
                       warn_of_ids, warn_of_lost)
+from ..comparisons import CampaignComparison, ControllerComparison
 from ..errors import MorphodError, reading
 from ..frames import frame
 from ..objectives import Plan
@@ -22,6 +23,7 @@ from ..scenes import MEDIA_TYPE, Environments, Scene
 from ..scores import Entered, blocks
 from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given, without_none
+from . import comparing
 from .connection import AsyncConnection
 from .fleet import AsyncFleet
 from .handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncTraining, curves,
@@ -374,6 +376,18 @@ class AsyncClient:
         return await curves(self._connection, stride, **_given(label=label, experiment=experiment,
                                                                group=group))
 
+    async def compare_campaigns(self, *campaigns: str | int | AsyncCampaign | AsyncCampaigns
+                                ) -> CampaignComparison:
+        """Compares the best scores of campaigns with those of the first one, at the newest
+        generation that all have reached. A campaign stands for its replicates, and their spread
+        gives the interval. `compare_campaigns(m.campaigns(experiment="B"))` compares each group of
+        an experiment.
+
+        Raises `MorphodError` if campaigns differ in physics or environments, because their scores
+        are not comparable; the result lists other settings that differ.
+        """
+        return await comparing.compare_campaigns(self._connection, comparing.sides_of(campaigns))
+
     async def bundle(self, path: str | os.PathLike[str], *,
                      ids: Iterable[str | int] | None = None, label: str | None = None,
                      experiment: str | None = None, group: str | None = None,
@@ -503,6 +517,25 @@ class AsyncClient:
         request = Request("PUT", f"/v1/controllers/{name}/file", content=content,
                           headers={"Content-Type": "application/octet-stream"})
         return Controller(await self._connection.json(request), content)
+
+    async def held_out(self, seed: int = 1, *, designs: int = 64, environments: int = 16
+                       ) -> tuple[NDArray[np.bool_], list[dict[str, Any]]]:
+        """Returns bodies (designs, 6, 6, 4) and environments that no training draws; always the
+        same for a seed."""
+        found = await self._connection.json(Request.get(
+            "/v1/held-out", seed=seed, designs=designs, environments=environments))
+        with reading():
+            return (voxels_of(design["voxels"] for design in found["designs"]),
+                    list(found["environments"]))
+
+    async def compare_controllers(self, a: str | AsyncTraining, b: str | AsyncTraining, *,
+                                  seed: int = 1, designs: int = 64, environments: int = 16,
+                                  **settings: Any) -> ControllerComparison:
+        """Compares two controllers, or the results of two trainings, on the same held-out bodies
+        and environments. `settings` are those of `evaluate`, such as `physics`, and hold for both.
+        """
+        return await comparing.compare_controllers(self, a, b, (seed, designs, environments),
+                                                   settings)
 
     # ---- the service ----
 
