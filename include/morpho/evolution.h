@@ -294,12 +294,19 @@ double mo_race_score(const double *losses, uint32_t n);
 struct mo_best {
   uint32_t n_designs, n_environments, k;
   uint64_t n_cut;        /* losses that will never be requested */
-  double share;          /* estimated share of the losses that will be requested; 0 = unknown yet */
   uint64_t *asked;       /* (n_designs) the environments requested so far, as bits */
   double *losses;        /* (n_designs, n_environments) NaN if unknown */
   struct mo_rank *ranks; /* (n_designs) scratch */
   struct mo_race race;   /* its bound is that of the designs with all losses */
   uint32_t round, wave;  /* rounds and waves requested */
+  uint32_t prefix;       /* environments of race.order that open designs have before this round */
+  bool is_whole;         /* all designs get all their losses in the first round */
+  uint64_t n_given;      /* losses delivered */
+  struct {
+    uint32_t round;
+    uint64_t n_given;
+    double later;
+  } estimate; /* the newest of mo_best_left, and when it was made */
 };
 /* 1 ≤ k ≤ n_designs; 1 ≤ n_environments ≤ MO_RACE_ENVIRONMENTS_MAX. MO_ERR_NO_MEMORY. */
 int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, struct mo_best **best);
@@ -309,6 +316,9 @@ void mo_best_give(struct mo_best *best, uint32_t design, uint32_t environment, d
 /* Requests the next losses: adds bits to `asked`. Returns how many it added; 0 means that the race
  * is over, and designs with all bits set have their scores. */
 uint64_t mo_best_ask(struct mo_best *best);
+/* Estimates how many losses later rounds will request; negative if it is still unknown, which is
+ * the case in the first round. */
+double mo_best_left(struct mo_best *best);
 
 /* ---- statistics ---- */
 

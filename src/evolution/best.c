@@ -36,6 +36,7 @@ int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, stru
   *best = (struct mo_best){.n_designs = n_designs,
                            .n_environments = n_environments,
                            .k = k,
+                           .estimate = {.later = -1}, /* unknown */
                            .asked = calloc(n_designs, sizeof(*best->asked)),
                            .losses = calloc(n_losses, sizeof(*best->losses)),
                            .ranks = calloc(n_designs, sizeof(*best->ranks)),
@@ -63,6 +64,7 @@ void mo_best_free(struct mo_best *best)
 void mo_best_give(struct mo_best *best, uint32_t design, uint32_t environment, double loss)
 {
   best->losses[(size_t)design * best->n_environments + environment] = loss;
+  best->n_given++;
 }
 
 /* ---- the plan ---- */
@@ -96,50 +98,10 @@ static void plan(struct mo_best *best)
   mo_race_cut_waves(race, sizes);
 }
 
-/* Returns how many losses a design needs before it is out. */
-static uint32_t needed(const struct mo_best *best, uint32_t design, double bound)
-{
-  const struct mo_race *race = &best->race;
-  double sum = 0;
-  for (uint32_t wave = 0, i = 0; wave < race->n_waves; wave++) {
-    for (; i < race->ends[wave]; i++)
-      sum += losses_of(best, design)[race->order[i]];
-    if (sum / race->n_environments > bound)
-      return i;
-  }
-  return race->n_environments;
-}
-
 /* Returns the i-th of the few designs that get all their losses first. */
 static uint32_t sample(const struct mo_best *best, uint32_t i, uint32_t few)
 {
   return (uint32_t)((uint64_t)i * best->n_designs / few);
-}
-
-/* Guesses the k-th best score of all designs from the ranked scores of the few: the score at the
- * corresponding rank or, if that is better than their best, an extrapolation of their first
- * eighth. */
-static double guess_bound(const struct mo_best *best, uint32_t few)
-{
-  const double place = (double)best->k * (few + 1) / (best->n_designs + 1) - 1;
-  const uint32_t eighth = few / 8 > 0 ? few / 8 : 1;
-  const double first = best->ranks[0].score;
-  if (place >= 0)
-    return best->ranks[(uint32_t)place].score;
-  return isfinite(best->ranks[eighth].score)
-             ? first + place * (best->ranks[eighth].score - first) / eighth
-             : first;
-}
-
-/* Estimates the share of the losses that the race needs, from these first designs: with a guess of
- * the bound, or with the bound itself once the most promising designs have all their losses. */
-static void estimate(struct mo_best *best, uint32_t few, uint32_t round)
-{
-  const double bound = round == 1 ? guess_bound(best, few) : best->race.bound;
-  uint64_t sum = 0;
-  for (uint32_t i = 0; i < few; i++)
-    sum += needed(best, sample(best, i, few), bound);
-  best->share = (double)sum / ((double)few * best->n_environments);
 }
 
 /* ---- rounds ---- */
@@ -208,14 +170,13 @@ uint64_t mo_best_ask(struct mo_best *best)
   if (round == 0) {
     for (uint32_t i = 0; i < few; i++)
       n_asked += ask(best, sample(best, i, few), all_environments(best));
-    best->share = few < best->n_designs ? 0 : 1;
+    best->is_whole = few == best->n_designs;
     return n_asked;
   }
   find_bound(best);
   if (round == 1)
     plan(best);
-  if (few < best->n_designs && (round == 1 || round > 2))
-    estimate(best, few, round);
+  best->prefix = best->race.ends[best->wave > 0 ? best->wave - 1 : 0];
   const uint32_t n_open = rank_open(best), promising = best->k + best->k / 2 + few;
   const bool completes = round % 2 == 0 || n_open <= few; /* the most promising designs */
   const uint64_t environments = completes ? all_environments(best) : next_wave(best);

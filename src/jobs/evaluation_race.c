@@ -50,9 +50,6 @@ double mo_active_left(const struct mo_active *active, uint64_t done)
   const double left = (double)(active->total - done);
   if (active->race == NULL)
     return left;
-  if (active->race->share == 0)
-    return -1;
-  const double more =
-      active->race->share * (double)active->total - (double)(active->done - active->cut);
-  return fmin(left, fmax(more, (double)active->n_asked));
+  const double later = mo_best_left(active->race);
+  return later < 0 ? -1 : fmin(left, (double)active->n_asked + later);
 }
