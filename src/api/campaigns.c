@@ -62,6 +62,12 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_status
   mo_text_add(text, "}");
 }
 
+static void write_group(struct mo_text *text, const struct mo_campaign_record *record)
+{
+  mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}",
+                 (long long)record->group, record->replicate, record->replicates);
+}
+
 static void write_progress(struct mo_text *text, const struct mo_campaign_status *status,
                            const struct mo_live *live)
 {
@@ -142,8 +148,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   mo_member_controller(text, "controller", status->job.has_controller, status->job.controller_name,
                        &status->job.controller_sha256);
   write_settings(text, status);
-  mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}",
-                 (long long)record->group, record->replicate, record->replicates);
+  write_group(text, record);
   write_progress(text, status, live);
   mo_text_member(text, "end", ends[status->end]);
   if (!mo_modes[record->settings.mode].makes_children)
@@ -184,6 +189,7 @@ void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo
   mo_text_member_count(text, "population", status->record.settings.population);
   mo_member_count_if(text, "generation", status->generation >= 0, (uint64_t)status->generation);
   mo_text_member_count(text, "generations", status->record.settings.generations);
+  write_group(text, &status->record);
   mo_text_add(text, "}}");
 }
 

@@ -204,6 +204,10 @@ def test_replicates_are_one_row(service, browser):
     browser.run("document.querySelector('[aria-label=\"Show the replicates of thrice\"]').click()")
     browser.until(f"{thrice}.length === 4")
     items = service.get(f"/v1/campaigns?group={first}")["items"]
+    go(browser, "?label=thrice")
+    browser.until("document.querySelectorAll('.jobs tbody tr .main .muted').length === 3")
+    assert [text.split(", ")[1] for text in browser.texts(".jobs tbody tr .main .muted")] == [
+        f"replicate {n} of 3" for n in (3, 2, 1)]
     others = [row["id"] for row in items if row["id"] != first]
     go(browser, f"campaigns/{first}?compare={','.join(others)}")
     browser.until("document.querySelectorAll('[aria-label=Comparison] tbody tr').length === 3")
@@ -211,6 +215,37 @@ def test_replicates_are_one_row(service, browser):
     assert "replicate 2 of 3" in text and text.count("1 run: no interval") == 2
     links = browser.texts(".title a")
     assert "replicate 2" in links and "replicate 3" in links
+
+
+def test_a_group_has_a_page(service, browser):
+    """All replicates of a request, and their mean and range, follow a group's row and replicates.
+    """
+    request = CAMPAIGN | {"replicates": 3, "label": "a group", "generations": 2}
+    first = run(service, "campaigns", request)["id"]
+    ids = [str(int(first) + n) for n in range(3)]
+    for id in ids:
+        await_end(service, f"/v1/campaigns/{id}")
+    browser.open("campaigns")
+    browser.until("[...document.querySelectorAll('tbody a')].some((a) => a.text === 'a group')")
+    browser.run("[...document.querySelectorAll('tbody a')].find((a) => a.text === 'a group')"
+                ".click()")
+    browser.until("document.querySelectorAll('[aria-label=Replicates] tbody tr').length === 3")
+    assert browser.run("return location.hash") == f"#/campaigns/{first}/replicates"
+    rows = browser.texts("[aria-label=Replicates] tbody tr")
+    bests = [service.get(f"/v1/campaigns/{id}")["newest"]["score"]["quantiles"]["p0"]
+             for id in ids]
+    for n, (row, id, best) in enumerate(zip(rows, ids, bests)):
+        assert f"replicate {n + 1} of 3" in row and f"campaign {id}" in row, row
+        assert f"{best:.4f}" in row and ("\u265b" in row) == (best == min(bests)), row
+    mean = service.pages(f"/v1/campaigns/{first}/replicates")[-1]["best_score"]["mean"]
+    reported = "document.querySelector('figure canvas').getAttribute('aria-label')"
+    browser.until(f"{reported}.includes('to {mean:.3g} at generation 2')")
+    go(browser, f"campaigns/{ids[1]}")
+    browser.until("[...document.querySelectorAll('.title a')].some((a) => "
+                  f"a.hash === '#/campaigns/{ids[1]}/replicates')")
+    go(browser, f"campaigns/{ids[1]}/replicates")
+    browser.until("document.querySelectorAll('[aria-label=Replicates] tbody tr').length === 3")
+    assert browser.faults() == []
 
 
 # ---- questionable results ----

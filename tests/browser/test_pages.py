@@ -17,6 +17,7 @@ from workers import Workers
 VIEWS = {
     "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
     "campaigns/{campaign}/phylogeny": "Phylogeny", "campaigns/{study}": "a study",
+    "campaigns/{campaign}/replicates": "<b>walkers</b> & others",
     "campaigns/{study}/phylogeny": "Phylogeny", "trainings": "Trainings",
     "trainings/{training}": "Training {training}", "designs": "Designs", "editor": "Editor",
     "stage": "Stage", "machines": "Machines"
@@ -424,7 +425,8 @@ def test_the_best_of_many_come_first(service, browser):
 
 
 COPIED = [
-    "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny", "trainings",
+    "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny",
+    "campaigns/{campaign}/replicates", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
     "editor"
 ]

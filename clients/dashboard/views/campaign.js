@@ -28,6 +28,7 @@ export async function mount(main, [id, part], parameters, app) {
   if (part === 'phylogeny') {
     return (await import('./phylogeny.js')).mount(main, id, parameters, app);
   }
+  if (part === 'replicates') return (await import('./replicates.js')).mount(main, id, app);
   return mountOne(main, id, parameters, app);
 }
 
@@ -54,7 +55,7 @@ async function mountList(main, app) {
     const slowest = all.reduce((a, b) => ((a.progress.generation ?? -1) <=
       (b.progress.generation ?? -1) ? a : b));
     const isSpread = all.some((one) => one.progress.generation !== slowest.progress.generation);
-    const link = h('a', { href: `#/campaigns/${all[0].id}` },
+    const link = h('a', { href: `#/campaigns/${all[0].id}${members ? '/replicates' : ''}` },
       isMember ? replicateOf(job).slice(2) : titleOf(all[0]));
     const about = members ? `${job.mode}, ${countOf(members.length, 'replicate')}`
       : isMember ? `campaign ${job.id}, seed ${job.settings.seed}` : job.mode;
@@ -189,11 +190,12 @@ async function mountOne(main, id, parameters, app) {
         'aria-label': `Leave out campaign ${other}` }, '×'));
   }
 
-  /** Returns links to the other replicates of the request. */
+  /** Shows links to the group and to the other replicates. */
   async function showSiblings() {
     const { items } = await get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
-    fill(siblings, items.filter((one) => one.id !== id).reverse().map((one) =>
-      h('a', { href: `#/campaigns/${one.id}` }, `replicate ${one.group.replicate + 1}`)));
+    fill(siblings, h('a', { href: `#/campaigns/${id}/replicates` }, 'all replicates'),
+      items.filter((one) => one.id !== id).reverse().map((one) =>
+        h('a', { href: `#/campaigns/${one.id}` }, `replicate ${one.group.replicate + 1}`)));
   }
 
   function showHead() {

@@ -27,7 +27,8 @@ export function submitter(job) {
 }
 
 /** Returns which of several replicates a campaign is: ", replicate 1 of 3". */
-export function replicateOf({ group }) {
+export function replicateOf(job) {
+  const group = job.group ?? job.campaign?.group;
   return group?.replicates > 1 ? `, replicate ${group.replicate + 1} of ${group.replicates}` : '';
 }
 
@@ -381,7 +382,7 @@ export class JobTable {
     say(link, titleOf(job));
     const note = job.note ? `: ${job.note.slice(0, 60)}` : '';
     const cores = job.core_seconds >= 1 ? `, ${duration(job.core_seconds)} of cores` : '';
-    say(about, `${job.kind} ${job.id}${submitter(job)}${cores}${note}`);
+    say(about, `${job.kind} ${job.id}${replicateOf(job)}${submitter(job)}${cores}${note}`);
     say(age, ago(job.created_at));
   }
 
