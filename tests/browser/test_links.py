@@ -235,10 +235,37 @@ def test_forms_say_what_they_leave_open(service, browser):
                                f"{FIELD}.generations.placeholder]") == [population, n]
     modes = "return [...document.querySelector('[name=mode]').options].map((e) => e.value)"
     assert "study" not in browser.run(modes)
-    fill(browser, {"mode": "zero-shot", "name": "Not A Name"})
+    fill(browser, {"mode": "zero-shot", "name": "Not A Name", "preset": "demo", "replicates": "2"})
+    browser.until("document.querySelector('dialog').innerText.includes("
+                  "'Up to 39,680 rollouts: about ')")  # 64 × 31 × 2 designs, 10 environments
+    fill(browser, {"population": "10"})
+    browser.until("document.querySelector('dialog').innerText.includes('Up to 6,200 rollouts: ')")
+    fill(browser, {"mode": "few-shot"})
+    browser.until("!document.querySelector('dialog').innerText.includes('Up to')")
+    fill(browser, {"mode": "zero-shot"})
     browser.click("Start")
     browser.until("document.querySelector('details[open] .fault:not(:empty)')")
     assert browser.texts("dialog .error") == [""]
+    browser.click("Cancel", "dialog button")
+    browser.click("New training")
+    browser.until("document.querySelector('dialog[open] [name=steps]')")
+    steps = re.search(r"Number of learning steps. Default: (\d+), or (\d+) for", contract).groups()
+    batches = re.search(r"environment. Default: from the preset, (\d+) or (\d+)", contract).groups()
+    for kind, n in zip(("pretrain", "finetune"), steps):
+        for preset, batch in (("workstation", batches[0]), ("paper", batches[1])):
+            fill(browser, {"kind": kind, "preset": preset})
+            assert browser.run(f"return [{FIELD}.steps.placeholder,"
+                               f"{FIELD}.batch.placeholder]") == [n, batch]
+    browser.click("Cancel", "dialog button")
+    browser.click("New evaluation")
+    form = "document.querySelector('dialog[aria-label=\"New evaluation\"]')"
+    browser.until(f"{form}?.querySelector('textarea')")
+    assert "as the preset says" not in browser.run(f"return {form}.innerText")
+    browser.run(f"""
+        const text = {form}.querySelector('textarea');
+        text.value = '0'.repeat(36);
+        text.dispatchEvent(new Event('input', {{ bubbles: true }}));""")
+    browser.until(f"{form}.innerText.includes('Up to 10 rollouts: about')")
 
 
 def test_dialogs_are_forms(service, browser):

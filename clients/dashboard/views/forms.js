@@ -3,9 +3,9 @@
  */
 
 import { getJson, post } from '../lib/api.js';
-import { button, h } from '../lib/dom.js';
+import { button, h, say } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
-import { shellWord } from '../lib/format.js';
+import { count, duration, shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
 import { announced, copyDialog } from './share.js';
 
@@ -34,6 +34,13 @@ const PRESETS = {
   workstation: { population: '512', 'zero-shot': '100', 'few-shot': '10', simultaneous: '180' },
   demo: { population: '64', 'zero-shot': '30', 'few-shot': '3', simultaneous: '30' },
 };
+/** The same of a training: steps by kind, and the batch of a preset. */
+const LEARNING = {
+  steps: { pretrain: '1400', finetune: '60' },
+  batch: { workstation: '256', phototaxis: '8192', paper: '8192' },
+};
+/** The number of default environments, and of bodies that are simulated for an estimate. */
+const [ENVIRONMENTS, MEASURED] = [10, 3];
 const SCHEMAS = {
   evaluation: 'EvaluationRequest', training: 'TrainingRequest', campaign: 'CampaignRequest',
 };
@@ -187,6 +194,30 @@ class LearnedOn {
   }
 }
 
+/** Measures the seconds that a thread needs for a rollout, with a few random bodies. */
+async function measureRollout() {
+  const { items } = await post('v1/bodies/random', { count: MEASURED });
+  const begin = performance.now();
+  for (const { genotype } of items) { // one thread computes a body in all its environments
+    await post('v1/rollouts',
+      { designs: [{ voxels: genotype }], environments: 'paper-test', record: [] });
+  }
+  return (performance.now() - begin) / 1000 / (MEASURED * ENVIRONMENTS);
+}
+
+/**
+ * Describes how many rollouts a request needs, and how long they take. A training, and a campaign
+ * that learns, mostly compute gradients, so they have no estimate.
+ * @param {number} designs to be scored in default environments and physics; 0 if unknown
+ * @param {number|null} seconds that a thread needs for a rollout; null if unknown
+ */
+export function estimateOf(designs, seconds, threads) {
+  if (!designs) return '';
+  const n = designs * ENVIRONMENTS;
+  return `Up to ${count(n)} rollouts` + (seconds === null ? '.'
+    : `: about ${duration(n * seconds / threads)} on this machine, if it does nothing else.`);
+}
+
 /** The fields of a form, from the contract, each with the service's errors. */
 function fieldsOf(kind, names, contract, controllers, proposed) {
   const { properties, required = [] } = contract.components.schemas[SCHEMAS[kind]];
@@ -212,8 +243,9 @@ function fieldsOf(kind, names, contract, controllers, proposed) {
  * @param {Object<string, any>} [proposed] initial values of fields
  */
 export async function startDialog(app, kind, fixed = {}, proposed = {}) {
-  const [contract, { items }] = await Promise.all([app.contract(),
-    getJson('v1/controllers?limit=1000')]);
+  const [contract, { items }, threads] = await Promise.all([app.contract(),
+    getJson('v1/controllers?limit=1000'), getJson('v1/threads')]);
+  let rolloutSeconds = null;
   const controllers = items.map(({ name }) => name).filter(Boolean);
   const [first, others] = [FIRST[kind], MORE[kind]].map((names) =>
     fieldsOf(kind, names.filter((name) => !(name in fixed)), contract, controllers, proposed));
@@ -225,6 +257,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const message = h('p.error.wide', { role: 'alert' });
   const more = h('details.wide', {}, h('summary', {}, 'More'),
     h('div.fields', {}, others.map(({ element }) => element)));
+  const estimate = h('p.wide.muted', { 'aria-live': 'polite' });
   /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
@@ -279,6 +312,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       const isFinetune = inputOf('kind').value === 'finetune';
       learnedOn.show(isFinetune);
       inputOf('controller').options[0].text = isFinetune ? 'default' : 'random weights';
+      inputOf('steps').placeholder = LEARNING.steps[inputOf('kind').value];
+      inputOf('batch').placeholder = LEARNING.batch[inputOf('preset').value];
     }
     if (kind === 'campaign') {
       const [mode, preset] = [inputOf('mode').value, inputOf('preset').value];
@@ -287,6 +322,15 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       inputOf('population').placeholder = PRESETS[preset]?.population ?? 'as the preset says';
       inputOf('generations').placeholder = PRESETS[preset]?.[mode] ?? 'as the preset says';
     }
+    say(estimate, estimateOf(designsScored(), rolloutSeconds, threads.n_threads));
+  }
+
+  /** Returns how many designs the request scores; 0 if that is not what takes its time. */
+  function designsScored() {
+    const valueOf = (name) => Number(inputOf(name).value || inputOf(name).placeholder);
+    if (kind === 'evaluation') return fixed.designs?.length ?? designsIn(designs.value).length;
+    if (kind !== 'campaign' || inputOf('mode').value !== 'zero-shot') return 0;
+    return valueOf('population') * (valueOf('generations') + 1) * valueOf('replicates') || 0;
   }
 
   const dialog = h('dialog', { 'aria-label': `New ${kind}`, onclose: () => dialog.remove() },
@@ -295,6 +339,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
         event.preventDefault();
         attempt(start);
       },
+      oninput: adapt,
       onchange: adapt,
       onfocusin: (event) => {
         const field = fields.find(({ input }) => input === event.target);
@@ -303,13 +348,19 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
     }, h('h2.wide', {}, `New ${kind}`),
     fixed.initial ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null,
     first.map(({ element }) => element), learnedOn?.elements,
-    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, hint,
-    message, h('div.row.ends.wide', {}, button('Copy as a command', () => attempt(copy)),
+    designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, estimate,
+    hint, message, h('div.row.ends.wide', {}, button('Copy as a command', () => attempt(copy)),
       button('Cancel', () => dialog.close()),
       h('button.primary', { type: 'submit' }, 'Start'))));
   adapt();
   document.body.append(dialog);
   dialog.showModal();
+  if (kind !== 'training') {
+    measureRollout().then((seconds) => {
+      rolloutSeconds = seconds;
+      adapt();
+    }).catch(() => {}); // the number of rollouts is still shown
+  }
 }
 
 const founders = (n) =>
