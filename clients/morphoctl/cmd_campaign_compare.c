@@ -43,7 +43,7 @@ static void choose_members(struct ctl *ctl, const json_t *campaign, bool alone, 
   size_t i;
   if (!alone) {
     const char *id = json_string_value(value_at(campaign, "group.id"));
-    group = collect(ctl, path_to("/v1/campaigns?group=%s", id), REPLICATES_MAX);
+    group = collect(ctl, path_to("/v1/campaigns?group=%s&archived=all", id), REPLICATES_MAX);
   }
   json_array_foreach(group, i, one)
   {

@@ -275,6 +275,9 @@ def test_campaigns_are_compared(service, ctl):
     assert other["low"] + other["high"] == pytest.approx(2 * other["difference"], rel=1e-9)
     assert other["replicates"] == b[1::-1] and other["left_out"] == [{"id": b[2],
                                                                       "state": "cancelled"}]
+    for job in a:  # hidden in lists, but no less a replicate
+        assert ctl(f"job archive {job}")[0] == 0
+        assert json.loads(ctl(f"campaign compare {a[1]} {b[0]} --json")[1]) == reported
     status, out, _ = ctl(f"campaign compare {a[0]} {b[0]}")
     assert status == 0 and f"campaign {b[2]}, a replicate of {b[0]}: it was cancelled" in out
     assert "left out" in ctl(f"campaign export {b[0]} --replicates -")[2]

@@ -48,7 +48,10 @@ def test_campaigns(m, ctl):  # noqa: F811
     table = found.frame()
     assert table["runs"].tolist() == [3, 2]
     assert table["differs_in"].tolist() == ["", "settings.mutation.rate"]
-    assert len(m.compare_campaigns(m.campaigns(experiment="pair")).sides) == 2, "one of each group"
+    grouped = m.compare_campaigns(m.campaigns(experiment="pair"))
+    assert {side["campaign"] for side in grouped.sides} == {a[0].id, b[0].id}
+    a[2].edit(archived=True)
+    assert m.compare_campaigns(a[1], b[0].id).data == found.data
     alone = m.compare_campaigns(a[0], a[1])
     assert math.isnan(alone.sides[1]["low"]) and "at least two replicates" in repr(alone)
     for campaigns in ([a], [a[0]], [m.campaigns(experiment="no such")]):

@@ -192,7 +192,7 @@ async function mountOne(main, id, parameters, app) {
 
   /** Shows links to the group and to the other replicates. */
   async function showSiblings() {
-    const { items } = await get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
+    const { items } = await get(`v1/campaigns?group=${campaign.group.id}&limit=100&archived=all`);
     fill(siblings, h('a', { href: `#/campaigns/${id}/replicates` }, 'all replicates'),
       items.filter((one) => one.id !== id).reverse().map((one) =>
         h('a', { href: `#/campaigns/${one.id}` }, `replicate ${one.group.replicate + 1}`)));

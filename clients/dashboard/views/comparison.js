@@ -48,7 +48,8 @@ export class Comparison {
   async #load() {
     const sides = await Promise.all(this.ids.map(async (id) => {
       const campaign = await this.get(`v1/campaigns/${id}`);
-      const { items } = await this.get(`v1/campaigns?group=${campaign.group.id}&limit=100`);
+      const group = `v1/campaigns?group=${campaign.group.id}&limit=100&archived=all`;
+      const { items } = await this.get(group);
       const worlds = await this.get(`v1/campaigns/${id}/environments`);
       // Replicates that ended early are only listed, unless all did.
       const early = items.filter(({ state }) => state === 'cancelled' || state === 'failed')

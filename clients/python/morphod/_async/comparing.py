@@ -18,13 +18,12 @@ if TYPE_CHECKING:
 
 
 def sides_of(campaigns: Sequence[str | int | AsyncCampaign | AsyncCampaigns]) -> list[str]:
-    """Returns the id of a campaign of each side. Of a sequence, each group is a side."""
+    """Returns the id of a campaign of each side. Each group of a sequence is a side."""
     ids: list[str] = []
     for one in campaigns:
         if isinstance(one, AsyncCampaigns):
             with reading():
-                groups = {member.data["group"]["id"]: member.id for member in one}
-            ids += groups.values()
+                ids += dict.fromkeys(str(member.data["group"]["id"]) for member in one)
         else:
             ids.append(one.id if isinstance(one, AsyncCampaign) else str(one))
     if len(ids) < 2:
