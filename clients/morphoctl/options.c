@@ -181,20 +181,20 @@ static const struct command *find_command(const struct ctl *ctl, int argc, const
 static _Noreturn void refuse_command(const struct ctl *ctl, int argc, const char *const *argv)
 {
   size_t length = strlen(argv[1]);
+  const bool asks = argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0);
+  FILE *out = asks ? stdout : stderr;
   bool group = false;
   for (size_t i = 0; i < ctl->n_commands; i++)
     if (strncmp(ctl->commands[i].name, argv[1], length) == 0 &&
         ctl->commands[i].name[length] == ' ') {
-      if (!group)
-        fprintf(stderr, "morphoctl: %s%s%s; the commands are\n", argv[1],
+      if (!group && !asks)
+        fprintf(out, "morphoctl: %s%s%s; the commands are\n", argv[1],
                 argc > 2 ? " has no command " : " needs a command", argc > 2 ? argv[2] : "");
       group = true;
-      fprintf(stderr, "  morphoctl %-18s %s\n", ctl->commands[i].name, ctl->commands[i].summary);
+      fprintf(out, "  morphoctl %-18s %s\n", ctl->commands[i].name, ctl->commands[i].summary);
     }
   if (group)
-    leave(argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0)
-              ? STATUS_OK
-              : STATUS_USAGE);
+    leave(asks ? STATUS_OK : STATUS_USAGE);
   const char *near =
       did_you_mean("", argv[1], &ctl->commands->name, ctl->n_commands, sizeof(*ctl->commands));
   fail(STATUS_USAGE, "unknown command \"%s\"%s", argv[1],

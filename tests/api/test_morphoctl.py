@@ -401,6 +401,11 @@ def test_help_of_a_command(ctl):
         assert status == 0 and err == "" and out.startswith("Usage: morphoctl " + " ".join(words))
         assert out == ctl(*words, "--help")[1]
     assert ctl("help")[1] == ctl("--help")[1]
+    for word in ("--help", "-h"):  # of a group of commands
+        status, out, err = ctl("campaign", word)
+        assert status == 0 and err == "" and out.startswith("  morphoctl campaign start "), out
+    status, out, err = ctl("campaign nosuch")
+    assert status == 2 and out == "" and "campaign has no command nosuch; the commands are" in err
     status, out, err = ctl("help campain")
     assert status == 2 and out == "" and "campain" in err
 
