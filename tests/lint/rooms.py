@@ -44,7 +44,8 @@ FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnut
 PUBLIC = {
     "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
     "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout",
-    "compute.h": "compute", "learning.h": "learning", "evolution.h": "evolution"
+    "score_error.h": "rollout", "compute.h": "compute", "learning.h": "learning",
+    "evolution.h": "evolution"
 }
 SPEAKS = re.compile(
     r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
