@@ -153,7 +153,7 @@ static void save_all(const struct bed *bed, int64_t id)
       struct mo_saved_block *block = &blocks[save.n_blocks++];
       *block = (struct mo_saved_block){.genotype = work->genotype_rows[n],
                                        .condition = {.controller = work->controller,
-                                                     .physics = work->physics,
+                                                     .physics = work->physics_rows[0],
                                                      .fingerprint = fingerprint,
                                                      .n = ENVIRONMENTS}};
       memcpy(block->condition.environments, work->environment_rows,

@@ -127,6 +127,8 @@ void run_eval(struct ctl *ctl)
   film_check(ctl);
   request_fill(ctl, request);
   fill_record(ctl, request);
+  if (option_is_set(ctl, "error"))
+    json_object_set_new(request, "error", json_true());
   if (is_drawn)
     json_object_set(request, "random", (json_t *)random);
   else

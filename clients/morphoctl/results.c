@@ -77,11 +77,12 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
   struct ranked *order = rank_results(results, by_score);
   json_t *rows = keep(json_array());
-  bool named = false, verified = false;
-  char columns[512];
+  bool named = false, verified = false, estimated = false;
+  char columns[640];
   for (size_t i = 0; i < n; i++) {
     named |= name_of(designs, place_of(results, i)) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
+    estimated |= json_object_get(json_array_get(results, i), "error") != NULL;
   }
   for (size_t r = 0; r < shown; r++) {
     const size_t i = order[r].place;
@@ -91,10 +92,14 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   }
   snprintf(columns, sizeof(columns),
            ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
-           "]{score:.4f}|>best={best:.4f}"
+           "]{score:.4f}%s|>best={best:.4f}"
            "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
            "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
-           named ? "|name={name}" : "", verified ? "bits" : "note");
+           named ? "|name={name}" : "",
+           estimated ? "|>limit=[{error.low:.4f} to {error.high:.4f}]|>bifurcates="
+                       "[{error.low:-}{error.bifurcates:#} of {losses:#}]"
+                     : "",
+           verified ? "bits" : "note");
   print_table(stdout, ctl, rows, columns);
   say_orientations(ctl, results);
   if (shown < n)

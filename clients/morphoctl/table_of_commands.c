@@ -110,6 +110,10 @@ static const struct option_spec eval_options[] = {
     {"best", 0, "K",
      "Compute complete scores only for the K best; the others are cut short and get lower bounds.",
      "best", FIELD_WHOLE},
+    {"error", 0, NULL,
+     "Estimate the error of each score: the interval that contains its limit of small steps (at "
+     "six "
+     "times the cost), and the environments in which rounding decides."},
     {KEY("evaluation")},
     {NULL}};
 static const struct option_spec verify_options[] = {

@@ -79,6 +79,7 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_on_fault_fields},
     {"random", MO_FIELD_OWN, 0, AT(parts), .own = &random_field},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
+    {"error", MO_FIELD_FLAG, 0, AT(parts.estimates_error)},
     {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_LARGE_MAX, .unit = "designs",
      .help = "number of the best designs that get complete scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
@@ -96,6 +97,7 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
   const uint32_t n = random->count > 0 ? random->count : parsed->parts.n_designs;
   const uint64_t n_environments =
       parsed->parts.environments != NULL ? parsed->parts.n_environments : MO_PAPER_TEST_COUNT;
+  const uint64_t n_rollouts = n * n_environments * mo_error_runs(parsed->request.n_displaced);
   if (random->count == 0 && n <= MO_DESIGNS_MAX)
     return;
   if (random->count > 0 && random->first + random->count > MO_RANDOM_BODIES_MAX)
@@ -103,15 +105,40 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
         json, 0, "/random/first",
         "bodies %u to %u are out of range; a seed has bodies 0 to %d, so use another seed",
         random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
-  if (n * n_environments > MO_LARGE_ROLLOUTS_MAX)
+  if (n_rollouts > MO_LARGE_ROLLOUTS_MAX)
     mo_json_fault_at(json, 0, random->count > 0 ? "/random/count" : place,
                      "the request has %llu rollouts, and at most %d are allowed; use fewer bodies "
                      "or fewer environments",
-                     (unsigned long long)n * n_environments, MO_LARGE_ROLLOUTS_MAX);
+                     (unsigned long long)n_rollouts, MO_LARGE_ROLLOUTS_MAX);
   if (parsed->request.verify || parsed->request.record != 0)
     mo_json_fault_at(json, 0, place,
                      "cannot be combined with %s, which supports at most %d listed designs",
                      parsed->request.verify ? "verify" : "record", MO_DESIGNS_MAX);
+}
+
+/* The settings of every run must be within the bounds. */
+static void check_error(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+{
+  const struct mo_evaluation_request *request = &parsed->request;
+  struct mo_message message;
+  int error = MO_OK;
+  if (request->verify || request->record != 0 || request->best > 0)
+    mo_json_fault_at(json, 0, "/error", "cannot be combined with %s; give only one of them",
+                     request->verify        ? "verify"
+                     : request->record != 0 ? "record"
+                                            : "best");
+  if (parsed->parts.job.back_end == MO_ON_DEVICE)
+    mo_json_fault_at(json, 0, "/error",
+                     "is estimated only for scores that processors compute; request \"cpu\" or "
+                     "\"auto\"");
+  for (uint32_t run = 1; run < mo_error_runs(request->n_displaced) && error == MO_OK; run++) {
+    const struct mo_physics physics = mo_error_physics(&request->physics, run);
+    error = mo_physics_check(&physics, &message);
+  }
+  if (error == MO_ERR_RANGE)
+    mo_json_fault_at(json, 0, "/error",
+                     "needs rollouts with half of the time step and with higher starts: %s",
+                     message.text);
 }
 
 static int check(struct mo_json *json, void *any)
@@ -131,7 +158,10 @@ static int check(struct mo_json *json, void *any)
                      MO_LARGE_MAX);
   if (parsed->parts.has_designs && parsed->parts.has_random)
     mo_json_fault_at(json, 0, "/random", "cannot be combined with designs; give only one of them");
+  request->n_displaced = parsed->parts.estimates_error ? MO_ERROR_DISPLACED : 0;
   check_large(json, parsed);
+  if (parsed->parts.estimates_error)
+    check_error(json, parsed);
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (request->record_stride > steps)

@@ -9,6 +9,22 @@
 
 /* ---- the kind ---- */
 
+static void write_error(struct mo_text *text, const struct mo_score_error *error)
+{
+  mo_text_open(text, "error", "{");
+  mo_text_member_number(text, "low", error->low);
+  mo_text_member_number(text, "high", error->high);
+  mo_text_member_number(text, "discretization", error->discretization);
+  mo_text_member_number(text, "rounding", error->rounding);
+  mo_text_member_number(text, "standard_error", error->standard_error);
+  mo_text_open(text, "bifurcates", "[");
+  for (uint64_t left = error->bifurcates; left != 0; left &= left - 1) {
+    mo_text_next(text);
+    mo_text_format(text, "%d", __builtin_ctzll(left));
+  }
+  mo_text_add(text, "]}");
+}
+
 static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
                         const struct mo_evaluation_results *results, uint32_t d,
                         const struct mo_design_note *note)
@@ -31,6 +47,8 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
       mo_text_format(text, "{\"environment\":%u,\"step\":%d}", k, (int)steps[k]);
     }
   mo_text_add(text, "]");
+  if (results->errors != NULL)
+    write_error(text, &results->errors[d]);
   if (results->stored_losses != NULL) {
     const double *stored = &results->stored_losses[(size_t)d * columns];
     bool any = false;
@@ -95,6 +113,8 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_member_count(text, "recorded_bytes", job->recorded_bytes);
   mo_text_member_time(text, "recordings_removed_at", job->recordings_removed_us);
   mo_text_member_bool(text, "verify", job->verify);
+  if (job->n_displaced > 0)
+    mo_text_member_count(text, "displaced_starts", job->n_displaced);
   mo_member_count_if(text, "best", job->best > 0, job->best);
   if (job->is_random)
     mo_text_format(text, ",\"random\":{\"seed\":%llu,\"first\":%u,\"drawn\":%u}",

@@ -3,6 +3,11 @@
 #include "base/thread.h"
 #include "jobs/submission.h"
 
+uint64_t mo_job_admitted(const struct mo_job *job)
+{
+  return job->rollouts_total / mo_error_runs(job->n_displaced) * mo_error_cost(job->n_displaced);
+}
+
 int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,
                   struct mo_message *message)
 {

@@ -227,7 +227,7 @@ static void finish_update(struct mo_evaluations *all, struct mo_active *active,
     active->detached = true;
     if (update->applied) {
       atomic_fetch_add(&all->jobs->jobs_succeeded, 1);
-      mo_jobs_closed(all->jobs, 1, active->total);
+      mo_jobs_closed(all->jobs, 1, mo_job_admitted(&active->work->job));
     }
     break;
   case MO_STEP_RETRY:
@@ -235,7 +235,7 @@ static void finish_update(struct mo_evaluations *all, struct mo_active *active,
     if (update->applied && update->state == MO_JOB_FAILED) {
       atomic_fetch_add(&all->jobs->jobs_failed, 1);
       if (active->work != NULL)
-        mo_jobs_closed(all->jobs, 1, active->total);
+        mo_jobs_closed(all->jobs, 1, mo_job_admitted(&active->work->job));
       else
         mo_jobs_recount(all->jobs);
     } else {

@@ -58,10 +58,22 @@ static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo
   return &all->buckets[(size_t)(h >> 40) % MO_ROLLOUT_BUCKETS];
 }
 
+/* Returns which run of its design a row of the grid is (score_error.h); 0 without estimates. */
+static uint32_t run_of(const struct mo_work *work, uint32_t design)
+{
+  return design / (work->n_designs / work->n_runs);
+}
+
+static int64_t physics_of(const struct mo_work *work, uint32_t design)
+{
+  return work->physics_rows[run_of(work, design)];
+}
+
 static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uint32_t k)
 {
   return (struct mo_rollout){.key = {work->genotype_rows[design], work->environment_rows[k],
-                                     work->controller, work->physics, work->fingerprint}};
+                                     work->controller, physics_of(work, design),
+                                     work->fingerprint}};
 }
 
 /* Returns whether another block of the same class is computing the rollout of a cell. */
@@ -118,16 +130,17 @@ static void count_cell(struct mo_evaluations *all, struct mo_active *active, uin
 
 static struct mo_saved_design design_of(const struct mo_work *work, uint32_t design)
 {
-  return (struct mo_saved_design){work->genotype_rows[design], work->controller,  work->physics,
-                                  work->environment_set,       work->fingerprint, work->workers};
+  return (struct mo_saved_design){work->genotype_rows[design], work->controller,
+                                  physics_of(work, design),    work->environment_set,
+                                  work->fingerprint,           work->workers};
 }
 
-/* Saves the mean of a design whose cells are done. */
+/* Saves the mean of a design if its cells are done. The additional runs are not ranked. */
 static int finish_design(struct mo_evaluations *all, const struct mo_active *active,
                          uint32_t design)
 {
   const struct mo_saved_design saved = design_of(active->work, design);
-  return saved.environment_set == 0 ||
+  return saved.environment_set == 0 || run_of(active->work, design) > 0 ||
                  mo_pending_add(all, &all->pending.designs, &saved, sizeof(saved)) != NULL
              ? MO_OK
              : MO_ERR_NO_MEMORY;
@@ -186,12 +199,14 @@ static int joins(void *context, struct mo_flight *flight, uint32_t k)
   return *rollout != NULL ? 1 : MO_ERR_NO_MEMORY;
 }
 
-static int prepare_recording(void *context, struct mo_flight *any)
+static int prepare(void *context, struct mo_flight *any)
 {
   struct mo_active *active = context;
   struct flight *flight = (struct flight *)any;
   struct mo_block *block = &flight->flight.block;
   const struct mo_job *job = &active->work->job;
+  if (active->work->n_runs > 1)
+    block->physics = mo_error_physics(&job->physics, run_of(active->work, any->design));
   int error = job->record != 0
                   ? mo_body_create(active->all->jobs->lattice, block->genotype, &flight->body)
                   : MO_OK;
@@ -220,7 +235,7 @@ void mo_active_open_window(struct mo_active *active)
                                       .context = active,
                                       .look_up = look_up,
                                       .joins = joins,
-                                      .prepare = prepare_recording};
+                                      .prepare = prepare};
 }
 
 /* ---- taking blocks back ---- */
@@ -251,7 +266,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
   struct mo_saved_block saved = {
       .genotype = work->genotype_rows[flight->flight.design],
       .condition = {.controller = work->controller,
-                    .physics = work->physics,
+                    .physics = physics_of(work, flight->flight.design),
                     .fingerprint = block->computed_on == MO_ON_DEVICE
                                        ? work->fingerprint
                                        : all->jobs->classes.cpu[block->precision],

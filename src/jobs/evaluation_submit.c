@@ -41,7 +41,8 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                   struct mo_message *message)
 {
   struct mo_submission *job = &request->job;
-  const uint64_t n = (uint64_t)request->n_designs * request->n_environments;
+  const uint32_t cost = mo_error_cost(request->n_displaced);
+  const uint64_t n = (uint64_t)request->n_designs * request->n_environments * cost;
   const bool is_small = n <= INTERACTIVE_ROLLOUTS && job->back_end != MO_ON_DEVICE;
   bool is_interactive =
       request->forms != NULL && (job->priority >= 0 ? job->priority == MO_INTERACTIVE : is_small);
@@ -51,12 +52,13 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   if (error != MO_OK)
     return mo_fail(message, error, "%s", mo_error_text(error));
   is_interactive =
-      is_interactive && mo_is_short(request->n_designs, springs, request->n_environments,
-                                    &request->physics, request->precision);
+      is_interactive && mo_is_short(request->n_designs * cost, springs * cost,
+                                    request->n_environments, &request->physics, request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
-  error = mo_back_end_choose(
-      jobs, job, !is_interactive && request->precision == MO_FLOAT32 && request->record == 0,
-      n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
+  error = mo_back_end_choose(jobs, job,
+                             !is_interactive && request->precision == MO_FLOAT32 &&
+                                 request->record == 0 && request->n_displaced == 0,
+                             n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,
                     "the recordings would take %llu bytes, and the limit is %llu; record less, or "
@@ -83,9 +85,9 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
 static int check_large(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                        struct mo_message *message)
 {
-  const uint64_t rollouts = (uint64_t)request->n_designs * request->n_environments;
-  const struct mo_need need = {.own = 80 * (uint64_t)request->n_designs +
-                                      (request->best > 0 ? 9 : 1) * rollouts};
+  const uint64_t rows = (uint64_t)request->n_designs * mo_error_runs(request->n_displaced);
+  const struct mo_need need = {
+      .own = (80 + (request->best > 0 ? 9 : 1) * (uint64_t)request->n_environments) * rows};
   return mo_memory_check(jobs, &need, message);
 }
 
@@ -114,7 +116,8 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     error = choose(jobs, &request, message);
   if (error == MO_OK && !waits)
     error = mo_evaluation_orient(jobs, &request, &placed, message);
-  submitting.rollouts = (uint64_t)request.n_designs * request.n_environments;
+  submitting.rollouts =
+      (uint64_t)request.n_designs * request.n_environments * mo_error_cost(request.n_displaced);
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, submitting.rollouts, message);
   if (error == MO_OK)

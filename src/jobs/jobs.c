@@ -253,7 +253,7 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     return error;
   if (change_to == MO_CHANGE_CANCEL) {
     atomic_fetch_add(&jobs->jobs_cancelled, 1);
-    mo_jobs_closed(jobs, 1, job.rollouts_total);
+    mo_jobs_closed(jobs, 1, mo_job_admitted(&job));
   }
   mo_memory_forget(jobs, id);
   if (change_to == MO_CHANGE_RESUME)

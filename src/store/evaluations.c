@@ -17,6 +17,9 @@ struct range {
 struct result_keys {
   struct mo_saved_design design; /* fingerprint 0: the job has not started */
   bool verify, is_complete;      /* is_complete: the job has succeeded, so no loss may be missing */
+  enum mo_integrator integrator;
+  uint32_t n_displaced;
+  int64_t physics[MO_ERROR_RUNS_MAX]; /* rows of the settings of all runs */
   int64_t environments[MO_ENVIRONMENTS_MAX];
 };
 
@@ -25,10 +28,15 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
-      "coalesce(workers,0),state=3 FROM evaluations JOIN jobs ON id=job WHERE job=?1"
-      " AND state<>6";
+      "coalesce(workers,0),state=3,n_displaced,encoding FROM evaluations JOIN jobs j ON j.id=job"
+      " JOIN physics p ON p.id=physics WHERE job=?1 AND state<>6";
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_sensor sensor;
   sqlite3_stmt *row;
-  const int error = mo_sql_row(reader, &row, sql, mo_int(range->id));
+  int error = mo_sql_row(reader, &row, sql, mo_int(range->id));
+  if (error == MO_OK)
+    error = mo_column_physics(row, 9, &physics, &precision, &sensor);
   if (error != MO_OK)
     return error;
   *keys = (struct result_keys){.design = {.controller = sqlite3_column_int64(row, 0),
@@ -36,21 +44,27 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
                                           .fingerprint = sqlite3_column_int64(row, 5),
                                           .workers = sqlite3_column_int64(row, 6)},
                                .verify = sqlite3_column_int(row, 2) != 0,
-                               .is_complete = sqlite3_column_int(row, 7) != 0};
+                               .is_complete = sqlite3_column_int(row, 7) != 0,
+                               .integrator = physics.scheme.integrator,
+                               .n_displaced = mo_column_u32(row, 8),
+                               .physics = {sqlite3_column_int64(row, 1)}};
   results->n_designs = mo_column_u32(row, 3);
   results->n_environments = mo_column_u32(row, 4);
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
-      results->n_environments > MO_ENVIRONMENTS_MAX)
+      results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED_MAX)
     return MO_ERR_CORRUPT;
   if (range->first + range->n > results->n_designs)
     return MO_ERR_NOT_FOUND;
   if (range->n == 0)
     range->n = results->n_designs;
   results->n_designs = range->n;
+  error = mo_physics_runs(reader, &physics, precision, sensor, keys->n_displaced, keys->physics);
+  if (error != MO_OK)
+    return error;
   return mo_environments_read(reader, range->id, results->n_environments, NULL, keys->environments);
 }
 
-static int allocate_results(struct mo_evaluation_results *results, bool verify)
+static int allocate_results(struct mo_evaluation_results *results, bool verify, bool has_errors)
 {
   size_t n = results->n_designs, cells = n * results->n_environments;
   results->forms = calloc(n, sizeof(*results->forms));
@@ -60,17 +74,22 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   results->losses = calloc(cells, sizeof(*results->losses));
   results->paths_m = calloc(n, sizeof(*results->paths_m));
   results->diverged_steps = calloc(cells, sizeof(*results->diverged_steps));
+  if (has_errors)
+    results->errors = calloc(n, sizeof(*results->errors));
   if (verify) {
     results->stored_losses = calloc(cells, sizeof(*results->stored_losses));
     results->agrees = calloc(n, sizeof(*results->agrees));
   }
   if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL ||
       results->is_bound == NULL || results->losses == NULL || results->diverged_steps == NULL ||
-      results->paths_m == NULL ||
+      results->paths_m == NULL || (has_errors && results->errors == NULL) ||
       (verify && (results->stored_losses == NULL || results->agrees == NULL)))
     return MO_ERR_NO_MEMORY;
-  for (size_t i = 0; i < n; i++)
+  for (size_t i = 0; i < n; i++) {
     results->paths_m[i] = NAN;
+    if (has_errors)
+      results->errors[i] = mo_score_error_unknown();
+  }
   for (size_t i = 0; i < cells; i++) {
     results->losses[i] = NAN;
     if (verify)
@@ -99,6 +118,30 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
   return error;
 }
 
+/* Estimates the error of row `n` of the results, which has its losses, for the key's genotype. */
+static int estimate_error(struct mo_connection *reader, const struct result_keys *keys, size_t n,
+                          struct mo_evaluation_results *results)
+{
+  const uint32_t columns = results->n_environments;
+  double losses[MO_ERROR_RUNS_MAX * MO_ENVIRONMENTS_MAX];
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  struct mo_saved_design design = keys->design;
+  int error = MO_OK;
+  memcpy(losses, &results->losses[n * columns], columns * sizeof(*losses));
+  for (uint32_t run = 1; run < mo_error_runs(keys->n_displaced) && error == MO_OK; run++) {
+    design.physics = keys->physics[run];
+    error = mo_losses_read(reader, &design, keys->environments, columns, scores);
+    for (uint32_t k = 0; k < columns && error == MO_OK; k++) {
+      losses[run * columns + k] = scores[k].known ? scores[k].loss : NAN;
+      if (!scores[k].known && keys->is_complete)
+        error = MO_ERR_CORRUPT;
+    }
+  }
+  if (error == MO_OK)
+    results->errors[n] = mo_score_error_of(losses, keys->n_displaced, columns, keys->integrator);
+  return error;
+}
+
 /* Skipped designs have no row, so they keep empty genotypes and unknown losses. */
 static int load_designs(struct mo_connection *reader, const struct range *range,
                         struct result_keys *keys, struct mo_evaluation_results *results)
@@ -120,6 +163,8 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
     keys->design.genotype = sqlite3_column_int64(row, 1);
     if (error == MO_OK && !keys->verify && keys->design.fingerprint != 0)
       error = load_losses(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);
+    if (error == MO_OK && results->errors != NULL && keys->design.fingerprint != 0)
+      error = estimate_error(reader, keys, n, results);
   }
   for (uint32_t i = 0; i < results->n_notes; i++) {
     const struct mo_design_note *note = &results->notes[i];
@@ -200,7 +245,7 @@ static int load_results(struct mo_connection *reader, const void *key, void *ret
   struct result_keys keys;
   int error = load_keys(reader, &range, &keys, results);
   if (error == MO_OK)
-    error = allocate_results(results, keys.verify);
+    error = allocate_results(results, keys.verify, keys.n_displaced > 0);
   if (error == MO_OK)
     error = mo_notes_read(reader, range.id, &results->notes, &results->n_notes);
   if (error == MO_OK)
@@ -228,6 +273,7 @@ void mo_evaluation_results_free(void *any)
   free(results->agrees);
   free(results->notes);
   free(results->is_bound);
+  free(results->errors);
   free(results->paths_m);
   free(results);
 }

@@ -37,7 +37,9 @@ struct mo_evaluation_request {
   const char *controller;                    /* name or "sha256:<64 hex>" */
   struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
-  uint32_t best; /* number of best designs that get complete scores; 0: all */
+  uint32_t best;        /* number of best designs that get complete scores; 0: all */
+  uint32_t n_displaced; /* displaced starts that estimate the errors of the scores; 0: no estimate.
+                           The settings of all runs (score_error.h) are checked */
   bool verify;
   unsigned record;        /* channels */
   uint32_t record_stride; /* 1 … n_steps; ignored if nothing is recorded */
@@ -64,6 +66,7 @@ struct mo_evaluation_results {
   /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
   double *stored_losses; /* (n_designs, n_environments); NaN: not stored */
   uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
+  struct mo_score_error *errors; /* (n_designs) NULL: no estimates */
   double *paths_m; /* (n_designs) mean path length of the center of mass over the environments; NaN:
                       not recorded in all of them */
   struct mo_design_note *notes; /* (n_notes) on all designs of the request, ascending */

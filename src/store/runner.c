@@ -224,8 +224,10 @@ int mo_store_origin(struct mo_store *store, const char *text, int64_t *id)
 
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)
 {
+  /* The factor is mo_error_cost. */
   static const char sql[] =
-      "SELECT count(*),coalesce(sum((e.n_designs-e.n_skipped)*e.n_environments),0) FROM jobs j"
+      "SELECT count(*),coalesce(sum((e.n_designs-e.n_skipped)*e.n_environments"
+      "*iif(e.n_displaced>0,e.n_displaced+3,1)),0) FROM jobs j"
       " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=?1";
   int64_t found[2] = {0, 0};
   const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_PAUSED)), 2, found);
@@ -271,12 +273,14 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
   if (error != MO_OK)
     return error;
   work->controller = sqlite3_column_int64(row, 0);
-  work->physics = sqlite3_column_int64(row, 1);
+  work->physics_rows[0] = sqlite3_column_int64(row, 1);
   work->environment_set = sqlite3_column_int64(row, 2);
   *before = sqlite3_column_int64(row, 3);
   work->n_designs = work->job.n_designs - work->job.n_skipped;
   work->n_environments = work->job.n_environments;
-  return MO_OK;
+  work->n_runs = mo_error_runs(work->job.n_displaced);
+  return mo_physics_runs(reader, &work->job.physics, work->job.precision, work->job.sensor,
+                         work->job.n_displaced, work->physics_rows);
 }
 
 static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work *work)
@@ -287,6 +291,30 @@ static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work
   work->genotype_rows = designs.rows;
   work->positions = designs.positions;
   return error == MO_OK && designs.n != work->n_designs ? MO_ERR_CORRUPT : error;
+}
+
+/* Repeats an array for each run. */
+static void *repeat(void *array, size_t n, size_t size, uint32_t n_runs)
+{
+  uint8_t *all = realloc(array, (n * n_runs + 1) * size);
+  for (uint32_t run = 1; run < n_runs && all != NULL; run++)
+    memcpy(all + run * n * size, all, n * size);
+  if (all == NULL)
+    free(array);
+  return all;
+}
+
+/* Repeats the designs for each run that estimates errors. */
+static int repeat_designs(struct mo_work *work)
+{
+  const uint32_t n = work->n_designs, runs = work->n_runs;
+  work->genotypes = repeat(work->genotypes, n, sizeof(*work->genotypes), runs);
+  work->genotype_rows = repeat(work->genotype_rows, n, sizeof(*work->genotype_rows), runs);
+  work->positions = repeat(work->positions, n, sizeof(*work->positions), runs);
+  work->n_designs = n * runs;
+  return work->genotypes != NULL && work->genotype_rows != NULL && work->positions != NULL
+             ? MO_OK
+             : MO_ERR_NO_MEMORY;
 }
 
 /* Marks the rollouts that earlier attempts of a verify or recording job have finished. */
@@ -334,6 +362,8 @@ static int load_work(struct mo_connection *reader, int64_t id, const struct mo_c
                                work->environment_rows);
   if (error == MO_OK)
     error = load_designs(reader, id, work);
+  if (error == MO_OK && work->n_runs > 1)
+    error = repeat_designs(work);
   if (error == MO_OK && reruns && before == work->fingerprint)
     error = load_finished(reader, id, work);
   return error;

@@ -89,15 +89,19 @@ struct mo_classes {
 /* One evaluation with everything that its run needs. */
 struct mo_work {
   struct mo_job job;
-  int64_t controller, physics, environment_set; /* rows; set 0: none */
+  int64_t controller, environment_set; /* rows; set 0: none */
   int64_t fingerprint,
       workers; /* its class; and the class of bodies that devices leave to the workers */
-  uint32_t n_designs, n_environments;  /* without designs that were skipped */
-  int64_t *environment_rows;           /* (n_environments) */
-  struct mo_environment *environments; /* (n_environments) */
-  int64_t *genotype_rows;              /* (n_designs) */
-  uint32_t *positions;                 /* (n_designs) ascending: places in the request */
-  struct mo_bits *genotypes;           /* (n_designs) */
+  /* n_designs: without designs that were skipped. If errors are estimated, each of these occurs
+   * once per run (score_error.h), run after run: design i is one of run i / (n_designs / n_runs).
+   */
+  uint32_t n_designs, n_environments, n_runs;
+  int64_t physics_rows[MO_ERROR_RUNS_MAX]; /* (n_runs) */
+  int64_t *environment_rows;               /* (n_environments) */
+  struct mo_environment *environments;     /* (n_environments) */
+  int64_t *genotype_rows;                  /* (n_designs) */
+  uint32_t *positions;                     /* (n_designs) ascending: places in the request */
+  struct mo_bits *genotypes;               /* (n_designs) */
   uint8_t *finished; /* (n_designs, n_environments) 1: an earlier attempt of a verify or recording
                         job finished this rollout; NULL: other jobs */
   uint64_t n_finished, n_finished_diverged;

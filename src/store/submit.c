@@ -203,8 +203,10 @@ static int resolve(struct mo_connection *writer, const struct mo_evaluation_requ
   int error = mo_controller_find(writer, request->controller, controller, &sensor, &completed);
   *set = 0;
   *n_environments = request->n_environments;
-  if (error == MO_OK)
-    error = mo_physics_row(writer, &completed, request->precision, sensor, physics);
+  for (uint32_t run = mo_error_runs(request->n_displaced); run-- > 0 && error == MO_OK;) {
+    const struct mo_physics settings = mo_error_physics(&completed, run);
+    error = mo_physics_row(writer, &settings, request->precision, sensor, physics);
+  }
   return error == MO_OK && request->environment_set != NULL
              ? mo_environment_set_find(writer, request->environment_set, set, n_environments)
              : error;
@@ -215,9 +217,9 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   static const char sql[] =
       "INSERT INTO evaluations(job,controller,controller_name,physics,"
       "environment_set,n_designs,n_environments,verify,record,record_stride,"
-      "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting)"
+      "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting,n_displaced)"
       " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
-      "CASE WHEN ?14>0 THEN ?13 END,?15,?16)";
+      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17)";
   const struct mo_evaluation_request *request = any;
   const bool waits = request->forms == NULL;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
@@ -227,13 +229,13 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error =
-        mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
-                  mo_int(set), mo_int((int64_t)request->n_designs + request->n_skipped),
-                  mo_int(n_environments), mo_int(request->verify), mo_int(request->record),
-                  mo_int(request->record_stride), mo_int(request->n_skipped), mo_int(request->best),
-                  mo_int((int64_t)request->random.seed), mo_int(request->random.count),
-                  mo_int(request->random.first), mo_int(waits ? request->n_designs : 0));
+    error = mo_sql_do(
+        writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
+        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
+        mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
+        mo_int(request->n_skipped), mo_int(request->best), mo_int((int64_t)request->random.seed),
+        mo_int(request->random.count), mo_int(request->random.first),
+        mo_int(waits ? request->n_designs : 0), mo_int(request->n_displaced));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
@@ -249,7 +251,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\","
                             "\"rollouts_total\":%llu}",
                             (long long)*id,
-                            (unsigned long long)request->n_designs * (uint64_t)n_environments);
+                            (unsigned long long)request->n_designs * (uint64_t)n_environments *
+                                mo_error_runs(request->n_displaced));
   /* Most submissions cannot have a warning, and need not be read back. */
   const bool may_warn = set == 0 || !mo_step_is_stable(&request->physics, MO_EIGENVALUE_MAX);
   return error == MO_OK && may_warn ? mo_run_announce_warnings(store, *id, true) : error;

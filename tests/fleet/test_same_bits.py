@@ -48,6 +48,22 @@ def test_same_bits(daemon, worker, seed, mode):
         one.end()
 
 
+def test_errors_of_scores(daemon, worker, seed):
+    """Other machines compute the additional rollouts that estimate errors, with the same bits."""
+    value = {"designs": bodies(seed, 20), "error": True, "priority": "batch"}
+    with daemon("alone", workers=2) as one:
+        expected = one.score(value)
+        one.end()
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        worker(fleet_address(one), "helper")
+        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
+        result = one.score(value)
+        assert result["results"] == expected["results"]
+        done = result["rollouts_total"] - result["rollouts_cached"]
+        assert one.json("/v1/fleet")["rollouts_done"] >= done > 20 * 10
+        one.end()
+
+
 def test_the_best_of_many(daemon, worker, seed):
     """A race with rounds that other machines compute ends with the same result, although one of
     them is lost in the middle."""

@@ -109,8 +109,9 @@ static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k)
       double value = loss(n, k);
       fixture_loss(&save, work, n, k, fingerprint, value, isinf(value) ? 17 : 0);
     }
-    designs[n] = (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics,
-                                          work->environment_set,  fingerprint,      fingerprint};
+    designs[n] =
+        (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics_rows[0],
+                                 work->environment_set,  fingerprint,      fingerprint};
   }
   save.designs = designs;
   save.n_designs = work->environment_set != 0 ? work->n_designs : 0;

@@ -172,7 +172,7 @@ static inline void fixture_loss(struct mo_save *save, const struct mo_work *work
   } else {
     *block = (struct mo_saved_block){.genotype = work->genotype_rows[n],
                                      .condition = {.controller = work->controller,
-                                                   .physics = work->physics,
+                                                   .physics = work->physics_rows[0],
                                                    .fingerprint = fingerprint},
                                      .verify_job = work->job.verify ? work->job.id : 0,
                                      .design_position = work->positions[n]};

@@ -74,6 +74,7 @@ static void opens_version_14(void)
   REQUIRE_OK(reopen_after("CREATE TABLE outcasts(user TEXT, name TEXT) STRICT;"
                           "INSERT INTO outcasts VALUES('','liar');"
                           "ALTER TABLE controllers DROP COLUMN control_period_s;"
+                          "ALTER TABLE evaluations DROP COLUMN n_displaced;"
                           "PRAGMA user_version=14"));
   CHECK_TEXT(job_of(old).label, "old");
   CHECK_OK(check_whole());

@@ -69,7 +69,7 @@ static uint32_t known_of(const struct mo_work *work, struct mo_score scores[MO_P
 {
   const struct mo_saved_design design = {.genotype = work->genotype_rows[0],
                                          .controller = work->controller,
-                                         .physics = work->physics,
+                                         .physics = work->physics_rows[0],
                                          .fingerprint = work->fingerprint};
   uint32_t n = 0;
   CHECK_OK(mo_store_scores(store, &design, work->environment_rows, MO_PAPER_TEST_COUNT, scores));
