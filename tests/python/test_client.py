@@ -55,6 +55,25 @@ def test_the_best_of_many(m):
         m.evaluate(bodies, best=41)
 
 
+def test_errors_of_scores(m, service):
+    scored = m.evaluate([DESIGN, np.ones((2, 1, 1), dtype=int)], error=True, physics=SHORT)
+    shown = service.get(f"/v1/evaluations/{scored.id}")["results"]
+    for result, row in zip(scored, shown):
+        assert isinstance(result.error, morphod.ScoreError) and result.error.data == row["error"]
+        assert result.error.low <= result.score <= result.error.high
+        assert result.error.bifurcates == tuple(row["error"]["bifurcates"])
+    table = scored.frame()
+    assert table["rounding"].tolist() == [row["error"]["rounding"] for row in shown]
+    assert table["low"].tolist() == [result.error.low for result in scored]
+    drawn = m.evaluate_random(3, seed=3, environments=WORLD, physics=SHORT, error=True)
+    assert all(math.isnan(result.error.standard_error) for result in drawn)
+    assert (drawn.table()["high"] >= drawn.scores).all()
+    plain = m.evaluate([DESIGN], physics=SHORT)
+    assert plain[0].error is None and "low" not in plain.frame()
+    with pytest.raises(morphod.InvalidError, match="only for scores that processors"):
+        m.evaluate([DESIGN], error=True, device="cuda")
+
+
 def test_diverged_rollouts_are_nan(m):
     wild = {"n_steps": 200, "dt_s": 0.1}
     with pytest.warns(UserWarning, match="every rollout diverged"):

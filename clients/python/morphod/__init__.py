@@ -24,7 +24,7 @@ from .imports import read_bodies
 from .local import LocalClient, local
 from .phylogenies import Phylogeny
 from .player import Player
-from .results import Asked, Batch, Controller, Result
+from .results import Asked, Batch, Controller, Result, ScoreError
 from .scenes import Rollout, Scene
 from .scores import Entered
 from .weights import read_safetensors, write_safetensors
@@ -38,6 +38,6 @@ __all__ = [
     "CampaignComparison", "Campaigns", "Client", "ConflictError", "Controller",
     "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
     "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
-    "Rollout", "Scene", "Study", "StudyObjective", "Training", "UnreachableError", "WaitError",
-    "local", "read_bodies", "read_safetensors", "write_safetensors",
+    "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Training", "UnreachableError",
+    "WaitError", "local", "read_bodies", "read_safetensors", "write_safetensors",
 ]

@@ -84,7 +84,7 @@ class AsyncClient:
                        priority: Literal["interactive", "batch"] | None = None,
                        weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                        label: str | None = None, experiment: str | None = None,
-                       verify: bool = False, best: int | None = None,
+                       verify: bool = False, best: int | None = None, error: bool = False,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
         """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). With
@@ -97,7 +97,8 @@ class AsyncClient:
         settings, such as `{"n_steps": 500, "integrator": "split"}`. `repair="largest"` keeps the
         largest piece of bodies that are not in one piece. `on_fault="skip"` skips invalid bodies;
         their results have a `fault` and NaN. `best=10` computes complete scores only for the ten
-        best; the others are cut short, and have lower bounds. An id without an orientation is
+        best; the others are cut short, and have lower bounds. `error=True` estimates the error of
+        each score, at six times the cost: see `Result.error`. An id without an orientation is
         scored in the orientation with the best stored score, or else in the canonical one;
         `Result.orientation` says which.
         """
@@ -113,7 +114,7 @@ class AsyncClient:
             "precision": precision, "weight": weight, "device": device, "verify": verify,
             "on_fault": on_fault,
             **_given(physics=physics, priority=priority, label=label, experiment=experiment,
-                     repair=repair, best=best),
+                     repair=repair, best=best, error=error or None),
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)
@@ -151,10 +152,11 @@ class AsyncClient:
                               precision: Literal["float32", "float64"] = "float32",
                               weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                               label: str | None = None, experiment: str | None = None,
-                              best: int | None = None, wait: bool = True) -> AsyncEvaluation:
+                              best: int | None = None, error: bool = False,
+                              wait: bool = True) -> AsyncEvaluation:
         """Scores the bodies of `random_bodies(count, seed, first=first)` without sending them: up
         to 1,000,000 in one evaluation, with one `best` for all. The service first draws and stores
-        them; until then the evaluation is queued.
+        them; until then the evaluation is queued. `error` as in `evaluate`.
 
         With more than 10,000 bodies, `table()` reads the results in pages; `table(whole=True)`
         reads only those that are not lower bounds.
@@ -163,7 +165,8 @@ class AsyncClient:
             "random": {"count": count, "seed": seed, "first": first},
             "environments": environments, "controller": controller, "precision": precision,
             "weight": weight, "device": device,
-            **_given(physics=physics, label=label, experiment=experiment, best=best),
+            **_given(physics=physics, label=label, experiment=experiment, best=best,
+                     error=error or None),
         }
         request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
         try:

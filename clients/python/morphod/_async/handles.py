@@ -213,6 +213,9 @@ class AsyncJob:
         return reply
 
 
+_ERRORS = ("low", "high", "discretization", "rounding", "standard_error", "bifurcates")
+
+
 class AsyncEvaluation(AsyncJob):
     """Designs scored in environments. `len`, `[…]` and iteration apply to the designs."""
 
@@ -311,13 +314,15 @@ class AsyncEvaluation(AsyncJob):
         """Returns a table with a row per design: id, robot (the scored orientation), genotype,
         score, lower_bound (with `best`: whether the score is one), diverged (rollouts), voxels,
         masses, springs, footprint, repaired (dropped voxels), path_length_m (if com is recorded),
-        fault (None, or why there was no body), and a column loss_0, loss_1, … per environment."""
+        fault (None, or why there was no body), with `error` the numbers of `ScoreError`, and a
+        column loss_0, loss_1, … per environment."""
         results = self._results
         losses = self.losses
         with reading():
             return self._table(results, losses)
 
     def _table(self, results: list[dict[str, Any]], losses: NDArray[np.float64]) -> pd.DataFrame:
+        errors = [result.error for result in self if result.error is not None]
         table: pd.DataFrame = pandas().DataFrame({
             "id": [row["id"] for row in results],
             "robot": [row["robot"] for row in results],
@@ -330,6 +335,7 @@ class AsyncEvaluation(AsyncJob):
                for name in ("voxels", "masses", "springs", "footprint", "repaired",
                             "path_length_m")},
             "fault": [result.fault for result in self],
+            **{name: [getattr(error, name) for error in errors] for name in _ERRORS if errors},
             **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
         })
         return table
