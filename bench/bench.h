@@ -13,9 +13,10 @@ struct bench_options {
   uint32_t workers; /* 0 = one per processor */
   enum mo_isa isa;
   bool quick;
-  const char *controller; /* path */
-  double dt_s,
-      control_period_s; /* of `rollout` and `gradient`; 0: the default step; in each step */
+  const char *controller;        /* path */
+  double dt_s, control_period_s; /* of `rollout`, `gradient` and `score-error`; 0: the default step;
+                                    in each step */
+  enum mo_integrator integrator; /* of the same */
 };
 
 /* The physics of the options: 4 seconds. */
@@ -26,6 +27,7 @@ uint32_t bench_passes(const struct mo_physics *physics);
 int bench_rollout(const struct bench_options *options);
 int bench_accuracy(const struct bench_options *options);
 int bench_gradient(const struct bench_options *options);
+int bench_score_error(const struct bench_options *options);
 int bench_gradient_accuracy(const struct bench_options *options);
 int bench_stability(const struct bench_options *options);
 int bench_space(int argc, char **argv);

@@ -177,6 +177,7 @@ struct mo_physics bench_physics(const struct bench_options *options)
     physics.scheme.dt_s = options->dt_s;
   physics.scheme.n_steps = (uint32_t)lround(life_s / physics.scheme.dt_s);
   physics.scheme.control_period_s = options->control_period_s;
+  physics.scheme.integrator = options->integrator;
   if (mo_physics_check(&physics, &message) != MO_OK) {
     fprintf(stderr, "morpho-bench: %s\n", message.text);
     exit(2);

@@ -6,14 +6,16 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|accuracy|stability|space|store|stream|evolution "
+    "rollout|gradient|gradient-accuracy|accuracy|score-error|stability|space|store|stream|"
+    "evolution "
     "[OPTION…]\n\n  rollout   speed of one core on 200 distinct random bodies × the paper test "
     "set, against its best sgemm rate\n  gradient  speed of one core differentiating 256 rollouts, "
     "against its best sgemm rate; memory; the back end\n  gradient-accuracy  float32 against "
     "float64 gradient of 256 rollouts\n  accuracy  run time against error for integrators, control "
-    "periods, precisions, impact modes and time steps, as CSV\n  stability  physics "
-    "that rollouts survive, with the linear bound, as CSV and tables\n  space     speed of "
-    "drawing, naming and varying random "
+    "periods, precisions, impact modes and time steps, as CSV\n  score-error  estimated errors of "
+    "scores against the real ones, as CSV and a summary\n  stability  physics that rollouts "
+    "survive, with the linear bound, as CSV and tables\n  space     speed of drawing, naming and "
+    "varying random "
     "bodies\n  store     speed of durable submissions, saves and queries, in a new folder in the "
     "given folder (default /tmp)\n  stream    the distinct bodies of a pretraining: time and "
     "memory\n  evolution  a campaign's bookkeeping without its rollouts; `morpho-bench evolution "
@@ -21,9 +23,10 @@ static const char usage[] =
     "bodies' stream (default 1)\n  --workers N        threads of `accuracy`, `gradient-accuracy`, "
     "`stability` (default: one per processor)\n  --isa NAME         x86-64, avx2 or avx512 "
     "(default: the best that runs here)\n  --controller PATH  safetensors file (default "
-    "data/controllers/bootstrap.safetensors)\n  --dt MS            time step of `rollout` and "
-    "`gradient` (default 4)\n  "
-    "--period MS        their control period (default: one step)\n  --quick            a tenth of "
+    "data/controllers/bootstrap.safetensors)\n  --dt MS            time step of `rollout`, "
+    "`gradient` and `score-error` (default 4)\n  "
+    "--period MS        their control period (default: one step)\n  "
+    "--integrator NAME  theirs: paper (default) or split\n  --quick            a tenth of "
     "the bodies\n";
 
 static const struct {
@@ -31,11 +34,11 @@ static const struct {
   int (*run)(const struct bench_options *options);
   int (*run_with)(int argc, char **argv); /* or this one, which gets the arguments after the name */
 } benchmarks[] = {
-    {"rollout", bench_rollout, NULL},   {"fleet-model", NULL, bench_fleet_model},
-    {"gradient", bench_gradient, NULL}, {"gradient-accuracy", bench_gradient_accuracy, NULL},
-    {"accuracy", bench_accuracy, NULL}, {"stability", bench_stability, NULL},
-    {"space", NULL, bench_space},       {"store", NULL, bench_store},
-    {"stream", NULL, bench_stream}};
+    {"rollout", bench_rollout, NULL},     {"fleet-model", NULL, bench_fleet_model},
+    {"gradient", bench_gradient, NULL},   {"gradient-accuracy", bench_gradient_accuracy, NULL},
+    {"accuracy", bench_accuracy, NULL},   {"score-error", bench_score_error, NULL},
+    {"stability", bench_stability, NULL}, {"space", NULL, bench_space},
+    {"store", NULL, bench_store},         {"stream", NULL, bench_stream}};
 
 int main(int argc, char **argv)
 {
@@ -46,9 +49,11 @@ int main(int argc, char **argv)
                                                {"controller", required_argument, NULL, 'c'},
                                                {"dt", required_argument, NULL, 'd'},
                                                {"period", required_argument, NULL, 'p'},
+                                               {"integrator", required_argument, NULL, 'm'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
+  static const char *const integrators[] = {"paper", "split", NULL};
   struct bench_options options = {
       .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
   bench_sgemm_choose(argv);
@@ -64,6 +69,7 @@ int main(int argc, char **argv)
     case 'c': options.controller = optarg; break;
     case 'd': options.dt_s = bench_ms(optarg); break;
     case 'p': options.control_period_s = bench_ms(optarg); break;
+    case 'm': options.integrator = (enum mo_integrator)bench_word(integrators, optarg); break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;
