@@ -203,9 +203,12 @@ static int resolve(struct mo_connection *writer, const struct mo_evaluation_requ
   int error = mo_controller_find(writer, request->controller, controller, &sensor, &completed);
   *set = 0;
   *n_environments = request->n_environments;
-  for (uint32_t run = mo_error_runs(request->n_displaced); run-- > 0 && error == MO_OK;) {
+  if (error == MO_OK)
+    error = mo_physics_row(writer, &completed, request->precision, sensor, physics);
+  for (uint32_t run = 1; run < mo_error_runs(request->n_displaced) && error == MO_OK; run++) {
     const struct mo_physics settings = mo_error_physics(&completed, run);
-    error = mo_physics_row(writer, &settings, request->precision, sensor, physics);
+    int64_t row;
+    error = mo_physics_row(writer, &settings, request->precision, sensor, &row);
   }
   return error == MO_OK && request->environment_set != NULL
              ? mo_environment_set_find(writer, request->environment_set, set, n_environments)
