@@ -5,8 +5,8 @@
  *     writes the float64 gradient of 256 robots, computed on the processor, into FILE
  * cuda-gradient check [WEIGHTS FILE]…
  *     compares with these files, and with float64 where outputs are held through control periods
- *     and with the integrator split; the bits of two runs, of one shard, of little memory and of groups in halves; robots that
- *     diverge or whose adjoints do; cancelled calls
+ *     and with the integrator split; the bits of two runs, of one shard, of little memory and of
+ *     groups in halves; robots that diverge or whose adjoints do; cancelled calls
  * cuda-gradient like [paper | split ROBOTS STEPS PERIOD]…
  *     prints how like float64 it is, with control periods of that many steps
  * cuda-gradient alone [WORKERS]

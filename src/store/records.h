@@ -75,8 +75,7 @@ struct mo_submission {
   struct mo_request_key key;
 };
 
-/* A caution for readers of a job's result. code: "all_diverged", "diverged", "exhausted",
- * "light_near_start" or "unstable_step". */
+/* A caution for readers of a job's result. code: "diverged", "unstable_step" … (warnings.c) */
 struct mo_warning {
   const char *code;
   bool of_request; /* known already at submission */
