@@ -4,6 +4,3 @@ DROP TABLE IF EXISTS outcasts;
 
 -- Controllers state how often they compute their outputs. 0: in every step, as all did before.
 ALTER TABLE controllers ADD COLUMN control_period_s REAL NOT NULL DEFAULT 0;
-
--- Displaced starts from which the errors of an evaluation's scores are estimated; 0: they are not.
-ALTER TABLE evaluations ADD COLUMN n_displaced INTEGER NOT NULL DEFAULT 0;

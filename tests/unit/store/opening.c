@@ -3,7 +3,7 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 15 /* schema */
+#define NEWEST 16 /* schema */
 
 static void opens_and_locks(void)
 {
@@ -39,7 +39,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=15; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=16; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -55,13 +55,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 15");
+                                    : "of an unreleased program; this version reads 14 to 16");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=15"));
+  CHECK_OK(reopen_after("PRAGMA user_version=16"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
@@ -83,6 +83,29 @@ static void opens_version_14(void)
   close_store();
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
   CHECK_INT(outside_integer("SELECT count(*) FROM sqlite_schema WHERE name='outcasts'"), 0);
+}
+
+/* Jobs of version 15 estimate no errors; lists of jobs that have ended are deleted. */
+static void opens_version_15(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
+  const int64_t old = submit_evaluation(&submission), open = submit_evaluation(&submission);
+  char sql[512];
+  REQUIRE(old > 0 && open > old);
+  snprintf(sql, sizeof(sql),
+           "INSERT INTO waiting_designs(job,first,bits,checksum) VALUES(%lld,0,x'00',0),"
+           "(%lld,0,x'00',0);"
+           "UPDATE jobs SET state=5 WHERE id=%lld;"
+           "ALTER TABLE evaluations DROP COLUMN n_displaced;"
+           "PRAGMA user_version=15",
+           (long long)old, (long long)open, (long long)old);
+  REQUIRE_OK(reopen_after(sql));
+  CHECK_INT(job_of(open).n_displaced, 0);
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+  snprintf(sql, sizeof(sql), "SELECT job FROM waiting_designs");
+  CHECK_INT(outside_integer(sql), open);
+  CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 1);
 }
 
 /* Noise replaces the root page of a table or an index; the header and the schema stay. */
@@ -202,6 +225,7 @@ static const struct check_case cases[] = {
     {"reports damaged pages after an unclean stop", names_damaged_pages},
     {"refuses folders of older versions", refuses_older_versions},
     {"opens a folder of version 14", opens_version_14},
+    {"opens a folder of version 15", opens_version_15},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
