@@ -176,10 +176,12 @@ static int by_size(const void *a, const void *b)
 static void check_split(const struct scene *s)
 {
   static const struct period_case cases[] = {{"1", 1, 25, 1, MO_INTEGRATOR_SPLIT},
-                                             {"1", 1, 50, 4, MO_INTEGRATOR_SPLIT},
+                                             {"1", 1, 60, 4, MO_INTEGRATOR_SPLIT},
                                              {"1", 1, 120, 64, MO_INTEGRATOR_SPLIT},
                                              {"restart=1:1", 1, 50, 3, MO_INTEGRATOR_SPLIT}};
+  static const struct period_case batch = {"1", 64, 10, 2, MO_INTEGRATOR_SPLIT};
   enum { ROBOTS = 64 };
+  check_period(s, &batch, COSINE_BOUND, NORM_BOUND); /* too short for another branch */
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
     double apart[ROBOTS];
     for (uint32_t k = 0; k < ROBOTS; k++) {

@@ -22,6 +22,9 @@ extern "C" {
 #define MO_ERROR_DISPLACED_MAX  14
 #define MO_ERROR_RUNS_MAX       (2 + MO_ERROR_DISPLACED_MAX)
 #define MO_ERROR_DISPLACEMENT_M 1e-7 /* upward, of the first displaced start; then 2 ×, 3 × */
+/* Above this height, starts that far apart are the same in float32, whose digits there are as large
+ * (6e-8 m below 1 m). */
+#define MO_ERROR_FLOAT32_MAX_M 1.0
 
 /* An environment bifurcates if these losses of its displaced starts and of the request are farther
  * apart than this. */

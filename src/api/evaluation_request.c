@@ -1,5 +1,6 @@
 /* evaluation_request.c: the body of POST /v1/evaluations. Every fault has its place: a cell out of
  * bounds is at /designs/3/cells/7/0. */
+#include <math.h>
 #include <string.h>
 
 #include "api/requests.h"
@@ -131,6 +132,16 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
     mo_json_fault_at(json, 0, "/error",
                      "is estimated only for scores that processors compute; request \"cpu\" or "
                      "\"auto\"");
+  double highest_m = 0;
+  for (uint32_t i = 0; parsed->parts.environments != NULL && i < parsed->parts.n_environments; i++)
+    highest_m =
+        fmax(highest_m, mo_terrain_highest(parsed->parts.environments[i].terrain_heights_m));
+  if (request->precision == MO_FLOAT32 &&
+      request->physics.drop_height_m + highest_m > MO_ERROR_FLOAT32_MAX_M)
+    mo_json_fault_at(json, 0, "/error",
+                     "displaces starts by %g m, which float32 loses in heights over %g m; request "
+                     "\"precision\": \"float64\"",
+                     MO_ERROR_DISPLACEMENT_M, MO_ERROR_FLOAT32_MAX_M);
   for (uint32_t run = 1; run < mo_error_runs(request->n_displaced) && error == MO_OK; run++) {
     const struct mo_physics physics = mo_error_physics(&request->physics, run);
     error = mo_physics_check(&physics, &message);

@@ -116,7 +116,7 @@ static void find_bound(struct mo_best *best)
           .score = mo_race_score(losses_of(best, i), best->n_environments), .number = i};
   mo_rank_sort(best->ranks, n);
   if (n >= best->k)
-    best->race.bound = best->ranks[best->k - 1].score;
+    best->race.bound = fmin(best->race.bound, best->ranks[best->k - 1].score);
 }
 
 /* Ranks the designs that are neither complete nor out, the most promising first. Returns their

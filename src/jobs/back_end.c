@@ -116,9 +116,10 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool
           ? MO_ON_DEVICE
           : MO_ON_CPU;
   if (request->back_end == MO_ON_DEVICE && !suits)
-    return mo_fail(message, MO_ERR_DEVICE,
-                   "devices can only compute batches in float32 that record nothing; request "
-                   "\"cpu\" or \"auto\", or such a batch");
+    return mo_fail(
+        message, MO_ERR_DEVICE,
+        "devices can only compute batches in float32 that record nothing and estimate no "
+        "errors; request \"cpu\" or \"auto\", or such a batch");
   if (request->back_end == MO_ON_CPU || serves_devices(jobs))
     return MO_OK;
   if (mo_compute_expects_devices(jobs->compute))

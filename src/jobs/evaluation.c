@@ -69,7 +69,7 @@ static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency p
 static bool has_large(const struct mo_evaluations *all)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
-    if (active->work != NULL && active->work->n_designs > MO_DESIGNS_MAX)
+    if (active->work != NULL && active->work->n_designs / active->work->n_runs > MO_DESIGNS_MAX)
       return true;
   return false;
 }

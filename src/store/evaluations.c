@@ -128,6 +128,11 @@ static int estimate_error(struct mo_connection *reader, const struct result_keys
   struct mo_saved_design design = keys->design;
   int error = MO_OK;
   memcpy(losses, &results->losses[n * columns], columns * sizeof(*losses));
+  for (uint32_t k = 0; k < columns; k++)
+    if (isnan(losses[k])) { /* nothing to estimate yet */
+      results->errors[n] = mo_score_error_unknown();
+      return MO_OK;
+    }
   for (uint32_t run = 1; run < mo_error_runs(keys->n_displaced) && error == MO_OK; run++) {
     design.physics = keys->physics[run];
     error = mo_losses_read(reader, &design, keys->environments, columns, scores);

@@ -118,7 +118,8 @@ static int replace_row(struct mo_store *store, const struct mo_origin_row *row, 
   /* The ETag of evaluations includes the job's version. */
   static const char version_sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION
-      " WHERE id IN (SELECT job FROM evaluations WHERE controller=?1 AND physics=?2)";
+      " WHERE id IN (SELECT job FROM evaluations WHERE controller=?1 AND"
+      " (physics=?2 OR n_displaced>0))"; /* whose other runs have other physics */
   struct mo_connection *writer = &store->writer;
   struct mo_condition condition;
   struct mo_loss_row stored;

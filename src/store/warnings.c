@@ -42,8 +42,9 @@ static void warn_of_rollouts(struct mo_job *job)
   else if (diverged > 0)
     warn(job, "diverged",
          "%llu of %llu rollouts%s diverged, and a robot has no score if any of its rollouts "
-         "diverged; %s",
-         (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far", remedy);
+         "diverged%s; %s",
+         (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far",
+         job->n_displaced > 0 ? ", and no error if one of the additional ones did" : "", remedy);
 }
 
 /* Warns about a step of a training, or the population of a generation. */
@@ -102,12 +103,14 @@ bool mo_warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning)
     return false;
   const double stable_s = mo_stable_step_s(physics, MO_EIGENVALUE_MAX);
   *warning = (struct mo_warning){.code = "unstable_step", .of_request = true};
+  /* Moving bodies fail a little below the bound (docs/numerics.md, "Stable steps"). */
   snprintf(warning->detail, sizeof(warning->detail),
            "dt_s %.6g is beyond the linear stability bound of %.3g for stiffness_n_per_m %.6g, "
            "mass_kg %.6g, drag_per_s %.6g and integrator %s: expect bodies to blow up; use a dt_s "
            "of at most %.2g",
            physics->scheme.dt_s, stable_s, constants->stiffness_n_per_m, constants->mass_kg,
-           constants->drag_per_s, mo_integrator_words[physics->scheme.integrator], lower(stable_s));
+           constants->drag_per_s, mo_integrator_words[physics->scheme.integrator],
+           lower(0.8 * stable_s));
   return true;
 }
 

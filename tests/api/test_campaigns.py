@@ -120,8 +120,11 @@ def test_the_end(service, evolved):
     assert evolved["end"] == "completed" and evolved["phase"] == "idle"
     assert evolved["newest"]["generation"] == 3 and evolved["result"] is None
     job = service.get(evolved["links"]["job"])
-    assert job["campaign"] == {"mode": "zero-shot", "population": 8, "generation": 3,
-                               "generations": 3}
+    assert job["campaign"] == {
+        "mode": "zero-shot", "population": 8, "generation": 3, "generations": 3, "group": {
+            "id": str(evolved["id"]), "replicate": 0, "replicates": 1
+        }
+    }
 
 
 def test_learning_gives_a_controller(service, learned):

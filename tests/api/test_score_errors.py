@@ -93,7 +93,9 @@ def test_unknown_errors(service):
 @pytest.mark.parametrize("more, words", [
     ({"verify": True}, "verify"), ({"record": ["com"]}, "record"), ({"best": 1}, "best"),
     ({"device": "cuda"}, "only for scores that processors compute"),
-    ({"physics": {"n_steps": 600000}}, "n_steps must be"), ({"error": 1}, "true or false")])
+    ({"physics": {"n_steps": 600000}}, "n_steps must be"),
+    ({"physics": {"drop_height_m": 1.5}}, '"precision": "float64"'), ({"error": 1}, "true or false")
+])
 def test_refusals(service, more, words):
     reply = service.request("POST", "/v1/evaluations", REQUEST | more)
     assert reply.status == 422 and reply.pointers() == ["/error"], reply.json()

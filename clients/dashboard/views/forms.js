@@ -244,7 +244,7 @@ function fieldsOf(kind, names, contract, controllers, proposed) {
  */
 export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const [contract, { items }, threads] = await Promise.all([app.contract(),
-    getJson('v1/controllers?limit=1000'), getJson('v1/threads')]);
+    getJson('v1/controllers?limit=1000'), getJson('v1/threads').catch(() => null)]);
   let rolloutSeconds = null;
   const controllers = items.map(({ name }) => name).filter(Boolean);
   const [first, others] = [FIRST[kind], MORE[kind]].map((names) =>
@@ -322,7 +322,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       inputOf('population').placeholder = PRESETS[preset]?.population ?? 'as the preset says';
       inputOf('generations').placeholder = PRESETS[preset]?.[mode] ?? 'as the preset says';
     }
-    say(estimate, estimateOf(designsScored(), rolloutSeconds, threads.n_threads));
+    say(estimate,
+      estimateOf(designsScored(), threads && rolloutSeconds, threads?.n_threads ?? 1));
   }
 
   /** Returns how many designs the request scores; 0 if that is not what takes its time. */

@@ -277,8 +277,6 @@ static void passes(void)
   mo_gradient_plan_free(&plan);
 }
 
-/* With control periods of several steps the network's part of the tape has as many passes as
- * periods; positions and velocities stay; a sum per spring and lane is added. */
 /* Push and sums of activations are on the tape of `split` alone, whatever its control period. */
 static void tape_of_split(void)
 {
@@ -293,6 +291,8 @@ static void tape_of_split(void)
   }
 }
 
+/* With control periods of several steps the network's part of the tape has as many passes as
+ * periods; positions and velocities stay; a sum per spring and lane is added. */
 static void passes_of_periods(void)
 {
   struct mo_robot *robots = make_batch();
