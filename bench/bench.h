@@ -13,9 +13,10 @@ struct bench_options {
   uint32_t workers; /* 0 = one per processor */
   enum mo_isa isa;
   bool quick;
-  const char *controller;        /* path */
-  double dt_s, control_period_s; /* of `rollout`, `gradient` and `score-error`; 0: the default step;
-                                    in each step */
+  const char *controller; /* path */
+  /* Of `rollout`, `gradient` and `score-error`. dt_s 0: the default step; control_period_s 0: new
+   * outputs in every step. */
+  double dt_s, control_period_s;
   enum mo_integrator integrator; /* of the same */
 };
 

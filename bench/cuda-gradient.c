@@ -8,7 +8,7 @@
  *     and with the integrator split; the bits of two runs, of one shard, of little memory and of
  *     groups in halves; robots that diverge or whose adjoints do; cancelled calls
  * cuda-gradient like [paper | split ROBOTS STEPS PERIOD]…
- *     prints how like float64 it is, with control periods of that many steps
+ *     prints how close the gradient is to float64, with control periods of PERIOD steps
  * cuda-gradient alone [WORKERS]
  *     robots whose adjoints restart, one by one, against float64 with the same weight and with
  *     another
@@ -170,9 +170,9 @@ static int by_size(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* With `split` a mass sticks or slips, lies or strikes, and where float16 decides otherwise than
- * float64, a robot has another gradient. There are a few of these in every batch, and they dominate
- * its sum, so the robots are compared one by one. */
+/* With `split`, contact branches (stick or slip, rest or strike). Where float16 takes another
+ * branch than float64, the robot's gradient differs. Every batch has a few of these robots, and
+ * they dominate its sum, so the robots are compared one by one. */
 static void check_split(const struct scene *s)
 {
   static const struct period_case cases[] = {{"1", 1, 25, 1, MO_INTEGRATOR_SPLIT},

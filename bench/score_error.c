@@ -1,12 +1,12 @@
 /* score_error.c: how good the estimated errors of scores are (include/morpho/score_error.h).
  *
- * Random bodies are scored as an evaluation with errors does it: with the default settings, in
- * float32, in four environments of the paper's test set each. The limit of a score is computed in
- * float64 with steps of 1/64 ms and the same control period. The environments that are found to
- * bifurcate are compared with two others: those in which the same starts, computed in float64 with
- * the same step, end apart; and those in which the limit and a start that is 1e-7 m higher do. Two
- * ends are apart if their distance is more than MO_ERROR_BIFURCATION times the distance to the
- * light at the start. */
+ * Random bodies are scored as in an evaluation that estimates errors: with the default settings, in
+ * float32, each in four environments of the paper's test set. The limit of a score is computed in
+ * float64 with steps of 1/64 ms and the same control period. The environments reported as
+ * bifurcating are compared with two other sets. In the first, rollouts from the same starts, in
+ * float64 with the same step, end apart. In the second, the limit and a rollout with the limit's
+ * settings that starts 1e-7 m higher end apart. Two ends are apart if their distance is more than
+ * MO_ERROR_BIFURCATION times the distance to the light at the start. */
 #include "bench.h"
 
 #include <math.h>
@@ -73,7 +73,7 @@ static double mean_loss(const struct mo_block *block)
   return sum / ENVIRONMENTS;
 }
 
-/* Rollouts that are found to bifurcate, that really do, and both. */
+/* Counts of the rollouts that were reported as bifurcating, that really bifurcate, and both. */
 struct agreement {
   uint32_t found, real, both;
 };

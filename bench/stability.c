@@ -29,9 +29,9 @@ enum {
   INTEGRATORS = 2,
   PERIODS = 3,
   ROWS = 21,
-  FEW_ROWS = 9, /* of the map with the longest period: only the stiffnesses */
+  FEW_ROWS = 9, /* rows of the map with the longest period: the stiffnesses */
   TIMES = 11,
-  FEW_TIMES = 3, /* the shortest, of the stiffnesses only */
+  FEW_TIMES = 3, /* the shortest steps, which only the rows of stiffnesses have */
   CELLS = INTEGRATORS * PERIODS * ROWS * TIMES,
   STEPS_MAX = 5000
 };
@@ -114,7 +114,7 @@ struct runner {
   atomic_uint next;
 };
 
-/* Of one thread. */
+/* The memory of one thread. */
 struct lane {
   struct mo_pack *packs[2], *gradient; /* packs: passive, moved */
   struct mo_workspace_memory *memory;

@@ -111,7 +111,7 @@ def recipe_of(body):
 
 
 def usual_steps(physics):
-    """Returns how many steps of the usual length a life has."""
+    """Returns how many steps of the usual length a rollout would have."""
     return physics["n_steps"] * physics.get("dt_s", DT_MS / 1000) * 1000 / DT_MS
 
 
@@ -361,7 +361,7 @@ def options():
          "time of impact: exact, or bisection8 as in the paper (default exact)"),
         ("--integrator", ("paper", "split"), "paper", None),
         ("--dt-ms", float, DT_MS,
-         f"step of the physics; lives last as long as with {DT_MS} (default {DT_MS})"),
+         f"time step, ms; rollouts last as long as with {DT_MS} ms (default {DT_MS})"),
         ("--control-period-ms", float, 0,
          "how often the controller computes its outputs; 0: at every step (default 0)"),
         ("--norm-limit", float, 1.0, "largest norm of the gradient of a batch; 0: off (default 1)"),

@@ -306,7 +306,7 @@ struct mo_best {
     uint32_t round;
     uint64_t n_given;
     double later;
-  } estimate; /* the newest of mo_best_left, and when it was made */
+  } estimate; /* the newest result of mo_best_left, and when it was computed */
 };
 /* 1 ≤ k ≤ n_designs; 1 ≤ n_environments ≤ MO_RACE_ENVIRONMENTS_MAX. MO_ERR_NO_MEMORY. */
 int mo_best_create(uint32_t n_designs, uint32_t n_environments, uint32_t k, struct mo_best **best);

@@ -1,11 +1,12 @@
 /* score_error.h: how far a score may be from its limit of small steps.
  *
  * A controller with held outputs makes the motion well defined as the step goes to 0, so a score
- * has a limit. Two sources of error separate them, and a few more rollouts in the same environments
- * measure both. The step: rollouts with half of the step, extrapolated by the integrator's order.
- * Rounding: rollouts that start a little higher. Contact amplifies small differences, so in some
- * environments such a rollout ends elsewhere (it bifurcates); rounding has the same effect.
- * docs/performance.md has the measurements behind the constants in score_error.c. */
+ * has a limit. Two sources of error separate the score from it, and a few more rollouts in the same
+ * environments measure both. The error of the step is measured by rollouts with half of the step,
+ * extrapolated by the integrator's order. Rounding is measured by rollouts that start a little
+ * higher. Contact amplifies small differences, so in some environments such a rollout ends
+ * elsewhere (it bifurcates); rounding has the same effect. docs/performance.md has the measurements
+ * behind the constants in score_error.c. */
 #ifndef MORPHO_SCORE_ERROR_H
 #define MORPHO_SCORE_ERROR_H
 
@@ -26,8 +27,8 @@ extern "C" {
  * (6e-8 m below 1 m). */
 #define MO_ERROR_FLOAT32_MAX_M 1.0
 
-/* An environment bifurcates if these losses of its displaced starts and of the request are farther
- * apart than this. */
+/* An environment bifurcates if its losses, as requested and with displaced starts, differ by more
+ * than this. */
 #define MO_ERROR_BIFURCATION 1e-3
 
 /* Returns the number of runs; without displaced starts there is only run 0. */
@@ -42,7 +43,7 @@ struct mo_score_error {
   double discretization; /* estimate of |score − limit| */
   double rounding;       /* largest change of the score by a displaced start */
   double standard_error; /* of the mean over the environments; NaN if there is only one */
-  double low, high;      /* contains the limit in at least 90 % of designs */
+  double low, high;      /* contains the limit for at least 90 % of designs */
   uint64_t bifurcates;   /* environments, as bits */
 };
 /* Estimates the error of the mean of n_environments ≤ 64 losses from the losses of all runs: losses

@@ -1,17 +1,18 @@
 /* best_left.c: estimates how many losses a race for the k best will still request.
  *
- * The number depends on the k best of all designs, which the few designs with all losses at first
- * cannot show. So the rest of the race is rehearsed: unknown losses are guessed, and a copy of the
- * race requests them by the same rules. A guess scales the losses of a design that has all of them,
- * a donor, with a similar sum over the environments that both have. Good sums are partly luck, so
- * the scale is the ratio of the sums to a power, the slope of the donors' logarithms. Designs whose
- * losses of the first wave are still to come get these losses from designs that have them. */
+ * The number depends on the k best of all designs, which cannot be known from the few designs that
+ * get all their losses first. So the rest of the race is rehearsed: unknown losses are guessed, and
+ * a copy of the race requests them by the same rules. A guess scales the losses of a donor: a
+ * design with all its losses, and with a similar sum over the environments that both designs have.
+ * A good sum is partly luck, so the scale is the ratio of the two sums raised to a power, the slope
+ * of the donors' logarithms. A design that still waits for its first-wave losses borrows them from
+ * a design that has them. */
 #include "evolution/internal.h"
 
 #include <math.h>
 #include <stdlib.h>
 
-#define MODEL_MAX  65536 /* designs in the copy; of more designs it has an even sample */
+#define MODEL_MAX  65536 /* designs in the copy; if there are more, an evenly spaced sample */
 #define NEIGHBORS  8     /* donors that a guess chooses from */
 #define DONORS_MIN 4     /* for a slope */
 
@@ -74,7 +75,7 @@ static double find_slope(const struct rehearsal *one)
   return n < DONORS_MIN || !(squares > 0) ? 1 : fmin(1, fmax(0, products / squares));
 }
 
-/* Returns the donor for a sum over the prefix: one of its neighbors, by turns. */
+/* Returns the donor for a sum over the prefix: one of its nearest neighbors, in turn. */
 static uint32_t choose_donor(const struct rehearsal *one, double sum, uint32_t turn)
 {
   const struct mo_rank *ranks = one->best->ranks;

@@ -2,9 +2,10 @@
  *
  * The discretization error of a loss is estimated from its change by half a step (Richardson): the
  * whole error is 2^p / (2^p − 1) times that for an integrator of order p. Where contact makes a
- * rollout chaotic, that change is no estimate but one more sample, so an error of a mean that
- * cancels among environments must not count as small: the half-width of the interval combines the
- * error of the mean, the scatter of the environments' errors, and the sensitivity to rounding. */
+ * rollout chaotic, that change is just another sample, not an estimate. Errors that happen to
+ * cancel in the mean over the environments must therefore not count as a small error: the
+ * half-width of the interval combines the error of the mean, the scatter of the environments'
+ * errors, and the sensitivity to rounding. */
 #include <morpho/score_error.h>
 
 #include <math.h>

@@ -93,8 +93,8 @@ struct mo_work {
   int64_t fingerprint,
       workers; /* its class; and the class of bodies that devices leave to the workers */
   /* n_designs: without designs that were skipped. If errors are estimated, each of these occurs
-   * once per run (score_error.h), run after run: design i is one of run i / (n_designs / n_runs).
-   */
+   * once per run (score_error.h), run after run: design i belongs to run
+   * i / (n_designs / n_runs). */
   uint32_t n_designs, n_environments, n_runs;
   int64_t physics_rows[MO_ERROR_RUNS_MAX]; /* (n_runs) */
   int64_t *environment_rows;               /* (n_environments) */

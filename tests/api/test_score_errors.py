@@ -58,7 +58,7 @@ def test_scores_do_not_change(service, estimated):
 
 
 def test_intervals_contain_scores_of_finer_steps(service, estimated):
-    """Of an eighth of the step, in float64."""
+    """The finer scores use an eighth of the step, in float64."""
     value = service.evaluate({key: REQUEST[key] for key in ("designs", "environments")} | {
         "physics": {"n_steps": 1600, "dt_s": 0.0005, "control_period_s": 0.004},
         "precision": "float64"}).json()
@@ -68,7 +68,7 @@ def test_intervals_contain_scores_of_finer_steps(service, estimated):
 
 
 def test_split(service):
-    """The order of the integrator determines the factor; a control period stays."""
+    """The factor depends on the integrator's order. The control period is kept."""
     physics = {"n_steps": 100, "integrator": "split", "control_period_s": 0.008}
     request = {"designs": [DESIGN], "environments": PLACES[:1], "physics": physics}
     row = service.evaluate(request | {"error": True}).json()["results"][0]
@@ -103,7 +103,7 @@ def test_refusals(service, more, words):
 
 
 def test_work_counts(start):
-    """A request counts as the work that it is: six rollouts of the requested step for each."""
+    """A request counts by its cost: each rollout as six rollouts with the requested step."""
     limited = start("--max-open-rollouts=1000")
     places = [PLACES[0] | {"seed": seed} for seed in range(30)]
     held = limited.post("/v1/evaluations", {"designs": [DESIGN], "environments": places[:1],

@@ -110,7 +110,7 @@ def bound_s(eigenvalue, stiffness, mass, drag, integrator):
 
 @pytest.mark.parametrize("integrator", ["paper", "split"])
 def test_a_step_beyond_the_bound_is_flagged(service, integrator):
-    """Every request with physics gets the warning at once, and a step just below the bound none."""
+    """Every request with physics is warned at once; a step just below the bound gets no warning."""
     bound = bound_s(12, 50000, 2, 20, integrator)
     given = {"n_steps": 4, "stiffness_n_per_m": 50000, "mass_kg": 2, "drag_per_s": 20,
              "integrator": integrator}

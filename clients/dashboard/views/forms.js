@@ -34,7 +34,7 @@ const PRESETS = {
   workstation: { population: '512', 'zero-shot': '100', 'few-shot': '10', simultaneous: '180' },
   demo: { population: '64', 'zero-shot': '30', 'few-shot': '3', simultaneous: '30' },
 };
-/** The same of a training: steps by kind, and the batch of a preset. */
+/** The same for a training run: steps by kind, and batch size by preset. */
 const LEARNING = {
   steps: { pretrain: '1400', finetune: '60' },
   batch: { workstation: '256', phototaxis: '8192', paper: '8192' },
@@ -206,8 +206,8 @@ async function measureRollout() {
 }
 
 /**
- * Describes how many rollouts a request needs, and how long they take. A training, and a campaign
- * that learns, mostly compute gradients, so they have no estimate.
+ * Describes how many rollouts a request needs, and how long they take. Training runs and campaigns
+ * that learn have no estimate, because they mostly compute gradients.
  * @param {number} designs to be scored in default environments and physics; 0 if unknown
  * @param {number|null} seconds that a thread needs for a rollout; null if unknown
  */
@@ -326,7 +326,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       estimateOf(designsScored(), threads && rolloutSeconds, threads?.n_threads ?? 1));
   }
 
-  /** Returns how many designs the request scores; 0 if that is not what takes its time. */
+  /** Returns how many designs the request scores; 0 if scoring does not take most of the time. */
   function designsScored() {
     const valueOf = (name) => Number(inputOf(name).value || inputOf(name).placeholder);
     if (kind === 'evaluation') return fixed.designs?.length ?? designsIn(designs.value).length;

@@ -1,6 +1,7 @@
 """Comparisons with a confidence interval, as plain numbers: of campaigns, and of two controllers.
 
-Methods and numbers are those of `morphoctl campaign compare` and `morphoctl train compare`.
+The methods and numbers are the same as in `morphoctl campaign compare` and `morphoctl train
+compare`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CONFIDENCE = 0.95
-"""Of all intervals."""
+"""Confidence level of all intervals."""
 
 
 class CampaignComparison:
@@ -66,11 +67,11 @@ class CampaignComparison:
 class ControllerComparison:
     """Two controllers, a and b, compared on one held-out set, rollout by rollout.
 
-    `difference` is the mean of b's scores minus a's, over the `pairs`: the designs that diverged
-    with neither. `low` and `high` are its 95 % interval for other designs and other environments.
-    `verdict` says whether b is "better", "worse" or "undecided". `improved` designs are better with
-    b, and `sign_test_p` is the p of a sign test. `data` has the names of `morphoctl train compare
-    --json`.
+    `difference` is the mean of b's scores minus a's, over the `pairs` designs that diverged with
+    neither controller. `low` and `high` are its 95 % interval for other designs and other
+    environments. `verdict` says whether b is "better", "worse" or "undecided". `improved` designs
+    are better with b, and `sign_test_p` is the p of a sign test. `data` has the names of `morphoctl
+    train compare --json`.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:
@@ -222,10 +223,10 @@ def welch(a: Sequence[float], b: Sequence[float]) -> dict[str, Any]:
 
 
 def crossed(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
-    """Compares the losses (designs, environments) of two controllers, not finite if a rollout
-    diverged. Designs and environments are both random effects, crossed: mean squares of the two-way
-    layout without replication, and Satterthwaite's degrees of freedom. With one environment the
-    interval holds for other designs in that environment."""
+    """Compares the losses (designs, environments) of two controllers. Losses of diverged rollouts
+    are not finite. Designs and environments are both random effects, crossed: mean squares of the
+    two-way layout without replication, and Satterthwaite's degrees of freedom. With one environment
+    the interval holds for other designs in that environment."""
     whole = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     a, b = a[whole], b[whole]
     n, worlds = a.shape

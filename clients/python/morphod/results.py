@@ -24,11 +24,11 @@ class ScoreError:
 
     The limit is the score that the same robot has in the same environments with vanishing time
     steps and without rounding. For at least 90 % of designs it is between `low` and `high`.
-    `discretization` is the estimated distance of the score from the limit, `rounding` the largest
-    change of the score if the robot starts up to 3e-7 m higher, and `standard_error` that of the
-    mean over environments (NaN for one environment). `bifurcates` has the environments in which the
-    displaced starts end at clearly different distances from the light: rounding determines these
-    losses. All numbers are NaN if a rollout diverged.
+    `discretization` is the estimated distance between the score and the limit. `rounding` is the
+    largest change of the score if the robot starts 1e-7, 2e-7 or 3e-7 m higher. `standard_error` is
+    the standard error of the mean over environments (NaN for one environment). `bifurcates` lists
+    the environments in which these higher starts lead to clearly different distances from the light
+    at the end, so that rounding determines the loss. All numbers are NaN if a rollout diverged.
     """
 
     @reading()

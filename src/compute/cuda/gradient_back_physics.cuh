@@ -544,8 +544,9 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     __syncwarp();
   }
 
-  /* The velocity before the kick does not see the acceleration: with `split` a mass that strikes
-   * has that part of its adjoint taken off. */
+  /* Takes the adjoint of one velocity back through the kick. The acceleration does not depend on
+   * the velocity before the kick, so with `split` the acceleration's part of the adjoint is
+   * subtracted first if the mass strikes. */
   __device__ __forceinline__ void kick_one_back(uint32_t step, int m)
   {
     back_mass &to = mass[first + m];

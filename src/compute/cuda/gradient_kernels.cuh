@@ -67,7 +67,7 @@ struct mo_gk {
   uint32_t n_steps, n_walks;
   uint32_t part_steps;    /* steps of a task: whole control periods */
   uint32_t control_steps; /* in a control period; not 0 */
-  bool splits;            /* the integrator */
+  bool splits;            /* the integrator is `split` */
   uint32_t *tickets;      /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
   const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
                                * so slowly (1.3 µs each, one after the other) that products waited
@@ -78,8 +78,8 @@ struct mo_gk {
 #define MO_GK_WALK(group, half) ((uint32_t)(group) << 1 | (uint32_t)(half))
 #define MO_GK_HALVED            (UINT32_C(1) << 31) /* the walk is half of a group */
 enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
-/* The paper's integrator with an output of the network in every step; with control periods of
- * several steps; and `split`, with any. */
+/* `paper` with new outputs in every step; `paper` with control periods of several steps; `split`
+ * with any control period. */
 enum { MO_GK_EVERY, MO_GK_PERIODS, MO_GK_SPLIT };
 
 /* A forward or backward pass is divided into *tasks*, each a part of the steps of one walk, so that
@@ -263,7 +263,7 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
  * rows, and some of the springs of both. Rows and masses are numbered within the block; on the tape
  * and in the tables, within the group.
  *
- * TIME: MO_GK_EVERY … . They have kernels of their own, because registers are short. */
+ * TIME: MO_GK_EVERY … . Each value has its own kernels, because registers are scarce. */
 template <int MT, int SHARE, int TIME> struct walker {
   static constexpr bool PERIODIC = TIME != MO_GK_EVERY, SPLIT = TIME == MO_GK_SPLIT;
   const mo_gk &k;

@@ -7,10 +7,10 @@
 
 #include <stdbool.h>
 
-/* A rollout's time, as the tape sees it. */
+/* How a rollout is divided into steps and control periods. */
 struct mo_gp_time {
   uint32_t n_steps, control_steps; /* control_steps: in a control period; not 0 */
-  bool splits;                     /* the integrator */
+  bool splits;                     /* the integrator is `split` */
 };
 
 /* Offsets in a group's part of the tape, in bytes. Positions, velocities and pushes are

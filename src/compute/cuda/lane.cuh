@@ -235,7 +235,7 @@ MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, const float 
   return hit;
 }
 
-/* And with `split`. A mass that lies strikes where it is. */
+/* The same with `split`. A mass that rests on the ground strikes where it is. */
 struct lane_glide {
   struct lane_place at;
   struct lane_slide slide;
@@ -271,7 +271,8 @@ MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const st
   return glide;
 }
 
-/* Finds where a strike ends: sets p; rise: above the polynomial of the cell, if it stays there. */
+/* Sets p to the place where a strike ends. rise: height above the cell's polynomial; used only if
+ * the strike ends in the cell where it struck. */
 MO_INLINE void lane_land(const float *heights, const struct lane_cell *cell, bool stays, V rise,
                          const V end[3], V p[3])
 {
@@ -283,7 +284,7 @@ MO_INLINE void lane_land(const float *heights, const struct lane_cell *cell, boo
   p[2] = lane_landing(&g, lane_coordinate(p[0]) - g.i, lane_coordinate(p[1]) - g.j, rise);
 }
 
-/* Returns whether the strike ended above the ground; slope: the ground's there. */
+/* Returns whether the strike ended above the ground. slope: set to the ground's slope there. */
 MO_INLINE bool lane_lands_above(const float *heights, const struct lane_cell *cell, bool stays,
                                 V rise, const V end[3], V slope[2])
 {

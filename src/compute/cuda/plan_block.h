@@ -98,7 +98,8 @@ struct mo_plan_scene {
   float heights[MO_TERRAIN_HEIGHTS];
   struct lane_constants constants;
 };
-/* What the integrator `split` needs besides: read where a mass strikes, and in the first step. */
+/* Additional constants for the integrator `split`, read where a mass strikes and in the first
+ * step. */
 struct mo_plan_split {
   struct lane_split_constants constants;
   float first_pull, first_fall, first_per_push; /* the first step's */

@@ -38,7 +38,7 @@ struct mo_cuda_score {
   double drop_height_m;
   uint32_t n_groups, n_steps, max_places;
   uint32_t control_steps; /* in a control period */
-  bool splits;            /* the integrator */
+  bool splits;            /* the integrator is `split` */
 };
 
 /* A kernel: rows per group, blocks per multiprocessor, the memory of a group (mo_plan_options), and

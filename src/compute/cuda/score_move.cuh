@@ -108,10 +108,10 @@ __device__ __forceinline__ void load_links(const uint32_t *links, const Part &pa
     quad[i] = __ldg(quads + min(i, last));
 }
 
-/* With `split`, a step reads the velocities that the one before it wrote, and writes others, so
- * that contact can see what the springs have added. In a step with new outputs the springs pull
- * with the mean of the old and the new lengths: half of what they add by the ones and half by the
- * others, since it is linear in the length. */
+/* With `split`, a step reads the velocities that the previous step wrote, and writes its own to
+ * another buffer, so that contact can compute what the springs added. In a step with new outputs,
+ * the springs pull with the mean of the old and the new lengths. Since the pull is linear in the
+ * length, one half is added with the old lengths, and the other half with the new ones. */
 struct Pull {
   const float *before; /* velocities (places, 3) to start from */
   float share;

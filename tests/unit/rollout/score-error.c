@@ -103,7 +103,7 @@ static void standard_errors(void)
   CHECK(isnan(mo_score_error_of(losses[0], DISPLACED, 1, MO_INTEGRATOR_PAPER).standard_error));
 }
 
-/* A diverged rollout of any run leaves nothing known. */
+/* If a rollout of any run diverges, the whole estimate is unknown. */
 static void divergences(void)
 {
   double losses[RUNS][N];

@@ -404,7 +404,7 @@ static void stores_long_lists_in_groups(void)
   CHECK_INT(mo_store_queued(store, urgency, 0, true, queued, 4), 1);
 }
 
-/* A list that will never be stored is deleted with the end of its job, not of other jobs. */
+/* When a job ends before its list is stored, the list is deleted. Lists of other jobs stay. */
 static void deletes_lists_of_ended_jobs(void)
 {
   enum { N = MO_DESIGN_GROUP + 5 };

@@ -535,8 +535,8 @@ class AsyncClient:
                                   seed: int = 1, designs: int = 64, environments: int = 16,
                                   **settings: Any) -> ControllerComparison:
         """Compares two controllers, or the results of two trainings, on the same held-out bodies
-        and environments. `settings` are those of `evaluate`, such as `physics`, and hold for both.
-        """
+        and environments. `settings` are passed to `evaluate` for both controllers, for example
+        `physics`."""
         return await comparing.compare_controllers(self, a, b, (seed, designs, environments),
                                                    settings)
 

@@ -1,4 +1,4 @@
-"""Collects what comparisons need."""
+"""Fetches the data for comparisons."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def sides_of(campaigns: Sequence[str | int | AsyncCampaign | AsyncCampaigns]) -> list[str]:
-    """Returns the id of a campaign of each side. Each group of a sequence is a side."""
+    """Returns one campaign id for each side. Each group in an `AsyncCampaigns` is a side."""
     ids: list[str] = []
     for one in campaigns:
         if isinstance(one, AsyncCampaigns):
@@ -72,7 +72,8 @@ async def _conditions(connection: AsyncConnection, campaign: dict[str, Any]) -> 
 
 async def _members(connection: AsyncConnection, campaign: dict[str, Any], alone: bool
                    ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Returns the replicates that count, and those that ended early. If all did, they count."""
+    """Returns the replicates that count, and those that ended early.
+    If all ended early, all count."""
     if alone:
         return [campaign], []
     group = [one async for one in
