@@ -53,7 +53,6 @@ int main(int argc, char **argv)
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
-  static const char *const integrators[] = {"paper", "split", NULL};
   struct bench_options options = {
       .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
   bench_sgemm_choose(argv);
@@ -69,7 +68,9 @@ int main(int argc, char **argv)
     case 'c': options.controller = optarg; break;
     case 'd': options.dt_s = bench_ms(optarg); break;
     case 'p': options.control_period_s = bench_ms(optarg); break;
-    case 'm': options.integrator = (enum mo_integrator)bench_word(integrators, optarg); break;
+    case 'm':
+      options.integrator = (enum mo_integrator)bench_word(mo_integrator_words, optarg);
+      break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
     default: fputs(usage, stderr); return 2;

@@ -20,8 +20,7 @@ extern "C" {
 
 /* The runs of a design: 0 as requested, 1 with half of the step, then the displaced starts. */
 #define MO_ERROR_DISPLACED      3
-#define MO_ERROR_DISPLACED_MAX  14
-#define MO_ERROR_RUNS_MAX       (2 + MO_ERROR_DISPLACED_MAX)
+#define MO_ERROR_RUNS_MAX       (2 + MO_ERROR_DISPLACED)
 #define MO_ERROR_DISPLACEMENT_M 1e-7 /* upward, of the first displaced start; then 2 ×, 3 × */
 /* Above this height, starts that far apart are the same in float32, whose digits there are as large
  * (6e-8 m below 1 m). */

@@ -459,11 +459,12 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define EVALUATIONS                                                                                \
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
-  " recorded_bytes:n verify:n best:n rollouts_cut:n"
+  " recorded_bytes:n verify:n best:n rollouts_cut:n displaced_starts:n"
 #define RESULTS                                                                                    \
   "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
   "masses:n"                                                                                       \
-  " springs:n path_length_m:n repaired fault orientation"
+  " springs:n path_length_m:n repaired fault orientation error.low:n error.high:n"                 \
+  " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates"
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

@@ -12,9 +12,9 @@
 #include <math.h>
 #include <stdlib.h>
 
-#define MODEL_MAX  65536 /* designs in the copy; if there are more, an evenly spaced sample */
-#define NEIGHBORS  8     /* donors that a guess chooses from */
-#define DONORS_MIN 4     /* for a slope */
+#define MODEL_MAX  8192 /* designs in the copy; if there are more, an evenly spaced sample */
+#define NEIGHBORS  8    /* donors that a guess chooses from */
+#define DONORS_MIN 4    /* for a slope */
 
 struct rehearsal {
   struct mo_best *best, *model;

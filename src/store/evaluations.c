@@ -51,7 +51,7 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
   results->n_designs = mo_column_u32(row, 3);
   results->n_environments = mo_column_u32(row, 4);
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
-      results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED_MAX)
+      results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED)
     return MO_ERR_CORRUPT;
   if (range->first + range->n > results->n_designs)
     return MO_ERR_NOT_FOUND;

@@ -1,5 +1,6 @@
 """`"error": true`: the estimated errors of scores, from additional rollouts that are stored."""
 
+import csv
 import json
 import math
 
@@ -100,6 +101,26 @@ def test_refusals(service, more, words):
     reply = service.request("POST", "/v1/evaluations", REQUEST | more)
     assert reply.status == 422 and reply.pointers() == ["/error"], reply.json()
     assert words in reply.json()["errors"][0]["detail"]
+
+
+def test_high_worlds_need_float64(service):
+    """Float32 cannot displace a start by 1e-7 m there."""
+    high = [{"light_xy_m": [4.5, 2.5], "terrain_heights_m": [5] * 64}]
+    request = {"designs": [DESIGN], "environments": high, "physics": SHORT, "error": True}
+    reply = service.request("POST", "/v1/evaluations", request)
+    assert reply.status == 422 and reply.pointers() == ["/error"], reply.json()
+    assert "float64" in reply.json()["errors"][0]["detail"]
+    row = service.evaluate(request | {"precision": "float64"}).json()["results"][0]
+    assert row["error"]["rounding"] > 0
+
+
+def test_columns(service, estimated):
+    """A table of results has the errors, too."""
+    reply = service.request("GET", f"/v1/evaluations/{estimated['id']}/results?format=csv")
+    head, first = reply.body.decode().splitlines()[:2]
+    row = dict(zip(head.split(","), next(csv.reader([first]))))
+    assert float(row["error_low"]) == pytest.approx(estimated["results"][0]["error"]["low"])
+    assert float(row["error_high"]) == pytest.approx(estimated["results"][0]["error"]["high"])
 
 
 def test_work_counts(start):

@@ -322,8 +322,16 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       inputOf('population').placeholder = PRESETS[preset]?.population ?? 'as the preset says';
       inputOf('generations').placeholder = PRESETS[preset]?.[mode] ?? 'as the preset says';
     }
-    say(estimate,
-      estimateOf(designsScored(), threads && rolloutSeconds, threads?.n_threads ?? 1));
+    say(estimate, estimateOf(designsScored(), isUsual() ? rolloutSeconds : null,
+      threads?.n_threads));
+  }
+
+  /** Returns whether the rollouts are like those that were measured. */
+  function isUsual() {
+    const usual = { controller: ['', 'default'], device: ['', 'auto', 'cpu'],
+      precision: ['', 'float32'] };
+    return threads !== null && Object.entries(usual).every(([name, values]) =>
+      values.includes(inputOf(name)?.value ?? ''));
   }
 
   /** Returns how many designs the request scores; 0 if scoring does not take most of the time. */
