@@ -6,6 +6,7 @@
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/check.h"
+#include "store/origins.h"
 
 #define DESIGNS 12
 #define FLIPS   120
@@ -300,11 +301,57 @@ static void checks_contents(void)
   }
 }
 
+/* ---- origins ---- */
+
+/* Saves the losses of a run of the only design, as computed by an origin. */
+static int save_run(const struct mo_work *work, uint32_t run, int64_t origin)
+{
+  struct mo_saved_block block;
+  struct mo_save save = {.blocks = &block};
+  for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+    fixture_loss(&save, work, run, k, work->fingerprint, 0.5 + 0.1 * k, 0);
+  block.condition.physics = work->physics_rows[run];
+  block.origin = origin;
+  return save_and_wait(&save);
+}
+
+/* The errors of scores depend on the losses of all runs: where one of them is replaced, the ETag of
+ * the job changes, but not where a job does not depend on it. */
+static void replaces_losses_of_every_run(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
+  int64_t one = 0, origin = 0;
+  const int64_t plain = submit_evaluation(&submission);
+  submission.n_displaced = MO_ERROR_DISPLACED;
+  const int64_t id = submit_evaluation(&submission);
+  REQUIRE(plain > 0 && id > 0);
+  REQUIRE_OK(mo_store_fingerprint(store, "one", &one));
+  REQUIRE_OK(mo_store_origin(store, "someone@host", &origin));
+  struct mo_work *work = load(id, one);
+  REQUIRE(work != NULL && work->n_runs == 2 + MO_ERROR_DISPLACED);
+  for (uint32_t run = 0; run < work->n_runs; run++) {
+    struct mo_origin_row rows[8];
+    struct mo_origin_place place = {0, 0};
+    const int64_t before = job_of(id).version, of_plain = job_of(plain).version;
+    bool is_last;
+    REQUIRE_OK(save_run(work, run, origin));
+    REQUIRE(mo_store_origin_rows(store, "someone@host", &place, rows, 8, &is_last) == 1);
+    rows[0].again = rows[0].stored;
+    rows[0].again.losses[3] += 0.25;
+    rows[0].differs = true;
+    REQUIRE_OK(mo_store_origin_replace(store, rows, 1)); /* it is no longer the origin's */
+    CHECK(job_of(id).version > before);
+    CHECK((job_of(plain).version > of_plain) == (run == 0));
+  }
+  mo_work_free(work);
+}
+
 static const struct check_case cases[] = {
     {"packs losses with a checksum", packs_losses},
     {"finds losses by environment and class", finds_by_environment_and_class},
     {"continues in a new class", goes_on_in_a_new_class},
     {"never serves a flipped bit", serves_no_flipped_bit},
+    {"replaces losses of every run", replaces_losses_of_every_run},
     {"checks contents", checks_contents},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
