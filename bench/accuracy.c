@@ -59,7 +59,7 @@ struct motion {
 
 static struct mo_physics physics_at(struct motion motion, double dt_s, int mode)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = motion.integrator;
   physics.scheme.control_period_s = motion.period_s;
   physics.scheme.dt_s = dt_s;

@@ -170,7 +170,7 @@ struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int n
 
 struct mo_physics bench_physics(const struct bench_options *options)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   struct mo_message message;
   const double life_s = physics.scheme.n_steps * physics.scheme.dt_s;
   if (options->dt_s > 0)

@@ -41,7 +41,7 @@ static void check_golden(struct mo_device_controller *controller)
   struct mo_outcome *outcomes = must_have(calloc(n, sizeof(*outcomes)));
   double *truth = must_have(calloc(n, sizeof(*truth)));
   for (int mode = 0; mode < GOLDEN_MODES; mode++) {
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = mo_paper_physics();
     physics.scheme.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     for (uint32_t i = 0; i < n; i++) {
       robots[i] = (struct mo_robot){golden.cases[i].body, &golden.cases[i].environment};
@@ -124,7 +124,7 @@ static void check_starts(struct mo_device_controller *controller)
   static struct mo_environment environments[RANDOM];
   static struct mo_robot robots[RANDOM];
   static struct mo_outcome outcomes[RANDOM];
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   double start = 0, worst = 0;
   for (uint32_t i = 0; i < RANDOM; i++) {
     environments[i] = (struct mo_environment){.light_xy_m = {4.5, 2.5}};
@@ -299,7 +299,7 @@ static void check_divergence(struct mo_device_controller *controller)
   enum { N = 64 };
   struct mo_body **bodies = random_bodies(golden.lattice, N, 9);
   struct rows *rows = make_rows(bodies, N, 1);
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.constants.stiffness_n_per_m *= 4;
   physics.scheme.n_steps = 200;
   run(controller, rows->robots, N, &physics, rows->outcomes);
@@ -342,7 +342,7 @@ static void check_cancel(struct mo_device_controller *controller)
   struct mo_device_score score = {.controller = controller,
                                   .robots = &robot,
                                   .n = 1,
-                                  .physics = mo_default_physics(),
+                                  .physics = mo_paper_physics(),
                                   .cancel = &flag,
                                   .outcomes = &outcome};
   pthread_t thread;

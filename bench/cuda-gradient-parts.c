@@ -68,7 +68,7 @@ struct mo_controller *weights_of(const char *weights)
 
 struct mo_physics physics_of(uint32_t n_steps, uint32_t control_steps)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.n_steps = n_steps;
   physics.scheme.control_period_s = control_steps * physics.scheme.dt_s;
   return physics;
@@ -156,7 +156,7 @@ void run_with(struct result *r, const struct mo_controller *controller, const st
 void run_steps(struct result *r, const struct mo_controller *controller, const struct scene *s,
                uint32_t first, uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   const struct mo_gradient_options options = mo_default_gradient_options();
   physics.scheme.n_steps = n_steps;
   run_with(r, controller, s, first, n, &physics, &options, memory_bytes);

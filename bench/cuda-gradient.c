@@ -55,7 +55,7 @@ static int make_reference(const char *path, const char *weights, uint32_t worker
   r = (struct reference){.scene = &scene,
                          .n = LIKE,
                          .controller = controller,
-                         .physics = mo_default_physics(),
+                         .physics = mo_paper_physics(),
                          .options = options_of(weights)};
   compute_reference(&r, (long)workers);
   FILE *file = fopen(path, "wb");
@@ -84,7 +84,7 @@ static void check_likeness(const char *weights, const char *path, const struct s
   must(read ? MO_OK : MO_ERR_FORMAT, path);
   fclose(file);
   struct result r;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   const struct mo_gradient_options options = options_of(weights);
   run_with(&r, controller, s, 0, LIKE, &physics, &options, 0);
   for (int i = 0; i < LIKE; i++)
@@ -215,7 +215,7 @@ static const double alone_weights[2] = {MO_RESTART_WEIGHT, 1};
 static void *alone_work(void *context)
 {
   struct alone *a = context;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   for (;;) {
     const uint32_t i = __atomic_fetch_add(&a->next, 1, __ATOMIC_RELAXED);
     if (i >= LIKE)
@@ -243,7 +243,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
 {
   static struct alone a;
   struct mo_controller *controller = weights_of("1");
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   const struct mo_gradient_options options = options_of("restart:");
   double differ[LIKE];
   uint32_t n = 0, nearer = 0;
@@ -404,7 +404,7 @@ static void check_rare(const struct scene *s)
 {
   enum { FEW = 200 };
   struct mo_controller *controller = weights_of("1");
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   struct mo_gradient_options options = mo_default_gradient_options();
   struct result a, b;
   physics.scheme.n_steps = 300;
@@ -417,7 +417,7 @@ static void check_rare(const struct scene *s)
   expect(same_result(&a, &b), "two runs are the same");
   drop_result(&a);
   drop_result(&b);
-  physics = mo_default_physics();
+  physics = mo_paper_physics();
   options.adjoint_bound = 0;
   unsigned long long zeroed = 0;
   for (float factor = 3; factor < 300 && zeroed == 0; factor *= 3) {

@@ -101,7 +101,7 @@ struct mo_device_score run(struct mo_device_controller *controller, const struct
 
 struct mo_physics physics_with(enum mo_integrator integrator, uint32_t control_steps)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
   if (control_steps > 0)
     physics.scheme.control_period_s = control_steps * physics.scheme.dt_s;
@@ -168,7 +168,7 @@ static void time_all(struct mo_device_controller *controller)
 {
   enum { N = 8192 };
   struct mo_body **bodies = random_bodies(golden.lattice, N, 1), **evolved = evolved_bodies(N);
-  const struct mo_physics physics = mo_default_physics(), held = physics_with_period(4);
+  const struct mo_physics physics = mo_paper_physics(), held = physics_with_period(4);
   struct mo_physics fine = held; /* half the step, the same periods */
   fine.scheme.dt_s /= 2;
   fine.scheme.n_steps *= 2;
@@ -227,7 +227,7 @@ static double time_parts(struct mo_device *const *devices,
                                .score = {.controller = controllers[at_once ? i : 0],
                                          .robots = rows->robots + first,
                                          .n = end - first,
-                                         .physics = mo_default_physics(),
+                                         .physics = mo_paper_physics(),
                                          .outcomes = rows->outcomes + first}};
       if (!at_once)
         score_part(&parts[i]);

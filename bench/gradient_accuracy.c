@@ -195,7 +195,7 @@ static bool compare(const struct bench_scene *scene, const struct mo_controller 
   struct comparison c = {.scene = scene,
                          .controller = controller,
                          .options = gradient,
-                         .physics = mo_default_physics(),
+                         .physics = mo_paper_physics(),
                          .n = n,
                          .n_threads = (uint32_t)(online < 1             ? 1
                                                  : online > THREADS_MAX ? THREADS_MAX

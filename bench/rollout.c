@@ -199,7 +199,7 @@ static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
   struct runner runner;
   runner_create(&runner, scene, isa, precision);
   struct mo_body *body = bench_box(scene, 6, 6, 4);
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.n_steps = 1;
   (void)run_s(&runner, runner.pack, scene, body, MO_BLOCK_LANES, &physics);
   return 2.0 * (double)mo_workspace_memory_bytes(runner.memory) / (1 << 20);

@@ -151,8 +151,7 @@ static struct cell cell_at(uint32_t place)
 {
   const uint32_t time = place % TIMES, row = place / TIMES % ROWS,
                  period = place / (TIMES * ROWS) % PERIODS;
-  struct cell cell = {
-      .period = period, .row = row, .physics = mo_default_physics(), .roughness = 1};
+  struct cell cell = {.period = period, .row = row, .physics = mo_paper_physics(), .roughness = 1};
   struct mo_scheme *scheme = &cell.physics.scheme;
   scheme->integrator = (enum mo_integrator)(place / (TIMES * ROWS * PERIODS));
   scheme->dt_s = times_s[time];
@@ -417,7 +416,7 @@ static double largest_eigenvalue(const struct mo_body *body)
 
 static struct mo_physics border_physics(enum mo_integrator integrator, int mode, int time)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
   physics.scheme.dt_s = border_times_s[time];
   if (mode > 0)
@@ -485,7 +484,7 @@ static void print_borders(const struct runner *runner)
   for (int b = 0; b < BORDER_BODIES; b++) {
     const struct mo_body *body = runner->body[b];
     const double eigenvalue = largest_eigenvalue(body);
-    const struct mo_physics physics = mo_default_physics();
+    const struct mo_physics physics = mo_paper_physics();
     fprintf(stderr,
             "\n%s, %u voxels: eigenvalue %.3f, largest stable step of the defaults %.2f ms; "
             "stiffness of the border/linear bound, for steps of 0.5 to 8 ms:\n",

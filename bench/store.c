@@ -49,7 +49,7 @@ static struct mo_evaluation_request submission_of(const struct bed *bed, uint32_
                                         .n_designs = n,
                                         .environment_set = "paper-test",
                                         .controller = "default",
-                                        .physics = mo_default_physics(),
+                                        .physics = mo_paper_physics(),
                                         .record_stride = 1};
 }
 

@@ -1,5 +1,5 @@
 /* rollout.h: the simulation of one body in one environment (paper, section 2.2; design constants in
- * mo_default_physics).
+ * mo_paper_physics).
  *
  * A step: sense → control → springs → velocity → position → contact; docs/model.md has the
  * equations. Loss: distance in x, y from the center of mass to the light at the end, divided by
@@ -72,7 +72,7 @@ struct mo_physics {
   struct mo_constants constants;
   double drop_height_m; /* 0: extra lift of the body at the start */
 };
-struct mo_physics mo_default_physics(void);
+struct mo_physics mo_paper_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
 

@@ -200,7 +200,7 @@ void mo_api_list_designs(struct mo_request *request)
   const char *cursor = mo_query(request, "cursor"), *named = mo_query(request, "controller");
   const char *class = mo_query(request, "class");
   struct mo_store *store = mo_api_of(request)->store;
-  struct mo_design_query query = {.physics = mo_default_physics(), .precision = MO_FLOAT32};
+  struct mo_design_query query = {.physics = mo_paper_physics(), .precision = MO_FLOAT32};
   size_t limit;
   int sort = MO_DESIGNS_BY_ID, set = 0, order = 0;
   if (!mo_query_limit(request, &limit) || !mo_query_word(request, "sort", sorts, &sort) ||

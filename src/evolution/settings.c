@@ -61,7 +61,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
       .batch = 0,
       .learning = mo_learning_defaults(mo_modes[m].schedule),
       .sensor = MO_SENSOR_INVERSE_SQRT,
-      .physics = mo_default_physics(),
+      .physics = mo_paper_physics(),
   };
 }
 

@@ -279,7 +279,7 @@ static int read_line(struct reading *reading, const char *line, size_t size,
   switch (reading->part) {
   case CONDITIONS:
     condition = &block->conditions[block->n_conditions++];
-    *condition = (struct mo_scored_condition){.physics = mo_default_physics()};
+    *condition = (struct mo_scored_condition){.physics = mo_paper_physics()};
     return mo_line_read(lines, line, size, &condition_fields, condition, check_condition, words);
   case ENVIRONMENTS:
     return mo_bundle_read_environment(lines, line, size,

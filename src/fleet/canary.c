@@ -32,7 +32,7 @@ struct canary {
 
 static struct mo_physics physics_of(uint32_t body)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   if (body < BODIES / 2)
     return physics;
   physics.scheme.n_steps = 500;
@@ -97,7 +97,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   struct mo_gradient_batch batch = {.controller = canary->controller,
                                     .robots = canary->robots,
                                     .n = ROBOTS,
-                                    .physics = mo_default_physics(),
+                                    .physics = mo_paper_physics(),
                                     .options.adjoint_bound = 10,
                                     .tag = -1,
                                     .urgency = MO_INTERACTIVE,

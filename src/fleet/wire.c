@@ -340,7 +340,7 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *
   const unsigned physics = 1 + (head.flags >> PHYSICS_SHIFT & UINT8_MAX);
   const unsigned gradient = 1 + (head.flags >> GRADIENT_SHIFT & UINT8_MAX);
   *environment = 1 + (head.flags >> ENVIRONMENT_SHIFT);
-  lease->physics = mo_default_physics();
+  lease->physics = mo_paper_physics();
   int error = get_packed(codec, &mo_physics_fields, physics, &lease->physics, i, message);
   if (error != MO_OK)
     return error;

@@ -33,7 +33,7 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
       .batch = BATCH,
       .learning = mo_learning_defaults(kind == MO_TRAINING_FINETUNE ? MO_SCHEDULE_FINETUNE_COSINE
                                                                     : MO_SCHEDULE_ONE_COSINE),
-      .physics = mo_default_physics(),
+      .physics = mo_paper_physics(),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .held_out_designs = 64,
       .held_out_environments = 8,

@@ -8,7 +8,7 @@
 
 #define BISECTIONS_MAX 52 /* halvings of a float64 mantissa */
 
-struct mo_physics mo_default_physics(void)
+struct mo_physics mo_paper_physics(void)
 {
   return (struct mo_physics){
       .scheme = {.dt_s = 0.004, .n_steps = 1000, .impact = MO_IMPACT_EXACT, .bisections = 8},
@@ -192,6 +192,6 @@ bool mo_physics_equal(const struct mo_physics *a, const struct mo_physics *b)
 
 unsigned mo_physics_version(const struct mo_physics *physics)
 {
-  const struct mo_physics defaults = mo_default_physics();
+  const struct mo_physics defaults = mo_paper_physics();
   return mo_fields_version(&mo_physics_fields, physics, &defaults);
 }

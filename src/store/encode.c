@@ -51,7 +51,7 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
                       enum mo_precision *precision, enum mo_sensor *sensor)
 {
   uint32_t tail[2];
-  *physics = mo_default_physics();
+  *physics = mo_paper_physics();
   if (size < 1 || size != 1 + mo_fields_packed_bytes(&mo_physics_fields, bytes[0]) + TAIL_BYTES ||
       !mo_fields_unpack(&mo_physics_fields, bytes[0], bytes + 1, physics) ||
       mo_physics_version(physics) != bytes[0])
@@ -60,7 +60,7 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   if (tail[0] > MO_FLOAT64 || tail[1] > MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_CORRUPT;
   if (physics->scheme.impact == MO_IMPACT_EXACT)
-    physics->scheme.bisections = mo_default_physics().scheme.bisections;
+    physics->scheme.bisections = mo_paper_physics().scheme.bisections;
   *precision = (enum mo_precision)tail[0];
   *sensor = (enum mo_sensor)tail[1];
   return MO_OK;

@@ -140,7 +140,7 @@ static inline struct mo_robot *make_robots(const struct mo_lattice *lattice, uin
 
 static inline struct mo_physics physics_of(uint32_t n_steps)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.n_steps = n_steps;
   return physics;
 }

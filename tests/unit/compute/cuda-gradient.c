@@ -125,7 +125,7 @@ static void check_all(const struct mo_robot *robots, uint32_t shared_bytes, uint
   struct mo_gradient_plan plan = {0};
   struct mo_gp_options own = options;
   uint8_t seen[ROBOTS] = {0};
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   own.shared_bytes = shared_bytes;
   *wide = *short_ones = 0;
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &own, &plan) == MO_OK);
@@ -159,7 +159,7 @@ static void large_with_small(void)
   struct mo_robot *robots = make_batch();
   struct mo_gradient_plan plan = {0};
   uint32_t wide, short_ones, least = UINT32_MAX, first_least = UINT32_MAX, most = 0;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   check_all(robots, options.shared_bytes, &wide, &short_ones);
   CHECK(wide == 5 && short_ones == 0);
   REQUIRE(mo_gradient_plan_make(robots + SHARD, SHARD, &physics, &options, &plan) == MO_OK);
@@ -192,7 +192,7 @@ static void small_shared_memory(void)
   struct mo_gradient_plan plan = {0};
   uint32_t wide, short_ones;
   struct mo_gp_options least = options;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   for (int i = 64; i < 90; i++)
     robots[i].body = robots[70].body;
   check_all(robots, 163 << 10, &wide, &short_ones);
@@ -211,7 +211,7 @@ static void a_shard_is_its_own(void)
   struct mo_robot *robots = make_batch();
   struct mo_gradient_plan all = {0}, threads = {0}, second = {0};
   struct mo_gp_options several = options;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   several.workers = 3;
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &all) == MO_OK);
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &several, &threads) == MO_OK);
@@ -251,7 +251,7 @@ static void passes(void)
   struct mo_robot *robots = make_batch();
   struct mo_gradient_plan plan = {0};
   struct mo_gradient_pass all, pass;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
   REQUIRE(mo_gradient_pass_next(&plan, 0, 0, in_steps(1000, 1, false), UINT64_MAX, &all) == MO_OK);
   CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 &&
@@ -298,7 +298,7 @@ static void passes_of_periods(void)
   struct mo_robot *robots = make_batch();
   struct mo_gradient_plan plan = {0};
   struct mo_gradient_pass each, held;
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   CHECK(mo_gp_passes(1000, 1) == 1000 && mo_gp_passes(1000, 4) == 250 &&
         mo_gp_passes(1000, 3) == 334 && mo_gp_passes(1000, 1000) == 1);
   REQUIRE(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan) == MO_OK);
@@ -403,7 +403,7 @@ static void another_workspace(void)
   const uint64_t bits[1] = {1};
   struct mo_environment environment;
   struct mo_gradient_plan plan = {0};
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   mo_environment_training(1, 0, 0, &environment);
   const struct mo_robot robot = {make_body(make_lattice((struct mo_workspace){3, 3, 3}), bits),
                                  &environment};

@@ -71,7 +71,7 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
                           double far, double median_m, double most_m, double most_apart)
 {
   static double moved[STRIKES], differ[STRIKES];
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
   physics.scheme.impact = impact;
   const bool splits = integrator == MO_INTEGRATOR_SPLIT;
@@ -168,7 +168,7 @@ static void contact_split(void)
  * in float64. */
 static void lying(void)
 {
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   const struct lane_physics lane = physics_of(&physics);
   double heights[MO_TERRAIN_HEIGHTS];
   float heights32[MO_TERRAIN_HEIGHTS];
@@ -197,7 +197,7 @@ static void lying(void)
  * as not finite. */
 static void insanity(void)
 {
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   struct lane_physics lane = physics_of(&physics);
   double heights[MO_TERRAIN_HEIGHTS];
   float heights32[MO_TERRAIN_HEIGHTS];
@@ -237,7 +237,7 @@ static double loss64(const struct mo_physics *p, double wanted, const double *d,
 
 static void springs(void)
 {
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   const struct lane_physics lane = physics_of(&physics);
   double worst = 0;
   mo_random_init(&dice, 13, MO_PURPOSE_CHECK, 0, 0);

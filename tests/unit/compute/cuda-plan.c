@@ -14,7 +14,7 @@ static struct mo_robot robots[N];
 static void setup(void)
 {
   struct mo_body_stream *stream = make_body_stream(MO_DEFAULT_WORKSPACE, 3);
-  physics = mo_default_physics();
+  physics = mo_paper_physics();
   lattice = make_lattice(MO_DEFAULT_WORKSPACE);
   for (uint32_t e = 0; e < PLACES; e++)
     mo_environment_training(4, 0, e, environments + e);

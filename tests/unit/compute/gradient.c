@@ -99,7 +99,7 @@ static struct mo_gradient_batch make_batch(uint32_t n, uint32_t n_steps, int res
   struct mo_gradient_batch batch = {.controller = controller,
                                     .robots = robots,
                                     .n = n,
-                                    .physics = mo_default_physics(),
+                                    .physics = mo_paper_physics(),
                                     .options.adjoint_bound = MO_ADJOINT_BOUND,
                                     .tag = 7,
                                     .d_parameters = d_parameters[result],

@@ -190,7 +190,7 @@ static void *learn(void *argument)
   struct mo_gradient_batch batch = {.controller = controller,
                                     .robots = robots,
                                     .n = ROBOTS,
-                                    .physics = mo_default_physics(),
+                                    .physics = mo_paper_physics(),
                                     .share = learner->share,
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};

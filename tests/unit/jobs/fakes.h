@@ -36,7 +36,7 @@ static inline bool results_right(int64_t id, const struct mo_bits *genotypes,
                                  enum mo_precision precision,
                                  const struct mo_controller *controller)
 {
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   struct mo_evaluation_results *results = NULL;
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
   bool is_right = true;

@@ -188,7 +188,7 @@ static inline struct mo_evaluation_request service_request(const struct mo_bits 
   return (struct mo_evaluation_request){.genotypes = genotypes,
                                         .n_designs = n,
                                         .environment_set = "paper-test",
-                                        .physics = mo_default_physics(),
+                                        .physics = mo_paper_physics(),
                                         .job.priority = -1,
                                         .record_stride = 100};
 }

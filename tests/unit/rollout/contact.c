@@ -135,7 +135,7 @@ static void bisection(void)
 
 static void strike_flat(void)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   double heights_m[MO_TERRAIN_HEIGHTS];
   flat(heights_m, 0.25);
   /* Capped: 0.9 · 2 > 0.95 · 1. */
@@ -173,7 +173,7 @@ static void strike_flat(void)
  * correct amount. */
 static void strike_slope(void)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   double heights_m[MO_TERRAIN_HEIGHTS];
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     heights_m[k] = 0.3 * (k % 8) * MO_TERRAIN_SIZE_M / 7;
@@ -196,7 +196,7 @@ static void strike_slope(void)
 static void never_below(void)
 {
   mo_random_init(&random_numbers, 6, MO_PURPOSE_CHECK, 0, 0);
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   int struck = 0;
   double heights_m[MO_TERRAIN_HEIGHTS];
   for (int trial = 0; trial < 200000; trial++) {

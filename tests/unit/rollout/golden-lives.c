@@ -35,7 +35,7 @@ static void compare(int isa, enum mo_precision precision, int mode)
   const size_t n = golden.n;
   const bool exact = isa < 0, rough = precision == MO_FLOAT32;
   double mean = 0, golden_mean = 0;
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   double *com = make_zeros((physics.scheme.n_steps + 1) * 3, sizeof(double));
   physics.scheme.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
   printf("# %s %s %s\n", exact ? "reference" : mo_isa_name((enum mo_isa)isa),

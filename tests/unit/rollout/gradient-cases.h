@@ -77,7 +77,7 @@ static inline struct gradient_case make_gradient_case(uint32_t k)
   const enum mo_sensor sensor = k % 2 == 0 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE;
   struct gradient_case c = {.body = gradient_case_body(k, workspace),
                             .controller = gradient_case_controller(k, workspace, sensor),
-                            .physics = mo_default_physics(),
+                            .physics = mo_paper_physics(),
                             .sigma_m = sigmas[k % 7]};
   mo_environment_training(77, 3, k, &c.environment); /* for its light */
   mo_terrain_random(77, 4, k, c.sigma_m, c.environment.terrain_heights_m);

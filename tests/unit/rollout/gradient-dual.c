@@ -208,7 +208,7 @@ static void contact_of(enum mo_integrator integrator)
   uint32_t struck = 0, capped = 0, crossed = 0, outside = 0;
   double worst = 0, error;
   for (uint32_t k = 0; k < 20000; k++) {
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = mo_paper_physics();
     struct mass m = {.physics = &physics};
     physics.scheme.integrator = integrator;
     physics.scheme.impact = k % 4 == 0 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
@@ -257,7 +257,7 @@ static void contact(void)
 static void lying(void)
 {
   const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   struct mo_random random = dice(78, 4, 0);
   uint32_t met = 0;
   double worst = 0, largest = 0, error;

@@ -188,7 +188,7 @@ static void sliding(void)
  * then moves in 2 s. */
 static double creep(enum mo_integrator integrator, double dt_s)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
   physics.scheme.dt_s = dt_s;
   struct scene *s = make_scene(make_full_body(make_lattice((struct mo_workspace){2, 2, 1})),
@@ -360,7 +360,7 @@ static void hold(struct scene *s, const double *start_m, uint32_t frame, int axi
 static struct scene *make_beam(enum mo_integrator integrator, double gravity_m_per_s2,
                                double drag_per_s)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
   physics.constants.gravity_m_per_s2 = gravity_m_per_s2;
   physics.constants.drag_per_s = drag_per_s;

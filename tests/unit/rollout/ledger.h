@@ -52,7 +52,7 @@ static inline struct mo_environment plane_of(double slope)
 /* Without drag. */
 static inline struct mo_physics scheme_of(enum mo_integrator integrator, double dt_s)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
   physics.scheme.dt_s = dt_s;
   physics.constants.drag_per_s = 0;

@@ -54,7 +54,7 @@ static void never_below_ground(void)
     if (i % 4 == 3)
       for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
         environment.terrain_heights_m[k] *= 5;
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = mo_paper_physics();
     physics.scheme.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     struct mo_reference r;
     REQUIRE(mo_reference_init(&r, body, i % 3 ? bootstrap : NULL, &environment, &physics) == MO_OK);
@@ -129,7 +129,7 @@ static void no_energy_gain(void)
   double highest = -INFINITY, fastest = 0;
   for (uint64_t i = 0; i < BODIES; i++) {
     const struct mo_environment environment = environment_of(78, i);
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = mo_paper_physics();
     physics.scheme.impact = i % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
     physics.drop_height_m = i % 3 ? 0 : 0.5;
     double moves;
@@ -198,7 +198,7 @@ static bool start_by_feet(const struct mo_body *body, const struct mo_environmen
  * feet would leave a mass below the ground. */
 static bool check_start(const struct mo_body *body, const struct mo_environment *environment)
 {
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   double position_m[MO_DEFAULT_MASSES * 3], by_feet_m[MO_DEFAULT_MASSES * 3];
   double nearest = INFINITY;
   mo_scene_start(body, environment, &physics, position_m);
@@ -337,7 +337,7 @@ static void translation(void)
  * no non-finite value appears in the results. */
 static void divergence(void)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.constants.stiffness_n_per_m *= 100;
   physics.scheme.n_steps = 200;
   struct mo_environment environment = environment_of(80, 0);
@@ -376,7 +376,7 @@ static void extremes(void)
   const struct mo_body *body = make_full_body(lattice);
   struct mo_environment environment = environment_of(81, 0);
   environment.light_xy_m[0] = environment.light_xy_m[1] = MO_WORLD_CENTER_M;
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   struct mo_outcome outcome = outcome_of(body, bootstrap, &environment, &physics, NULL);
   CHECK_INT(outcome.diverged_step, 0);
   CHECK(isfinite(outcome.loss)); /* large: the body starts where it should end */
@@ -422,7 +422,7 @@ static void wrong_workspace(void)
 {
   const struct mo_body *body = make_full_body(make_lattice((struct mo_workspace){6, 6, 3}));
   const struct mo_environment environment = {.light_xy_m = {1, 1}};
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   struct mo_outcome outcome = {.loss = 7};
   CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome),
             MO_ERR_INVALID);

@@ -45,7 +45,7 @@ static struct scene *make_scene(struct mo_workspace workspace, struct mo_physics
 /* Without drag: z = z0 − g dt² n (n + 1) / 2. */
 static void free_fall(void)
 {
-  struct scene *s = make_scene(MO_DEFAULT_WORKSPACE, mo_default_physics(), NULL);
+  struct scene *s = make_scene(MO_DEFAULT_WORKSPACE, mo_paper_physics(), NULL);
   s->physics.constants.drag_per_s = 0;
   CHECK_INT(s->body->n_masses, 245);
   CHECK_INT(s->body->n_springs, 1648);
@@ -69,7 +69,7 @@ static void free_fall(void)
  * dt/(1 − e). */
 static void drag_decay(void)
 {
-  struct scene *s = make_scene(one, mo_default_physics(), NULL);
+  struct scene *s = make_scene(one, mo_paper_physics(), NULL);
   s->physics.constants.gravity_m_per_s2 = 0;
   const double v0[3] = {1, -2, 3}, e = exp(-15 * 0.004);
   double start[24];
@@ -98,7 +98,7 @@ static void drag_decay(void)
  * nφ),  cos φ = (1 + e − w)/(2 sqrt(e)), with b from q_1 = (1 − w) q0. */
 static void breathing(double drag_per_s, double stiffness_n_per_m)
 {
-  struct scene *s = make_scene(one, mo_default_physics(), NULL);
+  struct scene *s = make_scene(one, mo_paper_physics(), NULL);
   s->physics.constants.gravity_m_per_s2 = 0;
   s->physics.constants.drag_per_s = drag_per_s;
   s->physics.constants.stiffness_n_per_m = stiffness_n_per_m;
@@ -142,7 +142,7 @@ static void momentum(void)
 {
   const struct mo_workspace workspace = {3, 2, 2};
   struct mo_controller *controller = make_controller(workspace, MO_SENSOR_INVERSE_SQRT);
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   mo_controller_randomize(controller, 1);
   for (uint32_t i = 0; i < controller->n_springs; i++)
     controller->bias[3][i] = i % 3 ? 1.0F : -1.0F;
@@ -213,7 +213,7 @@ static void stability(void)
   static const double drags_per_s[] = {0, 15, 40};
   for (int i = 0; i < 12; i++) {
     const int b = i % 2, integrator = i / 2 % 2;
-    struct mo_physics physics = mo_default_physics();
+    struct mo_physics physics = mo_paper_physics();
     physics.scheme.integrator = (enum mo_integrator)integrator;
     physics.constants.gravity_m_per_s2 = 0;
     physics.constants.drag_per_s = drags_per_s[i / 4];
@@ -233,7 +233,7 @@ static void stability(void)
     CHECK(above > 1e-3);
     CHECK(mo_stable_step_s(&physics, MO_EIGENVALUE_MAX) < bound);
   }
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   CHECK_NEAR(mo_stable_step_s(&physics, 6), 0.00651, 5e-6);
   CHECK_NEAR(mo_stable_step_s(&physics, 10.900), 0.00486, 5e-6);
   physics.constants.drag_per_s = 0; /* leapfrog: w dt < 2 */
@@ -245,7 +245,7 @@ static void stability(void)
 /* A body at rest in the air without gravity stays at rest. */
 static void rest(void)
 {
-  struct scene *s = make_scene((struct mo_workspace){2, 2, 2}, mo_default_physics(), NULL);
+  struct scene *s = make_scene((struct mo_workspace){2, 2, 2}, mo_paper_physics(), NULL);
   s->physics.constants.gravity_m_per_s2 = 0;
   double start[81];
   memcpy(start, s->r.position_m, sizeof(start));
@@ -264,7 +264,7 @@ static void inputs(void)
   bits[voxel >> 6] |= UINT64_C(1) << (voxel & 63);
   const struct mo_body *body = make_body(make_lattice(MO_DEFAULT_WORKSPACE), bits);
   const struct mo_environment environment = flat_environment(0.3, 1.25, 3.5);
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   for (int sensor = 0; sensor < 2; sensor++) {
     struct mo_reference r;
     REQUIRE(mo_reference_init(&r, body,
@@ -294,7 +294,7 @@ static void inputs(void)
 static void actuation(void)
 {
   struct mo_controller *controller = make_controller(one, MO_SENSOR_INVERSE_SQRT);
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   physics.constants.gravity_m_per_s2 = 0;
   for (uint32_t k = 0; k < controller->n_springs; k++) {
     struct scene *s = make_scene(one, physics, controller);
@@ -323,7 +323,7 @@ static void settings(void)
 {
   struct mo_message message;
   static struct mo_physics p;
-  p = mo_default_physics();
+  p = mo_paper_physics();
   CHECK_INT(mo_physics_check(&p, &message), MO_OK);
   CHECK_INT(mo_recording_frames(&p, 1), 1001);
   CHECK_INT(mo_recording_frames(&p, 3), 334);
@@ -350,14 +350,14 @@ static void settings(void)
   for (size_t i = 0; i < COUNT(fields); i++) {
     const double values[] = {fields[i].value, NAN, INFINITY};
     for (int k = 0; k < (fields[i].size == sizeof(double) ? 3 : 1); k++) {
-      p = mo_default_physics();
+      p = mo_paper_physics();
       set_field(fields[i].field, fields[i].size, values[k]);
       CHECK_INT(mo_physics_check(&p, &message), k == 0 ? fields[i].code : MO_ERR_INVALID);
       CHECK_SAYS(message, fields[i].says);
       CHECK_INT(mo_physics_check(&p, NULL), k == 0 ? fields[i].code : MO_ERR_INVALID);
     }
   }
-  p = mo_default_physics();
+  p = mo_paper_physics();
   p.scheme.integrator = MO_INTEGRATOR_SPLIT;
   p.constants.drag_per_s = 1 / p.scheme.dt_s;
   CHECK_INT(mo_physics_check(&p, &message), MO_OK);

@@ -12,7 +12,7 @@ enum { N = 4, DISPLACED = 3, RUNS = 2 + DISPLACED };
  * period. */
 static void settings_of_the_runs(void)
 {
-  struct mo_physics physics = mo_default_physics(), run;
+  struct mo_physics physics = mo_paper_physics(), run;
   physics.drop_height_m = 0.5;
   CHECK_INT(mo_error_runs(0), 1);
   CHECK_INT(mo_error_cost(0), 1);

@@ -262,7 +262,7 @@ static int do_scores(const struct life *life, struct mo_store *of, const struct 
   put_start(&put, act->seed);
   block.store = 7;
   block.host[0] = 'x';
-  condition->physics = mo_default_physics();
+  condition->physics = mo_paper_physics();
   mo_sha256_of(put.bytes, put.size, &condition->controller);
   block.weights = put.bytes;
   block.weights_size = put.size;

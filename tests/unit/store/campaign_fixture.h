@@ -33,7 +33,7 @@ campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t ge
                               .batch = 17,
                               .learning = fixture_learning(),
                               .sensor = MO_SENSOR_INVERSE_SQUARE,
-                              .physics = mo_default_physics()},
+                              .physics = mo_paper_physics()},
                  .name = "walker",
                  .preset = "demo",
                  .environment_set = "paper-test",

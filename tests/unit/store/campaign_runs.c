@@ -223,7 +223,7 @@ static void shares_scores(void)
   struct mo_bits asked[MADE_POPULATION + 2];
   struct mo_design *design = NULL;
   struct mo_design_query query = {
-      .sort = MO_DESIGNS_BY_SCORE, .physics = mo_default_physics(), .fingerprint = "by hand"};
+      .sort = MO_DESIGNS_BY_SCORE, .physics = mo_paper_physics(), .fingerprint = "by hand"};
   struct mo_design_row rows[2 * MADE_POPULATION];
   struct mo_controller_record controller;
   struct made made = begin(MO_ZERO_SHOT);

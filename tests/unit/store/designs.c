@@ -59,7 +59,7 @@ static void orients_ids(void)
   struct mo_design_note notes[] = {{.place = 0, .fault = {.detail = "empty"}},
                                    {.place = 1, .orientation = MO_ORIENTATION_CANONICAL},
                                    {.place = 3, .orientation = MO_ORIENTATION_CANONICAL}};
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   char robot[MO_DEFAULT_ROBOT_DIGITS + 1];
   int64_t fingerprint = 0;
   int k = -1;
@@ -212,7 +212,7 @@ static void ranks_designs(void)
   id = submit_evaluation(&submission);
   REQUIRE_OK(mo_store_controller(store, "default", &record));
   query.controller_sha256 = record.sha256;
-  query.physics = mo_default_physics();
+  query.physics = mo_paper_physics();
   CHECK_INT(mo_store_designs(store, &query, rows, 8), 0);
   REQUIRE_OK(run_by_hand(id, made_up_loss));
   for (;;) {

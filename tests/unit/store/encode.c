@@ -23,7 +23,7 @@ static size_t by_hand(const struct mo_physics *p, uint32_t bisections, uint8_t *
 
 static void encodes_physics(void)
 {
-  struct mo_physics physics = mo_default_physics(), found;
+  struct mo_physics physics = mo_paper_physics(), found;
   uint8_t bytes[MO_PHYSICS_BYTES_MAX], expected[MO_PHYSICS_BYTES_MAX];
   enum mo_precision precision;
   enum mo_sensor sensor;
@@ -58,7 +58,7 @@ static void encodes_later_settings(void)
                {3, 0.016, MO_INTEGRATOR_SPLIT, 105}};
   enum { PERIOD = 1 + 8, WORDS = 1 + 10 * 8, INTEGRATOR = WORDS + 3 * 4 };
   for (size_t i = 0; i < COUNT(given); i++) {
-    struct mo_physics physics = mo_default_physics(), found;
+    struct mo_physics physics = mo_paper_physics(), found;
     uint8_t bytes[MO_PHYSICS_BYTES_MAX];
     enum mo_precision precision;
     enum mo_sensor sensor;
@@ -102,7 +102,7 @@ static void encodes_environments(void)
 
 static void refuses_other_bytes(void)
 {
-  const struct mo_physics physics = mo_default_physics();
+  const struct mo_physics physics = mo_paper_physics();
   struct mo_physics found;
   uint8_t bytes[MO_PHYSICS_BYTES_MAX];
   enum mo_precision precision;
@@ -122,7 +122,7 @@ static void refuses_other_bytes(void)
 /* −0 is encoded as 0, and the number of bisections counts only if it is used. */
 static void hashes(void)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   struct mo_environment environment = {.light_xy_m = {-0.0, 2}, .terrain_heights_m = {0.5, -0.0}};
   struct mo_sha256 hash;
   physics.drop_height_m = -0.0;

@@ -156,7 +156,7 @@ fixture_submission(const struct mo_bits *forms, const struct mo_bits *genotypes,
                                         .n_designs = n,
                                         .environment_set = "paper-test",
                                         .controller = "default",
-                                        .physics = mo_default_physics(),
+                                        .physics = mo_paper_physics(),
                                         .precision = MO_FLOAT32,
                                         .record_stride = 10};
 }

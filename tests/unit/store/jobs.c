@@ -123,7 +123,7 @@ static void warns_of_divergence(void)
 /* The longest warning fits, and its step is below the bound, rounded to two digits. */
 static void warns_of_unstable_steps(void)
 {
-  struct mo_physics physics = mo_default_physics();
+  struct mo_physics physics = mo_paper_physics();
   struct mo_warning warning;
   CHECK(!mo_warn_of_dt(&physics, &warning));
   physics.scheme.dt_s = 1.23456e-5;
@@ -140,7 +140,7 @@ static void warns_of_unstable_steps(void)
       "stiffness_n_per_m 1.23456e+08, mass_kg 1.23456e-05, drag_per_s 1234.56 and integrator "
       "split: expect bodies to blow up; use a dt_s of at most 1.4e-07");
   CHECK(strlen(warning.detail) <= 230);
-  physics = mo_default_physics();
+  physics = mo_paper_physics();
   const double bound = mo_stable_step_s(&physics, MO_EIGENVALUE_MAX);
   physics.scheme.dt_s = 0.999 * bound;
   CHECK(!mo_warn_of_dt(&physics, &warning));

@@ -257,7 +257,7 @@ static void pages_of_everything_else(void)
   REQUIRE_OK(mo_store_controller(store, "default", &controllers[0]));
   struct mo_design_query query = {.controller_sha256 = controllers[0].sha256,
                                   .environment_set = "paper-test",
-                                  .physics = mo_default_physics(),
+                                  .physics = mo_paper_physics(),
                                   .precision = MO_FLOAT32,
                                   .fingerprint = "by hand"};
   (void)all_steps();

@@ -14,7 +14,7 @@ static inline struct mo_training_request submission_of(uint32_t n_steps)
                                                               .n_steps = n_steps,
                                                               .batch = 16,
                                                               .learning = fixture_learning(),
-                                                              .physics = mo_default_physics(),
+                                                              .physics = mo_paper_physics(),
                                                               .sensor = MO_SENSOR_INVERSE_SQUARE,
                                                               .held_out_designs = 5,
                                                               .held_out_environments = 7},
