@@ -174,12 +174,15 @@ static void time_all(struct mo_device_controller *controller)
   fine.scheme.n_steps *= 2;
   struct mo_physics split = fine;
   split.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  struct mo_physics quick = held;
+  quick.scheme.integrator = MO_INTEGRATOR_SPLIT;
   time_rows(controller, "random bodies", &physics, bodies, N, 10, 1.0);
   time_rows(controller, "random bodies, period 16 ms", &held, bodies, N, 10, 0);
   time_rows(controller, "random bodies, period 16 ms, dt 2 ms, 2000 steps", &fine, bodies, N, 10,
             0);
   time_rows(controller, "random bodies, split, period 16 ms, dt 2 ms, 2000 steps", &split, bodies,
             N, 10, 0);
+  time_rows(controller, "random bodies, split, period 16 ms, dt 4 ms", &quick, bodies, N, 10, 0);
   time_rows(controller, "evolved bodies", &physics, evolved, N, 10, 1.0);
   time_rows(controller, "random bodies", &physics, bodies, N, 1, 0);
   time_rows(controller, "random bodies", &physics, bodies, 1024, 1, 0);

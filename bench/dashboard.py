@@ -296,7 +296,7 @@ def main():
     ARGUMENTS = parser.parse_args()
     results = []
     with tempfile.TemporaryDirectory(prefix="morphod-bench-") as folder:
-        shipped = SOURCE / "data" / "controllers" / "phototaxis.safetensors"
+        shipped = SOURCE / "data" / "controllers" / "phototaxis-16ms.safetensors"
         data = Filled(pathlib.Path(folder), "--workers=0", f"--default-controller={shipped}")
         page = None
         try:

@@ -134,7 +134,7 @@ def main():
     parser.add_argument("--workers", type=int, default=0, help="0: one per processor")
     parser.add_argument("--build", type=pathlib.Path, default=SOURCE / "build")
     parser.add_argument("--controller", type=pathlib.Path,
-                        default=SOURCE / "data/controllers/phototaxis.safetensors")
+                        default=SOURCE / "data/controllers/phototaxis-16ms.safetensors")
     options = parser.parse_args()
     if options.best is not None:
         return racing_best.measure(options, start)

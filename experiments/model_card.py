@@ -75,13 +75,20 @@ def sweeps(count):
     return rough, light
 
 
+def physics_of(daemon, arguments, controller):
+    """Returns the default physics, or the paper's for a controller that acts in every step."""
+    if daemon.call(f"/v1/controllers/{controller}")["control_period_s"]:
+        return {"n_steps": 2 * arguments.rollout_steps}
+    return {"integrator": "paper", "dt_s": 0.004, "n_steps": arguments.rollout_steps}
+
+
 def evaluate(daemon, arguments, controller, designs, environments):
     """Returns losses: a list for each design, with None where it diverged. Stored losses are not
     recomputed."""
     body = {
         "designs": designs, "environments": environments, "controller": controller,
         "device": arguments.device, "priority": "batch",
-        "physics": {"n_steps": arguments.rollout_steps}
+        "physics": physics_of(daemon, arguments, controller)
     }
     job = daemon.follow(
         "evaluations", daemon.submit("evaluations", body), arguments.deadline,
@@ -184,6 +191,7 @@ def card(arguments):
                             [environment for group in rough.values() for environment in group])
         by_light = evaluate(daemon, arguments, name, designs,
                             [environment for group in light.values() for environment in group])
+        physics = physics_of(daemon, arguments, name)
         machine = daemon.machine()
         description = json.loads(
             daemon.fetch(f"/v1/controllers/{arguments.name}"))
@@ -194,7 +202,9 @@ def card(arguments):
         f"Made by `tools/bench model-card` ({computed}): {len(designs)} bodies that no pretraining "
         f"draws (`/v1/held-out`, "
         f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), rollouts of "
-        f"{arguments.rollout_steps} steps. A score is the distance to the light at the end "
+        f"{physics['n_steps']} steps with the "
+        f"{'physics of the paper' if 'integrator' in physics else 'default physics'}. "
+        "A score is the distance to the light at the end "
         "divided by that at the start: 1 is standing still, 0 is reaching it. The mean is over "
         "bodies; its confidence interval comes from resampling the bodies.",
         f"**By size of the body**, {len(environments)} environments of the training's "

@@ -22,7 +22,8 @@ from pathlib import Path
 import records
 
 SOURCE = Path(__file__).resolve().parents[1]
-SHIPPED = SOURCE / "data" / "controllers" / "phototaxis.safetensors"
+SHIPPED = SOURCE / "data" / "controllers" / "phototaxis-16ms.safetensors"
+OF_PAPER = SHIPPED.with_name("phototaxis.safetensors")  # for the paper's physics
 PR_SET_PDEATHSIG = 1
 CUT_OFF = 3  # exit status: time is up; call again to continue
 ENDED = ("succeeded", "failed", "cancelled")
@@ -33,7 +34,8 @@ SEEDS = ("--seeds", lambda text: [int(seed) for seed in text.split(",")], [1, 2,
 ABOVE_BOUND = (("--rule", ("clip", "restart"), "clip", "above the bound (default clip)"),
                ("--restart-weight", float, 3.0,
                 "weight of a restarted adjoint, with --rule restart (default 3)"))
-ROLLOUT_STEPS = ("--rollout-steps", int, 1000, "steps of a rollout, for trials (default 1000)")
+ROLLOUT_STEPS = ("--rollout-steps", int, 1000,
+                 "steps of 4 ms of a rollout, for trials (default 1000)")
 LIMIT = ("--limit-s", float, None,
          "shut down the daemon after this many seconds and exit with 3; call again to continue")
 DAEMON = (("--build", Path, Path("build"), "folder of the build (default build)"),

@@ -48,15 +48,11 @@ def schedule_of(arguments):
 
 
 def physics_of(arguments):
-    physics = {"n_steps": arguments.rollout_steps, "impact": arguments.impact}
-    if arguments.integrator != "paper":
-        physics["integrator"] = arguments.integrator
-    if arguments.dt_ms != DT_MS:
-        physics["dt_s"] = arguments.dt_ms / 1000
-        physics["n_steps"] = round(arguments.rollout_steps * DT_MS / arguments.dt_ms)
-    if arguments.control_period_ms != 0:
-        physics["control_period_s"] = arguments.control_period_ms / 1000
-    return physics
+    return {
+        "n_steps": round(arguments.rollout_steps * DT_MS / arguments.dt_ms),
+        "impact": arguments.impact, "integrator": arguments.integrator,
+        "dt_s": arguments.dt_ms / 1000, "control_period_s": arguments.control_period_ms / 1000
+    }
 
 
 def request_of(arguments, seed):
@@ -99,11 +95,12 @@ def recipe_of(body):
                                       "epsilon"), (usual_steps(body["physics"]), 1000, "lives of")):
         if value != usual_value:
             words.append(f"{word} {value:g}")
-    for name, word in (("dt_s", "dt"), ("control_period_s", "period")):
-        if name in body["physics"]:
+    for name, usual_value, word in (("dt_s", DT_MS / 1000, "dt"), ("control_period_s", 0,
+                                                                   "period")):
+        if body["physics"][name] != usual_value:
             words.append(f"{word} {1000 * body['physics'][name]:g} ms")
     words += [
-        word for word, usual_word in ((body["physics"].get("integrator", "paper"), "paper"),
+        word for word, usual_word in ((body["physics"]["integrator"], "paper"),
                                       (body["physics"]["impact"], "exact"),
                                       (body["sensor"], "inverse_sqrt")) if word != usual_word
     ]
@@ -112,7 +109,7 @@ def recipe_of(body):
 
 def usual_steps(physics):
     """Returns how many steps of the usual length a rollout would have."""
-    return physics["n_steps"] * physics.get("dt_s", DT_MS / 1000) * 1000 / DT_MS
+    return physics["n_steps"] * physics["dt_s"] * 1000 / DT_MS
 
 
 def file_of(folder, recipe, seed):

@@ -176,7 +176,7 @@ def options():
         parser, own_daemon.SEEDS, ("--population", int, 8192, None),
         *((f"--generations-{mode}", int, usual, f"default {usual}, as in the paper")
           for mode, usual in (("zero-shot", 100), ("few-shot", 7), ("simultaneous", 180))))
-    parser.add_argument("--controller", type=Path, nargs="+", default=[own_daemon.SHIPPED],
+    parser.add_argument("--controller", type=Path, nargs="+", default=[own_daemon.OF_PAPER],
                         help="safetensors, pretrained: one for all trials, or one for each seed "
                         "(default: the project's)")
     own_daemon.add_options(

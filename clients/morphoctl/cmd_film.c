@@ -21,8 +21,8 @@
 #define ROBOTS_MAX     16
 #define LAST_S         1.0 /* how long the last frame stays */
 #define DURATION_MAX_S 3600
-#define STRIDE         5 /* steps between two recorded frames */
-#define GAP            2 /* pixels between two views */
+#define FRAME_S        0.02 /* between two recorded frames */
+#define GAP            2    /* pixels between two views */
 
 struct film {
   struct scene scene;
@@ -57,6 +57,21 @@ static void choose_environment(struct ctl *ctl, json_t *request)
   json_object_set_new(request, "environments", json_pack("[O]", chosen));
 }
 
+/* Returns the steps between two frames; a recording has at least two. */
+static json_int_t stride_of(const json_t *request)
+{
+  const json_t *physics = json_object_get(request, "physics");
+  const json_t *dt_s = json_object_get(physics, "dt_s"),
+               *n_steps = json_object_get(physics, "n_steps");
+  const bool is_paper = json_is_string(physics);
+  const double step_s = json_is_number(dt_s) ? json_number_value(dt_s)
+                        : is_paper           ? 0.004
+                                             : 0.002,
+               steps = json_is_number(n_steps) ? json_number_value(n_steps) : INFINITY,
+               stride = step_s > 0 ? fmin(round(FRAME_S / step_s), steps) : 1;
+  return stride > 1 ? (json_int_t)stride : 1;
+}
+
 static void load_scene(struct ctl *ctl, struct film *film)
 {
   const struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", ROBOTS_MAX));
@@ -65,10 +80,7 @@ static void load_scene(struct ctl *ctl, struct film *film)
     fail(STATUS_USAGE, "a film has 1 to %d robots, got %zu", ROBOTS_MAX, n);
   json_t *request = keep(json_pack("{s:O,s:[s]}", "designs", designs.list, "record", "masses"));
   request_fill(ctl, request);
-  const json_t *n_steps = json_object_get(json_object_get(request, "physics"), "n_steps");
-  const double steps = json_is_number(n_steps) ? json_number_value(n_steps) : STRIDE;
-  json_object_set_new(request, "record_stride",
-                      json_integer(steps < STRIDE ? (json_int_t)steps : STRIDE));
+  json_object_set_new(request, "record_stride", json_integer(stride_of(request)));
   choose_environment(ctl, request);
   struct request how = json_request("POST", "/v1/rollouts", request);
   struct reply *reply = &film->replies[0];

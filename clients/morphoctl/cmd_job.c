@@ -26,8 +26,8 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"environments", "[{environments}|{environments.count} of the request]"},
       {"precision", "{precision}"},
       {"physics",
-       "{physics.n_steps} steps of {physics.dt_s:g} s, impact {physics.impact}[, integrator "
-       "{physics.integrator!=paper}][, outputs held for {physics.control_period_s>0:g} s]"},
+       "{physics.n_steps} steps of {physics.dt_s:g} s, integrator {physics.integrator}, impact "
+       "{physics.impact}[, outputs held for {physics.control_period_s>0:g} s]"},
       {"designs", "{n_designs:,}[, the {best:,} best of them]"},
       {"errors", "[estimated with {displaced_starts} displaced starts]"},
       {"rollouts", "{rollouts_done:,} of {rollouts_total:,}[  {progress.rollouts_per_s:.0f} "

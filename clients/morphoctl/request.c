@@ -111,7 +111,7 @@ static void fill_setting(json_t *physics, const char *text)
   const char *equals = strchr(text, '=');
   char key[64];
   if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
-    fail(STATUS_USAGE, "--physics: \"%s\" is not KEY=VALUE", text);
+    fail(STATUS_USAGE, "--physics: \"%s\" is neither paper nor KEY=VALUE", text);
   snprintf(key, sizeof(key), "%.*s", (int)(equals - text), text);
   size_t k = 0;
   while (k < N_FIELDS && strcmp(fields[k].key, key) != 0)
@@ -129,10 +129,20 @@ static void fill_setting(json_t *physics, const char *text)
 void request_fill_physics(const struct ctl *ctl, json_t *request)
 {
   json_t *physics = keep(json_object());
+  bool is_paper = false;
   for (size_t i = 0; i < ctl->n_given; i++)
-    if (strcmp(ctl->given[i].name, "physics") == 0)
+    if (strcmp(ctl->given[i].name, "physics") != 0)
+      continue;
+    else if (strcmp(ctl->given[i].value, "paper") == 0)
+      is_paper = true;
+    else
       fill_setting(physics, ctl->given[i].value);
-  if (json_object_size(physics) > 0)
+  if (is_paper && json_object_size(physics) > 0)
+    fail(STATUS_USAGE, "--physics paper stands for all settings; for the paper's integrator with "
+                       "others, use --physics integrator=paper and the others");
+  if (is_paper)
+    json_object_set_new(request, "physics", json_string("paper"));
+  else if (json_object_size(physics) > 0)
     json_object_set(request, "physics", physics);
 }
 

@@ -10,8 +10,8 @@
 #define PRECISION                                                                                  \
   "precision", 0, "float32|float64", "Precision of the simulation (default: float32).", "precision"
 #define PHYSICS                                                                                    \
-  "physics", 'p', "KEY=VALUE",                                                                     \
-      "One physics setting, e.g. dt_s=0.002 or integrator=split; can be repeated."
+  "physics", 'p', "KEY=VALUE|paper",                                                               \
+      "One physics setting, e.g. dt_s=0.001; can be repeated. paper: all of the paper's settings."
 #define ENVIRONMENTS                                                                               \
   "environments", 'e', "FILE",                                                                     \
       "paper-test (default), or a JSON file with a list of environments; - is standard input."

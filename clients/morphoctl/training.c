@@ -134,8 +134,8 @@ static void print(struct live *live)
       {"limits", "gradient {settings.gradient_norm_limit:.4g}, adjoint "
                  "{settings.adjoint_bound:.4g} ({settings.adjoint_rule}"
                  "[{settings.adjoint_rule=restart}, weight {settings.restart_weight:.4g}])"},
-      {"physics", "{settings.physics.n_steps} steps of {settings.physics.dt_s:.4g} s, impact "
-                  "{settings.physics.impact}[, integrator {settings.physics.integrator!=paper}]"
+      {"physics", "{settings.physics.n_steps} steps of {settings.physics.dt_s:.4g} s, integrator "
+                  "{settings.physics.integrator}, impact {settings.physics.impact}"
                   "[, outputs held for {settings.physics.control_period_s>0:g} s]"},
       {"validates", "[every {settings.validation.every_steps>0} steps on "
                     "{settings.validation.designs} designs in {settings.validation.environments} "

@@ -72,6 +72,12 @@ struct mo_physics {
   struct mo_constants constants;
   double drop_height_m; /* 0: extra lift of the body at the start */
 };
+/* The settings for which requests that do not say otherwise are computed: `split`, 2000 steps of 2
+ * ms. docs/performance.md compares their time and error with the paper's. */
+#define MO_DEFAULT_CONTROL_PERIOD_S 0.016 /* of controllers that start from random weights */
+struct mo_physics mo_default_physics(void);
+/* The paper's settings, which the comments above give. Packed and stored settings are read on top
+ * of them, so they must never change. */
 struct mo_physics mo_paper_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message names the field and its bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);

@@ -194,27 +194,31 @@ static const char *own_class(const struct mo_compute *compute)
 
 void mo_api_list_designs(struct mo_request *request)
 {
-  static const char *const of_score[] = {"controller", "environments", "class"};
+  static const char *const of_score[] = {"controller", "environments", "physics", "class"};
   static const char *const sorts[] = {"id", "score", NULL}, *const sets[] = {"paper-test", NULL},
-                           *const orders[] = {"ascending", "descending", NULL};
+                           *const orders[] = {"ascending", "descending", NULL},
+                           *const kinds[] = {"default", "paper", NULL};
   const char *cursor = mo_query(request, "cursor"), *named = mo_query(request, "controller");
   const char *class = mo_query(request, "class");
   struct mo_store *store = mo_api_of(request)->store;
-  struct mo_design_query query = {.physics = mo_paper_physics(), .precision = MO_FLOAT32};
+  struct mo_design_query query = {.physics = mo_default_physics(), .precision = MO_FLOAT32};
   size_t limit;
-  int sort = MO_DESIGNS_BY_ID, set = 0, order = 0;
+  int sort = MO_DESIGNS_BY_ID, set = 0, order = 0, kind = 0;
   if (!mo_query_limit(request, &limit) || !mo_query_word(request, "sort", sorts, &sort) ||
       !mo_query_word(request, "order", orders, &order))
     return;
   query.sort = (enum mo_design_sort)sort;
   query.is_descending = order == 1;
-  for (size_t i = 0; i < 3; i++)
+  for (size_t i = 0; i < sizeof(of_score) / sizeof(of_score[0]); i++)
     if (mo_query(request, of_score[i]) != NULL && query.sort != MO_DESIGNS_BY_SCORE) {
       mo_reply_bad_parameter(request, of_score[i], "only sort=score supports this parameter");
       return;
     }
-  if (!mo_query_word(request, "environments", sets, &set))
+  if (!mo_query_word(request, "environments", sets, &set) ||
+      !mo_query_word(request, "physics", kinds, &kind))
     return;
+  if (kind == 1)
+    query.physics = mo_paper_physics();
   if (class != NULL && !is_class(class)) {
     mo_reply_bad_parameter(request, "class", "must be a fingerprint, as shown with scores");
     return;

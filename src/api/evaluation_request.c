@@ -195,7 +195,7 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
 {
   struct mo_evaluation_request *request = &parsed->request;
   *parsed = (struct mo_parsed_evaluation){
-      .request = {.physics = mo_paper_physics(), .precision = MO_FLOAT32},
+      .request = {.physics = mo_default_physics(), .precision = MO_FLOAT32},
       .parts = {.job = {.priority = -1, .weight = 1},
                 .random = {.seed = 1},
                 .controller = "default",

@@ -241,9 +241,31 @@ void mo_fields_unknown(struct mo_json *json, const char *known, const struct mo_
   mo_json_skip(json);
 }
 
+static void read_word_of_table(struct mo_json *json, const struct mo_fields_words *words,
+                               void *settings)
+{
+  struct mo_json_slice given;
+  char list[MO_WORDS_BYTES];
+  const unsigned depth = json->depth;
+  if (!mo_json_string(json, &given))
+    return;
+  for (int i = 0; words->words[i] != NULL; i++)
+    if (mo_json_is(given, words->words[i])) {
+      words->set(settings, i);
+      return;
+    }
+  mo_json_fault_at(json, depth, "", "must be an object or %s, got \"%.*s\"",
+                   mo_words_list(words->words, list), given.size > 64 ? 64 : (int)given.size,
+                   given.bytes);
+}
+
 void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *settings)
 {
   struct mo_json_slice key;
+  if (fields->words != NULL && mo_json_peek(json) == MO_JSON_STRING) {
+    read_word_of_table(json, fields->words, settings);
+    return;
+  }
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key))

@@ -67,14 +67,21 @@ struct mo_field {
   const char *help; /* one line without a period */
 };
 
+/* Texts that JSON may have in place of an object. set: sets every row to the values of words[i]. */
+struct mo_fields_words {
+  const char *const *words; /* NULL after the last */
+  void (*set)(void *settings, int i);
+};
+
 struct mo_fields {
   const struct mo_field *rows;
   size_t n;
+  const struct mo_fields_words *words; /* nullable */
 };
 /* The initializer for an array of rows. */
 #define MO_FIELDS(rows)                                                                            \
   {                                                                                                \
-    rows, sizeof(rows) / sizeof((rows)[0])                                                         \
+    rows, sizeof(rows) / sizeof((rows)[0]), NULL                                                   \
   }
 
 /* Reads the value of member `key` into `settings`. Returns false if no row has this name. An
@@ -82,7 +89,7 @@ struct mo_fields {
  * numbers stay unchanged. */
 bool mo_fields_read_member(struct mo_json *json, struct mo_json_slice key,
                            const struct mo_fields *fields, void *settings);
-/* Reads one object. An unknown member adds a fault that lists the rows. */
+/* Reads one object, or a word of the table. An unknown member adds a fault that lists the rows. */
 void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *settings);
 /* Adds a fault at the current member and skips its value. The fault lists the allowed members:
  * `known`, then the rows' names. known, fields: nullable. */

@@ -227,25 +227,15 @@ static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTE
   return mo_controller_name_check(name) == MO_OK ? name : "default";
 }
 
-/* Stores the controller of the first start as "default" and under the name of its file, which
- * remains when "default" is replaced. */
-static int store_default_controller(struct service *service, const struct settings *settings,
-                                    struct mo_message *message)
+/* Stores a file's controller under the name of the file, and as "default" if it is that. */
+static int store_controller(struct service *service, const char *path, bool is_default,
+                            struct mo_message *message)
 {
   struct mo_controller_record record;
-  int status = mo_store_controller(service->store, "default", &record);
-  if (status == MO_ERR_CORRUPT)
-    snprintf(message->text, sizeof(message->text), "the controller default cannot be read: %s",
-             mo_error_text(status));
-  if (status != MO_ERR_NOT_FOUND)
-    return status;
-  const char *path = settings->default_controller != NULL ? settings->default_controller
-                                                          : MORPHOD_DATADIR
-                         "/controllers/phototaxis.safetensors";
   struct mo_controller *controller = NULL;
   struct stat info = {.st_size = 0};
   uint8_t *bytes = NULL;
-  status = mo_controller_read(path, &controller, message);
+  int status = mo_controller_read(path, &controller, message);
   /* Store the file's own bytes, because the hash of a controller is the hash of its file. */
   FILE *file = status == MO_OK ? fopen(path, "re") : NULL;
   if (status == MO_OK && (file == NULL || fstat(fileno(file), &info) != 0 ||
@@ -256,16 +246,37 @@ static int store_default_controller(struct service *service, const struct settin
     fclose(file);
   char own_name[CONTROLLER_NAME_BYTES];
   const char *const names[] = {name_of_file(path, own_name), "default"};
-  for (size_t i = 0; i < 2 && status == MO_OK; i++) {
+  for (size_t i = 0; i < (is_default ? 2 : 1) && status == MO_OK; i++) {
     bool created;
     status = mo_store_controller_put(service->store, names[i], bytes, (size_t)info.st_size,
                                      controller, &record, &created);
   }
   if (status == MO_OK)
-    log_info("default controller stored", LOG_TEXT("file", path));
+    log_info(is_default ? "default controller stored" : "controller stored",
+             LOG_TEXT("file", path));
   free(bytes);
   mo_controller_free(controller);
   return status;
+}
+
+/* Stores the controllers of the first start: the default one as "default" and under the name of its
+ * file, which remains when "default" is replaced; and, unless the settings name another, the one
+ * that was made for the paper's physics. */
+static int store_default_controller(struct service *service, const struct settings *settings,
+                                    struct mo_message *message)
+{
+  struct mo_controller_record record;
+  const char *path = settings->default_controller;
+  int status = mo_store_controller(service->store, "default", &record);
+  if (status == MO_ERR_CORRUPT)
+    snprintf(message->text, sizeof(message->text), "the controller default cannot be read: %s",
+             mo_error_text(status));
+  if (status != MO_ERR_NOT_FOUND)
+    return status;
+  if (path != NULL)
+    return store_controller(service, path, true, message);
+  status = store_controller(service, PAPER_CONTROLLER, false, message);
+  return status == MO_OK ? store_controller(service, SHIPPED_CONTROLLER, true, message) : status;
 }
 
 /* Returns the memory for bodies: eight of the largest, but not more than an eighth of max_memory.

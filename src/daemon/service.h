@@ -10,6 +10,10 @@
 
 #include "daemon/settings.h"
 
+/* The installed controllers: the default one, and the one for the paper's physics. */
+#define SHIPPED_CONTROLLER MORPHOD_DATADIR "/controllers/phototaxis-16ms.safetensors"
+#define PAPER_CONTROLLER   MORPHOD_DATADIR "/controllers/phototaxis.safetensors"
+
 /* Exit statuses (morphod(8)), numbered as in sysexits.h. */
 enum exit_status {
   EXIT_OK = 0,

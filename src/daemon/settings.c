@@ -71,9 +71,10 @@ const struct setting settings_table[] = {
                "the workers of fleet_listen, this machine only, or the workers only. This machine "
                "always computes what workers cannot. Results do not depend on it."),
     TEXT_ROW("default_controller", SETTING_PATH, default_controller, "",
-             "phototaxis.safetensors of the installation", false,
+             "phototaxis-16ms.safetensors of the installation", false,
              "Controller file that is stored at the first start: as \"default\", and under its own "
-             "name if that is a valid name for a controller."),
+             "name if that is a valid name for a controller. Without it, the installation's "
+             "phototaxis.safetensors, made for the paper's physics, is stored too."),
     TEXT_ROW("token_file", SETTING_PATH, token_file, "",
              "credential \"token\", if systemd passes one", true,
              "File with lines of NAME RIGHT TOKEN; rights are read, submit and admin, and worker "

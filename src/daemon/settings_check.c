@@ -16,6 +16,7 @@
 #include "daemon/devices.h"
 #include "daemon/fleet.h"
 #include "daemon/memory.h"
+#include "daemon/service.h"
 #include "http/server.h"
 #include "store/store.h"
 #include "tokens.h"
@@ -201,15 +202,17 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-/* Checks the installed controller, which the first start uses if the settings do not have one.
- * Later starts do not need it. */
-static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
+/* Checks the installed controllers, which the first start uses if the settings do not have one.
+ * Later starts do not need them. */
+static void check_shipped_controllers(const char *state_dir, struct settings_faults *faults)
 {
-  static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
+  static const char *const paths[] = {SHIPPED_CONTROLLER, PAPER_CONTROLLER};
   char *database = format_text("%s/morphod.db", state_dir);
-  if (access(path, R_OK) != 0 && access(database, F_OK) != 0)
-    settings_fault(faults, false, "default_controller: %s: %s; the first start needs a controller",
-                   path, strerror(errno));
+  for (size_t i = 0; i < 2 && access(database, F_OK) != 0; i++)
+    if (access(paths[i], R_OK) != 0)
+      settings_fault(faults, false,
+                     "default_controller: %s: %s; the first start needs this controller", paths[i],
+                     strerror(errno));
   free(database);
 }
 
@@ -225,7 +228,7 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
   if (settings->default_controller != NULL)
     check_controller(settings->default_controller, faults);
   else
-    check_shipped_controller(settings->state_dir, faults);
+    check_shipped_controllers(settings->state_dir, faults);
   if (settings->isa > 0 && settings->isa - 1 > (int)mo_isa_best())
     settings_fault(faults, true,
                    "isa: this processor does not support %s; the widest set that it supports is %s",

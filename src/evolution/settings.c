@@ -40,7 +40,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
   static const uint32_t populations[MO_PRESETS] = {8192, 512, 64};
   const unsigned p = (unsigned)preset < MO_PRESETS ? (unsigned)preset : MO_PRESET_PAPER;
   const unsigned m = (unsigned)mode < MODES ? (unsigned)mode : MO_ZERO_SHOT;
-  return (struct mo_campaign_settings){
+  struct mo_campaign_settings settings = {
       .mode = (enum mo_campaign_mode)m,
       .seed = 1,
       .workspace = MO_DEFAULT_WORKSPACE,
@@ -61,8 +61,11 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
       .batch = 0,
       .learning = mo_learning_defaults(mo_modes[m].schedule),
       .sensor = MO_SENSOR_INVERSE_SQRT,
-      .physics = mo_paper_physics(),
+      .physics = p == MO_PRESET_PAPER ? mo_paper_physics() : mo_default_physics(),
   };
+  if (p != MO_PRESET_PAPER && mo_modes[m].starts_untrained)
+    settings.physics.scheme.control_period_s = MO_DEFAULT_CONTROL_PERIOD_S;
+  return settings;
 }
 
 /* ---- bounds ---- */

@@ -3,6 +3,7 @@
 
 #include "jobs/evaluations.h"
 #include "jobs/submission.h"
+#include "store/controllers.h"
 
 #define INTERACTIVE_ROLLOUTS 64 /* limit if the request has no priority */
 /* Interactive jobs go first, so they must be short: about a second of one core. In that time, the
@@ -10,12 +11,17 @@
  * much as 100 more springs per rollout. float64 takes twice as long. */
 #define INTERACTIVE_COST 40e6
 #define NETWORK_SPRINGS  100
+#define PHYSICS_SHARE    0.15 /* of such a step, where the network acts in every one */
 
 bool mo_is_short(uint32_t n_designs, uint64_t springs, uint32_t n_environments,
                  const struct mo_physics *physics, enum mo_precision precision)
 {
   const double cost = (double)n_designs * NETWORK_SPRINGS + (double)springs;
-  return cost * n_environments * physics->scheme.n_steps * (precision == MO_FLOAT64 ? 2 : 1) <=
+  const double steps = physics->scheme.n_steps;
+  const uint32_t period = mo_control_steps(&physics->scheme); /* 0: it will be refused */
+  return cost * n_environments * steps *
+             (PHYSICS_SHARE + (1 - PHYSICS_SHARE) / (period > 0 ? period : 1)) *
+             (precision == MO_FLOAT64 ? 2 : 1) <=
          INTERACTIVE_COST;
 }
 
@@ -51,9 +57,13 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
       is_interactive || request->record != 0 ? measure(jobs, request, &springs, &bytes) : MO_OK;
   if (error != MO_OK)
     return mo_fail(message, error, "%s", mo_error_text(error));
+  struct mo_physics physics = request->physics;
+  struct mo_controller_record controller;
+  if (is_interactive && mo_store_controller(jobs->store, request->controller, &controller) == MO_OK)
+    (void)mo_physics_complete(&physics, controller.control_period_s); /* submission checks it */
   is_interactive =
       is_interactive && mo_is_short(request->n_designs * cost, springs * cost,
-                                    request->n_environments, &request->physics, request->precision);
+                                    request->n_environments, &physics, request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   error = mo_back_end_choose(jobs, job,
                              !is_interactive && request->precision == MO_FLOAT32 &&

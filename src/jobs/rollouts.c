@@ -90,7 +90,7 @@ static int check_size(const struct mo_evaluation_request *request,
     bytes += mo_recording_frame_bytes(request->record, body->n_masses, body->n_springs) *
              rollouts->n_frames * rollouts->n_environments;
   }
-  if (!mo_is_short(rollouts->n_designs, springs, rollouts->n_environments, &request->physics,
+  if (!mo_is_short(rollouts->n_designs, springs, rollouts->n_environments, &rollouts->physics,
                    request->precision))
     return mo_fail(message, MO_ERR_LIMIT,
                    "these rollouts would take more than about a second of a core; submit an "

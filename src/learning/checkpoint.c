@@ -154,6 +154,7 @@ static int read_settings(const char *text, const struct counters *counters,
 {
   struct mo_message why = {""};
   *settings = mo_training_defaults((enum mo_training_kind)counters->kind);
+  settings->physics = mo_paper_physics(); /* for settings that are newer than the checkpoint */
   settings->seed = counters->seed;
   settings->sensor = (enum mo_sensor)counters->sensor;
   settings->held_out_designs = counters->held_out_designs;

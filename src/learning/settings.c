@@ -26,18 +26,21 @@ struct mo_learning mo_learning_defaults(enum mo_schedule_preset schedule)
 
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
 {
-  return (struct mo_training_settings){
+  struct mo_training_settings settings = {
       .kind = kind,
       .seed = 1,
       .n_steps = kind == MO_TRAINING_FINETUNE ? STEPS_FINETUNE : STEPS_PRETRAIN,
       .batch = BATCH,
       .learning = mo_learning_defaults(kind == MO_TRAINING_FINETUNE ? MO_SCHEDULE_FINETUNE_COSINE
                                                                     : MO_SCHEDULE_ONE_COSINE),
-      .physics = mo_paper_physics(),
+      .physics = mo_default_physics(),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .held_out_designs = 64,
       .held_out_environments = 8,
   };
+  if (kind == MO_TRAINING_PRETRAIN)
+    settings.physics.scheme.control_period_s = MO_DEFAULT_CONTROL_PERIOD_S;
+  return settings;
 }
 
 /* One short cosine, then a long one to the end: 5 + 61 + 1342 steps are 8 more than the training
@@ -61,6 +64,7 @@ static void set_phototaxis(struct mo_training_settings *settings)
 static void set_paper(struct mo_training_settings *settings)
 {
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
+  settings->physics = mo_paper_physics();
   settings->batch = BATCH_PAPER;
   settings->learning.schedule =
       mo_schedule_presets[finetune ? MO_SCHEDULE_PAPER_FINETUNE : MO_SCHEDULE_PAPER_PRETRAIN];

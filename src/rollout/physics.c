@@ -23,6 +23,15 @@ struct mo_physics mo_paper_physics(void)
   };
 }
 
+struct mo_physics mo_default_physics(void)
+{
+  struct mo_physics physics = mo_paper_physics();
+  physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  physics.scheme.dt_s = 0.002;
+  physics.scheme.n_steps = 2000;
+  return physics;
+}
+
 /* A decimal period and a decimal step have a quotient that is off by rounding alone. */
 uint32_t mo_control_steps(const struct mo_scheme *scheme)
 {
@@ -154,7 +163,16 @@ static const struct mo_field rows[] = {
      .help = "paper: first order; split: second order, drag_per_s times dt_s at most 1"},
 };
 #undef AT
-const struct mo_fields mo_physics_fields = MO_FIELDS(rows);
+
+static void set_paper(void *physics, int word)
+{
+  (void)word;
+  *(struct mo_physics *)physics = mo_paper_physics();
+}
+
+static const char *const names[] = {"paper", NULL};
+static const struct mo_fields_words words = {names, set_paper};
+const struct mo_fields mo_physics_fields = {rows, sizeof(rows) / sizeof(rows[0]), &words};
 
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
 {

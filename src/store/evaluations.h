@@ -6,9 +6,11 @@
 
 struct mo_store;
 
-/* Writes the warning of a time step beyond the linear stability bound. Returns false, and writes
- * nothing, if the step is below it. */
-bool mo_warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning);
+/* Writes warnings of a time step beyond the linear stability bound, and of a controller that acts
+ * in every short step. Returns their number. */
+#define MO_PHYSICS_WARNINGS_MAX 2
+uint32_t mo_warn_of_physics(const struct mo_physics *physics,
+                            struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX]);
 
 /* ---- submission (by jobs) ---- */
 

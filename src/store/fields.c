@@ -85,14 +85,18 @@ void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
 {
   struct mo_message message;
-  /* Settings that are not stored get their defaults: settings newer than the row, the parameters of
-   * other kinds of selection, and bisections with an exact time of impact. */
-  if (kind == MO_JOB_TRAINING)
-    ((struct mo_training_record *)record)->settings =
-        mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
-  else
-    ((struct mo_campaign_record *)record)->settings =
-        mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
+  /* Settings that are not stored get their defaults: the parameters of other kinds of selection,
+   * bisections with an exact time of impact, and settings newer than the row, which were the
+   * paper's physics then. */
+  if (kind == MO_JOB_TRAINING) {
+    struct mo_training_settings *settings = &((struct mo_training_record *)record)->settings;
+    *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
+    settings->physics = mo_paper_physics();
+  } else {
+    struct mo_campaign_settings *settings = &((struct mo_campaign_record *)record)->settings;
+    *settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
+    settings->physics = mo_paper_physics();
+  }
   int error = mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
 }

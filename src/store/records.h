@@ -81,7 +81,7 @@ struct mo_warning {
   bool of_request; /* known already at submission */
   char detail[231];
 };
-#define MO_WARNINGS_MAX 4
+#define MO_WARNINGS_MAX 5
 
 /* A job. It has everything about an evaluation except its results. For a training or a campaign, it
  * has the members that lists show (for the rest, see store/trainings.h and store/campaigns.h). It

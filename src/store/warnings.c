@@ -96,11 +96,11 @@ static double lower(double value)
   return floor(value / unit) * unit;
 }
 
-bool mo_warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning)
+static uint32_t warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning)
 {
   const struct mo_constants *constants = &physics->constants;
   if (mo_step_is_stable(physics, MO_EIGENVALUE_MAX))
-    return false;
+    return 0;
   const double stable_s = mo_stable_step_s(physics, MO_EIGENVALUE_MAX);
   *warning = (struct mo_warning){.code = "unstable_step", .of_request = true};
   /* Moving bodies fail a little below the bound (docs/numerics.md, "Stable steps"). */
@@ -111,12 +111,36 @@ bool mo_warn_of_dt(const struct mo_physics *physics, struct mo_warning *warning)
            physics->scheme.dt_s, stable_s, constants->stiffness_n_per_m, constants->mass_kg,
            constants->drag_per_s, mo_integrator_words[physics->scheme.integrator],
            lower(0.8 * stable_s));
-  return true;
+  return 1;
+}
+
+/* Controllers without a control period are mostly from before there were any, when a step had 4 ms:
+ * with shorter ones, they act more often than they have learned to. */
+static uint32_t warn_of_every_step(const struct mo_physics *physics, struct mo_warning *warning)
+{
+  const struct mo_scheme *scheme = &physics->scheme;
+  if (scheme->control_period_s > 0 || scheme->integrator != MO_INTEGRATOR_SPLIT ||
+      !(scheme->dt_s < mo_paper_physics().scheme.dt_s))
+    return 0;
+  *warning = (struct mo_warning){.code = "every_step", .of_request = true};
+  snprintf(warning->detail, sizeof(warning->detail),
+           "the controller has no control period, so it acts in every step of %.6g s; if it was "
+           "made for the paper's steps of 0.004 s, use \"physics\": \"paper\", or set "
+           "control_period_s",
+           scheme->dt_s);
+  return 1;
+}
+
+uint32_t mo_warn_of_physics(const struct mo_physics *physics,
+                            struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX])
+{
+  const uint32_t n = warn_of_dt(physics, warnings);
+  return n + warn_of_every_step(physics, warnings + n);
 }
 
 static void warn_of_physics(struct mo_job *job)
 {
-  job->n_warnings += mo_warn_of_dt(&job->physics, &job->warnings[job->n_warnings]);
+  job->n_warnings += mo_warn_of_physics(&job->physics, &job->warnings[job->n_warnings]);
 }
 
 static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, int64_t owner)

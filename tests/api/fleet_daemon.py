@@ -19,7 +19,7 @@ import threading
 from relay import relay
 from service import BINARY
 
-HEADER, LEASE, RESULT = struct.Struct("<8sIIQ"), struct.Struct("<QQIIII32s9d4I"), \
+HEADER, LEASE, RESULT = struct.Struct("<8sIIQ"), struct.Struct("<QQIIII32s"), \
     struct.Struct("<QQIIdd")
 DONE, GIVEN_BACK, FAILED = range(3)
 PASSIVE = bytes(32)
@@ -34,11 +34,16 @@ def message(kind, items):
     return HEADER.pack(b"MOFLEET" + kind, 1, len(items), HEADER.size + len(body)) + body
 
 
-def physics_numbers(physics):
-    """Returns the numbers of a JSON object in the order that a lease uses."""
-    names = ("dt_s", "stiffness_n_per_m", "mass_kg", "drag_per_s", "gravity_m_per_s2", "actuation",
-             "friction", "friction_cap", "drop_height_m")
-    return [physics[name] for name in names] + [physics["n_steps"], 0, 8, 0]
+def packed_physics(physics):
+    """Returns the version and the bytes of a JSON object: a lease uses the first version that has
+    all settings that are not the paper's."""
+    split = physics["integrator"] == "split"
+    version = 3 if split else 2 if physics["control_period_s"] else 1
+    names = ("dt_s", "control_period_s", "stiffness_n_per_m", "mass_kg", "drag_per_s",
+             "gravity_m_per_s2", "actuation", "friction", "friction_cap", "drop_height_m")
+    numbers = [physics[name] for name in names if version > 1 or name != "control_period_s"]
+    words = [physics["n_steps"], 0, 8] + [1] * split
+    return version, struct.pack(f"<{len(numbers)}d{len(words)}I", *numbers, *words)
 
 
 def genotype_bytes(text):
@@ -56,8 +61,10 @@ class Lease:
         self.rows = sum(len(chosen) for _, chosen in blocks)
 
     def encode(self):
-        head = LEASE.pack(*self.id, int(self.on_device), len(self.environments), len(self.blocks),
-                          self.rows, self.controller, *physics_numbers(self.physics))
+        version, physics = packed_physics(self.physics)
+        head = LEASE.pack(*self.id,
+                          int(self.on_device) | version - 1 << 8, len(self.environments),
+                          len(self.blocks), self.rows, self.controller) + physics + bytes(4)
         worlds = b"".join(struct.pack("<66d", *numbers) for numbers in self.environments)
         return head + worlds + b"".join(
             genotype_bytes(text) + struct.pack(f"<B{len(chosen)}H", len(chosen), *chosen)

@@ -32,6 +32,8 @@ RULES = [
     r"controller .* is not stored",
     # Several fields of one request.
     r"at most n_steps",
+    r"must be a whole multiple of",
+    r"drag_per_s times dt_s must be at most 1",
     r"more than about a second of a core",
     r"rollouts are computed at once",
     r"only one of campaigns, group, label and experiment",

@@ -1,5 +1,6 @@
 """A running morphod, and a client that checks every reply against the contract."""
 
+import atexit
 import contextlib
 import csv
 import functools
@@ -11,6 +12,7 @@ import math
 import os
 import pathlib
 import re
+import shutil
 import signal
 import socket
 import struct
@@ -22,7 +24,6 @@ from contract import SOURCE, Contract
 
 CONTRACT = Contract()
 BINARY = os.environ.get("MORPHOD", str(SOURCE / "build" / "src" / "daemon" / "morphod"))
-BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
 DESIGN = {"cells": [[2, 2, 0], [3, 2, 0], [2, 3, 0], [2, 2, 1]]}
 SHORT = {"n_steps": 20}  # physics of evaluations that need no long rollout
 # A wait ends when its condition holds; a test fails after this limit. The limit is far above the
@@ -31,6 +32,30 @@ PATIENCE_S = 300
 # An immediate reply arrives within this many seconds even on such a machine. Anything that the
 # reply must not wait for takes longer.
 SOON_S = 20
+
+
+def with_metadata(file, **metadata):
+    """Returns the bytes of a safetensors file with further metadata."""
+    size = struct.unpack("<Q", file[:8])[0]
+    header = json.loads(file[8:8 + size])
+    header["__metadata__"].update(metadata)
+    text = json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + file[8 + size:]
+
+
+def held_bootstrap():
+    """Stores the bootstrap controller with the default control period in a temporary file."""
+    folder = tempfile.mkdtemp(prefix="morphod-bootstrap-")
+    atexit.register(shutil.rmtree, folder)
+    os.chmod(folder, 0o755)  # for daemons of other users
+    path = pathlib.Path(folder) / "bootstrap.safetensors"
+    path.write_bytes(
+        with_metadata((SOURCE / "data" / "controllers" / path.name).read_bytes(),
+                      control_period_s="0.016"))
+    return path
+
+
+BOOTSTRAP = held_bootstrap()
 
 
 class Reply:

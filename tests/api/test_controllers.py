@@ -52,7 +52,9 @@ def test_control_periods(service):
     metadata = {**HEADER["__metadata__"], "control_period_s": "0.016"}
     put = service.upload("slow", pack({**HEADER, "__metadata__": metadata}))
     assert put.status == 201 and put.json()["control_period_s"] == 0.016
-    assert service.get("/v1/controllers/default")["control_period_s"] is None
+    del metadata["control_period_s"]
+    put = service.upload("plain", pack({**HEADER, "__metadata__": metadata}))
+    assert put.status == 201 and put.json()["control_period_s"] is None
     request = {"designs": [DESIGN], "physics": {"n_steps": 200}}
 
     def run(controller, **physics):
@@ -64,13 +66,13 @@ def test_control_periods(service):
         assert rolled["physics"] == value["physics"]
         return value["physics"]["control_period_s"], losses
 
-    every_step, held = run("default"), run("slow")
+    every_step, held = run("plain"), run("slow")
     assert every_step[0] == 0 and held[0] == 0.016 and held[1] != every_step[1]
-    assert run("slow", control_period_s=0.004) == (0.004, every_step[1])
-    assert run("default", control_period_s=0.004) == every_step  # by its plain name
-    assert run("default", control_period_s=0.016) == held
-    long = run("default", control_period_s=10)[1]
-    assert long == run("default", control_period_s=0.8)[1] != held[1]  # one computation in both
+    assert run("slow", control_period_s=0.002) == (0.002, every_step[1])
+    assert run("plain", control_period_s=0.002) == every_step  # by its plain name
+    assert run("plain", control_period_s=0.016) == held
+    long = run("plain", control_period_s=10)[1]
+    assert long == run("plain", control_period_s=0.8)[1] != held[1]  # one computation in both
 
     # The best robots under a controller are those under its own period.
     best = service.get("/v1/designs?sort=score&controller=slow")["items"]
@@ -87,18 +89,18 @@ def test_control_periods_that_do_not_fit(service):
     metadata = {**HEADER["__metadata__"], "control_period_s": "0.016"}
     service.upload("slow", pack({**HEADER, "__metadata__": metadata}))
     for kind in ("evaluations", "rollouts"):
-        for physics, place in (({"dt_s": 0.005}, "slow"), ({"control_period_s": 0.006}, "physics"),
+        for physics, place in (({"dt_s": 0.005}, "slow"), ({"control_period_s": 0.005}, "physics"),
                                ({"control_period_s": 0.001}, "physics")):
             reply = service.request("POST", f"/v1/{kind}", {
                 "designs": [DESIGN], "controller": "slow", "physics": {"n_steps": 10, **physics}})
             assert reply.status == 422, reply.body
             assert place in reply.json()["detail"] and "whole multiple" in reply.json()["detail"]
     learned = {"kind": "pretrain", "name": "n", "steps": 1, "batch": 1,
-               "physics": {"n_steps": 4, "control_period_s": 0.006}}
+               "physics": {"n_steps": 4, "control_period_s": 0.005}}
     assert "whole multiple" in service.request("POST", "/v1/trainings", learned).json()["detail"]
-    learned["physics"] = {"n_steps": 400, "control_period_s": 1.028}  # 257 steps
+    learned["physics"] = {"n_steps": 400, "control_period_s": 0.514}  # 257 steps
     assert "at most 256 steps" in service.request("POST", "/v1/trainings", learned).json()["detail"]
-    metadata = {**HEADER["__metadata__"], "control_period_s": "1.028"}
+    metadata = {**HEADER["__metadata__"], "control_period_s": "0.514"}
     service.upload("slower", pack({**HEADER, "__metadata__": metadata}))
     for kind, more in (("trainings", {"kind": "finetune", "steps": 1, "designs": [DESIGN]}),
                        ("campaigns", {"mode": "few-shot", "preset": "demo"})):

@@ -9,11 +9,11 @@ import pytest
 import service as module
 from ctl import MORPHOCTL
 
-SHIPPED, OLD = "data/controllers/phototaxis.safetensors", "data/controllers/bootstrap.safetensors"
+SHIPPED = module.SOURCE / "data/controllers/phototaxis-16ms.safetensors"
 
 
 def hash_of(file):
-    return hashlib.sha256((module.SOURCE / file).read_bytes()).hexdigest()
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def short(demo):
 
 def test_shipped_default(demo):
     shown, _ = short(demo)
-    assert shown[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
+    assert shown[0] == (f"Controller: phototaxis-16ms, sha256 {hash_of(SHIPPED)[:16]}…, "
                        "the default of this daemon.")
     assert "shipped" not in shown[1]
 
@@ -65,16 +65,16 @@ def test_state_of_an_older_program(demo, start, tmp_path):
     older = start(state=tmp_path / ".morphod" / "state")
     assert older.stop() == 0
     shown, address = short(demo)
-    assert shown[
-        0] == f"Controller: bootstrap, sha256 {hash_of(OLD)[:16]}…, the default of this daemon."
+    assert shown[0] == (f"Controller: bootstrap, sha256 {hash_of(module.BOOTSTRAP)[:16]}…, "
+                       "the default of this daemon.")
     words, command = shown[1].split(" by: ")
-    assert words == "It is not the shipped one, phototaxis, which becomes the default"
+    assert words == "It is not the shipped one, phototaxis-16ms, which becomes the default"
     subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=300,
                    capture_output=True)
     shown, _ = short(demo)
-    assert shown[0] == (f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, "
+    assert shown[0] == (f"Controller: phototaxis-16ms, sha256 {hash_of(SHIPPED)[:16]}…, "
                        "the default of this daemon.")
     assert "shipped" not in shown[1]
     names = subprocess.run([MORPHOCTL, "controller", "list", "--server", address], check=True,
                            capture_output=True, text=True, timeout=300).stdout
-    assert hash_of(OLD) in names
+    assert hash_of(module.BOOTSTRAP) in names

@@ -163,13 +163,14 @@ def test_evaluations(start):
                   re.M).group(1)) > 0
 
 
-def test_devices_compute_split(start):
+@pytest.mark.parametrize("integrator", ["paper", "split"])
+def test_devices_compute_both_integrators(start, integrator):
     service = start(*FLAGS, environment=fake(devices=1))
     for kind, request in (("evaluations", LARGE), ("campaigns", CAMPAIGN), ("trainings", TRAINING)):
-        split = {**request, "physics": {**request["physics"], "integrator": "split"}}
-        ended = run(service, kind, split)
+        asked = {**request, "physics": {**request["physics"], "integrator": integrator}}
+        ended = run(service, kind, asked)
         assert (ended["state"], ended["device"]) == ("succeeded", "cuda"), kind
-        assert '"integrator": "split"' in json.dumps(ended), kind
+        assert f'"integrator": "{integrator}"' in json.dumps(ended), kind
     assert devices(service)["items"][0]["rollouts_done"] > 0
 
 

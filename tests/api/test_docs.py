@@ -26,7 +26,7 @@ def test_examples(start, tmp_path):
                           timeout=300, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     assert '"pointer":"/designs/0/cells/1/2"' in done.stdout
-    assert "Morphod-Shape: 11,8,3" in done.stdout
+    assert "Morphod-Shape: 21,8,3" in done.stdout
     assert "event: job.finished" in done.stdout and '"type":"training.validation"' in done.stdout
     assert (tmp_path / "curve.csv").read_text().count("\n") == 5
     assert (tmp_path / "tuned.safetensors").stat().st_size > 620912 * 4
@@ -34,4 +34,4 @@ def test_examples(start, tmp_path):
         tmp_path / "phylogeny.csv").read_text().count("\n") == 16 * 7 + 1
     assert (tmp_path / "phylogeny.nwk").read_text().endswith(";\n") and '"state":"succeeded"' in (
         tmp_path / "champions.json").read_text()
-    assert (tmp_path / "masses.f32").stat().st_size == 11 * 8 * 3 * 4
+    assert (tmp_path / "masses.f32").stat().st_size == 21 * 8 * 3 * 4

@@ -63,7 +63,7 @@ def test_physics_are_echoed(service):
 
 
 def test_integrators(service):
-    """Each integrator has its own scores. The default is the paper's."""
+    """Each integrator has its own scores. The default is split."""
     def evaluate(**physics):
         request = {"designs": [DESIGN], "physics": {"n_steps": 57, **physics}}
         value = service.evaluate(request).json()
@@ -74,19 +74,19 @@ def test_integrators(service):
         assert rolled["physics"] == value["physics"]
         return value["physics"]["integrator"], losses, value["rollouts_cached"], value["results"][0]
 
-    word, paper, _, result = evaluate()
-    assert word == "paper" and evaluate(integrator="paper")[:3] == ("paper", paper, 10)
-    word, split, cached, _ = evaluate(integrator="split")
-    assert word == "split" and cached == 0
+    word, split, _, result = evaluate()
+    assert word == "split" and evaluate(integrator="split")[:3] == ("split", split, 10)
+    word, paper, cached, _ = evaluate(integrator="paper")
+    assert word == "paper" and cached == 0
     assert all(a != b for a, b in zip(paper, split))
-    assert evaluate(integrator="split")[:3] == ("split", split, 10)
+    assert evaluate(integrator="paper")[:3] == ("paper", paper, 10)
 
     known = service.get(f"/v1/designs/{result['id']}")
     scores = [score for orientation in known["orientations"] for score in orientation["scores"]]
     stored = [service.get(f"/v1/physics/{score['physics']}")["physics"] for score in scores]
     assert {one["integrator"] for one in stored if one["n_steps"] == 57} == {"paper", "split"}
 
-    request = {"designs": [DESIGN], "physics": {"integrator": "split", "drag_per_s": 300}}
+    request = {"designs": [DESIGN], "physics": {"integrator": "split", "drag_per_s": 700}}
     refused = service.request("POST", "/v1/evaluations", request)
     assert refused.status == 422 and "drag_per_s times dt_s" in refused.json()["detail"]
     request = {"designs": [DESIGN], "physics": {"integrator": "euler"}}
@@ -96,8 +96,8 @@ def test_integrators(service):
 
 
 def test_divergence_is_reported(service):
-    value = service.evaluate({"designs": [DESIGN], "physics": {"dt_s": 0.05,
-                                                               "n_steps": 500}}).json()
+    wild = {"integrator": "paper", "dt_s": 0.05, "n_steps": 500, "control_period_s": 0.05}
+    value = service.evaluate({"designs": [DESIGN], "physics": wild}).json()
     result = value["results"][0]
     assert value["state"] == "succeeded" and value["rollouts_diverged"] == 10
     assert result["score"] is None and result["losses"] == [None] * 10
@@ -311,8 +311,9 @@ PLACES = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.01, "seed": k} for k i
     ({"designs": [FULL], "physics": {"n_steps": 100000}, "priority": "interactive"}, "batch"),
     ({"designs": [FULL], "physics": {"n_steps": 100000}}, "batch"),
     ({"designs": BATCH, "physics": {"n_steps": 1000000}, "priority": "interactive"}, "batch"),
-    ({"designs": [FULL], "physics": {"n_steps": 15000}, "precision": "float32"}, "interactive"),
-    ({"designs": [FULL], "physics": {"n_steps": 15000}, "precision": "float64"}, "batch")])
+    *(({"designs": [FULL], "physics": physics, "precision": precision}, priority)
+      for physics in ({"n_steps": 50000}, {"n_steps": 15000, "control_period_s": 0.002})
+      for precision, priority in (("float32", "interactive"), ("float64", "batch")))])
 def test_interactive_is_short(service, request_, priority):
     """Interactive work overtakes everything else, so long work is never interactive, whatever was
     requested."""

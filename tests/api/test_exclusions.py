@@ -4,12 +4,11 @@ exclude."""
 import json
 import re
 import signal
-import struct
 import subprocess
 import time
 
 from ctl import MORPHOCTL
-from service import BOOTSTRAP, await_end, awaited, run, soon, until
+from service import BOOTSTRAP, await_end, awaited, run, soon, until, with_metadata
 
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 SMALL = {
@@ -20,12 +19,8 @@ SMALL = {
 
 def put(service, name, **said):
     """Stores the bootstrap controller with further metadata; returns its SHA-256."""
-    file = BOOTSTRAP.read_bytes()
-    size = struct.unpack("<Q", file[:8])[0]
-    header = json.loads(file[8:8 + size])
-    header["__metadata__"].update({f"morphod.{key}": value for key, value in said.items()})
-    text = json.dumps(header).encode()
-    reply = service.upload(name, struct.pack("<Q", len(text)) + text + file[8 + size:])
+    more = {f"morphod.{key}": value for key, value in said.items()}
+    reply = service.upload(name, with_metadata(BOOTSTRAP.read_bytes(), **more))
     assert reply.status == 201, reply.body
     return reply.json()["sha256"]
 

@@ -5,9 +5,9 @@ import struct
 import pytest
 
 from service import run
-from ctl import CELLS, SHORT, ctl  # noqa: F401
+from ctl import CELLS, ctl  # noqa: F401
 
-SMALL = "--size 96x64 --physics n_steps=60"
+SMALL = "--size 96x64 --physics n_steps=120"
 
 
 def png_size(data):
@@ -49,15 +49,15 @@ LOOKS = "--size 96x64 --rate 10"
 def test_a_film_of_an_evaluation(ctl, tmp_path):  # noqa: F811
     """Frame by frame, it equals a film that was computed without storing."""
     one, other = tmp_path / "one.y4m", tmp_path / "other.y4m"
-    physics = "--physics n_steps=60"
+    physics = "--physics n_steps=120"
     assert ctl(f"film {LOOKS} {physics} --environment 3 --output", str(one), CELLS)[0] == 0
-    status, out, said = ctl(f"eval {LOOKS} {physics} --environment 3 --record-stride 5 --film",
+    status, out, said = ctl(f"eval {LOOKS} {physics} --environment 3 --record-stride 10 --film",
                             str(other), CELLS)
     assert status == 0 and "12 frames" in said and len(out.splitlines()) == 2, said
     assert other.read_bytes() == one.read_bytes() and len(one.read_bytes()) > 12 * 96 * 64 * 3
     folder, paths = tmp_path / "frames", tmp_path / "paths"
-    status, _, said = ctl(f"eval {LOOKS} {SHORT} --random 17 --record com --film", f"{folder}/",
-                          "--output", str(paths))
+    status, _, said = ctl(f"eval {LOOKS} --physics n_steps=40 --random 17 --record com --film",
+                          f"{folder}/", "--output", str(paths))
     assert status == 0 and "the 16 best of 17 designs" in said, said
     assert len(list(folder.iterdir())) == 11 and (folder / "00010.png").exists()
     assert len(list(paths.glob("*-masses.npy"))) == len(list(paths.glob("*-com.npy"))) == 170

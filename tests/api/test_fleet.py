@@ -429,7 +429,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     # change.
     shown = ctl(origin)
     assert shown.returncode == 3 and f"{3 * n} losses computed again, 2 differ\n" in shown.stdout
-    assert different[0]["id"] in shown.stdout and repr(truth[-1]) in shown.stdout
+    assert different[0]["id"] in shown.stdout and f"{truth[-1]:.17g}" in shown.stdout
     before, lied = best(), f"/v1/designs/{different[0]['id']}"
     assert service.get(lied)["orientations"][0]["scores"][0]["origin"] == origin
     assert ctl(origin, "--repair").returncode == 0

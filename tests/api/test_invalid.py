@@ -49,7 +49,7 @@ COMMON = {
     "/epochs": [3],
     "/a~1b~0cé": [3],
     "/controller": ["nobody", "sha256:" + "0" * 64, "../default", "sha256:ab", 1],
-    "/physics": [[]],
+    "/physics": [[], "Paper"],
     "/physics/dt_s": [{"dt_s": 0}],
     "/physics/mass_kg": [{"mass_kg": -1}],
     "/physics/n_steps": [{"n_steps": 0}, {"n_steps": 10**12}],
@@ -96,7 +96,7 @@ EVALUATION = {
     "/environments": ["moon", [], 5, [PLACE] * 65],
     "/record": ["com"],
     "/record/1": [["com", "pose"], ["com", "com"]],
-    "/record_stride": [0, 1001],
+    "/record_stride": [0, 2501],
     "/precision": ["float16"],
     "/verify": ["true", None],
     **{f"/designs/1/cells{place}": [[DESIGN, {"cells": cells}] for cells in values]

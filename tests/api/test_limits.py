@@ -314,7 +314,8 @@ def test_unread_replies_take_half_of_the_memory(start):
     service = start("--max-body=1M", "--max-controller=3M", "--max-bundle=1M")
     scene = json.dumps({  # of 4.8 MB
         "designs": [{"cells": [[x, y, 0] for x in range(4) for y in range(3)]}],
-        "environments": "paper-test", "record": ["masses"], "record_stride": 1}).encode()
+        "environments": "paper-test", "physics": "paper", "record": ["masses"],
+        "record_stride": 1}).encode()
     seen = []
     for _ in range(5):
         with user(USERS[0]):

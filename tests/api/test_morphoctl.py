@@ -14,6 +14,8 @@ from archives import blocks, lies
 from ctl import CELLS, MORPHOCTL, SHORT, ctl  # noqa: F401
 from service import BOOTSTRAP, DESIGN, SOURCE, run
 
+PLAIN = SOURCE / "data" / "controllers" / "bootstrap.safetensors"  # without a control period
+
 
 def test_named_designs(ctl):
     files = sorted(str(p) for p in (SOURCE / "data" / "designs").glob("*.json"))
@@ -110,14 +112,28 @@ def test_faults_name_their_place(ctl):
 
 
 @pytest.mark.parametrize("given, shown", [
-    ("", ""), ("-p integrator=paper", ""), ("-p integrator=split", ", integrator split"),
+    ("", "integrator split, impact exact, outputs held for 0.016 s"),
+    ("-p integrator=paper", "integrator paper, impact exact, outputs held for 0.016 s"),
     ("-p integrator=split -p control_period_s=0.008",
-     ", integrator split, outputs held for 0.008 s"),
+     "integrator split, impact exact, outputs held for 0.008 s"),
+    ("-p impact=bisection9 --controller plain", "integrator split, impact bisection9"),
 ])
-def test_a_job_shows_settings_that_are_not_the_default(ctl, given, shown):
+def test_a_job_shows_its_physics(service, ctl, given, shown):
+    if "plain" in given:
+        service.upload("plain", PLAIN.read_bytes())
     job = json.loads(ctl(f"eval {SHORT} {given} --json", input_text=CELLS)[1])["id"]
     facts = ctl(f"job show {job}")[1]
-    assert re.search(f"^physics .* s, impact exact{shown}$", facts, re.M), facts
+    assert re.search(f"^physics +20 steps of 0.002 s, {shown}$", facts, re.M), facts
+
+
+def test_physics_of_the_paper(ctl):
+    value = json.loads(ctl("eval -p paper --json", input_text=CELLS)[1])
+    assert [value["physics"][name] for name in ("integrator", "dt_s", "n_steps")] == [
+        "paper", 0.004, 1000]
+    for given, said in (("-p paper -p n_steps=20", "stands for all settings"),
+                        ("-p Paper", "is neither paper nor KEY=VALUE")):
+        status, out, err = ctl(f"eval {given}", input_text=CELLS)
+        assert (status, out) == (2, "") and said in err, err
 
 
 @pytest.mark.parametrize("text, said", [
@@ -271,7 +287,7 @@ def test_watch_a_job(ctl):
 
 
 def test_controllers(service, ctl, tmp_path):
-    assert re.search(r"^bootstrap +inverse_sqrt +620,912 +2,484,856 +20\d\d-",
+    assert re.search(rf"^bootstrap +inverse_sqrt +620,912 +{BOOTSTRAP.stat().st_size:,} +20\d\d-",
                      ctl("controller list")[1], re.M)
     status, out, err = ctl(f"controller put mine {str(BOOTSTRAP)}")
     assert status == 0 and hashlib.sha256(BOOTSTRAP.read_bytes()).hexdigest() in out, err
@@ -300,12 +316,12 @@ def test_trajectories(ctl, tmp_path):
     assert all(abs(p) < 10 for p in points) and points[2] > 0
     out = tmp_path / "channels"
     status, _, err = ctl(
-        f"eval {SHORT} --record contacts,actuation --record-stride 1 --output", str(out),
+        "eval -p n_steps=50 --record contacts,actuation --record-stride 1 --output", str(out),
         input_text=CELLS)
     assert status == 0, err
     for name, form in (("actuation", b"'|i1'"), ("contacts", b"'|u1'")):
         content = (out / f"design-0000-environment-03-{name}.npy").read_bytes()
-        assert form in content[:128] and (len(content) - 128) % 21 == 0 and any(content[128:])
+        assert form in content[:128] and (len(content) - 128) % 51 == 0 and any(content[128:])
     status, _, err = ctl(f"eval {SHORT} --record pose", input_text=CELLS)
     assert status == 2 and "com, masses, actuation, contacts" in err
 

@@ -5,12 +5,15 @@ import io
 
 import pytest
 
+from contract import SOURCE
 from service import Service, run
 from test_bundles import enter
 from test_devices import FLAGS, fake
 from ctl import ctl  # noqa: F401
 from test_worlds import scene
 
+# Outputs that are held for a while make no child bad enough.
+CONTROLLER = f"--default-controller={SOURCE / 'data' / 'controllers' / 'bootstrap.safetensors'}"
 # Robots that walk: random bodies are rarely bad enough to be cut short.
 FOUNDERS = """
     000800cceec00c8a000c4e20000000000000 0c4e200c8a00cceec0000000000000000000
@@ -22,12 +25,19 @@ FOUNDERS = """
 """.split()
 CAMPAIGN = {"mode": "zero-shot", "population": 12, "generations": 4, "seed": 11,
             "initial": {"designs": [{"id": id} for id in FOUNDERS]},
-            "exclude_pretraining": False}
+            "exclude_pretraining": False, "physics": "paper"}
 LIVES = ("number", "id", "genotype", "parents", "operator", "born", "died")
 
 
 def lives(row):
     return [row[name] for name in LIVES]
+
+
+@pytest.fixture(scope="module", name="service")
+def service_with_this_controller():
+    running = Service(CONTROLLER)
+    yield running
+    assert running.close() == 0, running.log_text()
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +53,7 @@ def designs(service, raced):
 @pytest.fixture(scope="module")
 def whole():
     """The same campaign without races, on a service without its scores."""
-    other = Service()
+    other = Service(CONTROLLER)
     yield other, run(other, "campaigns", CAMPAIGN | {"racing": "off"})["id"]
     assert other.close() == 0, other.log_text()
 
@@ -113,7 +123,7 @@ def test_every_form_says_so(service, raced, designs):
 def test_a_bundle_keeps_them(service, start, raced, designs):
     """Losses in only some of the environments are imported, have no effect the second time, and are
     exported again."""
-    other = start()
+    other = start(CONTROLLER)
     bundle = service.request("GET", f"/v1/bundles?campaigns={raced}").body
     entered = enter(other, bundle)
     assert entered.status == 201
@@ -132,7 +142,7 @@ def test_a_bundle_keeps_them(service, start, raced, designs):
 
 
 def evaluated(service, row):
-    return service.evaluate({"designs": [{"voxels": row["genotype"]}]}).json()
+    return service.evaluate({"designs": [{"voxels": row["genotype"]}], "physics": "paper"}).json()
 
 
 def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  # noqa: F811
@@ -144,7 +154,7 @@ def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  
 
     def reported():
         stored = service.get(f"/v1/designs/{bound['id']}")["orientations"][0]["scores"]
-        best = service.pages("/v1/designs?sort=score")
+        best = service.pages("/v1/designs?sort=score&physics=paper")
         return ([(one["score"], one["lower_bound"]) for one in stored],
                 bound["id"] in [one["id"] for one in best])
 
@@ -163,7 +173,7 @@ def test_an_evaluation_computes_the_rest(service, raced, whole, designs, ctl):  
 
 def test_few_children_on_a_device(start, whole):
     """A device is idle at the end of each wave, so a race of few children would take longer."""
-    service = start(*FLAGS, environment=fake(devices=1))
+    service = start(CONTROLLER, *FLAGS, environment=fake(devices=1))
     id = run(service, "campaigns", CAMPAIGN | {"device": "cuda"})["id"]
     assert [row["children_cut"] for row in generations(service, id)] == [0] * 5
     other, same = whole
@@ -195,7 +205,8 @@ def test_only_truncation_has_a_bound(service, selection):
 
 LIGHTS = [{"light_xy_m": [4.5 - 0.4 * k, 1.5 + 0.1 * k], "terrain_sigma_m": 0.03, "seed": k}
           for k in range(9)]
-MANY = {"environments": LIGHTS, "physics": {"n_steps": 800}}
+MANY = {"environments": LIGHTS,
+        "physics": {"integrator": "paper", "dt_s": 0.004, "n_steps": 800}}
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +252,7 @@ def test_the_best_are_exact(service, start, many, ctl):  # noqa: F811
     assert again["results"] == raced["results"] and again["rollouts_cut"] == raced["rollouts_cut"]
     assert again["rollouts_cached"] == again["rollouts_total"] - again["rollouts_cut"]
     for flags, devices in ((("--workers=7", ), {}), (FLAGS, fake(devices=2))):
-        other = run(start(*flags, environment=devices), "evaluations",
+        other = run(start(CONTROLLER, *flags, environment=devices), "evaluations",
                     request | ({"device": "cuda"} if devices else {}))
         assert other["results"] == raced["results"]
     shown = ctl(f"job show {raced['id']} --results")[1]
@@ -274,6 +285,7 @@ def test_what_goes_with_best(service, many):
 def test_the_best_where_all_diverge(service, many):
     """No design is better than another, and none has a bound."""
     value = run(service, "evaluations", {
-        "designs": many[:40], "best": 2, "physics": {"dt_s": 0.05, "n_steps": 400}})
+        "designs": many[:40], "best": 2, "physics": {
+            "integrator": "paper", "dt_s": 0.05, "control_period_s": 0.05, "n_steps": 400}})
     assert value["rollouts_diverged"] == value["rollouts_total"] and value["rollouts_cut"] == 0
     assert {(row["score"], row["lower_bound"]) for row in value["results"]} == {(None, False)}

@@ -66,7 +66,8 @@ def test_whole_scores_only(service):
     """Only exact scores, not lower bounds, with the numbers of their designs."""
     far = [{"light_xy_m": [4.5 - 0.4 * k, 1.5], "terrain_sigma_m": 0.03, "seed": k}
            for k in range(8)]
-    job = run(service, "evaluations", {"environments": far, "physics": {"n_steps": 800},
+    physics = {"integrator": "paper", "dt_s": 0.004, "n_steps": 800}
+    job = run(service, "evaluations", {"environments": far, "physics": physics,
                                        "random": {"count": 60, "seed": 5}, "best": 3})
     assert job["rollouts_cut"] > 0
     listed = [row | {"number": number} for number, row in enumerate(job["results"])]

@@ -7,11 +7,12 @@ import math
 import pytest
 
 from ctl import ctl  # noqa: F401
-from service import DESIGN, SHORT, await_end, awaited, run
+from service import DESIGN, await_end, awaited, run
 
 PLACES = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": seed} for seed in range(3)]
 BODIES = [{"cells": [[x, y, 0], [x, y, 1], [x + 1, y, 0]]} for x in range(3) for y in range(2)]
-REQUEST = {"designs": BODIES, "environments": PLACES, "physics": {"n_steps": 200}, "error": True}
+PAPER = {"integrator": "paper", "dt_s": 0.004, "control_period_s": 0.004, "n_steps": 200}
+REQUEST = {"designs": BODIES, "environments": PLACES, "physics": PAPER, "error": True}
 RUNS = 5  # as requested, with half of the step, three displaced starts
 MEMBERS = ("low", "high", "discretization", "rounding", "standard_error")
 
@@ -19,7 +20,7 @@ MEMBERS = ("low", "high", "discretization", "rounding", "standard_error")
 def mean_losses(service, **physics):
     """Scores under other settings, without errors."""
     asked = {key: REQUEST[key] for key in ("designs", "environments")}
-    value = service.evaluate(asked | {"physics": {"n_steps": 200} | physics}).json()
+    value = service.evaluate(asked | {"physics": PAPER | physics}).json()
     return [row["score"] for row in value["results"]]
 
 
@@ -33,7 +34,7 @@ def test_errors_are_those_of_the_rollouts(service, estimated):
     find them in the store."""
     assert estimated["state"] == "succeeded" and estimated["displaced_starts"] == 3
     assert estimated["rollouts_total"] == RUNS * 3 * len(BODIES) == estimated["rollouts_done"]
-    finer = mean_losses(service, dt_s=0.002, n_steps=400, control_period_s=0.004)
+    finer = mean_losses(service, dt_s=0.002, n_steps=400)
     displaced = [mean_losses(service, drop_height_m=1e-7 * place) for place in (1, 2, 3)]
     for place, row in enumerate(estimated["results"]):
         error = row["error"]
@@ -61,7 +62,7 @@ def test_scores_do_not_change(service, estimated):
 def test_intervals_contain_scores_of_finer_steps(service, estimated):
     """The finer scores use an eighth of the step, in float64."""
     value = service.evaluate({key: REQUEST[key] for key in ("designs", "environments")} | {
-        "physics": {"n_steps": 1600, "dt_s": 0.0005, "control_period_s": 0.004},
+        "physics": PAPER | {"n_steps": 1600, "dt_s": 0.0005},
         "precision": "float64"}).json()
     within = [row["error"]["low"] <= fine["score"] <= row["error"]["high"]
               for row, fine in zip(estimated["results"], value["results"])]
@@ -70,7 +71,7 @@ def test_intervals_contain_scores_of_finer_steps(service, estimated):
 
 def test_split(service):
     """The factor depends on the integrator's order. The control period is kept."""
-    physics = {"n_steps": 100, "integrator": "split", "control_period_s": 0.008}
+    physics = {"n_steps": 100, "dt_s": 0.004, "integrator": "split", "control_period_s": 0.008}
     request = {"designs": [DESIGN], "environments": PLACES[:1], "physics": physics}
     row = service.evaluate(request | {"error": True}).json()["results"][0]
     request["physics"] = physics | {"n_steps": 200, "dt_s": 0.002}
@@ -84,7 +85,7 @@ def test_unknown_errors(service):
     """A design without a body has no error, nor has one with a diverged rollout."""
     value = service.evaluate({
         "designs": [{"cells": [[9, 0, 0]]}, DESIGN], "environments": PLACES[:2], "error": True,
-        "on_fault": "skip", "physics": {"n_steps": 200, "dt_s": 0.1}
+        "on_fault": "skip", "physics": PAPER | {"dt_s": 0.1, "control_period_s": 0.1}
     }).json()
     assert value["rollouts_total"] == RUNS * 2
     for row in value["results"]:
@@ -106,7 +107,8 @@ def test_refusals(service, more, words):
 def test_high_worlds_need_float64(service):
     """Float32 cannot displace a start by 1e-7 m there."""
     high = [{"light_xy_m": [4.5, 2.5], "terrain_heights_m": [5] * 64}]
-    request = {"designs": [DESIGN], "environments": high, "physics": SHORT, "error": True}
+    request = {"designs": [DESIGN], "environments": high, "physics": {"n_steps": 50},
+               "error": True}
     reply = service.request("POST", "/v1/evaluations", request)
     assert reply.status == 422 and reply.pointers() == ["/error"], reply.json()
     assert "float64" in reply.json()["errors"][0]["detail"]

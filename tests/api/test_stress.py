@@ -16,10 +16,13 @@ WORLDS = [
     {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 1.0, "seed": 2},
     {"light_xy_m": [1.0, 1.5], "terrain_sigma_m": 0.05, "seed": 3}
 ]
+PAPER = {"integrator": "paper", "dt_s": 0.004}
+LONG_STEP = {"dt_s": 0.005, "control_period_s": 0.005}
+EVERYTHING = {"stiffness_n_per_m": 60000, "drop_height_m": 10, **LONG_STEP}
 PHYSICS = {
-    "as it is": {}, "stiffness x4": {"stiffness_n_per_m": 60000}, "dt 5 ms": {"dt_s": 0.005},
-    "drop from 10 m": {"drop_height_m": 10},
-    "everything": {"stiffness_n_per_m": 60000, "dt_s": 0.005, "drop_height_m": 10}
+    "as it is": {}, "stiffness x4": PAPER | {"stiffness_n_per_m": 60000},
+    "dt 5 ms": PAPER | LONG_STEP, "drop from 10 m": PAPER | {"drop_height_m": 10},
+    "everything": PAPER | EVERYTHING, "everything, split": EVERYTHING
 }
 STEPS, BATCH = 2, 6
 

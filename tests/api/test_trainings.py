@@ -57,7 +57,8 @@ def test_settings_are_reported_with_their_defaults(trained):
         "adjoint_rule": "clip", "restart_weight": 3, "sensor": "inverse_sqrt", "seed": 1,
         "gradient_norm_limit": 1, "n_designs": None, "population": None
     } == settings
-    assert settings["physics"]["n_steps"] == 30 and settings["physics"]["dt_s"] == 0.004
+    assert settings["physics"] | {"n_steps": 30, "dt_s": 0.002, "integrator": "split",
+                                  "control_period_s": 0.016} == settings["physics"]
     assert trained["name"] == "small" and trained["parent"] is None
 
 

@@ -14,7 +14,7 @@ BAR = {"cells": [[x, 2, 0] for x in range(4)]}
 STIFF = {"n_steps": 20, "stiffness_n_per_m": 1e6}
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 CAMPAIGN = {"mode": "zero-shot", "population": 6, "generations": 1, "environments": HERE,
-            "seed": 3, "exclude_pretraining": False}
+            "seed": 3, "exclude_pretraining": False, "physics": SHORT}
 LEARNING = {"parent_steps": 1, "child_steps": 2, "batch": 4}
 TUNE = {"kind": "finetune", "designs": [DESIGN, BAR], "steps": 6, "batch": 4, "physics": STIFF,
         "validation": {"every_steps": 0}}
@@ -49,12 +49,12 @@ def test_a_body_with_an_overhang_gains_no_energy(service, slope):
     heights = [round(slope * 5 / 7 * x, 12) for _ in range(8) for x in range(8)]
     world = {"light_xy_m": [4.5, 2.5], "terrain_heights_m": heights}
     done = service.evaluate({
-        "designs": [HOOK], "physics": {"actuation": 0, "n_steps": 100}, "record": ["com"],
+        "designs": [HOOK], "physics": {"actuation": 0, "n_steps": 250}, "record": ["com"],
         "record_stride": 1, "environments": [world]
     }).json()
     file = service.request("GET", f"/v1/evaluations/{done['id']}/trajectories?array=com").body
-    frames = [z for _, _, z in struct.iter_unpack("<3d", file[-101 * 24:])]
-    assert len(frames) == 101 and max(frames) <= frames[0] + 1e-6, max(frames) - frames[0]
+    frames = [z for _, _, z in struct.iter_unpack("<3d", file[-251 * 24:])]
+    assert len(frames) == 251 and max(frames) <= frames[0] + 1e-6, max(frames) - frames[0]
 
 
 # ---- lights ----
@@ -114,8 +114,8 @@ def test_a_step_beyond_the_bound_is_flagged(service, integrator):
     bound = bound_s(12, 50000, 2, 20, integrator)
     given = {"n_steps": 4, "stiffness_n_per_m": 50000, "mass_kg": 2, "drag_per_s": 20,
              "integrator": integrator}
-    near = given | {"dt_s": round(0.999 * bound, 7)}
-    beyond = given | {"dt_s": round(1.001 * bound, 7)}
+    near, beyond = (given | dict.fromkeys(("dt_s", "control_period_s"), round(share * bound, 7))
+                    for share in (0.999, 1.001))
     evaluation = {"designs": [DESIGN]}
     training = {"kind": "pretrain", "steps": 1, "batch": 2, "validation": {"every_steps": 0}}
     requests = [("evaluations", evaluation), ("evaluations", evaluation | {"environments": HERE}),
@@ -158,7 +158,8 @@ def test_an_evaluation_in_which_some_diverge(service):
     """The block of 144 voxels is less stable than one voxel."""
     done = service.evaluate({
         "designs": [{"voxels": "1" * 144}, {"cells": [[0, 0, 0]]}], "environments": HERE,
-        "physics": {"n_steps": 300, "stiffness_n_per_m": 30000}
+        "physics": {"integrator": "paper", "dt_s": 0.004, "n_steps": 300,
+                    "stiffness_n_per_m": 30000}
     }).json()
     assert done["rollouts_diverged"] == 1, done
     assert codes(done) == ["diverged", "unstable_step"], done
@@ -230,7 +231,7 @@ def test_morphoctl_prints_warnings(ctl, service):
 
 
 def test_morphoctl_prints_warnings_about_a_request(ctl):
-    physics = "--physics n_steps=4 --physics dt_s=0.006"
+    physics = "--physics n_steps=4 --physics dt_s=0.006 --physics control_period_s=0.006"
     for command, given in ((f"eval --no-wait {physics}", CELLS),
                            (f"campaign start zero-shot --population 4 --generations 0 {physics}",
                             None)):

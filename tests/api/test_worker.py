@@ -23,15 +23,23 @@ LIAR = os.environ.get("MORPHO_LIAR")
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 
 
+def evaluated(service, **physics):
+    return service.evaluate({"designs": [{"cells": design["cells"]} for design in DESIGNS],
+                             "physics": {"n_steps": N_STEPS} | physics}).json()
+
+
+def losses_of(done):
+    return [tuple(result["losses"]) for result in done["results"]]
+
+
 @pytest.fixture(scope="module")
 def known(service):
     """Replies of a daemon about some designs: genotypes, environments, weights, losses."""
-    done = service.evaluate({"designs": [{"cells": design["cells"]} for design in DESIGNS],
-                             "physics": {"n_steps": N_STEPS}}).json()
+    done = evaluated(service)
     worlds = service.get("/v1/environment-sets/paper-test")["items"]
     file = service.request("GET", "/v1/controllers/default/file").body
     return {"genotypes": [result["genotype"] for result in done["results"]],
-            "losses": [tuple(result["losses"]) for result in done["results"]],
+            "losses": losses_of(done),
             "physics": done["physics"],
             "environments": [world["light_xy_m"] + world["terrain_heights_m"] for world in worlds],
             "file": file, "controller": hashlib.sha256(file).digest()}
@@ -86,16 +94,24 @@ def running(fake, *ids):
     fake.until(lambda: all(i in fake.out for i in ids))
 
 
-def test_rows_have_the_bits_of_the_daemon(daemon, launch, known):
+def test_rows_have_the_bits_of_the_daemon(daemon, launch, known, service):
+    """Also in the older forms of a lease, without an integrator or a control period. A period of 0
+    is one computation per step."""
     worker = launch(Worker, daemon.url, "--name=here")
     for number in range(5):
         daemon.give(lease(known, number))
     daemon.give(lease(known, 5, designs=(2, )), lease(known, 6, controller=PASSIVE))
-    daemon.until(lambda: len(daemon.results) == 7)
+    for number, period_s in ((7, 0.016), (8, 0)):
+        daemon.give(lease(known, number, physics=known["physics"] | {
+            "integrator": "paper", "control_period_s": period_s}))
+    daemon.until(lambda: len(daemon.results) == 9)
     for number in range(5):
         assert daemon.done((1, number)) == losses(known)
     assert daemon.done((1, 5)) == losses(known, (2, ))
     assert daemon.done((1, 6)) != losses(known)  # nothing moves them
+    for number, period_s in ((7, 0.016), (8, known["physics"]["dt_s"])):
+        done = evaluated(service, integrator="paper", control_period_s=period_s)
+        assert daemon.done((1, number)) == sum(losses_of(done), ()) != losses(known)
     assert all(state == DONE and busy_s > 0 for _, state, busy_s, _, _ in daemon.results)
     offer = daemon.offers[0]
     assert (offer["name"], offer["n_threads"], offer["protocol"]) == ("here", 1, 1)

@@ -12,7 +12,9 @@ import struct
 VERSION = 1
 HEADER = struct.Struct("<8sIIQ")
 RESULT = struct.Struct("<QQIIdd")
-LEASE = struct.Struct("<QQIIII32s9d4I")
+LEASE = struct.Struct("<QQIIII32s")
+# Of packed physics, by their version. The third has the integrator of split.
+PHYSICS_BYTES = {1: 9 * 8 + 3 * 4, 2: 10 * 8 + 3 * 4, 3: 10 * 8 + 4 * 4}
 ENVIRONMENT_BYTES, GENOTYPE_BYTES, GRADIENT_BYTES = 66 * 8, 18, 32
 GRADIENT = 2  # flag of a lease
 
@@ -37,8 +39,9 @@ def read_leases(message):
     assert (magic, version, size) == (b"MOFLEETL", VERSION, len(message))
     at, leases = HEADER.size, []
     for _ in range(n):
-        epoch, number, flags, n_environments, n_blocks, n_rows, *_ = LEASE.unpack_from(message, at)
-        at += LEASE.size + n_environments * ENVIRONMENT_BYTES
+        epoch, number, flags, n_environments, n_blocks, n_rows, _ = LEASE.unpack_from(message, at)
+        at += LEASE.size + PHYSICS_BYTES[1 + (flags >> 8 & 255)] + 4
+        at += n_environments * ENVIRONMENT_BYTES
         at += GRADIENT_BYTES if flags & GRADIENT else 0
         for _ in range(n_blocks):
             at += GENOTYPE_BYTES + 1 + 2 * message[at + GENOTYPE_BYTES]

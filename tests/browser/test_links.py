@@ -32,7 +32,7 @@ BROKEN = {
 def own(service):
     """An evaluation in a custom environment."""
     return run(service, "evaluations", {
-        "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 150},
+        "designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}], "physics": {"n_steps": 160},
         "environments": [{"light_xy_m": [0.5, 1.0], "terrain_sigma_m": 0.02, "seed": 4}]})
 
 
@@ -67,18 +67,18 @@ def test_the_stage_has_the_world_of_a_score(service, browser, own):
         return [loss, stage.durationS(), world.light];
     """)
     assert loss == pytest.approx(best["losses"][0], abs=1e-6)
-    assert seconds == pytest.approx(150 * 0.004) and light == [0.5, 1.0]
+    assert seconds == pytest.approx(160 * 0.002) and light == [0.5, 1.0]
     assert browser.texts(".world") == [
-        f"World of evaluation {own['id']}: 1 custom environment, 150 steps of 0.004 s, "
-        "controller default"]
+        f"World of evaluation {own['id']}: 1 custom environment, 160 steps of 0.002 s, "
+        "integrator split, controller default"]
     browser.until(f"location.hash.includes('world=evaluation-{own['id']}')")
     browser.click("Commands")
     browser.until("document.querySelector('dialog[open] pre')")
     curl, film, python = browser.texts("dialog pre")
     body = json.loads(shlex.split(curl)[shlex.split(curl).index("-d") + 1])
-    assert body["physics"]["n_steps"] == 150 and len(body["environments"]) == 1
-    assert "n_steps=150" in shlex.split(film) and shlex.split(film)[0] == "echo"
-    assert '"n_steps": 150' in python
+    assert body["physics"]["n_steps"] == 160 and len(body["environments"]) == 1
+    assert "n_steps=160" in shlex.split(film) and shlex.split(film)[0] == "echo"
+    assert '"n_steps": 160' in python
     go(browser, f"campaigns/{service.campaign}")
     browser.until("document.querySelector('.pick input')")
     browser.run("document.querySelector('.pick input').click()")
@@ -86,7 +86,7 @@ def test_the_stage_has_the_world_of_a_score(service, browser, own):
     browser.until("/^World of campaign/.test(document.querySelector('.world')?.innerText)")
     browser.until_walking()
     assert browser.run("return document.querySelector('.stage').player.stage.durationS()") == (
-        pytest.approx(CAMPAIGN["physics"]["n_steps"] * 0.004))
+        pytest.approx(CAMPAIGN["physics"]["n_steps"] * 0.002))
     assert browser.faults() == []
 
 

@@ -7,7 +7,8 @@ MODES = ("zero-shot", "few-shot", "simultaneous")
 # For campaigns in which children are cut short: lights near the start, where each step has a large
 # effect.
 RACE = {
-    "population": 10, "generations": 6, "physics": {"n_steps": 300},
+    "population": 10, "generations": 6,
+    "physics": {"integrator": "paper", "dt_s": 0.004, "n_steps": 300},
     "environments": [{"light_xy_m": [2.5 + x, 2.5 + y],
                       "terrain_heights_m": [0.02 * ((7 * k + 3 * i) % 5) for k in range(64)]}
                      for i, (x, y) in enumerate(((.11, 0), (0, .11), (.3, .1), (-.3, -.1)))]

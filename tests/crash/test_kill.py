@@ -125,7 +125,7 @@ def test_kill_in_a_race(daemon, soak, seed):
     generator = random.Random(seed)
     n_kills = 100 if soak else 8
     distinct = [body for body in bodies(seed, 250) if body["voxels"].count("1") > 12]
-    request = {"designs": distinct, "best": 4}
+    request = {"designs": distinct, "physics": "paper", "best": 4}
     walker = CONTROLLER.with_name("phototaxis.safetensors")  # some bodies are far better
     quiet = daemon("undisturbed", workers=1, default_controller=walker)
     with quiet:

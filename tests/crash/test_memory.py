@@ -104,7 +104,7 @@ def test_small_memory(folder, cgroup):
         assert huge.status_code == 422, huge.text
         assert re.search(r"needs \d+ MiB .* can have \d+ MiB", huge.text), huge.text
         jobs = [
-            ("trainings", {"kind": "pretrain", "steps": 2, "batch": 128,
+            ("trainings", {"kind": "pretrain", "steps": 2, "batch": 128, "physics": "paper",
                            "validation": {"every_steps": 0}}),
             ("trainings", {"kind": "finetune", "designs": [FULL, *bodies(1, 200)], "steps": 2,
                            "batch": 64, "physics": {"n_steps": 300}}),
@@ -168,7 +168,8 @@ def test_killed_repeatedly(daemon):
 
 
 @pytest.mark.parametrize("kind, request_of, done", [
-    ("campaigns", {"mode": "zero-shot", "preset": "workstation", "exclude_pretraining": False},
+    ("campaigns", {"mode": "zero-shot", "preset": "workstation", "physics": "paper",
+                   "exclude_pretraining": False},
      lambda now: now["progress"]["done"]),
     ("trainings", {"kind": "pretrain", "preset": "phototaxis", "batch": 8,
                    "physics": {"n_steps": 100}}, lambda now: now["progress"]["step"])])

@@ -19,9 +19,10 @@ def values(mode, soak):
         longer = {"generations": 12} if mode == "few-shot" else {}  # until a child is cut short
         yield value | few | RACE | longer | ({"learning": learning | {"batch": 4}} if few else {})
         if soak:
-            yield value | few | {"preset": "demo"}
-            yield value | few | {"preset": "workstation", "generations": 10, "physics": {
-                "n_steps": 300}} | ({"learning": learning} if few else {})
+            yield value | few | {"preset": "demo", "physics": "paper"}
+            yield value | few | {"preset": "workstation", "generations": 10,
+                                 "physics": RACE["physics"]} | (
+                                     {"learning": learning} if few else {})
 
 
 def start(one, requests):

@@ -13,9 +13,9 @@ NUMBERS = (1, 7, 2, 1)  # number of workers, one after the other
 def test_same_bits(daemon, worker, seed, mode):
     is_quick = mode == "zero-shot"  # it does not learn
     value = request(mode, seed, 16 if is_quick else 4)
-    value |= {"population": 32, "physics": {"n_steps": 300 if is_quick else 80}}
+    value |= {"population": 32, "physics": {"n_steps": 80}}
     if is_quick:
-        value |= {"environments": RACE["environments"]}
+        value |= {"physics": RACE["physics"], "environments": RACE["environments"]}
     expected, needed, _ = undisturbed(daemon, "alone", value)
     whole = undisturbed(daemon, "whole", value | {"racing": "off"})[0]
     last = value["generations"]
@@ -50,7 +50,8 @@ def test_same_bits(daemon, worker, seed, mode):
 
 def test_errors_of_scores(daemon, worker, seed):
     """Other machines compute the additional rollouts that estimate errors, with the same bits."""
-    value = {"designs": bodies(seed, 20), "error": True, "priority": "batch"}
+    value = {"designs": bodies(seed, 20), "physics": "paper", "error": True,
+             "priority": "batch"}
     with daemon("alone", workers=2) as one:
         expected = one.score(value)
         one.end()
@@ -68,7 +69,7 @@ def test_the_best_of_many(daemon, worker, seed):
     """A race with rounds that other machines compute ends with the same result, although one of
     them is lost in the middle."""
     walker = CONTROLLER.with_name("phototaxis.safetensors")  # some bodies are far better
-    value = {"designs": bodies(seed, 150), "best": 5}
+    value = {"designs": bodies(seed, 150), "physics": "paper", "best": 5}
     with daemon("alone", workers=2, default_controller=walker) as one:
         expected = one.score(value)
         one.end()

@@ -48,6 +48,8 @@ export const CHANNELS = ['masses', 'actuation', 'contacts'];
 
 /** Maximum of rollouts per request. */
 const ROLLOUTS_AT_ONCE = 16;
+const FRAME_S = 0.04;
+const DEFAULT_DT_S = 0.002;
 
 /**
  * Simulates designs in one environment, and returns them for the stage in the same order.
@@ -58,6 +60,7 @@ const ROLLOUTS_AT_ONCE = 16;
  */
 export async function roll(designs, environment, options = {}) {
   const { controller = 'default', physics, precision, signal } = options;
+  const stride = Math.round(FRAME_S / (physics?.dt_s ?? DEFAULT_DT_S));
   const robots = [];
   for (let i = 0; i < designs.length; i += ROLLOUTS_AT_ONCE) {
     const response = await patient(() => request('v1/rollouts', {
@@ -65,7 +68,8 @@ export async function roll(designs, environment, options = {}) {
       headers: { Accept: 'application/vnd.morphod.scene' },
       body: {
         designs: designs.slice(i, i + ROLLOUTS_AT_ONCE), environments: [requested(environment)],
-        controller, physics, precision, record: CHANNELS, record_stride: 10,
+        controller, physics, precision, record: CHANNELS,
+        record_stride: Math.max(1, Math.min(stride, physics?.n_steps ?? stride)),
       },
     }));
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
@@ -102,7 +106,7 @@ export async function worldOfJob(kind, job) {
     words: `World of ${kind} ${job.id}: ` +
       `${set ?? `${countOf(environments.length, 'custom environment')}`}, ` +
       `${physics.n_steps} steps of ${physics.dt_s} s, ` +
-      `${physics.integrator === 'paper' ? '' : `integrator ${physics.integrator}, `}` +
+      `integrator ${physics.integrator}, ` +
       `${job.precision === 'float64' ? 'float64, ' : ''}` +
       `controller ${file?.name ?? file?.sha256?.slice(0, 12) ?? DEFAULT_CONTROLLER}`,
   };

@@ -38,7 +38,7 @@ const isStudy = (job) => (job.mode ?? job.campaign?.mode) === 'study';
 const WARNED = {
   all_diverged: 'every robot diverged', diverged: 'robots diverged',
   exhausted: 'no unseen body is left', light_near_start: 'a light is near the start',
-  unstable_step: 'the time step is too large',
+  unstable_step: 'the time step is too large', every_step: 'the controller acts in every step',
 };
 
 /** Describes the state, and warnings that the result does not show. */

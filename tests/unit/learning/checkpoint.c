@@ -282,11 +282,11 @@ static void lineage(void)
              "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":"
              "\"clip\",\"restart_weight\":3,"
              "\"physics\":{"
-             "\"dt_s\":0.004,\"n_steps\":1000,\"control_period_s\":0,"
+             "\"dt_s\":0.002,\"n_steps\":2000,\"control_period_s\":0,"
              "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,"
              "\"actuation\":0.2,"
              "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\","
-             "\"integrator\":\"paper\"}"
+             "\"integrator\":\"split\"}"
              ",\"designs\":4}");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);

@@ -1,6 +1,8 @@
 /* settings.c: presets, settings that must be refused with a reason, and initial weights. */
 #include "fixture.h"
 
+#include "rollout/physics.h"
+
 static void presets(void)
 {
   static const struct mo_schedule one_cosine = {MO_SCHEDULE_COSINE, 2e-3, 1e-5, 1, 1, 1, 10},
@@ -36,8 +38,10 @@ static void presets(void)
       CHECK(s.learning.gradient.adjoint_bound == all[kind][preset].bound &&
             s.learning.gradient.adjoint_rule == all[kind][preset].rule &&
             s.learning.gradient.restart_weight == 3);
-      CHECK(s.physics.scheme.n_steps == 1000 && s.physics.scheme.dt_s == 0.004 &&
-            s.physics.scheme.impact == MO_IMPACT_EXACT);
+      struct mo_physics physics = preset == 2 ? mo_paper_physics() : mo_default_physics();
+      if (kind == MO_TRAINING_PRETRAIN && preset != 2)
+        physics.scheme.control_period_s = 0.016;
+      CHECK(mo_physics_equal(&s.physics, &physics));
       CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
             s.held_out_environments == 8);
     }
@@ -59,15 +63,14 @@ static void cut_out(char *text, const char *part)
   memmove(at, at + strlen(part), strlen(at + strlen(part)) + 1);
 }
 
-/* The shipped controller says of itself what its preset would make it say. It is older than
- * restart_weight, which was 3, control_period_s, which was 0, and integrator, which was paper. */
-static void shipped(void)
+/* A shipped controller says of itself what these settings would make it say. The one for the
+ * paper's physics is older than restart_weight, which was 3, control_period_s, which was 0, and
+ * integrator, which was paper. */
+static void expect_settings(const char *name, const struct mo_training_settings *settings)
 {
-  const struct mo_training_settings settings =
-      mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_PHOTOTAXIS);
   char expected[2048];
-  struct mo_controller *file = make_shipped_controller("phototaxis"), *made = NULL;
-  struct mo_training *training = make_training(&settings, NULL, NULL, 0);
+  struct mo_controller *file = make_shipped_controller(name), *made = NULL;
+  struct mo_training *training = make_training(settings, NULL, NULL, 0);
   REQUIRE(mo_training_export(training, NULL, "", NULL, &made) == MO_OK);
   const char *is = mo_controller_get_metadata(file, "morphod.settings");
   const char *would_be = mo_controller_get_metadata(made, "morphod.settings");
@@ -85,8 +88,17 @@ static void shipped(void)
     CHECK_TEXT(mo_controller_get_metadata(file, same[i]),
                mo_controller_get_metadata(made, same[i]));
   CHECK_TEXT(mo_controller_get_metadata(file, "morphod.step"), "1400");
-  CHECK_INT(file->sensor, settings.sensor);
+  CHECK_INT(file->sensor, settings->sensor);
   mo_controller_free(made);
+}
+
+static void shipped(void)
+{
+  struct mo_training_settings settings =
+      mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_PHOTOTAXIS);
+  expect_settings("phototaxis-16ms", &settings);
+  settings.physics = mo_paper_physics();
+  expect_settings("phototaxis", &settings);
 }
 
 /* ---- refused settings ---- */

@@ -1,6 +1,7 @@
 /* campaigns.c: what the store records about campaigns: requests, queues, ends and extensions. */
 #include "campaign_fixture.h"
 #include "one_store.h"
+#include "rollout/physics.h"
 #include "store/worlds.h"
 
 static void write_settings(const struct mo_campaign_record *record, struct mo_text *text)
@@ -55,6 +56,21 @@ static void encodes_every_setting(void)
     CHECK_INT(settings->selection.age_gap, kinds[i] == MO_SELECT_AGE_LAYERED ? 7 : 5);
     mo_text_free(&text);
   }
+}
+
+/* An older program stored no settings that it did not have. They were the paper's. */
+static void keeps_the_physics_of_older_jobs(void)
+{
+  struct mo_physics paper = mo_paper_physics();
+  struct mo_campaign_record back = {.name = "walker"};
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, "{\"mode\":\"zero-shot\",\"seed\":3}", &back));
+  CHECK(back.settings.seed == 3 && mo_physics_equal(&back.settings.physics, &paper));
+  CHECK_OK(mo_settings_read(
+      MO_JOB_CAMPAIGN, "{\"mode\":\"simultaneous\",\"physics\":{\"n_steps\":30,\"friction\":0.5}}",
+      &back));
+  paper.scheme.n_steps = 30;
+  paper.constants.friction = 0.5;
+  CHECK(mo_physics_equal(&back.settings.physics, &paper));
 }
 
 /* Whether requests are read back unchanged is tested over HTTP. */
@@ -420,6 +436,7 @@ static void parks_and_requeues(void)
 
 static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
+    {"keeps the physics of older jobs", keeps_the_physics_of_older_jobs},
     {"refuses invalid requests", refuses_what_cannot_be},
     {"starts replicates", starts_replicates},
     {"inherits a population", inherits_a_population},

@@ -120,34 +120,49 @@ static void warns_of_divergence(void)
   CHECK_HAS(job.warnings[0].detail, "every rollout diverged (100)");
 }
 
+static void warns_of_acting_in_every_step(void)
+{
+  struct mo_physics physics = mo_default_physics();
+  struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX];
+  REQUIRE(mo_warn_of_physics(&physics, warnings) == 1);
+  CHECK_TEXT(warnings[0].code, "every_step");
+  CHECK(warnings[0].of_request);
+  CHECK_HAS(warnings[0].detail, "acts in every step of 0.002 s; ");
+  physics.scheme.control_period_s = MO_DEFAULT_CONTROL_PERIOD_S;
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
+  physics = mo_paper_physics();
+  physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
+}
+
 /* The longest warning fits, and its step is below the bound, rounded to two digits. */
 static void warns_of_unstable_steps(void)
 {
   struct mo_physics physics = mo_paper_physics();
-  struct mo_warning warning;
-  CHECK(!mo_warn_of_dt(&physics, &warning));
+  struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX], *const warning = warnings;
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
   physics.scheme.dt_s = 1.23456e-5;
   physics.constants.stiffness_n_per_m = 1.23456e8;
   physics.constants.mass_kg = 1.23456e-5;
   physics.constants.drag_per_s = 1234.56;
   physics.scheme.integrator = MO_INTEGRATOR_SPLIT;
-  REQUIRE(mo_warn_of_dt(&physics, &warning));
-  CHECK_TEXT(warning.code, "unstable_step");
-  CHECK(warning.of_request);
+  REQUIRE(mo_warn_of_physics(&physics, warnings) == 2);
+  CHECK_TEXT(warning->code, "unstable_step");
+  CHECK(warning->of_request);
   CHECK_TEXT(
-      warning.detail,
+      warning->detail,
       "dt_s 1.23456e-05 is beyond the linear stability bound of 1.83e-07 for "
       "stiffness_n_per_m 1.23456e+08, mass_kg 1.23456e-05, drag_per_s 1234.56 and integrator "
       "split: expect bodies to blow up; use a dt_s of at most 1.4e-07");
-  CHECK(strlen(warning.detail) <= 230);
+  CHECK(strlen(warning->detail) <= 230);
   physics = mo_paper_physics();
   const double bound = mo_stable_step_s(&physics, MO_EIGENVALUE_MAX);
   physics.scheme.dt_s = 0.999 * bound;
-  CHECK(!mo_warn_of_dt(&physics, &warning));
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 0);
   physics.scheme.dt_s = 1.001 * bound;
-  CHECK(mo_warn_of_dt(&physics, &warning));
-  CHECK_HAS(warning.detail, "bound of 0.00463 for");
-  CHECK_HAS(warning.detail, "at most 0.0037");
+  CHECK_INT(mo_warn_of_physics(&physics, warnings), 1);
+  CHECK_HAS(warning->detail, "bound of 0.00463 for");
+  CHECK_HAS(warning->detail, "at most 0.0037");
 }
 
 struct received {
@@ -284,6 +299,7 @@ static const struct check_case cases[] = {
     {"answers a repeated key with the same job", answers_a_repeated_key},
     {"changes states only as the machine allows", changes_states},
     {"warns of divergence", warns_of_divergence},
+    {"warns of acting in every step", warns_of_acting_in_every_step},
     {"warns of unstable steps", warns_of_unstable_steps},
     {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},

@@ -2,6 +2,7 @@
  * Whether requests are read back unchanged is tested over HTTP. */
 #include "by_hand.h"
 #include "one_store.h"
+#include "rollout/physics.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
@@ -35,6 +36,21 @@ static void encodes_every_setting(void)
             MO_ERR_CORRUPT);
   CHECK_INT(mo_settings_read(MO_JOB_TRAINING, "{\"batch\":0}", &back), MO_ERR_CORRUPT);
   mo_text_free(&text);
+}
+
+/* An older program stored no settings that it did not have. They were the paper's. */
+static void keeps_the_physics_of_older_jobs(void)
+{
+  struct mo_physics paper = mo_paper_physics();
+  struct mo_training_record back = {.name = "walker"};
+  CHECK_OK(mo_settings_read(MO_JOB_TRAINING, "{\"kind\":\"finetune\",\"seed\":3}", &back));
+  CHECK(back.settings.seed == 3 && mo_physics_equal(&back.settings.physics, &paper));
+  CHECK_OK(mo_settings_read(MO_JOB_TRAINING,
+                            "{\"kind\":\"pretrain\",\"physics\":{\"n_steps\":30,\"friction\":0.5}}",
+                            &back));
+  paper.scheme.n_steps = 30;
+  paper.constants.friction = 0.5;
+  CHECK(mo_physics_equal(&back.settings.physics, &paper));
 }
 
 static void keeps_the_queues_apart(void)
@@ -257,6 +273,7 @@ static void forgives_progress(void)
 
 static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
+    {"keeps the physics of older jobs", keeps_the_physics_of_older_jobs},
     {"keeps the queues apart", keeps_the_queues_apart},
     {"keeps the learning curve", keeps_the_curve},
     {"finds steps in a long curve", finds_steps_in_a_long_curve},

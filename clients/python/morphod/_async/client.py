@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
+Physics = Mapping[str, Any] | Literal["paper"]
+"""Physics settings of a request: some of them, or all of those of the paper."""
 _DESIGNS_MAX = 10000
 _LARGE_MAX = 1000000
 _RANDOM_BODIES_MAX = 1000000
@@ -79,7 +81,7 @@ class AsyncClient:
                        environments: Environments = "paper-test", *,
                        controller: str = "default",
                        record: Sequence[str] = (), record_stride: int = 10,
-                       physics: Mapping[str, Any] | None = None,
+                       physics: Physics | None = None,
                        precision: Literal["float32", "float64"] = "float32",
                        priority: Literal["interactive", "batch"] | None = None,
                        weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
@@ -94,13 +96,13 @@ class AsyncClient:
 
         `wait=False` returns at once, when the evaluation is durable. `record` accepts "com" and
         "masses", which are recorded every `record_stride` steps. `physics` overrides single
-        settings, such as `{"n_steps": 500, "integrator": "split"}`. `repair="largest"` keeps the
-        largest piece of bodies that are not in one piece. `on_fault="skip"` skips invalid bodies;
-        their results have a `fault` and NaN. `best=10` computes complete scores only for the ten
-        best; the others are cut short, and have lower bounds. `error=True` estimates the error of
-        each score, at six times the cost: see `Result.error`. An id without an orientation is
-        scored in the orientation with the best stored score, or else in the canonical one;
-        `Result.orientation` says which.
+        settings, such as `{"dt_s": 0.001, "n_steps": 4000}`, or is "paper" for those of the paper.
+        `repair="largest"` keeps the largest piece of bodies that are not in one piece.
+        `on_fault="skip"` skips invalid bodies; their results have a `fault` and NaN. `best=10`
+        computes complete scores only for the ten best; the others are cut short, and have lower
+        bounds. `error=True` estimates the error of each score, at six times the cost: see
+        `Result.error`. An id without an orientation is scored in the orientation with the best
+        stored score, or else in the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _LARGE_MAX:
@@ -148,7 +150,7 @@ class AsyncClient:
     async def evaluate_random(self, count: int, seed: int = 1, *, first: int = 0,
                               environments: Environments = "paper-test",
                               controller: str = "default",
-                              physics: Mapping[str, Any] | None = None,
+                              physics: Physics | None = None,
                               precision: Literal["float32", "float64"] = "float32",
                               weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                               label: str | None = None, experiment: str | None = None,
@@ -186,7 +188,7 @@ class AsyncClient:
     async def rollouts(self, bodies: Iterable[BodyLike] | NDArray[Any],
                        environments: Environments = "paper-test", *,
                        controller: str = "default", record: Sequence[str] = ("masses", ),
-                       record_stride: int = 10, physics: Mapping[str, Any] | None = None,
+                       record_stride: int = 10, physics: Physics | None = None,
                        precision: Literal["float32", "float64"] = "float32",
                        repair: Repair | None = None) -> Scene:
         """Computes up to 64 rollouts and their recordings without storing them, for viewers and
@@ -205,7 +207,7 @@ class AsyncClient:
     async def show(self, bodies: Iterable[BodyLike] | NDArray[Any],
                    environments: Environments = "paper-test", *,
                    environment: int = 0, controller: str = "default",
-                   physics: Mapping[str, Any] | None = None, repair: Repair | None = None,
+                   physics: Physics | None = None, repair: Repair | None = None,
                    title: str = "Robots of morphod") -> Player:
         """Returns robots that walk in one environment: a player for notebooks, which `save` writes
         as one HTML file."""
@@ -338,7 +340,7 @@ class AsyncClient:
 
     async def study(self, name: str, *, population: int | None = None,
                     environments: Environments | None = None, controller: str | None = None,
-                    physics: Mapping[str, Any] | None = None, **settings: Any) -> AsyncStudy:
+                    physics: Physics | None = None, **settings: Any) -> AsyncStudy:
         """Returns a study that your search drives: the one with this name that has not ended, or a
         new one. The service finds or creates it in one step, so processes that open the same name
         at the same time share one study.
