@@ -67,7 +67,9 @@ static json_int_t stride_of(const json_t *request)
   const double step_s = json_is_number(dt_s) ? json_number_value(dt_s)
                         : is_paper           ? 0.004
                                              : 0.002,
-               steps = json_is_number(n_steps) ? json_number_value(n_steps) : INFINITY,
+               steps = json_is_number(n_steps) ? json_number_value(n_steps)
+                       : is_paper              ? 1000
+                                               : 2000,
                stride = step_s > 0 ? fmin(round(FRAME_S / step_s), steps) : 1;
   return stride > 1 ? (json_int_t)stride : 1;
 }

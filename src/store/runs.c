@@ -96,6 +96,23 @@ int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
                          (long long)id, mo_job_kind_name(kind), mo_job_state_name(state), more);
 }
 
+static int announce_warning(struct mo_store *store, const struct mo_job *job,
+                            const struct mo_warning *warning)
+{
+  struct mo_text detail = {0};
+  mo_text_json_string(&detail, warning->detail, strlen(warning->detail));
+  const int error =
+      detail.failed
+          ? MO_ERR_NO_MEMORY
+          : mo_writer_event(store, job->id, "job.warning",
+                            "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\",\"code\":\"%s\","
+                            "\"detail\":%s}",
+                            (long long)job->id, mo_job_kind_name(job->kind),
+                            mo_job_state_name(job->state), warning->code, detail.data);
+  mo_text_free(&detail);
+  return error;
+}
+
 int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new)
 {
   union {
@@ -111,12 +128,7 @@ int mo_run_announce_warnings(struct mo_store *store, int64_t id, bool is_new)
     error = mo_job_warn(&store->writer, &job, &record);
   for (uint32_t i = 0; error == MO_OK && i < job.n_warnings; i++)
     if (is_new || !job.warnings[i].of_request)
-      error =
-          mo_writer_event(store, id, "job.warning",
-                          "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\",\"code\":\"%s\","
-                          "\"detail\":\"%s\"}",
-                          (long long)id, mo_job_kind_name(job.kind), mo_job_state_name(job.state),
-                          job.warnings[i].code, job.warnings[i].detail);
+      error = announce_warning(store, &job, &job.warnings[i]);
   return error;
 }
 

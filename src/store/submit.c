@@ -196,13 +196,16 @@ int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const str
 
 /* Finds the rows that a submission refers to. */
 static int resolve(struct mo_connection *writer, const struct mo_evaluation_request *request,
-                   int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments)
+                   int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments,
+                   bool *warns)
 {
   enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
   struct mo_physics completed = request->physics;
+  struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX];
   int error = mo_controller_find(writer, request->controller, controller, &sensor, &completed);
   *set = 0;
   *n_environments = request->n_environments;
+  *warns = mo_warn_of_physics(&completed, warnings) > 0;
   if (error == MO_OK)
     error = mo_physics_row(writer, &completed, request->precision, sensor, physics);
   for (uint32_t run = 1; run < mo_error_runs(request->n_displaced) && error == MO_OK; run++) {
@@ -228,7 +231,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
   int64_t controller, physics, set, n_environments;
-  int error = resolve(writer, request, &controller, &physics, &set, &n_environments);
+  bool warns;
+  int error = resolve(writer, request, &controller, &physics, &set, &n_environments, &warns);
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
@@ -257,8 +261,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             (unsigned long long)request->n_designs * (uint64_t)n_environments *
                                 mo_error_runs(request->n_displaced));
   /* Most submissions cannot have a warning, and need not be read back. */
-  const bool may_warn = set == 0 || !mo_step_is_stable(&request->physics, MO_EIGENVALUE_MAX);
-  return error == MO_OK && may_warn ? mo_run_announce_warnings(store, *id, true) : error;
+  return error == MO_OK && (set == 0 || warns) ? mo_run_announce_warnings(store, *id, true) : error;
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

@@ -6,7 +6,7 @@ import struct
 
 import pytest
 from ctl import CELLS, ctl  # noqa: F401
-from service import DESIGN, SHORT, await_end, run
+from service import DESIGN, SHORT, SOURCE, await_end, run
 
 # An L: one foot, and an arm above the ground.
 HOOK = {"cells": [[0, 2, 0]] + [[x, 2, 1] for x in range(6)]}
@@ -91,6 +91,23 @@ def test_no_warning_without_a_reason(service):
                              "environments": flat([2.5, 2.81])}).json()
     assert done["warnings"] == [] == warnings_of_events(service, done)
     assert service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["warnings"] == []
+
+
+# ---- controllers that act in every step ----
+
+
+def test_a_controller_without_a_period_is_flagged(service):
+    """With short steps, and not with the paper's physics or a period of the request."""
+    plain = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
+    assert service.upload("acts-always", plain.read_bytes()).status == 201
+    request = {"designs": [DESIGN], "physics": {"n_steps": 4}, "controller": "acts-always"}
+    done = service.evaluate(request).json()
+    assert codes(done) == codes(listed(service, done)) == ["every_step"]
+    assert '"physics": "paper"' in done["warnings"][0]["detail"]
+    assert warnings_of_events(service, done) == [("queued", "every_step")]
+    assert codes(service.post("/v1/rollouts", request)) == ["every_step"]
+    for physics in ("paper", {"n_steps": 8, "control_period_s": 0.008}):
+        assert codes(service.evaluate(request | {"physics": physics}).json()) == []
 
 
 # ---- time steps beyond the linear stability bound ----

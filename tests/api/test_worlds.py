@@ -82,8 +82,8 @@ def test_a_score_can_be_recomputed_with_only_http(service):
 
 def test_a_scene_holds_what_an_evaluation_records(service):
     request = {
-        "designs": [DESIGN, {"cells": [[0, 0, 0]]}], "physics": {"n_steps": 125},
-        "environments": [WORLD, {**WORLD, "seed": 8}], "record_stride": 25,
+        "designs": [DESIGN, {"cells": [[0, 0, 0]]}], "physics": {"n_steps": 100},
+        "environments": [WORLD, {**WORLD, "seed": 8}], "record_stride": 20,
         "record": ["com", "masses", "actuation", "contacts"]
     }
     header, array = scene(roll(service, request))

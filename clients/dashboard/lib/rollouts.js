@@ -49,7 +49,7 @@ export const CHANNELS = ['masses', 'actuation', 'contacts'];
 /** Maximum of rollouts per request. */
 const ROLLOUTS_AT_ONCE = 16;
 const FRAME_S = 0.04;
-const DEFAULT_DT_S = 0.002;
+const DEFAULTS = { dt_s: 0.002, n_steps: 2000 };
 
 /**
  * Simulates designs in one environment, and returns them for the stage in the same order.
@@ -60,7 +60,7 @@ const DEFAULT_DT_S = 0.002;
  */
 export async function roll(designs, environment, options = {}) {
   const { controller = 'default', physics, precision, signal } = options;
-  const stride = Math.round(FRAME_S / (physics?.dt_s ?? DEFAULT_DT_S));
+  const { dt_s: stepS, n_steps: steps } = { ...DEFAULTS, ...physics };
   const robots = [];
   for (let i = 0; i < designs.length; i += ROLLOUTS_AT_ONCE) {
     const response = await patient(() => request('v1/rollouts', {
@@ -69,7 +69,7 @@ export async function roll(designs, environment, options = {}) {
       body: {
         designs: designs.slice(i, i + ROLLOUTS_AT_ONCE), environments: [requested(environment)],
         controller, physics, precision, record: CHANNELS,
-        record_stride: Math.max(1, Math.min(stride, physics?.n_steps ?? stride)),
+        record_stride: Math.max(1, Math.min(Math.round(FRAME_S / stepS), steps)),
       },
     }));
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
