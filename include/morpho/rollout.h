@@ -2,8 +2,10 @@
  * mo_paper_physics).
  *
  * A step: sense → control → springs → velocity → position → contact; docs/model.md has the
- * equations. Loss: distance in x, y from the center of mass to the light at the end, divided by
- * (the distance at the start + 1e-8 m). Lower is better; 1 means standing still.
+ * equations. The environment's task (task.h) moves the light and measures the loss. Without one,
+ * the light is fixed, and the loss is the distance in x, y from the center of mass to the light at
+ * the end, divided by (the distance at the start + 1e-8 m). Lower is better; 1 means standing
+ * still.
  *
  * Two implementations of the same mathematics:
  *   mo_rollout_reference  plain float64 C, one rollout, the reference for every test
@@ -138,6 +140,7 @@ void mo_recording_free(struct mo_recording *recording); /* the arrays; they beco
 
 struct mo_outcome {
   double loss;           /* +infinity when diverged */
+  double value;          /* the objective's, in mo_objective_unit; −infinity when diverged */
   int32_t diverged_step; /* step (1-based) after which the state was not finite or too fast; 0: no
                             divergence */
   double com_start_m[3];

@@ -1,5 +1,5 @@
-/* world.h: terrain, light, and the named sets of environments (paper, section 2.2 and appendices
- * A.2, A.3).
+/* world.h: terrain, light, task, and the named sets of environments (paper, section 2.2 and
+ * appendices A.2, A.3).
  *
  * Terrain: 8 × 8 heights over 5 m × 5 m, bilinear between them; coordinates are clamped to the map.
  * Row j is y, column i is x: heights[j*8 + i] at (i·5/7 m, j·5/7 m). The robot's workspace is
@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #include <morpho/error.h>
+#include <morpho/task.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -30,6 +31,7 @@ extern "C" {
 struct mo_environment {
   double light_xy_m[2];
   double terrain_heights_m[MO_TERRAIN_HEIGHTS];
+  struct mo_task task; /* all 0: the light is fixed, and the robot is to reach it */
 };
 
 /* Returns the height at (x, y) in meters. Float64 reference for every faster path. */
@@ -42,7 +44,9 @@ void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m,
 double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS]);
 
 /* Checks that all values are finite and within the limits. MO_ERR_INVALID (not finite) or
- * MO_ERR_RANGE; *where (nullable): 0 and 1 for the light's coordinates, 2 + k for height k. */
+ * MO_ERR_RANGE; *where (nullable): 0 and 1 for the light's coordinates, 2 + k for height k, and
+ * MO_ENVIRONMENT_TASK for the task, for which mo_task_check has a message. */
+#define MO_ENVIRONMENT_TASK (2 + MO_TERRAIN_HEIGHTS)
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
 /* Draws heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed,

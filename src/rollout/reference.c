@@ -36,6 +36,32 @@ static void sense_light(const struct mo_reference *r, double *input)
     input[body->mass_lattice[i]] -= mean;
 }
 
+void mo_reference_light(const struct mo_reference *r, uint32_t step, double light_m[3])
+{
+  if (r->tracks == NULL)
+    memcpy(light_m, r->light_m, sizeof(r->light_m));
+  else
+    mo_course_light(&r->course, step * r->physics->scheme.dt_s, r->tracks + step / r->control_steps,
+                    light_m);
+}
+
+/* Sets the track of an instant number k > 0, at time t_s, from the positions. */
+static void advance(struct mo_reference *r, uint32_t k, double t_s)
+{
+  double com_m[3];
+  mo_scene_com(r->position_m, r->body->n_masses, com_m);
+  r->tracks[k] = r->tracks[k - 1];
+  mo_course_advance(&r->course, t_s, com_m, r->tracks + k);
+}
+
+/* Moves the light at the start of a control period. */
+static void guide(struct mo_reference *r, uint32_t step)
+{
+  if (step > 0)
+    advance(r, step / r->control_steps, step * r->physics->scheme.dt_s);
+  mo_reference_light(r, step, r->light_m);
+}
+
 /* Computes the activations of the body's springs at the start of step `step` (from 0). */
 static void control(const struct mo_reference *r, uint32_t step)
 {
@@ -138,6 +164,8 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
 {
   const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
   memcpy(r->tape->position_m, r->position_m, bytes);
+  if (r->tracks != NULL && step % r->control_steps == 0)
+    guide(r, step);
   if (r->controller != NULL && step % r->control_steps == 0)
     control(r, step);
   if (r->controller != NULL)
@@ -161,16 +189,23 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
   const size_t n = 3 * (size_t)body->n_masses,
                tape =
                    controller != NULL ? mo_controller_tape_doubles(controller, body->n_springs) : 0,
-               contacts = (body->n_masses + sizeof(double) - 1) / sizeof(double);
+               contacts = (body->n_masses + sizeof(double) - 1) / sizeof(double),
+               periods = (physics->scheme.n_steps + (size_t)control_steps - 1) / control_steps;
+  const bool plain = mo_task_is_plain(&environment->task);
+  struct mo_track *tracks = plain ? NULL : calloc(periods + 1, sizeof(*tracks));
   double *memory = calloc(6 * n + tape + contacts + 2 * (size_t)body->n_springs, sizeof(double));
-  if (memory == NULL)
+  if (memory == NULL || (!plain && tracks == NULL)) {
+    free(memory);
+    free(tracks);
     return MO_ERR_NO_MEMORY;
+  }
   *reference =
       (struct mo_reference){.body = body,
                             .controller = controller,
                             .environment = environment,
                             .physics = physics,
                             .control_steps = control_steps,
+                            .tracks = tracks,
                             .highest_m = mo_terrain_highest(environment->terrain_heights_m),
                             .position_m = memory,
                             .velocity_m_per_s = memory + n,
@@ -186,12 +221,18 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
     reference->own.control = mo_controller_tape_place(controller, body->n_springs, memory);
   mo_scene_light(environment, reference->light_m);
   mo_scene_start(body, environment, physics, reference->position_m);
+  if (!plain) {
+    double com_m[3];
+    mo_scene_com(reference->position_m, body->n_masses, com_m);
+    mo_course_begin(&reference->course, environment, &physics->scheme, com_m, tracks);
+  }
   return MO_OK;
 }
 
 void mo_reference_done(struct mo_reference *reference)
 {
   free(reference->position_m);
+  free(reference->tracks);
   *reference = (struct mo_reference){0};
 }
 
@@ -207,7 +248,12 @@ void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint3
     visit(context, step + 1);
   }
   mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
-  mo_scene_finish(outcome, r->environment);
+  if (r->tracks == NULL) {
+    mo_scene_finish(outcome, r->environment);
+    return;
+  }
+  advance(r, r->course.n_periods, r->course.end_s);
+  mo_course_finish(&r->course, r->tracks + r->course.n_periods, outcome);
 }
 
 struct recorder {

@@ -6,6 +6,7 @@
 #include <stdbool.h>
 
 #include "controller/tape.h"
+#include "rollout/course.h"
 #include "rollout/kick.h"
 
 #include <morpho/rollout.h>
@@ -26,8 +27,12 @@ struct mo_reference {
   const struct mo_controller *controller; /* NULL: passive */
   const struct mo_environment *environment;
   const struct mo_physics *physics;
-  uint32_t control_steps; /* in a control period */
-  double light_m[3];
+  uint32_t control_steps;    /* in a control period */
+  double light_m[3];         /* that the controller senses; in other tasks than plain ones, of the
+                                latest control period */
+  struct mo_course course;   /* unused by plain tasks */
+  struct mo_track *tracks;   /* (control periods + 1) at the start of each, and at the end; NULL: a
+                                plain task */
   double highest_m;          /* of the terrain */
   double *position_m;        /* (n_masses, 3) */
   double *velocity_m_per_s;  /* (n_masses, 3) */
@@ -49,6 +54,10 @@ void mo_reference_done(struct mo_reference *reference);
  * unless a control period starts. Returns false if it diverged; the positions are then those before
  * the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
+
+/* Places the light of the control period that starts with step number `step`, and of which the
+ * track is set. */
+void mo_reference_light(const struct mo_reference *reference, uint32_t step, double light_m[3]);
 
 /* Returns whether the springs pull with the mean of new and previous outputs in a step. */
 bool mo_reference_blends(const struct mo_reference *reference, uint32_t step);

@@ -56,4 +56,5 @@ void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *en
   const struct mo_goal goal = mo_goal_of(environment, outcome->com_start_m);
   const struct mo_away end = mo_away_of(environment->light_xy_m, outcome->com_end_m);
   outcome->loss = outcome->diverged_step != 0 ? (double)INFINITY : mo_goal_loss(&goal, end);
+  outcome->value = 1 - outcome->loss;
 }

@@ -17,7 +17,8 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
 struct mo_constants mo_scene_constants(const struct mo_environment *environment,
                                        const struct mo_physics *physics);
 
-/* The light stands on the terrain. */
+/* The light of a plain task, or of any task whose light moves on its own at the start, stands on
+ * the terrain. */
 void mo_scene_light(const struct mo_environment *environment, double light_m[3]);
 
 /* Computes the plain mean of n positions (n, 3), summed in order. */
@@ -29,8 +30,8 @@ static inline int8_t mo_scene_actuation(double output)
   return (int8_t)lrint(127 * fmax(-1, fmin(1, output)));
 }
 
-/* Sets the loss of an outcome whose other members are set: the loss in objective.inc, or infinity
- * if the rollout diverged. */
+/* Sets loss and value of an outcome whose other members are set, for a plain task: the loss in
+ * objective.inc, or infinity if the rollout diverged. course.h has other tasks. */
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment);
 
 #endif

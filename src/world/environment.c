@@ -14,7 +14,7 @@ static const struct mo_field rows[] = {
 #undef AT
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 
-const struct mo_environment mo_environment_defaults = {{0}, {0}};
+const struct mo_environment mo_environment_defaults = {0};
 
 unsigned mo_environment_version(const struct mo_environment *environment)
 {
@@ -35,5 +35,8 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
       return isfinite(values[i]) ? MO_ERR_RANGE : MO_ERR_INVALID;
     }
   }
-  return MO_OK;
+  const int error = mo_task_check(&environment->task, NULL);
+  if (error != MO_OK && where != NULL)
+    *where = MO_ENVIRONMENT_TASK;
+  return error;
 }

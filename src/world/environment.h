@@ -6,9 +6,9 @@
 
 #include "base/fields.h"
 
-/* For struct mo_environment, which has only numbers and arrays of numbers. Requests, replies,
- * scenes, hashed encodings and the messages of workers use its rows. Packed (base/fields.h): 66
- * float64, until a field is added. */
+/* For the numbers and arrays of numbers of struct mo_environment; it has no row for the task.
+ * Requests, replies, scenes, hashed encodings and the messages of workers use its rows. Packed
+ * (base/fields.h): 66 float64, until a field is added. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;

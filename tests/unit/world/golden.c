@@ -57,18 +57,26 @@ static void normals(void)
   expect("100000 normal numbers", h, UINT64_C(0x531fde0565f5cc95));
 }
 
+/* Light and terrain: these environments have no task. */
+static void hash_environment(uint64_t *h, const struct mo_environment *environment)
+{
+  CHECK(mo_task_is_plain(&environment->task));
+  hash(h, environment, offsetof(struct mo_environment, task));
+}
+
 static void environments(void)
 {
   struct mo_environment set[MO_PAPER_TEST_COUNT];
   mo_environment_paper_test(set);
   uint64_t h = FNV_START;
-  hash(&h, set, sizeof(set));
+  for (int i = 0; i < MO_PAPER_TEST_COUNT; i++)
+    hash_environment(&h, &set[i]);
   expect("paper test set", h, UINT64_C(0x6f554be07560e57d));
   h = FNV_START;
   for (uint64_t i = 0; i < 1000; i++) {
     struct mo_environment environment;
     mo_environment_training(1, 7, i, &environment);
-    hash(&h, &environment, sizeof(environment));
+    hash_environment(&h, &environment);
   }
   expect("1000 training environments", h, UINT64_C(0xd5d18799692b594e));
 }

@@ -1,0 +1,90 @@
+/* Tasks: words, units and bounds. */
+#include "../make.h"
+
+static const struct mo_guide guides[] = {
+    {.kind = MO_GUIDE_FIXED},
+    {.kind = MO_GUIDE_AHEAD, .heading_rad = 1, .distance_m = 1.5},
+    {.kind = MO_GUIDE_TURNING, .heading_rad = 1, .turn_rad_per_s = 1, .distance_m = 1.5},
+    {.kind = MO_GUIDE_PATH, .n_points = 2, .points_m = {{3, 3}, {4, 2}}, .distance_m = 1.5},
+    {.kind = MO_GUIDE_MOVING, .velocity_m_per_s = {1, 0}, .center_m = {2, 2}},
+};
+
+/* Every pair of a guide and an objective is either accepted, or refused with both names. */
+static void pairs(void)
+{
+  static const char *const fits[] = {
+      "fixed moving", "fixed moving", "ahead turning", "path", "fixed ahead turning path moving",
+      "moving"};
+  CHECK(mo_guide_words[COUNT(guides)] == NULL && mo_objective_words[COUNT(fits)] == NULL);
+  for (size_t o = 0; o < COUNT(fits); o++)
+    for (size_t g = 0; g < COUNT(guides); g++) {
+      const struct mo_task task = {guides[g], (enum mo_objective)o};
+      struct mo_message message = {""};
+      const bool fit = strstr(fits[o], mo_guide_words[g]) != NULL;
+      CHECK_INT(mo_task_check(&task, &message), fit ? MO_OK : MO_ERR_INVALID);
+      CHECK(fit || (strstr(message.text, mo_guide_words[g]) != NULL &&
+                    strstr(message.text, mo_objective_words[o]) != NULL));
+      CHECK(mo_task_is_plain(&task) == (o == 0 && g == 0));
+    }
+  CHECK_TEXT(mo_objective_unit(MO_OBJECTIVE_TRAVEL), "m");
+  CHECK_TEXT(mo_objective_unit(MO_OBJECTIVE_REACH), "");
+}
+
+static void bounds(void)
+{
+  struct mo_environment environment;
+  struct mo_guide *guide = &environment.task.guide;
+  mo_environment_training(1, 2, 3, &environment);
+  const struct {
+    int guide;
+    double *number, value;
+    int code;
+    const char *message;
+  } bad[] = {
+      {1, &guide->distance_m, 0, MO_ERR_RANGE,
+       "distance_m must be at least 0.1 and at most 10, got 0"},
+      {2, &guide->distance_m, 10.5, MO_ERR_RANGE,
+       "distance_m must be at least 0.1 and at most 10, got 10.5"},
+      {3, &guide->distance_m, NAN, MO_ERR_INVALID, "distance_m must be a finite number"},
+      {1, &guide->heading_rad, -11, MO_ERR_RANGE,
+       "heading_rad must be at least -10 and at most 10, got -11"},
+      {2, &guide->turn_rad_per_s, 11, MO_ERR_RANGE,
+       "turn_rad_per_s must be at least -10 and at most 10, got 11"},
+      {4, &guide->turn_rad_per_s, -11, MO_ERR_RANGE,
+       "turn_rad_per_s must be at least -10 and at most 10, got -11"},
+      {3, &guide->points_m[1][1], 1000.5, MO_ERR_RANGE,
+       "each coordinate in points_m must be at least -1000 and at most 1000, got 1000.5"},
+      {3, &guide->points_m[2][0], NAN, MO_OK, ""}, /* beyond the last point */
+      {4, &guide->velocity_m_per_s[1], -INFINITY, MO_ERR_INVALID,
+       "each component of velocity_m_per_s must be a finite number"},
+      {4, &guide->center_m[0], -1001, MO_ERR_RANGE,
+       "each coordinate of center_m must be at least -1000 and at most 1000, got -1001"},
+      {0, &guide->distance_m, 11, MO_OK, ""}, /* unused */
+  };
+  for (size_t i = 0; i < COUNT(bad); i++) {
+    struct mo_message message = {""};
+    uint32_t where = 99;
+    environment.task = (struct mo_task){guides[bad[i].guide], MO_OBJECTIVE_CLIMB};
+    CHECK_INT(mo_environment_check(&environment, &where), MO_OK);
+    *bad[i].number = bad[i].value;
+    CHECK_INT(mo_task_check(&environment.task, &message), bad[i].code);
+    CHECK_TEXT(message.text, bad[i].message);
+    CHECK_INT(mo_environment_check(&environment, &where), bad[i].code);
+    CHECK_INT(where, bad[i].code == MO_OK ? 99 : MO_ENVIRONMENT_TASK);
+  }
+  for (uint32_t n = 0; n <= MO_GUIDE_POINTS_MAX + 1; n += MO_GUIDE_POINTS_MAX + 1) {
+    environment.task = (struct mo_task){guides[3], MO_OBJECTIVE_FOLLOW};
+    guide->n_points = n;
+    CHECK_INT(mo_task_check(&environment.task, NULL), MO_ERR_RANGE);
+  }
+  environment.task = (struct mo_task){{.kind = (enum mo_guide_kind)5}, MO_OBJECTIVE_CLIMB};
+  CHECK_INT(mo_task_check(&environment.task, NULL), MO_ERR_INVALID);
+  environment.task = (struct mo_task){.objective = (enum mo_objective)6};
+  CHECK_INT(mo_task_check(&environment.task, NULL), MO_ERR_INVALID);
+}
+
+static const struct check_case cases[] = {
+    {"objectives fit guides", pairs},
+    {"numbers are within their bounds", bounds},
+};
+CHECK_MAIN(cases)
