@@ -45,18 +45,13 @@ static const double *leg_end(const struct mo_course *course, uint32_t leg)
   return guide_of(course)->points_m[leg];
 }
 
-static double leg_length(const struct mo_course *course, uint32_t leg)
-{
-  return distance(leg_end(course, leg), leg_start(course, leg));
-}
-
 /* Begins the leg number track->leg. */
 static void face(const struct mo_course *course, struct mo_track *track)
 {
   const double *from = leg_start(course, track->leg), *to = leg_end(course, track->leg);
-  const double length = distance(to, from);
+  track->length_m = distance(to, from);
   for (int axis = 0; axis < 2; axis++)
-    track->facing[axis] = length > 0 ? (to[axis] - from[axis]) / length : 0;
+    track->facing[axis] = track->length_m > 0 ? (to[axis] - from[axis]) / track->length_m : 0;
 }
 
 /* How far along the track's leg the place nearest to its center of mass is, if the leg had no
@@ -72,7 +67,7 @@ static double along_leg(const struct mo_course *course, const struct mo_track *t
 static void off_path(const struct mo_course *course, const struct mo_track *track, double off_m[2])
 {
   const double *from = leg_start(course, track->leg);
-  const double along = fmin(fmax(along_leg(course, track), 0), leg_length(course, track->leg));
+  const double along = fmin(fmax(along_leg(course, track), 0), track->length_m);
   for (int axis = 0; axis < 2; axis++)
     off_m[axis] = track->com_m[axis] - (from[axis] + along * track->facing[axis]);
 }
@@ -84,17 +79,17 @@ static void make_progress(const struct mo_course *course, struct mo_track *track
   track->along_is = MO_TRACK_KEPT;
   while (track->leg + 1 < guide_of(course)->n_points &&
          distance(track->com_m, leg_end(course, track->leg)) <= MO_GUIDE_REACHED_M) {
-    track->before_m += leg_length(course, track->leg);
+    track->before_m += track->length_m;
     track->along_m = 0;
     track->along_is = MO_TRACK_SET;
     track->leg++;
     face(course, track);
   }
-  const double along = along_leg(course, track), length = leg_length(course, track->leg);
+  const double along = along_leg(course, track);
   if (!(along > track->along_m))
     return;
-  track->along_is = along < length ? MO_TRACK_MOVED : MO_TRACK_SET;
-  track->along_m = fmin(along, length);
+  track->along_is = along < track->length_m ? MO_TRACK_MOVED : MO_TRACK_SET;
+  track->along_m = fmin(along, track->length_m);
 }
 
 /* ---- an instant ---- */
@@ -124,8 +119,9 @@ static void aim(const struct mo_course *course, double t_s, struct mo_track *tra
   }
 }
 
-void mo_course_light(const struct mo_course *course, double t_s, const struct mo_track *track,
-                     double light_m[3])
+/* Places the light in x and y. */
+static void light_xy(const struct mo_course *course, double t_s, const struct mo_track *track,
+                     double light_m[2])
 {
   const struct mo_guide *guide = guide_of(course);
   const double *xy = course->environment->light_xy_m, *facing = track->facing;
@@ -137,7 +133,7 @@ void mo_course_light(const struct mo_course *course, double t_s, const struct mo
       light_m[axis] = track->com_m[axis] + guide->distance_m * facing[axis];
     break;
   case MO_GUIDE_PATH: {
-    const double along = fmin(track->along_m + guide->distance_m, leg_length(course, track->leg));
+    const double along = fmin(track->along_m + guide->distance_m, track->length_m);
     for (int axis = 0; axis < 2; axis++)
       light_m[axis] = leg_start(course, track->leg)[axis] + along * facing[axis];
     break;
@@ -151,6 +147,12 @@ void mo_course_light(const struct mo_course *course, double t_s, const struct mo
     break;
   }
   }
+}
+
+void mo_course_light(const struct mo_course *course, double t_s, const struct mo_track *track,
+                     double light_m[3])
+{
+  light_xy(course, t_s, track, light_m);
   light_m[2] = mo_terrain_height(course->environment->terrain_heights_m, light_m[0], light_m[1]);
 }
 
@@ -177,8 +179,8 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
   case MO_OBJECTIVE_REACH:
   case MO_OBJECTIVE_APPROACH:
   case MO_OBJECTIVE_PURSUE: {
-    double light_m[3];
-    mo_course_light(course, 0, track, light_m);
+    double light_m[2];
+    light_xy(course, 0, track, light_m);
     course->scale_m = distance(com_start_m, light_m) + 1e-8;
     break;
   }
@@ -199,8 +201,8 @@ void mo_course_advance(const struct mo_course *course, double t_s, const double 
   memcpy(track->com_m, com_m, sizeof(track->com_m));
   aim(course, t_s, track);
   if (objective == MO_OBJECTIVE_APPROACH || objective == MO_OBJECTIVE_PURSUE) {
-    double light_m[3];
-    mo_course_light(course, t_s, track, light_m);
+    double light_m[2];
+    light_xy(course, t_s, track, light_m);
     track->sum += distance(com_m, light_m);
   } else if (objective == MO_OBJECTIVE_FOLLOW) {
     double off_m[2];
@@ -212,10 +214,10 @@ void mo_course_advance(const struct mo_course *course, double t_s, const double 
 void mo_course_finish(const struct mo_course *course, const struct mo_track *track,
                       struct mo_outcome *outcome)
 {
-  double light_m[3], share = 0;
+  double light_m[2], share = 0;
   switch (course->environment->task.objective) {
   case MO_OBJECTIVE_REACH:
-    mo_course_light(course, course->end_s, track, light_m);
+    light_xy(course, course->end_s, track, light_m);
     share = distance(track->com_m, light_m) / course->scale_m;
     break;
   case MO_OBJECTIVE_APPROACH:

@@ -23,6 +23,7 @@ struct mo_track {
   double sum;       /* over the periods that have ended: way, or distances */
   double facing[2]; /* unit vector: the heading, the direction of the path's leg, or, if the light
                        moves on its own, by which angle it has turned */
+  double length_m;  /* path: of this leg */
   double before_m;  /* path: progress at the start of this leg */
   double along_m;   /* path: the farthest place on this leg that the body has reached */
   uint32_t leg;     /* path: number of way-points that the body has reached */

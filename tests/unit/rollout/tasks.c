@@ -14,6 +14,14 @@ static void setup(void)
   controller = make_shipped_controller("phototaxis");
 }
 
+static const char *name_of(const struct mo_task *task)
+{
+  static char name[64];
+  snprintf(name, sizeof(name), "%s, %s", mo_guide_words[task->guide.kind],
+           mo_objective_words[task->objective]);
+  return name;
+}
+
 /* ---- the oracle ---- */
 
 struct oracle {
@@ -213,8 +221,134 @@ static void nothing(void)
   }
 }
 
+/* ---- the kernels ---- */
+
+static void block_of(const struct mo_pack *pack, const struct mo_body *body,
+                     const struct mo_environment *environments, const uint32_t *lanes, uint32_t n,
+                     const struct mo_physics *physics, struct mo_outcome *outcomes)
+{
+  const size_t kept = check_n_kept;
+  const struct mo_environment *list[MO_BLOCK_LANES];
+  for (uint32_t l = 0; l < n; l++)
+    list[l] = environments + lanes[l];
+  make_check(
+      mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL, outcomes),
+      "rollouts");
+  check_drop_to(kept);
+}
+
+/* Tasks of all guides in one block, next to plain lanes: as in the reference, and with the bits of
+ * each lane by itself. */
+static void kernels(void)
+{
+  enum { N = TASK_CASES + 3 };
+  static const uint32_t alone[N] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  struct mo_environment environments[N];
+  const struct mo_robot *robots = make_robots(lattice, 5, 5, 3);
+  for (uint32_t k = 0; k < N; k++) {
+    environments[k] = environment_of(k);
+    if (k >= TASK_CASES)
+      environments[k].task = (struct mo_task){0};
+  }
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++) {
+      const size_t kept = check_n_kept;
+      const struct mo_pack *pack =
+          make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
+      double worst = 0;
+      for (uint32_t variant = 0; variant < 3; variant++) {
+        const struct mo_body *body = robots[variant].body;
+        const struct mo_physics physics = variant_of(variant, 60);
+        struct mo_outcome outcomes[N], turned[N], one, exact;
+        uint32_t lanes[N];
+        for (uint32_t l = 0; l < N; l++)
+          lanes[l] = (5 * l + 3) % N;
+        block_of(pack, body, environments, alone, N, &physics, outcomes);
+        block_of(pack, body, environments, lanes, N, &physics, turned);
+        for (uint32_t k = 0; k < N; k++) {
+          block_of(pack, body, environments, alone + k, 1, &physics, &one);
+          CHECK(memcmp(&one, &outcomes[k], sizeof(one)) == 0);
+          REQUIRE_OK(
+              mo_rollout_reference(body, controller, &environments[k], &physics, NULL, &exact));
+          worst = fmax(worst, fmax(fabs(exact.loss - one.loss), fabs(exact.value - one.value)));
+        }
+        for (uint32_t l = 0; l < N; l++)
+          CHECK(memcmp(&turned[l], &outcomes[lanes[l]], sizeof(one)) == 0);
+      }
+      printf("# %s, %s: losses and values are within %.1e of the reference's\n",
+             mo_isa_name((enum mo_isa)isa), precision == MO_FLOAT32 ? "float32" : "float64", worst);
+      CHECK(worst <= (precision == MO_FLOAT32 ? 1e-3 : 1e-9));
+      check_drop_to(kept);
+    }
+}
+
+/* A rollout that diverges has no finite value. */
+static void divergence(void)
+{
+  const struct mo_robot *robots = make_robots(lattice, 6, 6, 1);
+  struct mo_physics physics = physics_of(200);
+  physics.constants.stiffness_n_per_m = 60000;
+  for (uint32_t k = 0; k < TASK_CASES; k++) {
+    const struct mo_environment environment = environment_of(k);
+    const uint32_t lane = 0;
+    struct mo_outcome outcome;
+    REQUIRE_OK(
+        mo_rollout_reference(robots[0].body, controller, &environment, &physics, NULL, &outcome));
+    CHECK(outcome.diverged_step > 0 && isinf(outcome.loss) && outcome.loss > 0);
+    CHECK(isinf(outcome.value) && outcome.value < 0);
+    block_of(make_pack(controller, MO_ISA_BASELINE, MO_FLOAT32), robots[0].body, &environment,
+             &lane, 1, &physics, &outcome);
+    CHECK(outcome.diverged_step > 0 && isinf(outcome.loss) && outcome.loss > 0);
+    CHECK(isinf(outcome.value) && outcome.value < 0);
+  }
+}
+
+/* ---- behavior ---- */
+
+enum { WALKERS = 30 };
+
+/* The shipped controller follows a light that leads it, although it was trained with fixed
+ * lights. Bodies are the first of its pretraining's stream. */
+static void walks(void)
+{
+  struct mo_robot *robots = make_robots(lattice, 1, 1, WALKERS);
+  const struct mo_pack *pack = make_pack(controller, mo_isa_best(), MO_FLOAT32);
+  const struct mo_physics physics = physics_of(1000);
+  struct mo_environment tasks[] = {
+      {.task = {{.kind = MO_GUIDE_AHEAD, .distance_m = 1.5}, MO_OBJECTIVE_TRAVEL}},
+      {.task = {{.kind = MO_GUIDE_AHEAD, .heading_rad = M_PI, .distance_m = 1.5},
+                MO_OBJECTIVE_TRAVEL}},
+      {.task = {{.kind = MO_GUIDE_TURNING, .turn_rad_per_s = M_PI / 2, .distance_m = 1.5},
+                MO_OBJECTIVE_TRAVEL}},
+      {.task = {{.kind = MO_GUIDE_PATH,
+                 .n_points = 2,
+                 .points_m = {{3.5, 2.5}, {2.5, 2.5}},
+                 .distance_m = 1.5},
+                MO_OBJECTIVE_FOLLOW}},
+  };
+  static const uint32_t lanes[] = {0, 1, 2, 3};
+  double value[COUNT(tasks)][WALKERS];
+  for (uint32_t i = 0; i < WALKERS; i++) {
+    struct mo_outcome outcomes[COUNT(tasks)];
+    for (size_t k = 0; k < COUNT(tasks); k++)
+      memcpy(tasks[k].terrain_heights_m, robots[i].environment->terrain_heights_m,
+             sizeof(tasks[k].terrain_heights_m));
+    block_of(pack, robots[i].body, tasks, lanes, COUNT(tasks), &physics, outcomes);
+    for (size_t k = 0; k < COUNT(tasks); k++)
+      value[k][i] = outcomes[k].value;
+  }
+  for (size_t k = 0; k < COUNT(tasks); k++) {
+    qsort(value[k], WALKERS, sizeof(double), ascending);
+    const double median = median_of(value[k], WALKERS);
+    printf("# %s: median %.2f m in 4 s, smallest %.2f m, largest %.2f m\n", name_of(&tasks[k].task),
+           median, value[k][0], value[k][WALKERS - 1]);
+    CHECK(median >= 1.2);
+  }
+}
+
 static const struct check_case cases[] = {
-    {"reference: lights, losses and values", reference},
-    {"a body that does nothing", nothing},
+    {"reference: lights, losses and values", reference}, {"a body that does nothing", nothing},
+    {"kernels: every task in one block", kernels},       {"divergence", divergence},
+    {"the shipped controller follows guides", walks},
 };
 CHECK_MAIN_WITH(setup, cases)
