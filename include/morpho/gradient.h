@@ -10,10 +10,12 @@
  * positions and velocities,
  *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂)
  * is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start + 1e-8
- * m. If m > bound, MO_ADJOINT_CLIP     scales both by bound/m; MO_ADJOINT_RESTART  resets both, as
- * if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
+ * m, or, if the objective's value is in meters, the unit in its loss: 1 m or 0.1 m. If m > bound,
+ * MO_ADJOINT_CLIP     scales both by bound/m; MO_ADJOINT_RESTART  resets both, as if the rollout
+ * ended there: ∂/∂v = 0, and ∂/∂x is
  *                       restart_weight times that of the distance to the light, over d0, at the
- *                       center of mass one step earlier.
+ *                       center of mass one step earlier; of objectives in meters, that of the loss
+ *                       (docs/model.md).
  * A restart drops the effect of the state on later time. It keeps the effect of the parameters that
  * the backward pass has accumulated so far. With a weight of 0 the backward pass ends there. */
 #ifndef MORPHO_GRADIENT_H

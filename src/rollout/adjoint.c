@@ -23,9 +23,29 @@ static double sense_slope(enum mo_sensor sensor, double distance_m)
   return -light * light / (2.0 * root * distance_m);
 }
 
+/* com = sum of positions / n */
+static void add_com(const struct mo_reference *r, const double d_com[3], struct mo_adjoint *adjoint)
+{
+  const size_t n = r->body->n_masses;
+  for (size_t i = 0; i < 3 * n; i++)
+    adjoint->d_position[i] += d_com[i % 3] / (double)n;
+}
+
+/* The instant at the start of step number `step`. */
+static void guide_adjoint(const struct mo_reference *r, uint32_t step, const double d_light[3],
+                          struct mo_adjoint *adjoint)
+{
+  const struct mo_track *track = r->tracks + step / r->control_steps;
+  double d_com[3];
+  mo_course_back(&r->course, step * r->physics->scheme.dt_s, step > 0 ? track - 1 : NULL, track,
+                 d_light, &adjoint->course, d_com);
+  add_com(r, d_com, adjoint);
+}
+
 /* input[lattice place of mass i] = light(i) − mean */
 static void sense_light_adjoint(const struct mo_reference *r, const double *position_m,
-                                struct mo_adjoint *adjoint)
+                                const double light_m[3], struct mo_adjoint *adjoint,
+                                double d_light_m[3])
 {
   const struct mo_body *body = r->body;
   double mean = 0;
@@ -35,12 +55,14 @@ static void sense_light_adjoint(const struct mo_reference *r, const double *posi
   for (uint32_t i = 0; i < body->n_masses; i++) {
     const double *p = position_m + 3 * (size_t)i;
     double *dp = adjoint->d_position + 3 * (size_t)i;
-    const double d[3] = {p[0] - r->light_m[0], p[1] - r->light_m[1], p[2] - r->light_m[2]};
+    const double d[3] = {p[0] - light_m[0], p[1] - light_m[1], p[2] - light_m[2]};
     const double slope =
         sense_slope(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
     const double d_light = adjoint->d_input[body->mass_lattice[i]] - mean;
-    for (int axis = 0; axis < 3; axis++)
+    for (int axis = 0; axis < 3; axis++) {
       dp[axis] += d_light * slope * d[axis];
+      d_light_m[axis] -= d_light * slope * d[axis];
+    }
   }
 }
 
@@ -128,7 +150,11 @@ void mo_adjoint_step(const struct mo_reference *r, uint32_t step, struct mo_step
   memset(adjoint->d_input, 0, r->controller->n_inputs * sizeof(double));
   mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs,
                          adjoint->d_output, &tape->control, adjoint->d_input);
-  sense_light_adjoint(r, tape->position_m, adjoint);
+  double light_m[3], d_light_m[3] = {0, 0, 0};
+  mo_reference_light(r, step, light_m);
+  sense_light_adjoint(r, tape->position_m, light_m, adjoint, d_light_m);
+  if (r->tracks != NULL)
+    guide_adjoint(r, step, d_light_m, adjoint);
 }
 
 void mo_adjoint_start(const struct mo_reference *r, const double *com_m, const struct mo_goal *goal,
@@ -145,4 +171,13 @@ void mo_adjoint_start(const struct mo_reference *r, const double *com_m, const s
     for (size_t i = 0; i < n; i++)
       adjoint->d_position[3 * i + axis] += d_com / (double)n;
   }
+}
+
+void mo_adjoint_start_at(const struct mo_reference *r, const double d_com[3],
+                         struct mo_adjoint *adjoint)
+{
+  const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
+  memset(adjoint->d_position, 0, bytes);
+  memset(adjoint->d_velocity, 0, bytes);
+  add_com(r, d_com, adjoint);
 }

@@ -15,6 +15,7 @@ struct mo_adjoint {
   double *d_output;   /* (n_springs) summed over the steps in which the outputs act */
   double *d_previous; /* (n_springs) the step's share of ∂loss/∂ the previous outputs */
   double *d_input;    /* (n_inputs) */
+  struct mo_course_adjoint course; /* unused by plain tasks */
 };
 
 /* Turns ∂loss/∂ the state after step number `step`, which is on the tape, into ∂loss/∂ the state
@@ -24,9 +25,14 @@ struct mo_adjoint {
 void mo_adjoint_step(const struct mo_reference *reference, uint32_t step, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 
-/* Computes ∂loss/∂(the final state), which has the center of mass com_m, times `weight`. */
+/* Computes ∂loss/∂(the final state), which has the center of mass com_m, times `weight`; for a
+ * plain task. */
 void mo_adjoint_start(const struct mo_reference *reference, const double *com_m,
                       const struct mo_goal *goal, double weight, struct mo_adjoint *adjoint);
+
+/* The same for other tasks, from ∂loss/∂ the center of mass. */
+void mo_adjoint_start_at(const struct mo_reference *reference, const double d_com[3],
+                         struct mo_adjoint *adjoint);
 
 /* Callbacks, which may be NULL. They receive the adjoint of the state after `step` steps, before it
  * is measured and after it was clipped. */

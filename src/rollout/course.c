@@ -237,3 +237,123 @@ void mo_course_finish(const struct mo_course *course, const struct mo_track *tra
     outcome->value = -(double)INFINITY;
   }
 }
+
+/* ---- backward ---- */
+
+/* d += factor · (a − b) / |a − b| in x, y; nothing where they meet. */
+static void add_away(double factor, const double *a_m, const double *b_m, double d[3])
+{
+  const double length = distance(a_m, b_m);
+  for (int axis = 0; axis < 2 && length > 0; axis++)
+    d[axis] += factor * (a_m[axis] - b_m[axis]) / length;
+}
+
+static void add_facing(double factor, const struct mo_track *track, double d[3])
+{
+  for (int axis = 0; axis < 2; axis++)
+    d[axis] += factor * track->facing[axis];
+}
+
+/* Passes back what this instant added to the sum. before: NULL at the start, which adds nothing. */
+static void sum_back(const struct mo_course *course, double t_s, const struct mo_track *before,
+                     const struct mo_track *track, double d_sum, double d_com[3])
+{
+  const enum mo_objective objective = course->environment->task.objective;
+  double light_m[2], off_m[2];
+  if (before == NULL)
+    return;
+  if (objective == MO_OBJECTIVE_TRAVEL) {
+    add_facing(d_sum, before, d_com);
+  } else if (objective == MO_OBJECTIVE_APPROACH || objective == MO_OBJECTIVE_PURSUE) {
+    light_xy(course, t_s, track, light_m);
+    add_away(d_sum, track->com_m, light_m, d_com);
+  } else if (objective == MO_OBJECTIVE_FOLLOW) {
+    static const double on_path[2] = {0, 0};
+    off_path(course, track, off_m);
+    add_away(d_sum, off_m, on_path, d_com);
+  }
+}
+
+static void progress_back(const struct mo_track *track, struct mo_course_adjoint *adjoint,
+                          double d_com[3])
+{
+  if (track->along_is == MO_TRACK_KEPT)
+    return;
+  if (track->along_is == MO_TRACK_MOVED)
+    add_facing(adjoint->d_along, track, d_com);
+  adjoint->d_along = 0;
+}
+
+void mo_course_end_back(const struct mo_course *course, const struct mo_track *before,
+                        const struct mo_track *track, double loss,
+                        struct mo_course_adjoint *adjoint, double d_com[3])
+{
+  double light_m[2];
+  *adjoint = (struct mo_course_adjoint){0};
+  memset(d_com, 0, 3 * sizeof(double));
+  switch (course->environment->task.objective) {
+  case MO_OBJECTIVE_REACH: /* loss = |com − light| / scale */
+    light_xy(course, course->end_s, track, light_m);
+    add_away(1 / course->scale_m, track->com_m, light_m, d_com);
+    break;
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE: /* loss = sum / n / scale */
+    adjoint->d_sum = 1 / (course->scale_m * course->n_periods);
+    break;
+  case MO_OBJECTIVE_TRAVEL: /* loss = exp(−sum / scale) */
+    adjoint->d_sum = -loss / course->scale_m;
+    break;
+  case MO_OBJECTIVE_FOLLOW: /* loss = exp(−(before + along − sum / n) / scale) */
+    adjoint->d_along = -loss / course->scale_m;
+    adjoint->d_sum = loss / course->scale_m / course->n_periods;
+    break;
+  case MO_OBJECTIVE_CLIMB: /* loss = exp(−(z − z at the start) / scale) */
+    d_com[2] = -loss / course->scale_m;
+    break;
+  }
+  sum_back(course, course->end_s, before, track, adjoint->d_sum, d_com);
+  progress_back(track, adjoint, d_com);
+}
+
+void mo_course_back(const struct mo_course *course, double t_s, const struct mo_track *before,
+                    const struct mo_track *track, const double d_light[3],
+                    struct mo_course_adjoint *adjoint, double d_com[3])
+{
+  const struct mo_guide *guide = guide_of(course);
+  double light_m[2], slope[2];
+  memset(d_com, 0, 3 * sizeof(double));
+  light_xy(course, t_s, track, light_m);
+  mo_terrain_gradient(course->environment->terrain_heights_m, light_m[0], light_m[1], slope);
+  /* light[2] = height(light[0], light[1]) */
+  const double d_xy[2] = {d_light[0] + slope[0] * d_light[2], d_light[1] + slope[1] * d_light[2]};
+  if (guide->kind == MO_GUIDE_AHEAD || guide->kind == MO_GUIDE_TURNING) {
+    d_com[0] = d_xy[0]; /* light = com + distance · facing */
+    d_com[1] = d_xy[1];
+  } else if (guide->kind == MO_GUIDE_PATH && track->along_m + guide->distance_m < track->length_m) {
+    adjoint->d_along += dot(d_xy, track->facing); /* light = … + (along + distance) · facing */
+  }
+  if (course->environment->task.objective == MO_OBJECTIVE_TRAVEL)
+    add_facing(-adjoint->d_sum, track, d_com); /* sum += (the next com − com) · facing */
+  sum_back(course, t_s, before, track, adjoint->d_sum, d_com);
+  progress_back(track, adjoint, d_com);
+}
+
+void mo_course_restart(const struct mo_course *course, double t_s, const struct mo_track *track,
+                       const double com_m[3], double loss, double weight,
+                       struct mo_course_adjoint *adjoint, double d_com[3])
+{
+  double light_m[2];
+  memset(d_com, 0, 3 * sizeof(double));
+  adjoint->d_along = 0;
+  switch (course->environment->task.objective) {
+  case MO_OBJECTIVE_REACH:
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE:
+    light_xy(course, t_s, track, light_m);
+    add_away(weight / course->scale_m, com_m, light_m, d_com);
+    break;
+  case MO_OBJECTIVE_TRAVEL:
+  case MO_OBJECTIVE_FOLLOW: add_facing(-weight * loss / course->scale_m, track, d_com); break;
+  case MO_OBJECTIVE_CLIMB: d_com[2] = -weight * loss / course->scale_m; break;
+  }
+}

@@ -26,7 +26,8 @@ struct gradient {
       *control; /* (segment / control steps) copies of the tapes' network parts, in order of time */
   struct mo_adjoint adjoint;
   double *d_parameters; /* (n_parameters) of this robot */
-  struct mo_goal goal;
+  struct mo_goal goal;  /* if the task is not plain, only its scale is used */
+  double loss;
   struct mo_gradient_counts counts;
 };
 
@@ -120,14 +121,38 @@ static double norm(const double *x, size_t n)
   return sqrt(sum);
 }
 
-/* Applies the rule to an adjoint with m above the bound. before_m: positions of the masses one step
- * earlier. */
-static void take_back(struct gradient *g, double m, const double *before_m)
+/* Begins the backward pass of other tasks than plain ones. */
+static void start_at_end(struct gradient *g)
+{
+  const struct mo_course *course = &g->reference.course;
+  const struct mo_track *end = g->reference.tracks + course->n_periods;
+  double d_com[3];
+  mo_course_end_back(course, end - 1, end, g->loss, &g->adjoint.course, d_com);
+  mo_adjoint_start_at(&g->reference, d_com, &g->adjoint);
+}
+
+/* Restarts it after step number `step`, before which the center of mass was at com_m. */
+static void restart(struct gradient *g, uint32_t step, const double com_m[3])
+{
+  const struct mo_reference *r = &g->reference;
+  const uint32_t k = step / r->control_steps;
+  double d_com[3];
+  mo_course_restart(&r->course, k * r->control_steps * r->physics->scheme.dt_s, r->tracks + k,
+                    com_m, g->loss, g->options->restart_weight, &g->adjoint.course, d_com);
+  mo_adjoint_start_at(r, d_com, &g->adjoint);
+}
+
+/* Applies the rule to an adjoint after `steps` steps, with m above the bound. before_m: positions
+ * of the masses one step earlier. */
+static void take_back(struct gradient *g, uint32_t steps, double m, const double *before_m)
 {
   if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {
     double com_m[3];
     mo_scene_com(before_m, g->reference.body->n_masses, com_m);
-    mo_adjoint_start(&g->reference, com_m, &g->goal, g->options->restart_weight, &g->adjoint);
+    if (g->reference.tracks != NULL)
+      restart(g, steps - 1, com_m);
+    else
+      mo_adjoint_start(&g->reference, com_m, &g->goal, g->options->restart_weight, &g->adjoint);
     return;
   }
   const double scale = g->options->adjoint_bound / m;
@@ -152,7 +177,7 @@ static bool limit(struct gradient *g, uint32_t step, const double *before_m, boo
   const double m = fmax(x, v), bound = g->options->adjoint_bound;
   g->counts.largest = fmax(g->counts.largest, m);
   if (bound > 0 && m > bound) {
-    take_back(g, m, before_m);
+    take_back(g, step, m, before_m);
     g->counts.clipped_steps++;
     *clipped = true;
   }
@@ -167,7 +192,10 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
 {
   const struct mo_reference *r = &g->reference;
   bool clipped = false;
-  mo_adjoint_start(r, outcome->com_end_m, &g->goal, 1.0, &g->adjoint);
+  if (r->tracks != NULL)
+    start_at_end(g);
+  else
+    mo_adjoint_start(r, outcome->com_end_m, &g->goal, 1.0, &g->adjoint);
   for (uint32_t k = segments(g); k-- > 0;) {
     const uint32_t first = k * g->segment;
     const uint32_t n = r->physics->scheme.n_steps - first < g->segment
@@ -222,6 +250,9 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
   if (r == MO_OK) {
     mo_reference_run(&g.reference, keep_state, &g, outcome);
     g.goal = mo_goal_of(environment, outcome->com_start_m);
+    if (g.reference.tracks != NULL)
+      g.goal.scale_m = g.reference.course.scale_m;
+    g.loss = outcome->loss;
     if (outcome->diverged_step != 0)
       g.counts.diverged_robots++;
     else if (!run_backward(&g, outcome))

@@ -28,11 +28,10 @@ struct mo_reference {
   const struct mo_environment *environment;
   const struct mo_physics *physics;
   uint32_t control_steps;    /* in a control period */
-  double light_m[3];         /* that the controller senses; in other tasks than plain ones, of the
-                                latest control period */
+  double light_m[3];         /* unless the task is plain, that of the latest control period */
   struct mo_course course;   /* unused by plain tasks */
-  struct mo_track *tracks;   /* (control periods + 1) at the start of each, and at the end; NULL: a
-                                plain task */
+  struct mo_track *tracks;   /* (control periods + 1) at the start of each, and at the end; NULL if
+                                the task is plain */
   double highest_m;          /* of the terrain */
   double *position_m;        /* (n_masses, 3) */
   double *velocity_m_per_s;  /* (n_masses, 3) */
@@ -55,8 +54,8 @@ void mo_reference_done(struct mo_reference *reference);
  * the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
 
-/* Places the light of the control period that starts with step number `step`, and of which the
- * track is set. */
+/* Computes the light of the control period that starts with step number `step`. Its track must be
+ * set. */
 void mo_reference_light(const struct mo_reference *reference, uint32_t step, double light_m[3]);
 
 /* Returns whether the springs pull with the mean of new and previous outputs in a step. */

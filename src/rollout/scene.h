@@ -17,8 +17,7 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
 struct mo_constants mo_scene_constants(const struct mo_environment *environment,
                                        const struct mo_physics *physics);
 
-/* The light of a plain task, or of any task whose light moves on its own at the start, stands on
- * the terrain. */
+/* Places the light of a plain task, which stands on the terrain. course.h has other tasks. */
 void mo_scene_light(const struct mo_environment *environment, double light_m[3]);
 
 /* Computes the plain mean of n positions (n, 3), summed in order. */
@@ -31,7 +30,7 @@ static inline int8_t mo_scene_actuation(double output)
 }
 
 /* Sets loss and value of an outcome whose other members are set, for a plain task: the loss in
- * objective.inc, or infinity if the rollout diverged. course.h has other tasks. */
+ * objective.inc, or infinity if the rollout diverged. */
 void mo_scene_finish(struct mo_outcome *outcome, const struct mo_environment *environment);
 
 #endif

@@ -52,6 +52,11 @@ static inline num root(num a)
   num r = {.v = sqrt(a.v)};
   LANES(a.t[k] / (2 * r.v));
 }
+static inline num exp_(num a)
+{
+  num r = {.v = exp(a.v)};
+  LANES(a.t[k] * r.v);
+}
 static inline num tanh_(num a)
 {
   num r = {.v = tanh(a.v)};
@@ -415,11 +420,24 @@ static uint64_t move_split(const struct second_setup *setup, double highest, con
 
 /* ---- the rollout ---- */
 
+/* Where the task is at an instant. */
+struct course {
+  double start[3]; /* center of mass */
+  num com[3];
+  double facing[2];
+  num along, sum;
+  double before; /* length of the finished legs */
+  uint32_t leg, n;
+  double distance; /* to the light at the start */
+};
+
 struct second {
   const struct second_setup *setup;
   const struct second_parameters *theta;
   uint32_t n_inputs, n_springs; /* of the lattice */
-  double highest, light[3];
+  double highest;
+  num light[3];
+  struct course course;
   num *p, *v, *impulse, *input, *hidden, *activation;
   num *previous; /* activation before the last control; then its mean with the new one */
   const num *activation_now; /* that the springs use in this step */
@@ -427,8 +445,7 @@ struct second {
 
 static num light_at(const struct second *s, const num *p)
 {
-  const num d[3] = {sub(p[0], con(s->light[0])), sub(p[1], con(s->light[1])),
-                    sub(p[2], con(s->light[2]))};
+  const num d[3] = {sub(p[0], s->light[0]), sub(p[1], s->light[1]), sub(p[2], s->light[2])};
   const num distance = root(square_sum(d));
   if (s->setup->sensor == MO_SENSOR_INVERSE_SQUARE)
     return div_(con(1), add(mul(distance, distance), con(1e-4)));
@@ -565,17 +582,148 @@ static void move_all_split(struct second *s, bool first)
   }
 }
 
+/* ---- the task ---- */
+
+static num length_of(num x, num y)
+{
+  return root(add(mul(x, x), mul(y, y)));
+}
+
 static num distance_to_light(const struct second *s)
 {
-  const uint32_t n = s->setup->body->n_masses;
-  num com[2] = {con(0), con(0)};
-  for (uint32_t i = 0; i < n; i++)
-    for (int axis = 0; axis < 2; axis++)
-      com[axis] = add(com[axis], s->p[3 * i + axis]);
-  for (int axis = 0; axis < 2; axis++)
-    com[axis] = sub(div_(com[axis], con(n)), con(s->light[axis]));
-  return root(add(mul(com[0], com[0]), mul(com[1], com[1])));
+  const num *com = s->course.com;
+  return length_of(sub(com[0], s->light[0]), sub(com[1], s->light[1]));
 }
+
+static const double *corner(const struct second *s, uint32_t k)
+{
+  return k == 0 ? s->course.start : s->setup->environment->task.guide.points_m[k - 1];
+}
+
+/* Returns the length of the leg, and faces along it. */
+static double face_leg(struct second *s)
+{
+  const double *a = corner(s, s->course.leg), *b = corner(s, s->course.leg + 1);
+  const double length = hypot(b[0] - a[0], b[1] - a[1]);
+  for (int k = 0; k < 2; k++)
+    s->course.facing[k] = length > 0 ? (b[k] - a[k]) / length : 0;
+  return length;
+}
+
+static num along_leg(const struct second *s)
+{
+  const double *a = corner(s, s->course.leg), *e = s->course.facing;
+  return add(scaled(sub(s->course.com[0], con(a[0])), e[0]),
+             scaled(sub(s->course.com[1], con(a[1])), e[1]));
+}
+
+/* Returns the distance from the leg. */
+static num off_leg(const struct second *s, double length)
+{
+  const double *a = corner(s, s->course.leg), *e = s->course.facing;
+  num near = along_leg(s);
+  near = val(near) < 0 ? con(0) : val(near) > length ? con(length) : near;
+  return length_of(sub(s->course.com[0], add(con(a[0]), scaled(near, e[0]))),
+                   sub(s->course.com[1], add(con(a[1]), scaled(near, e[1]))));
+}
+
+static void place_on_path(struct second *s)
+{
+  const struct mo_guide *guide = &s->setup->environment->task.guide;
+  struct course *c = &s->course;
+  double length = face_leg(s);
+  while (c->leg + 1 < guide->n_points && hypot(val(c->com[0]) - corner(s, c->leg + 1)[0],
+                                               val(c->com[1]) - corner(s, c->leg + 1)[1]) <= 0.2) {
+    c->before += length;
+    c->along = con(0);
+    c->leg++;
+    length = face_leg(s);
+  }
+  num near = along_leg(s);
+  near = val(near) > length ? con(length) : near;
+  c->along = val(near) > val(c->along) ? near : c->along;
+  num lead = add(c->along, con(guide->distance_m));
+  lead = val(lead) < length ? lead : con(length);
+  for (int k = 0; k < 2; k++)
+    s->light[k] = add(con(corner(s, c->leg)[k]), scaled(lead, c->facing[k]));
+}
+
+static void place_light(struct second *s, double t)
+{
+  const struct mo_environment *environment = s->setup->environment;
+  const struct mo_guide *guide = &environment->task.guide;
+  struct course *c = &s->course;
+  const double *l = environment->light_xy_m, *z = guide->center_m, *v = guide->velocity_m_per_s;
+  const double turn = guide->turn_rad_per_s * t;
+  if (guide->kind == MO_GUIDE_FIXED || guide->kind == MO_GUIDE_MOVING) {
+    s->light[0] = con(l[0]);
+    s->light[1] = con(l[1]);
+  }
+  if (guide->kind == MO_GUIDE_MOVING) {
+    const double x = l[0] - z[0], y = l[1] - z[1];
+    s->light[0] = con(z[0] + v[0] * t + x * cos(turn) - y * sin(turn));
+    s->light[1] = con(z[1] + v[1] * t + x * sin(turn) + y * cos(turn));
+  } else if (guide->kind == MO_GUIDE_AHEAD || guide->kind == MO_GUIDE_TURNING) {
+    const double heading = guide->heading_rad + (guide->kind == MO_GUIDE_TURNING ? turn : 0);
+    c->facing[0] = cos(heading);
+    c->facing[1] = sin(heading);
+    for (int k = 0; k < 2; k++)
+      s->light[k] = add(c->com[k], con(guide->distance_m * c->facing[k]));
+  } else if (guide->kind == MO_GUIDE_PATH) {
+    place_on_path(s);
+  }
+  s->light[2] = terrain(environment->terrain_heights_m, s->light[0], s->light[1], NULL, NULL);
+}
+
+/* An instant at time t: places the light, and adds to the sums. */
+static void instant(struct second *s, double t, bool first)
+{
+  const enum mo_objective objective = s->setup->environment->task.objective;
+  const uint32_t n = s->setup->body->n_masses;
+  struct course *c = &s->course;
+  const num before[2] = {c->com[0], c->com[1]};
+  for (int axis = 0; axis < 3; axis++) {
+    c->com[axis] = con(0);
+    for (uint32_t i = 0; i < n; i++)
+      c->com[axis] = add(c->com[axis], s->p[3 * i + axis]);
+    c->com[axis] = div_(c->com[axis], con(n));
+    if (first)
+      c->start[axis] = val(c->com[axis]);
+  }
+  for (int k = 0; k < 2 && !first && objective == MO_OBJECTIVE_TRAVEL; k++)
+    c->sum = add(c->sum, scaled(sub(c->com[k], before[k]), c->facing[k]));
+  place_light(s, t);
+  if (first) {
+    c->before = -val(c->along);
+    c->distance = val(distance_to_light(s)) + 1e-8;
+    return;
+  }
+  c->n++;
+  if (objective == MO_OBJECTIVE_APPROACH || objective == MO_OBJECTIVE_PURSUE)
+    c->sum = add(c->sum, distance_to_light(s));
+  else if (objective == MO_OBJECTIVE_FOLLOW)
+    c->sum = add(c->sum, off_leg(s, face_leg(s)));
+}
+
+/* The loss if the rollout ends at time t. */
+static num loss_at(const struct second *s, double t)
+{
+  struct second end = *s;
+  const struct course *c = &end.course;
+  instant(&end, t, t == 0);
+  switch (s->setup->environment->task.objective) {
+  case MO_OBJECTIVE_REACH: return div_(distance_to_light(&end), con(c->distance));
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE: return scaled(c->sum, 1 / (c->distance * c->n));
+  case MO_OBJECTIVE_TRAVEL: return exp_(scaled(c->sum, -1));
+  case MO_OBJECTIVE_FOLLOW:
+    return exp_(sub(scaled(c->sum, 1.0 / c->n), add(c->along, con(c->before))));
+  case MO_OBJECTIVE_CLIMB: return exp_(scaled(sub(con(c->start[2]), c->com[2]), 10));
+  }
+  return con(NAN);
+}
+
+/* ---- the start and the run ---- */
 
 /* Lifted until every mass is on or above the ground. */
 static void place_body(struct second *s)
@@ -614,11 +762,6 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   s.n_inputs = mo_workspace_masses(body->workspace) + 5;
   s.n_springs = mo_workspace_springs(body->workspace);
   s.highest = highest_of(setup->environment->terrain_heights_m);
-  const double *xy = setup->environment->light_xy_m;
-  s.light[0] = xy[0];
-  s.light[1] = xy[1];
-  s.light[2] =
-      val(terrain(setup->environment->terrain_heights_m, con(xy[0]), con(xy[1]), NULL, NULL));
   num *memory = calloc(9 * (size_t)body->n_masses + s.n_inputs + 512 + 2 * (size_t)body->n_springs,
                        sizeof(num));
   if (memory == NULL)
@@ -631,16 +774,18 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   s.activation = s.hidden + 512;
   s.previous = s.activation + body->n_springs;
   place_body(&s);
-  const num start = add(distance_to_light(&s), con(1e-8));
+  instant(&s, 0, true);
   const struct mo_scheme *scheme = &setup->physics->scheme;
   const long held =
       scheme->control_period_s > 0 ? lround(scheme->control_period_s / scheme->dt_s) : 1;
   uint32_t reported = 0;
   for (uint32_t step = 0; step <= setup->physics->scheme.n_steps; step++) {
     while (reported < n && at[reported] == step)
-      losses[reported++] = div_(distance_to_light(&s), start);
+      losses[reported++] = loss_at(&s, step * scheme->dt_s);
     if (step == setup->physics->scheme.n_steps)
       break;
+    if (step > 0 && step % held == 0)
+      instant(&s, step * scheme->dt_s, false);
     control_step(&s, step, step % held == 0);
     pull_all(&s);
     if (scheme->integrator == MO_INTEGRATOR_SPLIT)

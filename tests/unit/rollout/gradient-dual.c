@@ -5,6 +5,7 @@
 
 #include "gradient-cases.h"
 #include "rollout/contact.h"
+#include "task-cases.h"
 
 #define TOLERANCE 1e-10
 #define NO_TOUCH  1e-15 /* before the first contact: rounding errors of a sum that cancels */
@@ -72,9 +73,9 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
 }
 
 /* held: the steps of a control period in each case; NULL: the controller computes its outputs in
- * every step. */
-static void run_cases(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
-                      const uint32_t *held, uint32_t n_cases)
+ * every step. tasks: those of task-cases.h, instead of plain ones. */
+static void run_tasks(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
+                      const uint32_t *held, uint32_t n_cases, bool tasks)
 {
   double worst_of_all = 0;
   uint32_t untouched = 0;
@@ -85,6 +86,8 @@ static void run_cases(enum mo_integrator integrator, const uint32_t *at, uint32_
   printf(" steps\n");
   for (uint32_t k = 0; k < n_cases; k++) {
     struct gradient_case c = make_gradient_case(k);
+    if (tasks)
+      c.environment.task = task_case(k);
     const struct second_parameters d = make_directions(&c, k);
     double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
     c.physics.scheme.n_steps = at[n_at - 1];
@@ -122,6 +125,12 @@ static void run_cases(enum mo_integrator integrator, const uint32_t *at, uint32_
          (n_cases * n_at - untouched) * SECOND_LANES, worst_of_all);
 }
 
+static void run_cases(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
+                      const uint32_t *held, uint32_t n_cases)
+{
+  run_tasks(integrator, at, n_at, held, n_cases, false);
+}
+
 static void short_runs(void)
 {
   static const uint32_t at[] = {10, 50, 200};
@@ -148,6 +157,16 @@ static void split_runs(void)
   static const uint32_t at[] = {10, 50, 200, 1000}, held[] = {4, 1, 3, 8, 1, 16, 1, 64};
   run_cases(MO_INTEGRATOR_SPLIT, at, 3, held, COUNT(held));
   run_cases(MO_INTEGRATOR_SPLIT, at + 3, 1, held, 4);
+}
+
+/* Every guide with every objective. */
+static void task_runs(void)
+{
+  static const uint32_t at[] = {10, 50, 200}, held[] = {4, 1, 3, 8, 1, 16, 5, 1, 2, 64, 4, 7, 1};
+  _Static_assert(COUNT(held) == TASK_CASES && TASK_CASES <= GRADIENT_CASES, "one period each");
+  run_tasks(MO_INTEGRATOR_PAPER, at, COUNT(at), held, TASK_CASES, true);
+  run_tasks(MO_INTEGRATOR_SPLIT, at, COUNT(at), held, TASK_CASES, true);
+  run_tasks(MO_INTEGRATOR_PAPER, at, COUNT(at), NULL, TASK_CASES, true);
 }
 
 /* One mass and the transposed derivative of its step, compared with dual numbers input by input. */
@@ -298,5 +317,6 @@ static const struct check_case cases[] = {
     {"one mass: every branch of contact", contact},       {"one mass: lying on the ground", lying},
     {"whole rollouts: 10, 50 and 200 steps", short_runs}, {"whole rollouts: 1000 steps", long_runs},
     {"held outputs: 10 to 1000 steps", held_runs},        {"split: 10 to 1000 steps", split_runs},
+    {"tasks: every guide and objective", task_runs},
 };
 CHECK_MAIN(cases)
