@@ -9,6 +9,7 @@
 #include <math.h>
 #include <string.h>
 
+#define EXPONENT_MAX  600.0 /* mo_fast_exp is 0 below −700 */
 #define TRAVEL_UNIT_M 1.0
 #define CLIMB_UNIT_M  0.1
 
@@ -27,10 +28,12 @@ static double dot(const double a[2], const double b[2])
   return a[0] * b[0] + a[1] * b[1];
 }
 
-/* exp(x), of either sign. */
+/* exp(x), of either sign. A body can fall so far that the loss would overflow; only one that
+ * diverged has an infinite loss. */
 static double exponential(double x)
 {
-  return x <= 0 ? mo_fast_exp(x) : 1 / mo_fast_exp(-x);
+  const double bounded = fmin(fmax(x, -EXPONENT_MAX), EXPONENT_MAX);
+  return bounded <= 0 ? mo_fast_exp(bounded) : 1 / mo_fast_exp(-bounded);
 }
 
 /* ---- the path ---- */

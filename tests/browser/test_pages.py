@@ -390,7 +390,7 @@ def test_a_study_shows_its_measures_and_operators(service, browser):
 
 def test_lower_bounds_are_no_scores(service, browser):
     """Lower bounds are faint, outside the color scale, and marked."""
-    id = run(service, "campaigns", RACED | {"generations": 2})["id"]
+    id = run(service, "campaigns", RACED | {"generations": 3})["id"]
     rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
     bound = next(row for row in rows if row["lower_bound"])
     browser.open(f"campaigns/{id}/phylogeny?design={bound['number']}")

@@ -303,6 +303,21 @@ static void divergence(void)
   }
 }
 
+/* A fall of 70 m and more would overflow the loss of `climb`. */
+static void long_falls(void)
+{
+  struct mo_robot *robots = make_robots(lattice, 1, 1, 1);
+  struct mo_environment environment = *robots[0].environment;
+  struct mo_physics physics = physics_of(1000);
+  struct mo_outcome outcome;
+  environment.task = (struct mo_task){{.kind = MO_GUIDE_FIXED}, MO_OBJECTIVE_CLIMB};
+  physics.constants.drag_per_s = 0;
+  physics.drop_height_m = 200;
+  REQUIRE_OK(mo_rollout_reference(robots[0].body, NULL, &environment, &physics, NULL, &outcome));
+  CHECK_INT(outcome.diverged_step, 0);
+  CHECK(outcome.value < -70 && isfinite(outcome.loss) && outcome.loss > 1e200);
+}
+
 /* ---- behavior ---- */
 
 enum { WALKERS = 30 };
@@ -347,8 +362,11 @@ static void walks(void)
 }
 
 static const struct check_case cases[] = {
-    {"reference: lights, losses and values", reference}, {"a body that does nothing", nothing},
-    {"kernels: every task in one block", kernels},       {"divergence", divergence},
+    {"reference: lights, losses and values", reference},
+    {"a body that does nothing", nothing},
+    {"kernels: every task in one block", kernels},
+    {"divergence", divergence},
+    {"long falls", long_falls},
     {"the shipped controller follows guides", walks},
 };
 CHECK_MAIN_WITH(setup, cases)
