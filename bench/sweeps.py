@@ -103,8 +103,9 @@ def draw_stability(rows, path):
                 for row in group if shown(row))
             chart.out.append(f'<path fill="{color}" d="{squares}"/>')
             name(panel, i, words, color)
-        panel.dots([(4, 15000)], "#1b6ca8", 5)
-        name(panel, 4, "the default", "#1b6ca8")
+        panel.dots([(4 if integrator == "paper" else 2, 15000)], "#1b6ca8", 5)
+        name(panel, 4, "the paper's settings" if integrator == "paper" else "the default",
+             "#1b6ca8")
         bound = {row["stiffness_n_per_m"]: row["linear_bound_ms"] for row in group}
         panel.line([(dt, most) for most, dt in sorted(bound.items()) if 0.1 <= dt <= 10], "#111")
         name(panel, 5, "linear bound", "#111")

@@ -93,9 +93,8 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
     *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
     settings->physics = mo_paper_physics();
   } else {
-    struct mo_campaign_settings *settings = &((struct mo_campaign_record *)record)->settings;
-    *settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
-    settings->physics = mo_paper_physics();
+    ((struct mo_campaign_record *)record)->settings =
+        mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
   }
   int error = mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;

@@ -124,7 +124,7 @@ static uint32_t warn_of_every_step(const struct mo_physics *physics, struct mo_w
     return 0;
   *warning = (struct mo_warning){.code = "every_step", .of_request = true};
   snprintf(warning->detail, sizeof(warning->detail),
-           "the controller has no control period, so it acts in every step of %.6g s; if it was "
+           "without a control period, the controller acts in every step of %.6g s; if it was "
            "made for the paper's steps of 0.004 s, use \"physics\": \"paper\", or set "
            "control_period_s",
            scheme->dt_s);
