@@ -95,7 +95,9 @@ def test_back_leads_to_where_one_was(service, browser):
     service.evaluate({"designs": [{"cells": [[x, 0, 0] for x in range(n)]} for n in (1, 2, 3)]})
     browser.open("designs")
     browser.until("document.querySelectorAll('.card').length > 2")
-    browser.run("document.body.style.minHeight = '3000px'; scrollTo(0, 300);"
+    # Without anchoring: cards that are still being drawn would move the page by themselves.
+    browser.run("document.body.style.minHeight = '3000px';"
+                "document.documentElement.style.overflowAnchor = 'none'; scrollTo(0, 300);"
                 "[...document.querySelectorAll('.card')].slice(0, 3).forEach((e) => e.click())")
     browser.until("history.state.scrollY === 300")
     browser.run("document.querySelector('.pick a').click()")

@@ -66,7 +66,7 @@ def test_logs(daemon, seed):
     """Every line is a record; requests, job transitions and the stop are logged."""
     one = daemon("logs", log_format="json", log_level="debug").start()
     job = one.score(
-        {"designs": bodies(seed, 2), "physics": {"n_steps": 50},
+        {"designs": bodies(seed, 2), "physics": {"n_steps": 50, "control_period_s": 0.016},
          "label": 'a "label"\nwith lines'})["id"]
     one.get("/no/such\x01path\n")
     assert one.stop()[0] == 0

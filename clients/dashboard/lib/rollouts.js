@@ -49,7 +49,8 @@ export const CHANNELS = ['masses', 'actuation', 'contacts'];
 /** Maximum of rollouts per request. */
 const ROLLOUTS_AT_ONCE = 16;
 const FRAME_S = 0.04;
-const DEFAULTS = { dt_s: 0.002, n_steps: 2000 };
+const STEP_S = 0.002;
+const STEPS = 2000;
 
 /**
  * Simulates designs in one environment, and returns them for the stage in the same order.
@@ -60,7 +61,7 @@ const DEFAULTS = { dt_s: 0.002, n_steps: 2000 };
  */
 export async function roll(designs, environment, options = {}) {
   const { controller = 'default', physics, precision, signal } = options;
-  const { dt_s: stepS, n_steps: steps } = { ...DEFAULTS, ...physics };
+  const { dt_s: stepS = STEP_S, n_steps: steps = STEPS } = physics ?? {};
   const robots = [];
   for (let i = 0; i < designs.length; i += ROLLOUTS_AT_ONCE) {
     const response = await patient(() => request('v1/rollouts', {
