@@ -48,7 +48,8 @@ CREATE TABLE controller_names(
   stored_us INTEGER NOT NULL
 ) STRICT, WITHOUT ROWID;
 
--- `data`: 66 doubles: light x, y, then the heights. `sha256` is the hash of `data`.
+-- `data`: 66 doubles: light x, y, then the heights; from version 17 on, the task may follow.
+-- `sha256` is the hash of `data`.
 CREATE TABLE environments(
   id INTEGER PRIMARY KEY,
   sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),

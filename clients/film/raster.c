@@ -514,7 +514,10 @@ void raster_draw(struct raster *raster, const struct scene *scene, uint32_t roll
   struct vector *masses = need(malloc((body->n_masses + (size_t)1) * sizeof(*masses)));
   raster->look = &looks[light];
   raster->heights = world->heights_m;
-  const float x = (float)world->light_xy_m[0], y = (float)world->light_xy_m[1];
+  const float *light_m =
+      r->lights_m == NULL ? NULL : r->lights_m + 3 * (size_t)(t / scene->frame_s);
+  const float x = light_m != NULL ? light_m[0] : (float)world->light_xy_m[0],
+              y = light_m != NULL ? light_m[1] : (float)world->light_xy_m[1];
   raster->lamp = (struct vector){x, y, height_at(world->heights_m, x, y, NULL) + 0.1f};
   begin(raster, camera);
   for (uint32_t i = 0; i < body->n_masses; i++)

@@ -125,6 +125,13 @@ static void read_rollout(const struct reader *reader, const struct scene *scene,
   if (sizes[0] == 0 || sizes[1] != scene->bodies[body].n_masses)
     refuse("a recording does not fit its body");
   check_places(rollout->masses_m, (size_t)sizes[0] * sizes[1] * 3);
+  const json_t *lights = json_object_get(item, "lights_m");
+  if (lights == NULL)
+    return;
+  rollout->lights_m = array(reader, lights, "float32", 4, sizes, 2, 3);
+  if (sizes[0] != rollout->n_frames)
+    refuse("a light is not recorded in every frame");
+  check_places(rollout->lights_m, (size_t)sizes[0] * 3);
 }
 
 struct scene scene_read(const void *bytes, size_t size)

@@ -17,13 +17,14 @@ struct scene_body {
 };
 
 struct scene_world {
-  double light_xy_m[2];
+  double light_xy_m[2];   /* of a light that does not move */
   const float *heights_m; /* (8, 8), row y */
 };
 
 struct scene_rollout {
   uint32_t body, world, n_frames;
   const float *masses_m; /* (n_frames, n_masses, 3) */
+  const float *lights_m; /* (n_frames, 3) of a light that a task moves; or NULL */
 };
 
 struct scene {

@@ -51,9 +51,9 @@ static json_t *recompute_request(struct ctl *ctl, const char *id, int64_t n)
   }
   json_array_foreach(json_object_get(worlds, "items"), i, item)
   {
-    json_array_append_new(
-        environments, json_pack("{s:O,s:O}", "light_xy_m", json_object_get(item, "light_xy_m"),
-                                "terrain_heights_m", json_object_get(item, "terrain_heights_m")));
+    json_t *world = json_copy((json_t *)item);
+    json_object_del(world, "sha256");
+    json_array_append_new(environments, world);
   }
   return keep(json_pack(
       "{s:O,s:O,s:s+,s:O,s:b}", "designs", designs, "environments", environments, "controller",

@@ -228,12 +228,13 @@ static void fill_environments(const struct ctl *ctl, json_t *request)
     fail(STATUS_USAGE, "%s:%d: %s", name, error.line, error.text);
   keep(json);
   json_t *list = json_is_object(json) ? json_object_get(json, "environments") : json;
-  if (list == NULL && json_object_get(json, "light_xy_m") != NULL)
+  if (list == NULL &&
+      (json_object_get(json, "light_xy_m") != NULL || json_object_get(json, "task") != NULL))
     list = keep(json_pack("[O]", json));
   if (!json_is_array(list) && !json_is_string(list))
     fail(STATUS_USAGE,
          "%s is not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, "
-         "…]",
+         "{\"task\": \"walk\"}, …]",
          name);
   json_object_set(request, "environments", list);
 }

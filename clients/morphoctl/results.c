@@ -42,6 +42,8 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
   size_t k;
   json_array_foreach(losses, k, loss)
   {
+    if (json_is_object(loss))
+      loss = json_object_get(loss, "loss");
     if (!is_whole || !json_is_number(loss))
       continue;
     if (best == NULL || json_number_value(loss) < json_number_value(best))
@@ -77,12 +79,13 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
   struct ranked *order = rank_results(results, by_score);
   json_t *rows = keep(json_array());
-  bool named = false, verified = false, estimated = false;
+  bool named = false, verified = false, estimated = false, valued = false;
   char columns[640];
   for (size_t i = 0; i < n; i++) {
     named |= name_of(designs, place_of(results, i)) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
     estimated |= json_object_get(json_array_get(results, i), "error") != NULL;
+    valued |= json_object_get(json_array_get(results, i), "value") != NULL;
   }
   for (size_t r = 0; r < shown; r++) {
     const size_t i = order[r].place;
@@ -92,10 +95,10 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   }
   snprintf(columns, sizeof(columns),
            ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
-           "]{score:.4f}%s|>best={best:.4f}"
+           "]{score:.4f}%s%s|>best={best:.4f}"
            "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
            "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
-           named ? "|name={name}" : "",
+           named ? "|name={name}" : "", valued ? "|>value=[{value:.4f} {unit}]" : "",
            estimated ? "|>limit=[{error.low:.4f} to {error.high:.4f}]|>bifurcates="
                        "[{error.low:-}{error.bifurcates:#} of {losses:#}]"
                      : "",

@@ -36,7 +36,7 @@ enum mo_guide_kind {
 };
 extern const char *const mo_guide_words[]; /* "fixed", "ahead", …, NULL */
 
-/* Only the fields of the kind are used; the others should be 0. */
+/* Only the fields of the kind are used; the others must be 0. */
 struct mo_guide {
   enum mo_guide_kind kind;
   uint32_t n_points;                       /* path: 1 … MO_GUIDE_POINTS_MAX */
@@ -46,7 +46,7 @@ struct mo_guide {
   double points_m[MO_GUIDE_POINTS_MAX][2]; /* path: way-points, in this order, after the center of
                                               mass at the start */
   double velocity_m_per_s[2];              /* moving */
-  double center_m[2];                      /* moving: at time 0 */
+  double center_m[2];                      /* moving, if it turns: at time 0 */
 };
 
 /* What the score is. Each has a loss (at least 0, 1 for a body that does nothing, lower is better)
@@ -71,12 +71,20 @@ struct mo_task {
 /* Returns whether the light is fixed and the objective is `reach`. */
 bool mo_task_is_plain(const struct mo_task *task);
 
+/* Returns whether the guide uses light_xy_m of the environment; if not, that must be (0, 0). */
+bool mo_guide_has_light(const struct mo_guide *guide);
+
 /* Checks a task: known words, an objective that fits the guide, finite numbers within their bounds.
  * MO_ERR_INVALID or MO_ERR_RANGE; message (nullable) says which field is wrong and what to do. */
 int mo_task_check(const struct mo_task *task, struct mo_message *message);
 
 /* Returns the unit of an objective's value: "m", or "" for a number without a unit. */
 const char *mo_objective_unit(enum mo_objective objective);
+/* Returns the scale of the loss exp(−value / scale), in the unit of the value; 0: the loss is
+ * 1 − value. */
+double mo_objective_scale(enum mo_objective objective);
+/* Returns the value that has a loss, to within rounding: −infinity for an infinite loss. */
+double mo_objective_value(enum mo_objective objective, double loss);
 
 #ifdef __cplusplus
 }

@@ -26,7 +26,8 @@ static void write_error(struct mo_text *text, const struct mo_score_error *error
 }
 
 static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
-                        const struct mo_evaluation_results *results, uint32_t d,
+                        const struct mo_evaluation_results *results,
+                        const struct mo_environment *tasks, uint32_t d,
                         const struct mo_design_note *note)
 {
   const uint32_t columns = results->n_environments;
@@ -39,7 +40,7 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);
   mo_text_member_bool(text, "lower_bound", results->is_bound[d]);
-  mo_member_numbers(text, "losses", &results->losses[(size_t)d * columns], columns);
+  mo_members_losses(text, &results->losses[(size_t)d * columns], columns, tasks);
   mo_text_add(text, ",\"diverged\":[");
   for (uint32_t k = 0; k < columns; k++)
     if (steps[k] != 0) {
@@ -65,13 +66,14 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
 }
 
 static int write_results(struct mo_text *text, const struct mo_lattice *lattice,
-                         const struct mo_evaluation_results *results)
+                         const struct mo_evaluation_results *results,
+                         const struct mo_environment *tasks)
 {
   int error = MO_OK;
   mo_text_add(text, ",\"results\":[");
   for (uint32_t d = 0, k = 0; d < results->n_designs && error == MO_OK; d++) {
     const bool has_note = k < results->n_notes && results->notes[k].place == d;
-    error = write_result(text, lattice, results, d, has_note ? &results->notes[k++] : NULL);
+    error = write_result(text, lattice, results, tasks, d, has_note ? &results->notes[k++] : NULL);
   }
   mo_text_add(text, "]");
   return error;
@@ -143,15 +145,19 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
 {
   const struct mo_job *job = status;
   struct mo_evaluation_results *results = NULL;
+  struct mo_environment *tasks = NULL;
   int error = MO_OK;
   if (job->state == MO_JOB_SUCCEEDED && !is_listed && job->n_designs <= MO_DESIGNS_MAX)
     error = mo_store_results(api->store, job->id, &results);
+  if (error == MO_OK && results != NULL)
+    error = mo_tasks_read(api->store, job->id, job->kind, job->environment_set, &tasks);
   if (error == MO_OK) {
     write_job(text, job, live);
     if (results != NULL)
-      error = write_results(text, api->lattice, results);
+      error = write_results(text, api->lattice, results, tasks);
     mo_text_add(text, "}");
   }
+  free(tasks);
   mo_evaluation_results_free(results);
   return error;
 }
@@ -174,7 +180,8 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
 /* ---- pages of results ---- */
 
 /* Writes the result of a design, with its number. */
-static int write_numbered(struct mo_api *api, struct mo_text *text, int64_t id, uint32_t number)
+static int write_numbered(struct mo_api *api, struct mo_text *text, int64_t id,
+                          const struct mo_environment *tasks, uint32_t number)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_text one = {0};
@@ -184,7 +191,7 @@ static int write_numbered(struct mo_api *api, struct mo_text *text, int64_t id, 
     if (results->notes[i].place == number)
       note = &results->notes[i];
   if (error == MO_OK)
-    error = write_result(&one, api->lattice, results, 0, note);
+    error = write_result(&one, api->lattice, results, tasks, 0, note);
   if (error == MO_OK) {
     mo_text_next(text);
     mo_text_format(text, "{\"number\":%u,", number);
@@ -200,6 +207,7 @@ static const char *const whole_words[] = {"false", "true", NULL};
 void mo_api_get_results(struct mo_request *request)
 {
   struct mo_api *api = mo_api_of(request);
+  struct mo_environment *tasks = NULL;
   struct mo_text text = {0};
   struct mo_job job;
   int64_t id, first;
@@ -229,15 +237,18 @@ void mo_api_get_results(struct mo_request *request)
     n = mo_store_result_numbers(api->store, id, (uint32_t)first, whole == 0, numbers, limit);
   if (n < 0)
     error = (int)n;
+  if (error == MO_OK)
+    error = mo_tasks_read(api->store, id, job.kind, job.environment_set, &tasks);
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n && error == MO_OK; i++)
-    error = write_numbered(api, &text, id, numbers[i]);
+    error = write_numbered(api, &text, id, tasks, numbers[i]);
   if (n == (int64_t)limit && numbers[n - 1] + 1 < job.n_designs)
     mo_text_format(&text, "],\"next_cursor\":\"%u\"}", numbers[n - 1] + 1);
   else
     mo_text_add(&text, "],\"next_cursor\":null}");
   mo_reply_text(request, error, &text, "evaluation");
   free(numbers);
+  free(tasks);
 }
 
 /* ---- submission ---- */

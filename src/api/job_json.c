@@ -2,6 +2,9 @@
 #include "api/job_json.h"
 
 #include <math.h>
+#include <stdlib.h>
+
+#include "store/worlds.h"
 
 void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation)
 {
@@ -81,6 +84,24 @@ void mo_member_environments(struct mo_text *text, const char *set, uint32_t n)
     mo_text_member(text, "environments", set);
   else
     mo_text_format(text, ",\"environments\":{\"count\":%u}", n);
+}
+
+int mo_tasks_read(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *set,
+                  struct mo_environment **environments)
+{
+  uint32_t n = 0;
+  bool is_plain = true;
+  *environments = NULL;
+  if (set[0] != '\0') /* the tasks of named sets are plain */
+    return MO_OK;
+  const int error = mo_store_job_environments(store, id, kind, environments, &n);
+  for (uint32_t i = 0; error == MO_OK && i < n; i++)
+    is_plain = is_plain && mo_task_is_plain(&(*environments)[i].task);
+  if (is_plain) {
+    free(*environments);
+    *environments = NULL;
+  }
+  return error;
 }
 
 /* Returns whether a job is paused because no device is available to compute it. */

@@ -25,6 +25,11 @@ void mo_member_controller(struct mo_text *text, const char *member, bool known, 
  * request. */
 void mo_member_environments(struct mo_text *text, const char *set, uint32_t n);
 
+/* Reads the environments of a job if one of them has a task that is not plain; else *environments
+ * is NULL. The caller frees them. set: the job's named set, or "". */
+int mo_tasks_read(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *set,
+                  struct mo_environment **environments);
+
 /* Writes warnings as a member. */
 void mo_member_warnings(struct mo_text *text, const struct mo_warning *warnings, uint32_t n);
 

@@ -7,6 +7,7 @@
 #include "jobs/trainings.h"
 #include "rollout/physics.h"
 #include "world/environment.h"
+#include "world/task_json.h"
 
 #define HELD_OUT_DESIGNS_MAX 1000
 #define HELD_OUT_PLACES_MAX  64
@@ -133,7 +134,7 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
   mo_text_add(&text, "],\"environments\":[");
   for (uint32_t k = 0; k < n_environments; k++) {
     mo_text_object(&text);
-    mo_fields_write(&text, &mo_environment_fields, &environments[k]);
+    mo_environment_write_members(&text, &environments[k]);
     mo_text_add(&text, "}");
   }
   mo_text_add(&text, "]");

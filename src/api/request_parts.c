@@ -10,6 +10,7 @@
 #include "jobs/evaluations.h"
 #include "store/store.h"
 #include "world/environment.h"
+#include "world/task_json.h"
 
 #define SIGMA_MAX_M    10.0
 #define LABEL_MAX      (MO_LABEL_BYTES_MAX / 4) /* characters */
@@ -74,43 +75,69 @@ static void check_light(struct mo_json *json, unsigned depth, const double light
                      MO_VOXEL_M);
 }
 
+/* The members of an environment that were given. */
+struct given {
+  bool task, light, heights, sigma, seed;
+};
+
+static void check_given_light(struct mo_json *json, unsigned depth,
+                              const struct mo_environment *environment, const struct given *given)
+{
+  const struct mo_guide *guide = &environment->task.guide;
+  if (guide->kind != MO_GUIDE_FIXED && given->light)
+    mo_json_fault_at(json, depth, "",
+                     "light_xy_m is only for a light that does not move; remove it, because the "
+                     "guide of the task (\"%s\") places the light",
+                     mo_guide_words[guide->kind]);
+  else if (guide->kind == MO_GUIDE_FIXED && !given->light)
+    mo_json_fault_at(json, depth, "",
+                     "light_xy_m is missing; it must be [x, y] of the light in meters");
+  else if (mo_guide_has_light(guide))
+    check_light(json, depth, environment->light_xy_m);
+}
+
 static void read_environment(struct mo_json *json, struct mo_environment *environment)
 {
-  unsigned depth = json->depth, before = json->faults->n;
-  bool light = false, heights = false, has_sigma = false, has_seed = false;
+  const unsigned depth = json->depth, before = json->faults->n;
+  struct given given = {0};
   double sigma_m = 0;
   int64_t seed = 0;
   struct mo_json_slice key;
   *environment = mo_environment_defaults;
+  struct mo_environment tasked = mo_environment_defaults; /* only the task and its light */
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
-    const unsigned faults = json->faults->n, within = json->depth;
-    if (mo_fields_read_member(json, key, &mo_environment_fields, environment)) {
-      const bool is_light = mo_json_is(key, "light_xy_m");
-      light |= is_light;
-      heights |= mo_json_is(key, "terrain_heights_m");
-      if (is_light && !json->stop && json->faults->n == faults)
-        check_light(json, within, environment->light_xy_m);
+    given.light |= mo_json_is(key, "light_xy_m");
+    given.heights |= mo_json_is(key, "terrain_heights_m");
+    if (mo_json_is(key, "task")) {
+      given.task = true;
+      mo_task_read(json, &tasked);
     } else if (mo_json_is(key, "terrain_sigma_m")) {
-      has_sigma = true;
+      given.sigma = true;
       mo_json_bounded(json, 0, SIGMA_MAX_M, &sigma_m);
     } else if (mo_json_is(key, "seed")) {
-      has_seed = true;
+      given.seed = true;
       mo_json_integer(json, 0, MO_SEED_MAX, &seed);
-    } else {
-      mo_fields_unknown(json, "light_xy_m, and terrain_heights_m or terrain_sigma_m with seed",
-                        NULL);
+    } else if (!mo_environment_read_member(json, key, environment)) {
+      mo_fields_unknown(
+          json, "task, light_xy_m, and terrain_heights_m or terrain_sigma_m with seed", NULL);
     }
   }
-  if (!light)
-    mo_json_fault_at(json, depth, "",
-                     "light_xy_m is missing; it must be [x, y] of the light in meters");
-  if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
+  if (json->stop)
+    return;
+  environment->task = tasked.task;
+  if (json->faults->n == before && tasked.task.guide.kind != MO_GUIDE_FIXED && !given.light)
+    memcpy(environment->light_xy_m, tasked.light_xy_m, sizeof(tasked.light_xy_m));
+  if (json->faults->n == before)
+    check_given_light(json, depth, environment, &given);
+  const bool drawn = given.sigma || given.seed;
+  if (given.heights ? drawn : given.sigma != given.seed || (!drawn && !given.task))
     mo_json_fault_at(
         json, depth, "",
-        "give the terrain either as terrain_heights_m, or as terrain_sigma_m and seed");
-  else if (!heights)
+        "give the terrain either as terrain_heights_m, or as terrain_sigma_m and seed%s",
+        given.task ? ", or leave all of them out for flat ground" : "");
+  else if (drawn)
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
   if (json->faults->n == before && mo_environment_check(environment, NULL) != MO_OK)
     mo_json_fault_at(json, depth, "", "a drawn height exceeds %g m; use another seed",

@@ -6,8 +6,10 @@
 
 #include "api/handlers.h"
 #include "api/job_json.h"
+#include "rollout/course.h"
 #include "rollout/physics.h"
 #include "world/environment.h"
+#include "world/task_json.h"
 
 /* ---- arrays ---- */
 
@@ -216,12 +218,16 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
   mo_environment_hash(environment, &hash);
   mo_text_object(text);
   mo_member_hash(text, "sha256", &hash);
-  for (size_t i = 0; i < mo_environment_fields.n; i++) {
-    const struct mo_fields field = {&mo_environment_fields.rows[i], 1};
+  for (size_t i = 0; i < mo_place_fields.n; i++) {
+    const struct mo_fields field = {&mo_place_fields.rows[i], 1};
     if (field.rows->side > 0)
       write_table(text, arrays, field.rows, environment);
-    else
+    else if (i != MO_PLACE_LIGHT || environment->task.guide.kind == MO_GUIDE_FIXED)
       mo_fields_write(text, &field, environment);
+  }
+  if (!mo_task_is_plain(&environment->task)) {
+    mo_text_name(text, "task");
+    mo_task_write(text, environment);
   }
   mo_text_add(text, "}");
 }
@@ -235,6 +241,55 @@ static void write_recording(struct mo_text *text, struct mo_text *arrays,
     if (mo_scene_channel(&rolled->recording, (enum mo_channel)(1U << i), rollouts->n_frames,
                          body->n_masses, body->n_springs, &array))
       mo_scene_write_array(text, arrays, &array);
+}
+
+/* The center of mass in a frame. Returns false if nothing was recorded that has it. */
+static bool com_at(const struct mo_recording *recording, uint32_t frame, uint32_t n_masses,
+                   double com_m[3])
+{
+  const float *masses = recording->mass_m;
+  if (recording->com_m != NULL)
+    memcpy(com_m, recording->com_m + (size_t)frame * 3, 3 * sizeof(double));
+  else if (masses != NULL)
+    for (int axis = 0; axis < 3; axis++) {
+      double sum = 0;
+      for (uint32_t m = 0; m < n_masses; m++)
+        sum += (double)masses[((size_t)frame * n_masses + m) * 3 + (size_t)axis];
+      com_m[axis] = sum / n_masses;
+    }
+  return recording->com_m != NULL || masses != NULL;
+}
+
+/* Writes where the guide of a task places the light in each frame, from the recorded centers of
+ * mass. May fail with MO_ERR_NO_MEMORY. */
+static int write_lights(struct mo_text *text, struct mo_text *arrays,
+                        const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
+                        const struct mo_environment *environment, uint32_t n_masses)
+{
+  const struct mo_scheme *scheme = &rollouts->physics.scheme;
+  const uint32_t n = rollouts->n_frames;
+  struct mo_course course;
+  struct mo_track track;
+  double com_m[3], light_m[3];
+  if (environment->task.guide.kind == MO_GUIDE_FIXED ||
+      !com_at(&rolled->recording, 0, n_masses, com_m))
+    return MO_OK;
+  float(*lights_m)[3] = calloc(n, sizeof(*lights_m));
+  if (lights_m == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_course_begin(&course, environment, scheme, com_m, &track);
+  for (uint32_t frame = 0; frame < n; frame++) {
+    const double t_s = (double)frame * rolled->recording.stride * scheme->dt_s;
+    if (frame > 0 && com_at(&rolled->recording, frame, n_masses, com_m))
+      mo_course_advance(&course, t_s, com_m, &track);
+    mo_course_light(&course, t_s, &track, light_m);
+    for (int axis = 0; axis < 3; axis++)
+      lights_m[frame][axis] = (float)light_m[axis];
+  }
+  mo_scene_write_array(text, arrays,
+                       &(struct mo_scene_array){"lights_m", "float32", lights_m, 4, {n, 3}, 2});
+  free(lights_m);
+  return MO_OK;
 }
 
 static int write_designs(struct mo_text *text, struct mo_text *arrays,
@@ -281,7 +336,7 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
   for (uint32_t k = 0; k < n; k++)
     write_environment(text, arrays, &rollouts->environments[k]);
   mo_text_add(text, "]");
-  const int error = write_designs(text, arrays, lattice, rollouts);
+  int error = write_designs(text, arrays, lattice, rollouts);
   mo_text_open(text, "rollouts", "[");
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
     for (uint32_t k = 0; k < n; k++) {
@@ -290,9 +345,15 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
       mo_text_member_count(text, "design", i);
       mo_text_member_count(text, "environment", k);
       mo_text_member_number(text, "loss", rolled->outcome.loss);
+      mo_members_value(text, &rollouts->environments[k].task, rolled->outcome.loss);
       mo_text_member_count(text, "diverged_step", (uint64_t)rolled->outcome.diverged_step);
-      if (arrays != NULL)
-        write_recording(text, arrays, rollouts, rolled, rollouts->designs[i].body);
+      const struct mo_body *body = rollouts->designs[i].body;
+      if (arrays != NULL) {
+        write_recording(text, arrays, rollouts, rolled, body);
+        error = error != MO_OK ? error
+                               : write_lights(text, arrays, rollouts, rolled,
+                                              &rollouts->environments[k], body->n_masses);
+      }
       mo_text_add(text, "}");
     }
   mo_text_add(text, "]}");

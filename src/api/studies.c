@@ -31,6 +31,7 @@ struct told {
   struct mo_bits *genotypes;          /* (n) */
   struct mo_campaign_loss *losses;    /* (n) */
   uint8_t *known;                     /* (n) */
+  struct mo_environment *tasks;       /* nullable */
   struct mo_design_note *notes;       /* (n_notes) */
   uint32_t n_notes;
 };
@@ -42,6 +43,7 @@ static void free_told(struct told *told)
   free(told->genotypes);
   free(told->losses);
   free(told->known);
+  free(told->tasks);
   free(told->notes);
 }
 
@@ -67,6 +69,9 @@ static int read_designs(struct mo_api *api, struct told *told)
   }
   for (uint32_t i = 0; i < told->n; i++)
     memcpy(told->genotypes[i].words, told->designs[i].genotype.words, sizeof(*told->genotypes));
+  if (error == MO_OK)
+    error = mo_tasks_read(api->store, id, MO_JOB_CAMPAIGN, told->status.record.environment_set,
+                          &told->tasks);
   return error == MO_OK ? mo_jobs_study_losses(api->jobs, id, told->genotypes, told->n,
                                                told->losses, told->known)
                         : error;
@@ -79,7 +84,7 @@ static void write_child(struct mo_text *text, const struct told *told, uint32_t 
   mo_text_member_count(text, "child", told->batch->children[i].place);
   mo_campaign_json_design(text, &told->designs[i], &told->status.words);
   if (told->known[i])
-    mo_member_numbers(text, "losses", loss->losses, told->status.record.n_environments);
+    mo_members_losses(text, loss->losses, told->status.record.n_environments, told->tasks);
   else
     mo_text_member(text, "losses", NULL);
   mo_text_add(text, "}");

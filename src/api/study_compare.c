@@ -10,6 +10,7 @@
 #include "api/requests.h"
 #include "store/fields.h"
 #include "world/environment.h"
+#include "world/task_json.h"
 
 #define VALUE_SHOWN 88 /* bytes of a value in a message */
 
@@ -98,15 +99,33 @@ static void compare_numbers(struct comparison *comparison, const struct mo_field
   add(comparison, pointer, a, b);
 }
 
+static void compare_tasks(struct comparison *comparison, uint32_t place,
+                          const struct mo_environment *given, const struct mo_environment *known)
+{
+  struct mo_text texts[2] = {{0}, {0}};
+  char pointer[64];
+  snprintf(pointer, sizeof(pointer), "/environments/%u/task", place);
+  mo_task_write(&texts[0], given);
+  mo_task_write(&texts[1], known);
+  if (texts[0].failed || texts[1].failed)
+    comparison->error = MO_ERR_NO_MEMORY;
+  else if (strcmp(texts[0].data, texts[1].data) != 0)
+    add(comparison, pointer, texts[0].data, texts[1].data);
+  mo_text_free(&texts[0]);
+  mo_text_free(&texts[1]);
+}
+
 static void compare_environment(struct comparison *comparison, uint32_t place,
                                 const struct mo_environment *given,
                                 const struct mo_environment *known)
 {
-  for (size_t i = 0; i < mo_environment_fields.n; i++) {
-    const struct mo_field *field = &mo_environment_fields.rows[i];
-    compare_numbers(comparison, field, place, mo_environment_numbers(given, field),
-                    mo_environment_numbers(known, field));
+  for (size_t i = 0; i < mo_place_fields.n; i++) {
+    const struct mo_field *field = &mo_place_fields.rows[i];
+    if (i != MO_PLACE_LIGHT || given->task.guide.kind == known->task.guide.kind)
+      compare_numbers(comparison, field, place, mo_environment_numbers(given, field),
+                      mo_environment_numbers(known, field));
   }
+  compare_tasks(comparison, place, given, known);
 }
 
 static void compare_environments(struct comparison *comparison, const struct mo_parts *parts,

@@ -464,7 +464,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
   "masses:n"                                                                                       \
   " springs:n path_length_m:n repaired fault orientation error.low:n error.high:n"                 \
-  " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates"
+  " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates value:n unit"
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

@@ -11,6 +11,7 @@
 #include "exchange/values.h"
 #include "store/store.h"
 #include "world/environment.h"
+#include "world/task_json.h"
 
 #define PATH_BYTES 128
 
@@ -354,7 +355,7 @@ int mo_bundle_read_environment(struct mo_bundle_lines *lines, const char *line, 
   *environment = mo_environment_defaults;
   if (mo_json_object(json))
     while (mo_json_member(json, &key))
-      if (!mo_fields_read_member(json, key, &mo_environment_fields, environment))
+      if (!mo_environment_read_member(json, key, environment))
         mo_json_skip(json); /* the hash is compared below */
   const int error = mo_line_end(lines, message);
   mo_environment_write(&lines->again, environment);

@@ -7,6 +7,7 @@
 
 #include "store/hash.h"
 #include "world/environment.h"
+#include "world/task_json.h"
 
 /* ---- values, and members of an object ---- */
 
@@ -97,13 +98,57 @@ static void write_hash(struct mo_text *text, const void *value)
 }
 const struct mo_field_own mo_hash_field = {.read = read_hash, .write = write_hash};
 
+/* ---- tasks ---- */
+
+static void write_value(struct mo_text *text, const struct mo_task *task, double loss)
+{
+  mo_text_member_number(text, "value", mo_objective_value(task->objective, loss));
+  mo_text_member(text, "unit", mo_objective_unit(task->objective));
+}
+
+void mo_members_value(struct mo_text *text, const struct mo_task *task, double loss)
+{
+  if (!mo_task_is_plain(task))
+    write_value(text, task, loss);
+}
+
+void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
+                       const struct mo_environment *environments)
+{
+  bool is_plain = true, is_same = true;
+  double sum = 0;
+  for (size_t k = 0; environments != NULL && k < n; k++) {
+    const struct mo_task *task = &environments[k].task;
+    is_plain = is_plain && mo_task_is_plain(task);
+    is_same = is_same && strcmp(mo_objective_unit(task->objective),
+                                mo_objective_unit(environments[0].task.objective)) == 0;
+  }
+  if (is_plain) {
+    mo_member_numbers(text, "losses", losses, n);
+    return;
+  }
+  mo_text_open(text, "losses", "[");
+  for (size_t k = 0; k < n; k++) {
+    mo_text_object(text);
+    mo_text_member_number(text, "loss", losses[k]);
+    write_value(text, &environments[k].task, losses[k]);
+    mo_text_add(text, "}");
+    sum += mo_objective_value(environments[k].task.objective, losses[k]);
+  }
+  mo_text_add(text, "]");
+  if (is_same) {
+    mo_text_member_number(text, "value", sum / (double)n);
+    mo_text_member(text, "unit", mo_objective_unit(environments[0].task.objective));
+  }
+}
+
 void mo_environment_write(struct mo_text *text, const struct mo_environment *environment)
 {
   struct mo_sha256 hash;
   mo_environment_hash(environment, &hash);
   mo_text_object(text);
   mo_member_hash(text, "sha256", &hash);
-  mo_fields_write(text, &mo_environment_fields, environment);
+  mo_environment_write_members(text, environment);
   mo_text_add(text, "}");
 }
 

@@ -24,6 +24,15 @@ void mo_member_count_if(struct mo_text *text, const char *name, bool known, uint
 void mo_member_number_if(struct mo_text *text, const char *name, bool known, double number);
 extern const struct mo_field_own mo_hash_field; /* a struct mo_sha256 */
 
+/* Writes the value that a task has at a loss, and its unit, as members; nothing for a plain
+ * task. */
+void mo_members_value(struct mo_text *text, const struct mo_task *task, double loss);
+/* Writes losses as the member "losses". environments (nullable): if one of them has a task that is
+ * not plain, each loss becomes an object with its value and unit; and if all units are the same,
+ * "value", the mean of the values, and "unit" follow. */
+void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
+                       const struct mo_environment *environments);
+
 /* Writes an environment as an object. */
 void mo_environment_write(struct mo_text *text, const struct mo_environment *environment);
 

@@ -6,11 +6,13 @@
  * that masses leave their terrain cells: the reference, not the kernels, computes these moves. Some
  * hold the controller's outputs through control periods, and some use the integrator `split`. The
  * robots of the gradients stand on the ground, so that few steps have contacts. They fill one CPU
- * block and part of another. */
+ * block and part of another. Some environments have a task. */
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/words.h"
 #include "fleet/fleet.h"
+#include "world/task_json.h"
 
 #define SEED   UINT64_C(0x6d6f72706866)
 #define BODIES 8
@@ -46,6 +48,15 @@ static struct mo_physics physics_of(uint32_t body)
   return physics;
 }
 
+/* Gives an environment a task: in each body, the last lanes have one of each kind of guide. */
+static void set_task(uint32_t lane, struct mo_environment *environment)
+{
+  static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
+  const uint32_t first = MO_BLOCK_LANES - (uint32_t)(sizeof(words) / sizeof(*words));
+  if (lane >= first)
+    mo_task_named(mo_word_index(mo_task_words, words[lane - first]), environment);
+}
+
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)
 {
   int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &canary->lattice);
@@ -71,6 +82,8 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .back_end = back_end};
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
+      if (back_end == MO_ON_CPU)
+        set_task(e, &canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];
     }
   }

@@ -368,13 +368,18 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *
 static int get_environments(struct codec *codec, struct mo_wire_lease *lease, unsigned version,
                             uint32_t i, struct mo_message *message)
 {
+  struct mo_message why = {""};
   int error = MO_OK;
   for (uint32_t e = 0; e < lease->n_environments && error == MO_OK; e++) {
     struct mo_environment *environment = &lease->environments[e];
     uint32_t where = 0;
     *environment = mo_environment_defaults;
     error = get_packed(codec, &mo_environment_fields, version, environment, i, message);
-    if (error == MO_OK && mo_environment_check(environment, &where) != MO_OK)
+    if (error != MO_OK || mo_environment_check(environment, &where) == MO_OK)
+      continue;
+    if (mo_task_check(&environment->task, &why) != MO_OK)
+      error = mo_fail(message, MO_ERR_FORMAT, "lease %u, environment %u: %s", i, e, why.text);
+    else
       error = mo_fail(message, MO_ERR_FORMAT,
                       "lease %u, environment %u: number %u must be finite and within its limit", i,
                       e, where);

@@ -106,20 +106,17 @@ int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end bac
 
 /* ---- jobs ---- */
 
-int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool suits,
+int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, const char *unsuited,
                        bool is_large, struct mo_message *message)
 {
   const int asked = request->back_end;
   const bool is_there = mo_compute_devices_working(jobs->compute) > 0;
-  request->back_end =
-      asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large)
-          ? MO_ON_DEVICE
-          : MO_ON_CPU;
-  if (request->back_end == MO_ON_DEVICE && !suits)
-    return mo_fail(
-        message, MO_ERR_DEVICE,
-        "devices can only compute batches in float32 that record nothing and estimate no "
-        "errors; request \"cpu\" or \"auto\", or such a batch");
+  request->back_end = asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there &&
+                                                unsuited == NULL && is_large)
+                          ? MO_ON_DEVICE
+                          : MO_ON_CPU;
+  if (request->back_end == MO_ON_DEVICE && unsuited != NULL)
+    return mo_fail(message, MO_ERR_DEVICE, "%s", unsuited);
   if (request->back_end == MO_ON_CPU || serves_devices(jobs))
     return MO_OK;
   if (mo_compute_expects_devices(jobs->compute))
@@ -130,6 +127,15 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool
                  "%s; request \"cpu\" or \"auto\", or repair the devices and restart the service",
                  mo_compute_devices(jobs->compute) > 0 ? "no device works anymore"
                                                        : "the service has no devices");
+}
+
+const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
+{
+  for (uint32_t i = 0; environments != NULL && i < n; i++)
+    if (!mo_task_is_plain(&environments[i].task))
+      return "devices cannot compute tasks yet; request \"cpu\" or \"auto\", or environments "
+             "without a task";
+  return NULL;
 }
 
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)

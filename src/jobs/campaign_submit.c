@@ -144,7 +144,9 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
     return MO_ERR_DUPLICATE;
   if (error != MO_OK || *replayed)
     return error;
-  error = mo_back_end_choose(jobs, &request.job, true, true, message);
+  error = mo_back_end_choose(jobs, &request.job,
+                             mo_back_end_unsuited(asked->environments, record->n_environments),
+                             true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);
   if (error == MO_OK)

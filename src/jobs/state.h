@@ -83,10 +83,12 @@ void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS]);
 
 /* ---- back_end.c ---- */
-/* Chooses the back end if the request leaves it open. suits: devices can compute the job; is_large:
- * devices are worth it. MO_ERR_DEVICE. */
-int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, bool suits,
+/* Chooses the back end if the request leaves it open. unsuited: why devices cannot compute the job,
+ * and what to do; NULL: they can. is_large: devices are worth it. MO_ERR_DEVICE. */
+int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, const char *unsuited,
                        bool is_large, struct mo_message *message);
+/* The same sentence for a list of environments (NULL: a named set). */
+const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n);
 /* MO_ERR_DEVICE: the job needs devices, none works, and no worker with devices has joined. Check
  * this before a job starts, because redrawing its bodies can take minutes. */
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end);

@@ -9,9 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-#define EXPONENT_MAX  600.0 /* mo_fast_exp is 0 below −700 */
-#define TRAVEL_UNIT_M 1.0
-#define CLIMB_UNIT_M  0.1
+#define EXPONENT_MAX 600.0 /* mo_fast_exp is 0 below −700 */
 
 static const struct mo_guide *guide_of(const struct mo_course *course)
 {
@@ -178,18 +176,11 @@ void mo_course_begin(struct mo_course *course, const struct mo_environment *envi
     face(course, track);
   aim(course, 0, track);
   track->before_m = -track->along_m; /* progress is 0 at the start, even if it reaches way-points */
-  switch (environment->task.objective) {
-  case MO_OBJECTIVE_REACH:
-  case MO_OBJECTIVE_APPROACH:
-  case MO_OBJECTIVE_PURSUE: {
+  course->scale_m = mo_objective_scale(environment->task.objective);
+  if (course->scale_m == 0) {
     double light_m[2];
     light_xy(course, 0, track, light_m);
     course->scale_m = distance(com_start_m, light_m) + 1e-8;
-    break;
-  }
-  case MO_OBJECTIVE_TRAVEL:
-  case MO_OBJECTIVE_FOLLOW: course->scale_m = TRAVEL_UNIT_M; break;
-  case MO_OBJECTIVE_CLIMB: course->scale_m = CLIMB_UNIT_M; break;
   }
 }
 
@@ -231,7 +222,7 @@ void mo_course_finish(const struct mo_course *course, const struct mo_track *tra
     break;
   case MO_OBJECTIVE_CLIMB: outcome->value = track->com_m[2] - course->start_m[2]; break;
   }
-  const bool is_share = *mo_objective_unit(course->environment->task.objective) == '\0';
+  const bool is_share = mo_objective_scale(course->environment->task.objective) == 0;
   outcome->loss = is_share ? share : exponential(-outcome->value / course->scale_m);
   if (is_share)
     outcome->value = 1 - share;

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "store/campaigns.h"
+#include "store/encode.h"
 #include "store/evaluations.h"
 #include "store/rows.h"
 #include "store/trainings.h"
@@ -145,9 +146,8 @@ static void warn_of_physics(struct mo_job *job)
 
 static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, int64_t owner)
 {
-  static const char sql[] =
-      "SELECT substr(e.data,1,16),x.position FROM job_environments x JOIN environments e"
-      " ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] = "SELECT e.data,x.position FROM job_environments x JOIN environments e"
+                            " ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   double nearest_m = INFINITY;
   uint32_t nearest = 0, n = 0;
   int error = MO_OK;
@@ -155,9 +155,12 @@ static int warn_of_lights(struct mo_connection *connection, struct mo_job *job, 
     return MO_OK;
   sqlite3_stmt *row = mo_sql_rows(connection, &error, sql, mo_int(owner));
   while (mo_sql_next(connection, row, &error)) {
-    double light_m[2] = {INFINITY, INFINITY};
-    if (sqlite3_column_bytes(row, 0) == sizeof(light_m))
-      memcpy(light_m, sqlite3_column_blob(row, 0), sizeof(light_m));
+    struct mo_environment environment;
+    error = mo_decode_environment(sqlite3_column_blob(row, 0), (size_t)sqlite3_column_bytes(row, 0),
+                                  &environment);
+    if (error != MO_OK || !mo_guide_has_light(&environment.task.guide))
+      continue;
+    const double *light_m = environment.light_xy_m;
     const double distance_m = hypot(light_m[0] - MO_WORLD_CENTER_M, light_m[1] - MO_WORLD_CENTER_M);
     n += distance_m < LIGHT_CLEAR_M;
     if (distance_m < nearest_m) {

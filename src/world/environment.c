@@ -4,14 +4,38 @@
 #include <math.h>
 
 #define AT(member) offsetof(struct mo_environment, member)
-static const struct mo_field rows[] = {
-    {"light_xy_m", MO_FIELD_NUMBERS, 0, AT(light_xy_m), .n = 2, .min = -MO_LIGHT_LIMIT_M,
-     .max = MO_LIGHT_LIMIT_M, .unit = "m", .help = "where the light stands"},
+static const struct mo_field place_rows[] = {
+    [MO_PLACE_LIGHT] = {"light_xy_m", MO_FIELD_NUMBERS, 0, AT(light_xy_m), .n = 2,
+                        .min = -MO_LIGHT_LIMIT_M, .max = MO_LIGHT_LIMIT_M, .unit = "m",
+                        .help = "where the light stands"},
     {"terrain_heights_m", MO_FIELD_NUMBERS, 0, AT(terrain_heights_m), .n = MO_TERRAIN_HEIGHTS,
      .side = MO_TERRAIN_SIDE, .min = -MO_HEIGHT_LIMIT_M, .max = MO_HEIGHT_LIMIT_M, .unit = "m",
      .help = "heights of the terrain, row by row"},
 };
+const struct mo_fields mo_place_fields = MO_FIELDS(place_rows);
+
+/* Only for the packed form; task_json.c has the members of tasks in JSON. */
+#define NUMBER(member)       #member, MO_FIELD_NUMBER, 0, AT(task.guide.member)
+#define PAIRS(member, count) #member, MO_FIELD_NUMBERS, 0, AT(task.guide.member), .n = 2 * (count)
+static const struct mo_field task_rows[] = {
+    {"kind", MO_FIELD_WORD, 0, AT(task.guide.kind), .words = mo_guide_words, .since = 2},
+    {"n_points", MO_FIELD_COUNT, 0, AT(task.guide.n_points), .since = 2},
+    {NUMBER(heading_rad), .since = 2},
+    {NUMBER(turn_rad_per_s), .since = 2},
+    {NUMBER(distance_m), .since = 2},
+    {PAIRS(points_m, MO_GUIDE_POINTS_MAX), .since = 2},
+    {PAIRS(velocity_m_per_s, 1), .since = 2},
+    {PAIRS(center_m, 1), .since = 2},
+    {"objective", MO_FIELD_WORD, 0, AT(task.objective), .words = mo_objective_words, .since = 2},
+};
+#undef NUMBER
+#undef PAIRS
 #undef AT
+static const struct mo_fields task_fields = MO_FIELDS(task_rows);
+static const struct mo_field rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_place_fields},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &task_fields, .since = 2},
+};
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 
 const struct mo_environment mo_environment_defaults = {0};
@@ -24,18 +48,20 @@ unsigned mo_environment_version(const struct mo_environment *environment)
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where)
 {
   uint32_t k = 0;
-  for (size_t r = 0; r < mo_environment_fields.n; r++) {
-    const double *values = mo_environment_numbers(environment, &rows[r]);
-    const uint32_t n = rows[r].type == MO_FIELD_NUMBERS ? rows[r].n : 1;
-    for (uint32_t i = 0; i < n; i++, k++) {
-      if (values[i] >= rows[r].min && values[i] <= rows[r].max)
+  for (const struct mo_field *row = place_rows; row < place_rows + mo_place_fields.n; row++) {
+    const double *values = mo_environment_numbers(environment, row);
+    for (uint32_t i = 0; i < row->n; i++, k++) {
+      if (values[i] >= row->min && values[i] <= row->max)
         continue;
       if (where != NULL)
         *where = k;
       return isfinite(values[i]) ? MO_ERR_RANGE : MO_ERR_INVALID;
     }
   }
-  const int error = mo_task_check(&environment->task, NULL);
+  int error = mo_task_check(&environment->task, NULL);
+  const bool has_light = mo_guide_has_light(&environment->task.guide);
+  if (!has_light && (environment->light_xy_m[0] != 0 || environment->light_xy_m[1] != 0))
+    error = MO_ERR_INVALID;
   if (error != MO_OK && where != NULL)
     *where = MO_ENVIRONMENT_TASK;
   return error;

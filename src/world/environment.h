@@ -1,4 +1,4 @@
-/* environment.h: an environment as a table of fields. */
+/* environment.h: an environment as tables of fields. */
 #ifndef MORPHO_WORLD_ENVIRONMENT_H
 #define MORPHO_WORLD_ENVIRONMENT_H
 
@@ -6,9 +6,12 @@
 
 #include "base/fields.h"
 
-/* For the numbers and arrays of numbers of struct mo_environment; it has no row for the task.
- * Requests, replies, scenes, hashed encodings and the messages of workers use its rows. Packed
- * (base/fields.h): 66 float64, until a field is added. */
+/* Where the light stands and the terrain: numbers and arrays of numbers. Requests, replies and
+ * scenes use these rows. */
+extern const struct mo_fields mo_place_fields;
+enum { MO_PLACE_LIGHT }; /* its first row */
+/* The whole environment, for hashed encodings and the messages of workers: its packed form
+ * (base/fields.h) has 66 float64, and from version 2 on the task. task_json.h: in JSON. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;

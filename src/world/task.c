@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <string.h>
 
 const char *const mo_guide_words[] = {"fixed", "ahead", "turning", "path", "moving", NULL};
 const char *const mo_objective_words[] = {"reach", "approach", "travel", "follow",
@@ -16,13 +17,14 @@ const char *const mo_objective_words[] = {"reach", "approach", "travel", "follow
 static const struct {
   unsigned guides;
   const char *words, *unit;
+  double scale;
 } objectives[] = {
-    [MO_OBJECTIVE_REACH] = {DRIVEN, "fixed or moving", ""},
-    [MO_OBJECTIVE_APPROACH] = {DRIVEN, "fixed or moving", ""},
-    [MO_OBJECTIVE_TRAVEL] = {GUIDE(AHEAD) | GUIDE(TURNING), "ahead or turning", "m"},
-    [MO_OBJECTIVE_FOLLOW] = {GUIDE(PATH), "path", "m"},
-    [MO_OBJECTIVE_CLIMB] = {EVERY, "any", "m"},
-    [MO_OBJECTIVE_PURSUE] = {GUIDE(MOVING), "moving", ""},
+    [MO_OBJECTIVE_REACH] = {DRIVEN, "fixed or moving", "", 0},
+    [MO_OBJECTIVE_APPROACH] = {DRIVEN, "fixed or moving", "", 0},
+    [MO_OBJECTIVE_TRAVEL] = {GUIDE(AHEAD) | GUIDE(TURNING), "ahead or turning", "m", 1},
+    [MO_OBJECTIVE_FOLLOW] = {GUIDE(PATH), "path", "m", 1},
+    [MO_OBJECTIVE_CLIMB] = {EVERY, "any", "m", 0.1},
+    [MO_OBJECTIVE_PURSUE] = {GUIDE(MOVING), "moving", "", 0},
 };
 #define OBJECTIVES (sizeof(objectives) / sizeof(*objectives))
 
@@ -34,6 +36,24 @@ bool mo_task_is_plain(const struct mo_task *task)
 const char *mo_objective_unit(enum mo_objective objective)
 {
   return (unsigned)objective < OBJECTIVES ? objectives[objective].unit : "";
+}
+
+double mo_objective_scale(enum mo_objective objective)
+{
+  return objectives[objective].scale;
+}
+
+double mo_objective_value(enum mo_objective objective, double loss)
+{
+  const double scale = objectives[objective].scale;
+  if (!isfinite(loss))
+    return -(double)INFINITY;
+  return scale > 0 ? -scale * log(loss) : 1 - loss;
+}
+
+bool mo_guide_has_light(const struct mo_guide *guide)
+{
+  return (DRIVEN >> guide->kind & 1) != 0;
 }
 
 static int check_number(const char *name, double value, double min, double max,
@@ -95,6 +115,47 @@ static int check_moving(const struct mo_guide *guide, struct mo_message *message
   return error != MO_OK ? error : check_turn(guide, message);
 }
 
+/* Returns a guide with only the fields that its kind uses. */
+static struct mo_guide used_of(const struct mo_guide *guide)
+{
+  struct mo_guide used = {.kind = guide->kind};
+  switch (guide->kind) {
+  case MO_GUIDE_FIXED: break;
+  case MO_GUIDE_TURNING: used.turn_rad_per_s = guide->turn_rad_per_s; /* fallthrough */
+  case MO_GUIDE_AHEAD:
+    used.heading_rad = guide->heading_rad;
+    used.distance_m = guide->distance_m;
+    break;
+  case MO_GUIDE_PATH:
+    used.distance_m = guide->distance_m;
+    used.n_points = guide->n_points;
+    memcpy(used.points_m, guide->points_m, guide->n_points * sizeof(used.points_m[0]));
+    break;
+  case MO_GUIDE_MOVING:
+    used.turn_rad_per_s = guide->turn_rad_per_s;
+    memcpy(used.velocity_m_per_s, guide->velocity_m_per_s, sizeof(used.velocity_m_per_s));
+    if (guide->turn_rad_per_s != 0)
+      memcpy(used.center_m, guide->center_m, sizeof(used.center_m));
+    break;
+  }
+  return used;
+}
+
+static int check_kind(const struct mo_guide *guide, struct mo_message *message)
+{
+  int error = MO_OK;
+  switch (guide->kind) {
+  case MO_GUIDE_FIXED: break;
+  case MO_GUIDE_AHEAD: return check_heading(guide, message);
+  case MO_GUIDE_TURNING:
+    error = check_heading(guide, message);
+    return error != MO_OK ? error : check_turn(guide, message);
+  case MO_GUIDE_PATH: return check_path(guide, message);
+  case MO_GUIDE_MOVING: return check_moving(guide, message);
+  }
+  return error;
+}
+
 int mo_task_check(const struct mo_task *task, struct mo_message *message)
 {
   const struct mo_guide *guide = &task->guide;
@@ -106,15 +167,13 @@ int mo_task_check(const struct mo_task *task, struct mo_message *message)
     return mo_fail(message, MO_ERR_INVALID, "objective %s needs a guide that is %s, got %s",
                    mo_objective_words[task->objective], objectives[task->objective].words,
                    mo_guide_words[guide->kind]);
-  int error = MO_OK;
-  switch (guide->kind) {
-  case MO_GUIDE_FIXED: return MO_OK;
-  case MO_GUIDE_AHEAD: return check_heading(guide, message);
-  case MO_GUIDE_TURNING:
-    error = check_heading(guide, message);
-    return error != MO_OK ? error : check_turn(guide, message);
-  case MO_GUIDE_PATH: return check_path(guide, message);
-  case MO_GUIDE_MOVING: return check_moving(guide, message);
-  }
-  return error;
+  const int error = check_kind(guide, message);
+  if (error != MO_OK)
+    return error;
+  /* Equal tasks have equal bytes, and so equal hashes. */
+  const struct mo_guide used = used_of(guide);
+  if (memcmp(&used, guide, sizeof(used)) != 0)
+    return mo_fail(message, MO_ERR_INVALID, "what a guide of kind %s does not use must be 0",
+                   mo_guide_words[guide->kind]);
+  return MO_OK;
 }

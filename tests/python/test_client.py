@@ -18,6 +18,8 @@ from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
 SHORT = {"n_steps": 20}
+BAR = {"cells": [[0, 0, 0], [1, 0, 0]]}
+ONE = {"cells": [[0, 0, 0]]}
 WORLD = [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 
 
@@ -38,6 +40,29 @@ def test_scores_are_those_of_the_service(m, service):
     assert table["loss_3"].tolist() == evaluation.losses[:, 3].tolist()
     again = m.evaluation(evaluation.id)
     assert (again.losses == evaluation.losses).all() and again[0].lost == ()
+
+
+def test_values_of_tasks(m, tmp_path):
+    """Entries of losses with tasks are objects: losses, values and units are read from them, in
+    results, tables, batches of studies, scenes and players."""
+    done = m.evaluate([BAR, ONE], [{"task": "walk"}, {"task": "climb"}],
+                      physics={"n_steps": 200})
+    assert done.losses.shape == done.values.shape == (2, 2) and done.units == ["m", "m"]
+    assert done.values[:, 0] == pytest.approx(-np.log(done.losses[:, 0]))
+    assert done[1].values == pytest.approx(done.values[1])
+    assert done[1].losses == pytest.approx(done.losses[1])
+    table = done.frame()
+    assert list(table["value"]) == pytest.approx(list(done.values.mean(axis=1)))
+    assert set(table["unit"]) == {"m"} and list(table["value_1"]) == list(done.values[:, 1])
+    plain = m.evaluate([BAR], physics={"n_steps": 20})
+    assert plain.values == pytest.approx(1 - plain.losses) and set(plain.units) == {""}
+    assert "value" not in plain.frame()
+    scene = m.rollouts([BAR], [{"task": "walk"}], physics={"n_steps": 200},
+                       record=["masses"])
+    assert scene[0].unit == "m" and scene[0].more["lights_m"].shape[1] == 3
+    path = m.evaluate([ONE], [{"task": "path"}], physics={"n_steps": 200})
+    path.show().save(tmp_path / "player.html")
+    assert '"points": [[3.5, 2.5]' in (tmp_path / "player.html").read_text()
 
 
 def test_the_best_of_many(m):

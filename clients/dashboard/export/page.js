@@ -90,9 +90,14 @@ export async function toPage(robots, title) {
   const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
   const data = {
-    worlds: worlds.map(({ light, heights }) => ({ light: [...light], heights: [...heights] })),
-    robots: robots.map(({ genotype, label, loss, frames, frameS, color, track, world }) => ({
+    worlds: worlds.map(({ light, points, heights }) => ({
+      light: [...light], points, heights: [...heights],
+    })),
+    robots: robots.map(({
+      genotype, label, loss, frames, frameS, color, track, lights, world,
+    }) => ({
       genotype, label, loss, frames, frameS, color, world: worlds.indexOf(world),
+      lights: lights && [...lights],
       track: base64(new Uint8Array(track.buffer, track.byteOffset, track.byteLength)),
     })),
   };

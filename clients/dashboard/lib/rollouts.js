@@ -8,7 +8,7 @@ import { decodeScene, robotsOf } from './scene.js';
 
 const lists = new Map();
 
-/** Loads the environments at a path, which never change: [{sha256, light_xy_m,
+/** Loads the environments at a path, which never change: [{sha256, light_xy_m, task,
  * terrain_heights_m}]. */
 async function environmentsAt(path) {
   if (!lists.has(path)) {
@@ -24,7 +24,11 @@ export const environmentSet = (name) =>
   environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
 
 /** Returns an environment in the format of a request. */
-export const requested = ({ light_xy_m, terrain_heights_m }) => ({ light_xy_m, terrain_heights_m });
+export function requested(environment) {
+  const asked = { ...environment };
+  delete asked.sha256;
+  return asked;
+}
 
 /** Loads an evaluation's recording of one of its designs in one of its environments, as a scene. */
 export const recordingPath = (evaluation, row, environment) =>

@@ -38,6 +38,7 @@ export function robotsOf({ header, array }) {
   return header.rollouts.map((rollout) => {
     const { genotype, id, robot } = header.designs[rollout.design];
     const environment = header.environments[rollout.environment];
+    const lights = rollout.lights_m ? array(rollout.lights_m) : undefined;
     if (!bodies.has(genotype)) bodies.set(genotype, bodyOf(genotype));
     return {
       id,
@@ -49,9 +50,13 @@ export function robotsOf({ header, array }) {
       contacts: rollout.contacts ? array(rollout.contacts) : undefined,
       frames: rollout.masses_m.shape[0],
       frameS: header.frame_s,
+      lights,
       loss: rollout.loss,
+      value: rollout.value,
+      unit: rollout.unit,
       world: {
-        light: environment.light_xy_m,
+        light: environment.light_xy_m ?? [...lights.subarray(0, 2)],
+        points: environment.task?.guide.points_m,
         heights: array(environment.terrain_heights_m),
         key: environment.sha256,
       },

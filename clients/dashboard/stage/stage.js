@@ -155,7 +155,9 @@ function groundMesh(gl, cells) {
  * @property {Float32Array} track (frames, masses, 3) in meters
  * @property {number} frames
  * @property {number} frameS seconds per frame
- * @property {{light: number[], heights: Float32Array|number[]}} world light (x, y) in meters and
+ * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
+ * @property {{light: number[], points?: number[][], heights: Float32Array|number[]}} world light
+ *   (x, y) in meters, at the start if it moves; way-points of a path; and
  *   the 64 heights of the terrain
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
@@ -333,7 +335,7 @@ export class Stage {
     gl.enable(gl.DEPTH_TEST);
     const common = {
       ...look, matrix, sunMatrix, sun, eye, heights: this.#heights(world),
-      lightAt: [...world.light, heightAt(world.heights, ...world.light) + 0.06],
+      lightAt: this.#lightOf(lead, world),
       shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
     };
     this.programs.terrain.use().set(common);
@@ -344,6 +346,16 @@ export class Stage {
     for (const robot of view.robots) this.#drawRobot(robot, { ...common, owned });
     this.#drawBlended(view, common);
     gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** Where the light of the robot that is followed is now. */
+  #lightOf(lead, world) {
+    let [x, y] = world.light;
+    if (lead?.lights) {
+      const frame = Math.floor(this.frameOf(lead));
+      [x, y] = lead.lights.slice(3 * frame, 3 * frame + 2);
+    }
+    return [x, y, heightAt(world.heights, x, y) + 0.06];
   }
 
   #drawShadows(view, sun) {
@@ -416,10 +428,15 @@ export class Stage {
         gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, robot.body.nMasses);
       }
     }
-    const size = 0.26;
-    this.programs.lamp.use().set(common).set({ size: [size * (view.height / view.width) , size] });
-    gl.bindVertexArray(this.empty);
-    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    const lamp = (at, size) => {
+      this.programs.lamp.use().set(common)
+        .set({ lightAt: at, size: [size * (view.height / view.width), size] });
+      gl.bindVertexArray(this.empty);
+      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    };
+    const world = view.robots[0]?.world;
+    for (const [x, y] of world?.points ?? []) lamp([x, y, heightAt(world.heights, x, y)], 0.09);
+    lamp(common.lightAt, 0.26);
     gl.depthMask(true);
     gl.disable(gl.BLEND);
   }

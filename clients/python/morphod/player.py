@@ -84,10 +84,20 @@ def _safe(text: str) -> str:
     return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
+def _first_light(scene: Scene, environment: int) -> list[float]:
+    """Where the guide of a task places the light at the start."""
+    for rollout in scene:
+        if rollout.environment == environment and "lights_m" in rollout.more:
+            first: list[float] = rollout.more["lights_m"][0, :2].tolist()
+            return first
+    return [2.5, 4.5]
+
+
 def _data(scene: Scene) -> dict[str, Any]:
-    worlds = [{"light": list(world["light_xy_m"]),
+    worlds = [{"light": list(world.get("light_xy_m", _first_light(scene, place))),
+               "points": world.get("task", {}).get("guide", {}).get("points_m"),
                "heights": np.ravel(world["terrain_heights_m"]).tolist()}
-              for world in scene.environments]
+              for place, world in enumerate(scene.environments)]
     robots = []
     for place, rollout in enumerate(scene):
         if rollout.masses_m is None:
@@ -98,6 +108,8 @@ def _data(scene: Scene) -> dict[str, Any]:
             "loss": rollout.loss,
             "frames": len(rollout.masses_m),
             "frameS": scene.frame_s,
+            "lights": (None if "lights_m" not in rollout.more
+                       else np.ravel(rollout.more["lights_m"]).tolist()),
             "color": _COLORS[place % len(_COLORS)],
             "world": rollout.environment,
             "track": base64.b64encode(np.ascontiguousarray(rollout.masses_m).tobytes()).decode(),

@@ -44,6 +44,26 @@ class ScoreError:
         return f"<ScoreError {self.low:.6g} to {self.high:.6g}>"
 
 
+def losses_of(rows: Sequence[Sequence[Any]]) -> NDArray[np.float64]:
+    """(rows, environments): the losses of entries that are losses or, with tasks, objects."""
+    return np.array([[entry["loss"] if isinstance(entry, dict) else entry for entry in row]
+                     for row in rows], dtype=np.float64)
+
+
+def values_of(rows: Sequence[Sequence[Any]]) -> NDArray[np.float64]:
+    """The same for values. Where there are no tasks, the value is 1 minus the loss."""
+    losses = losses_of(rows)
+    for place, row in enumerate(rows):
+        losses[place] = [entry["value"] if isinstance(entry, dict) else 1 - losses[place, k]
+                         for k, entry in enumerate(row)]
+    return losses
+
+
+def units_of(row: Sequence[Any]) -> list[str]:
+    """The units of one row's values."""
+    return [entry["unit"] if isinstance(entry, dict) else "" for entry in row]
+
+
 class Result:
     """The scores of one design in all environments of its evaluation.
 
@@ -84,7 +104,14 @@ class Result:
     @reading()
     def losses(self) -> NDArray[np.float64]:
         """One per environment; NaN if the rollout diverged, or was not needed."""
-        return np.array(self.data["losses"], dtype=np.float64)
+        return losses_of([self.data["losses"]]).ravel()
+
+    @property
+    @reading()
+    def values(self) -> NDArray[np.float64]:
+        """One per environment: the score in the unit of the task, larger is better; for `photo`,
+        1 minus the loss."""
+        return values_of([self.data["losses"]]).ravel()
 
     def __repr__(self) -> str:
         return f"<Result {self.robot}: score {self.score:.6g}>"
@@ -125,7 +152,7 @@ class Batch:
         rows = [(row or {}).get("losses") or () for row in self.rows]
         table = np.full((len(rows), max(map(len, rows), default=0)), np.nan)
         for place, row in enumerate(rows):
-            table[place, :len(row)] = np.array(row, dtype=np.float64)
+            table[place, :len(row)] = losses_of([row])[0]
         return table
 
     @property

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 Environments = str | Sequence[Mapping[str, Any]]
 """The name of a set ("paper-test"), or a list of environments: each with `light_xy_m` and either
 `terrain_heights_m` (64 numbers, or an array (8, 8) as in scenes, with row y and column x) or
-`terrain_sigma_m` and `seed`."""
+`terrain_sigma_m` and `seed`; or with `task` ("walk", or spelled out), which may move the light and
+needs no terrain."""
 
 MEDIA_TYPE = "application/vnd.morphod.scene"
 
@@ -92,7 +93,8 @@ class Rollout:
     """One robot in one environment.
 
     `masses_m` has the shape (frames, masses, 3), `com_m` (frames, 3), in meters; None if not
-    recorded. `more` has every other recorded array, by name.
+    recorded. `value` and `unit` are those of the task; None for `photo`. `more` has every other
+    array, by name.
     """
 
     design: int
@@ -102,6 +104,8 @@ class Rollout:
     masses_m: NDArray[np.float32] | None
     com_m: NDArray[np.float64] | None
     more: dict[str, NDArray[Any]]
+    value: float | None = None
+    unit: str | None = None
 
 
 class Scene:
@@ -119,11 +123,13 @@ class Scene:
         self.designs: list[dict[str, Any]] = self.header["designs"]
         self.environments: list[dict[str, Any]] = self.header["environments"]
         self.warnings = [printable(each["detail"]) for each in self.header.get("warnings", ())]
-        known = {"design", "environment", "loss", "diverged_step", "masses_m", "com_m"}
+        known = {"design", "environment", "loss", "diverged_step", "masses_m", "com_m",
+                 "value", "unit"}
         self.rollouts = [
             Rollout(row["design"], row["environment"], row["loss"], row["diverged_step"],
                     row.get("masses_m"), row.get("com_m"),
-                    {name: value for name, value in row.items() if name not in known})
+                    {name: value for name, value in row.items() if name not in known},
+                    row.get("value"), row.get("unit"))
             for row in self.header["rollouts"]
         ]
 

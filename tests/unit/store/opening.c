@@ -3,7 +3,7 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 16 /* schema */
+#define NEWEST 17 /* schema */
 
 static void opens_and_locks(void)
 {
@@ -39,7 +39,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=16; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=17; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -55,13 +55,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 16");
+                                    : "of an unreleased program; this version reads 14 to 17");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=16"));
+  CHECK_OK(reopen_after("PRAGMA user_version=17"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
@@ -106,6 +106,30 @@ static void opens_version_15(void)
   snprintf(sql, sizeof(sql), "SELECT job FROM waiting_designs");
   CHECK_INT(outside_integer(sql), open);
   CHECK_INT(outside_integer("SELECT count(*) FROM waiting_designs"), 1);
+}
+
+/* The data of environments had a fixed length. */
+static void opens_version_16(void)
+{
+  static const char old[] = "SELECT count(*) FROM sqlite_schema WHERE name='environments' AND sql"
+                            " LIKE '%length(data) = 528%'";
+  close_store();
+  CHECK_INT(outside_integer(old), 0);
+  REQUIRE(outside("PRAGMA writable_schema=ON;"
+                  "UPDATE sqlite_schema SET sql=replace(sql,'>= 528','= 528') WHERE"
+                  " name='environments'; PRAGMA user_version=16") == SQLITE_OK);
+  CHECK_INT(outside_integer(old), 1);
+  REQUIRE_OK(reopen());
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
+  struct mo_environment tasked = submission.environments[0];
+  tasked.task.objective = MO_OBJECTIVE_APPROACH;
+  submission.environments = &tasked;
+  submission.n_environments = 1;
+  CHECK(submit_evaluation(&submission) > 0);
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer(old), 0);
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
 }
 
 /* Noise replaces the root page of a table or an index; the header and the schema stay. */
@@ -226,6 +250,7 @@ static const struct check_case cases[] = {
     {"refuses folders of older versions", refuses_older_versions},
     {"opens a folder of version 14", opens_version_14},
     {"opens a folder of version 15", opens_version_15},
+    {"opens a folder of version 16", opens_version_16},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

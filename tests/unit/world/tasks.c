@@ -6,7 +6,7 @@ static const struct mo_guide guides[] = {
     {.kind = MO_GUIDE_AHEAD, .heading_rad = 1, .distance_m = 1.5},
     {.kind = MO_GUIDE_TURNING, .heading_rad = 1, .turn_rad_per_s = 1, .distance_m = 1.5},
     {.kind = MO_GUIDE_PATH, .n_points = 2, .points_m = {{3, 3}, {4, 2}}, .distance_m = 1.5},
-    {.kind = MO_GUIDE_MOVING, .velocity_m_per_s = {1, 0}, .center_m = {2, 2}},
+    {.kind = MO_GUIDE_MOVING, .velocity_m_per_s = {1, 0}},
 };
 
 /* Every pair of a guide and an objective is either accepted, or refused with both names. */
@@ -35,6 +35,7 @@ static void bounds(void)
   struct mo_environment environment;
   struct mo_guide *guide = &environment.task.guide;
   mo_environment_training(1, 2, 3, &environment);
+  memset(environment.light_xy_m, 0, sizeof(environment.light_xy_m)); /* most guides have none */
   const struct {
     int guide;
     double *number, value;
@@ -54,12 +55,17 @@ static void bounds(void)
        "turn_rad_per_s must be at least -10 and at most 10, got -11"},
       {3, &guide->points_m[1][1], 1000.5, MO_ERR_RANGE,
        "each coordinate in points_m must be at least -1000 and at most 1000, got 1000.5"},
-      {3, &guide->points_m[2][0], NAN, MO_OK, ""}, /* beyond the last point */
+      {3, &guide->points_m[2][0], 1, MO_ERR_INVALID,
+       "what a guide of kind path does not use must be 0"}, /* beyond the last point */
       {4, &guide->velocity_m_per_s[1], -INFINITY, MO_ERR_INVALID,
        "each component of velocity_m_per_s must be a finite number"},
-      {4, &guide->center_m[0], -1001, MO_ERR_RANGE,
+      {4, &guide->center_m[0], -1001, MO_ERR_RANGE, /* it would be checked before its use */
        "each coordinate of center_m must be at least -1000 and at most 1000, got -1001"},
-      {0, &guide->distance_m, 11, MO_OK, ""}, /* unused */
+      {0, &guide->distance_m, 1, MO_ERR_INVALID,
+       "what a guide of kind fixed does not use must be 0"},
+      {4, &guide->center_m[0], 1, MO_ERR_INVALID, /* it does not turn */
+       "what a guide of kind moving does not use must be 0"},
+      {1, &environment.light_xy_m[1], 1, MO_OK, ""}, /* of the environment, below */
   };
   for (size_t i = 0; i < COUNT(bad); i++) {
     struct mo_message message = {""};
@@ -69,8 +75,10 @@ static void bounds(void)
     *bad[i].number = bad[i].value;
     CHECK_INT(mo_task_check(&environment.task, &message), bad[i].code);
     CHECK_TEXT(message.text, bad[i].message);
-    CHECK_INT(mo_environment_check(&environment, &where), bad[i].code);
-    CHECK_INT(where, bad[i].code == MO_OK ? 99 : MO_ENVIRONMENT_TASK);
+    const bool is_bad = bad[i].code != MO_OK || environment.light_xy_m[1] != 0;
+    CHECK((mo_environment_check(&environment, &where) != MO_OK) == is_bad);
+    CHECK_INT(where, is_bad ? MO_ENVIRONMENT_TASK : 99);
+    environment.light_xy_m[1] = 0;
   }
   for (uint32_t n = 0; n <= MO_GUIDE_POINTS_MAX + 1; n += MO_GUIDE_POINTS_MAX + 1) {
     environment.task = (struct mo_task){guides[3], MO_OBJECTIVE_FOLLOW};

@@ -16,7 +16,7 @@ from ..frames import frame, frame_of_columns, pandas
 from ..phylogenies import Phylogeny
 from ..player import Player, player_of
 from ..progress import Bar, doing
-from ..results import Controller, Result
+from ..results import Controller, Result, losses_of, units_of, values_of
 from ..scenes import MEDIA_TYPE, Scene, read_npy
 from .._wire import WAIT_S, Request
 from .connection import AsyncConnection
@@ -261,7 +261,20 @@ class AsyncEvaluation(AsyncJob):
     def losses(self) -> NDArray[np.float64]:
         """(designs, environments); NaN if the rollout diverged or, with `best`, was not needed.
         """
-        return np.array([row["losses"] for row in self._results], dtype=np.float64)
+        return losses_of([row["losses"] for row in self._results])
+
+    @property
+    @reading()
+    def values(self) -> NDArray[np.float64]:
+        """(designs, environments): the scores in the units of the tasks, larger is better; for
+        `photo`, 1 minus the loss. NaN where `losses` is."""
+        return values_of([row["losses"] for row in self._results])
+
+    @property
+    @reading()
+    def units(self) -> list[str]:
+        """The unit of each environment's value: "m", or "" for a number without a unit."""
+        return units_of(self._results[0]["losses"]) if self._results else []
 
     @property
     @reading()
@@ -315,7 +328,8 @@ class AsyncEvaluation(AsyncJob):
         score, lower_bound (with `best`: whether the score is one), diverged (rollouts), voxels,
         masses, springs, footprint, repaired (dropped voxels), path_length_m (if com is recorded),
         fault (None, or why there was no body), with `error` the numbers of `ScoreError`, and a
-        column loss_0, loss_1, … per environment."""
+        column loss_0, loss_1, … per environment. With tasks also value and unit (if all values have
+        the same unit), and value_0, value_1, … per environment."""
         results = self._results
         losses = self.losses
         with reading():
@@ -338,6 +352,13 @@ class AsyncEvaluation(AsyncJob):
             **{name: [getattr(error, name) for error in errors] for name in _ERRORS if errors},
             **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
         })
+        if any(isinstance(loss, dict) for row in results for loss in row["losses"]):
+            values = self.values
+            if len(set(self.units)) == 1:
+                table["value"] = values.mean(axis=1)
+                table["unit"] = self.units[0]
+            for place in range(values.shape[1]):
+                table[f"value_{place}"] = values[:, place]
         return table
 
     def _repr_html_(self) -> str | None:
@@ -410,7 +431,7 @@ def world_of(worlds: Mapping[str, Any], environment: int) -> dict[str, Any]:
     if not -len(items) <= environment < len(items):
         raise MorphodError(f"there is no environment {environment}: there are {len(items)}, "
                            "counted from 0")
-    return {name: items[environment][name] for name in ("light_xy_m", "terrain_heights_m")}
+    return {name: value for name, value in items[environment].items() if name != "sha256"}
 
 
 async def player(connection: AsyncConnection, scene: Scene, title: str) -> Player:

@@ -1,0 +1,304 @@
+/* task_json.c: see task_json.h. */
+#include "world/task_json.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "world/environment.h"
+
+#define KIND(kind) (1U << MO_GUIDE_##kind)
+
+/* ---- named tasks ---- */
+
+const char *const mo_task_words[] = {"photo", "photo-auc", "walk",   "climb", "circle",
+                                     "path",  "shuttle",   "pursue", NULL};
+
+static const struct mo_environment named[] = {
+    {.task = {{.kind = MO_GUIDE_FIXED}, MO_OBJECTIVE_REACH}},
+    {.task = {{.kind = MO_GUIDE_FIXED}, MO_OBJECTIVE_APPROACH}},
+    {.task = {{.kind = MO_GUIDE_AHEAD, .distance_m = MO_GUIDE_DISTANCE_M}, MO_OBJECTIVE_TRAVEL}},
+    {.task = {{.kind = MO_GUIDE_AHEAD, .distance_m = MO_GUIDE_DISTANCE_M}, MO_OBJECTIVE_CLIMB}},
+    /* once around in 4 s */
+    {.task = {{.kind = MO_GUIDE_TURNING,
+               .turn_rad_per_s = M_PI / 2,
+               .distance_m = MO_GUIDE_DISTANCE_M},
+              MO_OBJECTIVE_TRAVEL}},
+    {.task = {{.kind = MO_GUIDE_PATH,
+               .n_points = 3,
+               .distance_m = MO_GUIDE_DISTANCE_M,
+               .points_m = {{3.5, 2.5}, {3.5, 3.5}, {2.5, 3.5}}},
+              MO_OBJECTIVE_FOLLOW}},
+    {.task = {{.kind = MO_GUIDE_PATH,
+               .n_points = 4,
+               .distance_m = MO_GUIDE_DISTANCE_M,
+               .points_m = {{3.25, 2.5}, {2.5, 2.5}, {3.25, 2.5}, {2.5, 2.5}}},
+              MO_OBJECTIVE_FOLLOW}},
+    {.light_xy_m = {4, 2.5},
+     .task = {{.kind = MO_GUIDE_MOVING, .velocity_m_per_s = {0.3, 0}}, MO_OBJECTIVE_PURSUE}},
+};
+_Static_assert(sizeof(named) / sizeof(*named) + 1 == sizeof(mo_task_words) / sizeof(*mo_task_words),
+               "every word has a task");
+
+void mo_task_named(int i, struct mo_environment *environment)
+{
+  environment->task = named[i].task;
+  if (named[i].task.guide.kind != MO_GUIDE_FIXED)
+    memcpy(environment->light_xy_m, named[i].light_xy_m, sizeof(environment->light_xy_m));
+}
+
+/* ---- the members of a guide ---- */
+
+static void read_points(struct mo_json *json, void *value);
+static const struct mo_field_own points = {.read = read_points};
+
+/* Offsets are in struct mo_environment. The row of the points is at the guide. */
+#define AT(member) offsetof(struct mo_environment, member)
+static const struct mo_field rows[] = {
+    {"kind", MO_FIELD_WORD, 0, AT(task.guide.kind), .words = mo_guide_words, .unit = "",
+     .help = "how the light moves"},
+    {"heading_rad", MO_FIELD_NUMBER, 0, AT(task.guide.heading_rad),
+     .min = -MO_GUIDE_HEADING_MAX_RAD, .max = MO_GUIDE_HEADING_MAX_RAD, .unit = "rad",
+     .help = "from the x axis toward the y axis"},
+    {"turn_rad_per_s", MO_FIELD_NUMBER, 0, AT(task.guide.turn_rad_per_s),
+     .min = -MO_GUIDE_TURN_MAX_RAD_PER_S, .max = MO_GUIDE_TURN_MAX_RAD_PER_S, .unit = "rad/s",
+     .help = "how fast the heading, or the light around center_m, turns"},
+    {"distance_m", MO_FIELD_NUMBER, 0, AT(task.guide.distance_m), .min = MO_GUIDE_DISTANCE_MIN_M,
+     .max = MO_GUIDE_DISTANCE_MAX_M, .unit = "m", .help = "how far ahead the light is"},
+    {"points_m", MO_FIELD_OWN, 0, AT(task.guide), .own = &points, .unit = "m",
+     .help = "the way-points of the path"},
+    {"light_xy_m", MO_FIELD_NUMBERS, 0, AT(light_xy_m), .n = 2, .min = -MO_LIGHT_LIMIT_M,
+     .max = MO_LIGHT_LIMIT_M, .unit = "m", .help = "where the light is at the start"},
+    {"velocity_m_per_s", MO_FIELD_NUMBERS, 0, AT(task.guide.velocity_m_per_s), .n = 2,
+     .min = -MO_GUIDE_SPEED_MAX_M_PER_S, .max = MO_GUIDE_SPEED_MAX_M_PER_S, .unit = "m/s",
+     .help = "of the light, or of center_m"},
+    {"center_m", MO_FIELD_NUMBERS, 0, AT(task.guide.center_m), .n = 2, .min = -MO_LIGHT_LIMIT_M,
+     .max = MO_LIGHT_LIMIT_M, .unit = "m", .help = "what the light circles, at the start"},
+};
+#undef AT
+static const struct mo_fields guide_fields = MO_FIELDS(rows);
+
+enum { IS_KIND, HEADING, TURN, DISTANCE, POINTS, LIGHT, VELOCITY, CENTER, MEMBERS };
+_Static_assert(sizeof(rows) / sizeof(*rows) == MEMBERS, "the members are in the order of the rows");
+
+/* Which kinds have a member, and which of them must have it. */
+static const struct {
+  unsigned has, needs;
+} uses[] = {
+    [IS_KIND] = {~0U, ~0U},
+    [HEADING] = {KIND(AHEAD) | KIND(TURNING), 0},
+    [TURN] = {KIND(TURNING) | KIND(MOVING), KIND(TURNING)},
+    [DISTANCE] = {KIND(AHEAD) | KIND(TURNING) | KIND(PATH), 0},
+    [POINTS] = {KIND(PATH), KIND(PATH)},
+    [LIGHT] = {KIND(MOVING), KIND(MOVING)},
+    [VELOCITY] = {KIND(MOVING), 0},
+    [CENTER] = {KIND(MOVING), 0},
+};
+
+static void read_points(struct mo_json *json, void *value)
+{
+  struct mo_guide *guide = value;
+  const unsigned depth = json->depth;
+  uint32_t n = 0;
+  if (!mo_json_array(json))
+    return;
+  for (; mo_json_item(json); n++) {
+    const struct mo_field pair = {.type = MO_FIELD_NUMBERS,
+                                  .name = "",
+                                  .n = 2,
+                                  .min = -MO_LIGHT_LIMIT_M,
+                                  .max = MO_LIGHT_LIMIT_M};
+    const struct mo_fields one = {&pair, 1};
+    if (n < MO_GUIDE_POINTS_MAX)
+      mo_fields_read_member(json, (struct mo_json_slice){"", 0}, &one, guide->points_m[n]);
+    else
+      mo_json_skip(json);
+  }
+  if (!json->stop && (n < 1 || n > MO_GUIDE_POINTS_MAX))
+    mo_json_fault_at(json, depth, "", "must have 1 to %d way-points, [x, y] each, got %u",
+                     MO_GUIDE_POINTS_MAX, n);
+  guide->n_points = n;
+}
+
+/* Reads the guide into the environment. *given: the members that were there, as bits. */
+static void read_guide(struct mo_json *json, struct mo_environment *environment, unsigned *given)
+{
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    for (unsigned i = 0; i < MEMBERS; i++)
+      if (mo_json_is(key, rows[i].name))
+        *given |= 1U << i;
+    if (!mo_fields_read_member(json, key, &guide_fields, environment))
+      mo_fields_unknown(json, NULL, &guide_fields);
+  }
+}
+
+/* Adds a fault for a member that the guide lacks, or has in vain. */
+static void check_members(struct mo_json *json, unsigned depth, const struct mo_guide *guide,
+                          unsigned given)
+{
+  char list[MO_WORDS_BYTES];
+  for (unsigned i = 0; i < MEMBERS && (i == 0 || (given & 1) != 0); i++) {
+    const char *word = mo_word(mo_guide_words, (unsigned)guide->kind);
+    if (i == IS_KIND && (given & 1) == 0)
+      mo_json_fault_at(json, depth, "/guide", "kind is missing; it must be %s",
+                       mo_words_list(mo_guide_words, list));
+    else if ((uses[i].needs >> guide->kind & 1) != 0 && (given >> i & 1) == 0)
+      mo_json_fault_at(json, depth, "/guide", "%s is missing; a guide of kind \"%s\" needs it",
+                       rows[i].name, word);
+    else if ((uses[i].has >> guide->kind & 1) == 0 && (given >> i & 1) != 0)
+      mo_json_fault_at(json, depth, "/guide", "a guide of kind \"%s\" has no %s; remove it", word,
+                       rows[i].name);
+  }
+}
+
+/* Sets what was not given. */
+static void complete_guide(struct mo_environment *environment, unsigned given)
+{
+  struct mo_guide *guide = &environment->task.guide;
+  if ((uses[DISTANCE].has >> guide->kind & 1) != 0 && (given >> DISTANCE & 1) == 0)
+    guide->distance_m = MO_GUIDE_DISTANCE_M;
+  for (int axis = 0; axis < 2; axis++)
+    if (guide->kind == MO_GUIDE_MOVING && guide->turn_rad_per_s != 0 && (given >> CENTER & 1) == 0)
+      guide->center_m[axis] = MO_WORLD_CENTER_M;
+}
+
+/* ---- reading ---- */
+
+static const struct mo_field objective_row = {"objective",
+                                              MO_FIELD_WORD,
+                                              0,
+                                              offsetof(struct mo_task, objective),
+                                              .words = mo_objective_words,
+                                              .unit = "",
+                                              .help = "what the score is"};
+static const struct mo_fields objective_field = {&objective_row, 1};
+
+static const enum mo_objective usual[] = {[MO_GUIDE_FIXED] = MO_OBJECTIVE_REACH,
+                                          [MO_GUIDE_AHEAD] = MO_OBJECTIVE_TRAVEL,
+                                          [MO_GUIDE_TURNING] = MO_OBJECTIVE_TRAVEL,
+                                          [MO_GUIDE_PATH] = MO_OBJECTIVE_FOLLOW,
+                                          [MO_GUIDE_MOVING] = MO_OBJECTIVE_PURSUE};
+
+static void read_word(struct mo_json *json, struct mo_environment *environment)
+{
+  const unsigned depth = json->depth;
+  struct mo_json_slice word;
+  char list[MO_WORDS_BYTES];
+  if (!mo_json_string(json, &word))
+    return;
+  for (int i = 0; mo_task_words[i] != NULL; i++)
+    if (mo_json_is(word, mo_task_words[i])) {
+      mo_task_named(i, environment);
+      return;
+    }
+  mo_json_fault_at(json, depth, "", "must be an object or %s, got \"%.*s\"",
+                   mo_words_list(mo_task_words, list), word.size > 64 ? 64 : (int)word.size,
+                   word.bytes);
+}
+
+void mo_task_read(struct mo_json *json, struct mo_environment *environment)
+{
+  const unsigned depth = json->depth, faults = json->faults->n;
+  struct mo_environment read = *environment;
+  struct mo_message message = {""};
+  struct mo_json_slice key;
+  unsigned given = 0;
+  bool has_guide = false, has_objective = false;
+  if (mo_json_peek(json) == MO_JSON_STRING) {
+    read_word(json, environment);
+    return;
+  }
+  read.task = (struct mo_task){0};
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "guide")) {
+      has_guide = true;
+      read_guide(json, &read, &given);
+    } else if (mo_fields_read_member(json, key, &objective_field, &read.task)) {
+      has_objective = true;
+    } else {
+      mo_fields_unknown(json, "guide, ", &objective_field);
+    }
+  }
+  if (json->stop || json->faults->n > faults)
+    return;
+  if (has_guide)
+    check_members(json, depth, &read.task.guide, given);
+  complete_guide(&read, given);
+  if (!has_objective)
+    read.task.objective = usual[read.task.guide.kind];
+  if (json->faults->n == faults && mo_task_check(&read.task, &message) != MO_OK)
+    mo_json_fault_at(json, depth, "", "%s", message.text);
+  if (json->faults->n > faults)
+    return;
+  environment->task = read.task;
+  if (read.task.guide.kind == MO_GUIDE_MOVING)
+    memcpy(environment->light_xy_m, read.light_xy_m, sizeof(read.light_xy_m));
+}
+
+bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
+                                struct mo_environment *environment)
+{
+  if (mo_json_is(key, "task")) {
+    mo_task_read(json, environment);
+    return true;
+  }
+  return mo_fields_read_member(json, key, &mo_place_fields, environment);
+}
+
+/* ---- writing ---- */
+
+static void write_points(struct mo_text *text, const struct mo_guide *guide)
+{
+  mo_text_open(text, "points_m", "[");
+  for (uint32_t i = 0; i < guide->n_points; i++) {
+    mo_text_next(text);
+    mo_text_add(text, "[");
+    mo_text_json_number(text, guide->points_m[i][0]);
+    mo_text_add(text, ",");
+    mo_text_json_number(text, guide->points_m[i][1]);
+    mo_text_add(text, "]");
+  }
+  mo_text_add(text, "]");
+}
+
+static void write_guide(struct mo_text *text, const struct mo_environment *environment)
+{
+  const struct mo_guide *guide = &environment->task.guide;
+  for (unsigned i = 0; i < MEMBERS; i++) {
+    const struct mo_fields one = {&rows[i], 1};
+    const bool is_circle = guide->turn_rad_per_s != 0;
+    if ((uses[i].has >> guide->kind & 1) == 0 ||
+        (guide->kind == MO_GUIDE_MOVING && (i == TURN || i == CENTER) && !is_circle))
+      continue;
+    if (i == POINTS)
+      write_points(text, guide);
+    else
+      mo_fields_write(text, &one, environment);
+  }
+}
+
+void mo_task_write(struct mo_text *text, const struct mo_environment *environment)
+{
+  mo_text_add(text, "{\"guide\":{");
+  write_guide(text, environment);
+  mo_text_add(text, "}");
+  mo_fields_write(text, &objective_field, &environment->task);
+  mo_text_add(text, "}");
+}
+
+void mo_environment_write_members(struct mo_text *text, const struct mo_environment *environment)
+{
+  for (size_t i = 0; i < mo_place_fields.n; i++) {
+    const struct mo_fields one = {&mo_place_fields.rows[i], 1};
+    if (i != MO_PLACE_LIGHT || environment->task.guide.kind == MO_GUIDE_FIXED)
+      mo_fields_write(text, &one, environment);
+  }
+  if (!mo_task_is_plain(&environment->task)) {
+    mo_text_name(text, "task");
+    mo_task_write(text, environment);
+  }
+}
