@@ -141,6 +141,23 @@ static struct mo_guide used_of(const struct mo_guide *guide)
   return used;
 }
 
+static bool pairs_are_equal(const double (*a)[2], const double (*b)[2], size_t n)
+{
+  for (size_t i = 0; i < n; i++)
+    if (a[i][0] != b[i][0] || a[i][1] != b[i][1])
+      return false;
+  return true;
+}
+
+static bool guides_are_equal(const struct mo_guide *a, const struct mo_guide *b)
+{
+  return a->kind == b->kind && a->n_points == b->n_points && a->heading_rad == b->heading_rad &&
+         a->turn_rad_per_s == b->turn_rad_per_s && a->distance_m == b->distance_m &&
+         pairs_are_equal(a->points_m, b->points_m, MO_GUIDE_POINTS_MAX) &&
+         pairs_are_equal(&a->velocity_m_per_s, &b->velocity_m_per_s, 1) &&
+         pairs_are_equal(&a->center_m, &b->center_m, 1);
+}
+
 static int check_kind(const struct mo_guide *guide, struct mo_message *message)
 {
   int error = MO_OK;
@@ -170,9 +187,9 @@ int mo_task_check(const struct mo_task *task, struct mo_message *message)
   const int error = check_kind(guide, message);
   if (error != MO_OK)
     return error;
-  /* Equal tasks have equal bytes, and so equal hashes. */
+  /* So that equal tasks have equal hashes. */
   const struct mo_guide used = used_of(guide);
-  if (memcmp(&used, guide, sizeof(used)) != 0)
+  if (!guides_are_equal(&used, guide))
     return mo_fail(message, MO_ERR_INVALID, "what a guide of kind %s does not use must be 0",
                    mo_guide_words[guide->kind]);
   return MO_OK;
