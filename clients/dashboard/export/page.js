@@ -3,6 +3,8 @@
  * recordings, in one page.
  */
 
+import { resultOf } from '../lib/tasks.js';
+
 /** Modules of the stage, each after those that it imports. */
 const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js',
   'stage/stage.js', 'lib/body.js'];
@@ -46,8 +48,7 @@ for (const robot of stage.robots) {
   const name = document.createElement('span');
   const swatch = document.createElement('i');
   swatch.style.background = robot.color;
-  const loss = robot.loss === null ? 'diverged' : robot.loss.toFixed(4);
-  name.append(swatch, robot.label + ' ' + loss);
+  name.append(swatch, robot.label + ' ' + robot.result);
   names.append(name);
 }
 (function frame(now) {
@@ -94,10 +95,10 @@ export async function toPage(robots, title) {
       light: [...light], points, heights: [...heights],
     })),
     robots: robots.map(({
-      genotype, label, loss, frames, frameS, color, track, lights, world,
+      genotype, label, loss, value, unit, frames, frameS, color, track, lights, world,
     }) => ({
       genotype, label, loss, frames, frameS, color, world: worlds.indexOf(world),
-      lights: lights && [...lights],
+      lights: lights && [...lights], result: resultOf({ loss, value, unit }),
       track: base64(new Uint8Array(track.buffer, track.byteOffset, track.byteLength)),
     })),
   };

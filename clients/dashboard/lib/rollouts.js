@@ -5,6 +5,7 @@
 import { getJson, patient, request, withQuery } from './api.js';
 import { countOf } from './format.js';
 import { decodeScene, robotsOf } from './scene.js';
+import { taskWords } from './tasks.js';
 
 const lists = new Map();
 
@@ -105,11 +106,13 @@ export async function worldOfJob(kind, job) {
   const environments = await (set ? environmentSet(set)
     : environmentsAt(`v1/${kind}s/${encodeURIComponent(job.id)}/environments`));
   const file = job.result?.controller ?? job.controller;
+  const tasks = taskWords(environments);
   return {
     set, environments, physics, precision: job.precision,
     controller: file?.sha256 ? `sha256:${file.sha256}` : DEFAULT_CONTROLLER,
     words: `World of ${kind} ${job.id}: ` +
       `${set ?? `${countOf(environments.length, 'custom environment')}`}, ` +
+      `${tasks && `task ${tasks}, `}` +
       `${physics.n_steps} steps of ${physics.dt_s} s, ` +
       `integrator ${physics.integrator}, ` +
       `${job.precision === 'float64' ? 'float64, ' : ''}` +

@@ -1,7 +1,7 @@
 /** A stage with its controls: play, scrub, slow motion, display options, and the followed robot. */
 
 import { button, fill, h, select, swatch, toggle } from '../lib/dom.js';
-import { score } from '../lib/format.js';
+import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
 import { Stage } from './stage.js';
 import { Tags } from './tags.js';
@@ -240,7 +240,7 @@ export class Player {
     const text = robots.length === 0 ? 'no robots yet'
       : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ` +
         `${duration.toFixed(1)} s: ` +
-        robots.slice(0, 8).map((robot) => `${robot.label ?? ''} ${score(robot.loss)}`).join(', ');
+        robots.slice(0, 8).map((robot) => `${robot.label ?? ''} ${resultOf(robot)}`).join(', ');
     this.canvas.setAttribute('aria-label', `Stage: ${text}`);
     this.#wake();
   }
@@ -258,7 +258,7 @@ export class Player {
       title: 'Follow this robot',
       onclick: () => this.#followRobot(i),
     }, h('span.row', {}, swatch(robot.color), robot.label ?? ''),
-    h('span.number', {}, score(robot.loss)));
+    h('span.number', {}, resultOf(robot)));
   }
 
   #followRobot(i) {

@@ -164,6 +164,8 @@ function groundMesh(gl, cells) {
  * @property {string} [color] as in the legend
  * @property {string} [label]
  * @property {number|null} [loss] null if it diverged
+ * @property {number|null} [value] in the unit of the task
+ * @property {string} [unit] of the value; undefined: the task is `photo`
  * @property {string} [genotype]
  * @property {any} [gpu] internal data of the stage
  */

@@ -4,7 +4,7 @@
  */
 
 import { fill, h } from '../lib/dom.js';
-import { score } from '../lib/format.js';
+import { resultOf } from '../lib/tasks.js';
 import { centerOfMass } from './stage.js';
 import { project } from './math.js';
 
@@ -55,7 +55,7 @@ export class Tags {
     this.robots = robots;
     const shown = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];
     fill(this.element, shown.map((robot) => {
-      const tag = h('span.tag', {}, robot.label ?? '', h('span.number', {}, score(robot.loss)));
+      const tag = h('span.tag', {}, robot.label ?? '', h('span.number', {}, resultOf(robot)));
       tag.style.borderColor = robot.color;
       return tag;
     }));

@@ -7,7 +7,8 @@ import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
-import { rollOfCampaign } from '../lib/rollouts.js';
+import { rollOfCampaign, worldOfJob } from '../lib/rollouts.js';
+import { measureOf, meters } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
 import {
@@ -135,14 +136,22 @@ async function mountOne(main, id, parameters, app) {
   const replicates = isGroup ? new Curve(`v1/campaigns/${campaign.group.id}/replicates`) : null;
   const compared = others.length ? new Comparison(ids, get) : null;
   const learns = campaign.settings.learning !== null;
+  const measure = others.length ? null
+    : measureOf((await worldOfJob('campaign', campaign)).environments);
+  const shown = (loss) => (measure ? meters(measure.valueOf(loss)) : score(loss));
 
   const head = h('div.title');
   const parts = new JobParts(() => refreshJob());
   const status = h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble,
     parts.remark, parts.row);
   const charts = {
-    scores: new Chart({ title: 'Score', note: 'lower is better', log: true, height: 260,
-      empty: 'No generation is complete yet.' }),
+    scores: new Chart({
+      ...(measure
+        ? { title: `Meters ${measure.verb}`, note: 'higher is better; from the mean loss',
+          yText: meters }
+        : { title: 'Score', note: 'lower is better', log: true }),
+      height: 260, empty: 'No generation is complete yet.',
+    }),
     diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260,
       empty: 'No generation is complete yet.' }),
     operators: new Chart({ title: 'Share of children that survive', minimum: 0, yText: percent }),
@@ -228,12 +237,16 @@ async function mountOne(main, id, parameters, app) {
   function showCharts() {
     const rows = curves[0].rows;
     const x = column(rows, (row) => row.generation);
-    const quantile = (name) => column(rows, (row) => row.score.quantiles[name]);
+    const inUnit = measure?.valueOf ?? ((loss) => loss);
+    const quantile = (name) => column(rows, (row) => inUnit(row.score.quantiles[name]));
+    /** A lower loss is a higher value. */
+    const between = (a, b) => (measure ? { low: quantile(b), high: quantile(a) }
+      : { low: quantile(a), high: quantile(b) });
     /** @type {import('../lib/chart.js').Series[]} */
     const scores = [
-      { name: '5 to 95 %', kind: 'band', x, low: quantile('p5'), high: quantile('p95'), y: x,
+      { name: '5 to 95 %', kind: 'band', x, ...between('p5', 'p95'), y: x,
         color: '--blue-softer' },
-      { name: '25 to 75 %', kind: 'band', x, low: quantile('p25'), high: quantile('p75'), y: x,
+      { name: '25 to 75 %', kind: 'band', x, ...between('p25', 'p75'), y: x,
         color: '--blue-soft' },
       { name: 'median', x, y: quantile('p50'), color: '--blue' },
       { name: 'best', x, y: quantile('p0'), color: '--orange' },
@@ -244,8 +257,8 @@ async function mountOne(main, id, parameters, app) {
       scores.unshift({
         name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band',
         x: rx, y: rx, color: others.length ? '--gray' : '--green', opacity: 0.3,
-        low: column(r, (row) => row.mean_score.least),
-        high: column(r, (row) => row.mean_score.most),
+        low: column(r, ({ mean_score: of }) => inUnit(measure ? of.most : of.least)),
+        high: column(r, ({ mean_score: of }) => inUnit(measure ? of.least : of.most)),
       });
     }
     others.forEach((other, i) => {
@@ -326,7 +339,7 @@ async function mountOne(main, id, parameters, app) {
     const { number, genotype, operator } = design;
     const card = h('button.card', {
       type: 'button', title: `Design ${design.robot}`, onclick: () => walk([number], [design]),
-    }, picture(genotype, `Champion ${number}`), h('strong.number', {}, score(design.score)),
+    }, picture(genotype, `Champion ${number}`), h('strong.number', {}, shown(design.score)),
     h('span.crown', { hidden: true }, '♛ best'),
     h('span.muted', {}, `#${number}, ${voxels(design.voxels)}`), h('span.muted', {}, operator));
     const box = h('input', { type: 'checkbox', 'aria-label': `Choose #${number}`, onchange() {

@@ -7,6 +7,7 @@ import { button, h, say } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { count, duration, shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
+import { TASKS, taskPicture } from '../lib/tasks.js';
 import { announced, copyDialog } from './share.js';
 
 /**
@@ -112,6 +113,7 @@ function morphoctlOf(kind, request, learnedOn) {
     if (request[name] === undefined || ['kind', 'mode'].includes(name)) continue;
     words.push(`--${name}`, String(request[name]));
   }
+  if (request.environments) words.push('--environments', '-');
   if (learnedOn) return [...words, ...learnedOn].map(shellWord).join(' ');
   const designs = request.designs ?? request.initial?.designs ?? [];
   return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
@@ -194,6 +196,25 @@ class LearnedOn {
   }
 }
 
+/** The choice of a task, by a picture and a sentence. */
+class TaskChoice {
+  constructor(onChange) {
+    this.chosen = TASKS[0];
+    this.element = h('fieldset.tasks.wide', {}, h('legend', {}, 'Task'), TASKS.map((task) =>
+      h('label.task', {}, h('input', {
+        type: 'radio', name: 'task', value: task.name, checked: task === this.chosen,
+        onchange: () => {
+          this.chosen = task;
+          onChange();
+        },
+      }), taskPicture(task), h('strong', {}, task.title), h('span.muted', {}, task.about))));
+  }
+
+  get environments() {
+    return this.chosen.environments;
+  }
+}
+
 /** Measures the seconds that a thread needs for a rollout, with a few random bodies. */
 async function measureRollout() {
   const { items } = await post('v1/bodies/random', { count: MEASURED });
@@ -210,10 +231,12 @@ async function measureRollout() {
  * that learn have no estimate, because they mostly compute gradients.
  * @param {number} designs to be scored in default environments and physics; 0 if unknown
  * @param {number|null} seconds that a thread needs for a rollout; null if unknown
+ * @param {number} threads
+ * @param {number} [environments] that each design is scored in
  */
-export function estimateOf(designs, seconds, threads) {
+export function estimateOf(designs, seconds, threads, environments = ENVIRONMENTS) {
   if (!designs) return '';
-  const n = designs * ENVIRONMENTS;
+  const n = designs * environments;
   return `Up to ${count(n)} rollouts` + (seconds === null ? '.'
     : `: about ${duration(n * seconds / threads)} on this machine, if it does nothing else.`);
 }
@@ -258,6 +281,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const more = h('details.wide', {}, h('summary', {}, 'More'),
     h('div.fields', {}, others.map(({ element }) => element)));
   const estimate = h('p.wide.muted', { 'aria-live': 'polite' });
+  const tasks = kind === 'training' || fixed.environments ? null : new TaskChoice(adapt);
   /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
@@ -270,6 +294,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       result[name] = isNumber ? Number(input.value) : input.value;
     }
     if (designs) result.designs = designsIn(designs.value);
+    if (tasks?.environments) result.environments = tasks.environments;
     return result;
   }
 
@@ -304,6 +329,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const copy = (request) => copyDialog(commandsOf({
     path: `v1/${kind}s`, body: request,
     morphoctl: morphoctlOf(kind, request, learnedOn?.words()),
+    input: request.environments && JSON.stringify(request.environments),
   }));
 
   /** Shows what empty fields stand for with the current choices. */
@@ -323,7 +349,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       inputOf('generations').placeholder = PRESETS[preset]?.[mode] ?? 'as the preset says';
     }
     say(estimate, estimateOf(designsScored(), isUsual() ? rolloutSeconds : null,
-      threads?.n_threads));
+      threads?.n_threads, tasks?.environments?.length));
   }
 
   /** Returns whether the rollouts are like those that were measured. */
@@ -356,7 +382,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       },
     }, h('h2.wide', {}, `New ${kind}`),
     fixed.initial ? h('p.wide', {}, founders(fixed.initial.designs.length)) : null,
-    first.map(({ element }) => element), learnedOn?.elements,
+    tasks?.element, first.map(({ element }) => element), learnedOn?.elements,
     designs ? h('label.field.wide', {}, h('span', {}, 'Designs'), designs) : null, more, estimate,
     hint, message, h('div.row.ends.wide', {}, button('Copy as a command', () => attempt(copy)),
       button('Cancel', () => dialog.close()),

@@ -27,6 +27,7 @@ from .player import Player
 from .results import Asked, Batch, Controller, Result, ScoreError
 from .scenes import Rollout, Scene
 from .scores import Entered
+from .tasks import Task
 from .weights import read_safetensors, write_safetensors
 
 __version__ = "0.1.0"
@@ -38,6 +39,7 @@ __all__ = [
     "CampaignComparison", "Campaigns", "Client", "ConflictError", "Controller",
     "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
     "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
-    "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Training", "UnreachableError",
-    "WaitError", "local", "read_bodies", "read_safetensors", "write_safetensors",
+    "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Task", "Training",
+    "UnreachableError", "WaitError", "local", "read_bodies", "read_safetensors",
+    "write_safetensors",
 ]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .errors import MorphodError
-from .scenes import Scene
+from .scenes import Rollout, Scene
 
 # Blue, orange, green, pink, gray, yellow: color-blind people can distinguish them.
 _COLORS = ("#5aa9e6", "#f3a536", "#3fae8c", "#d77fb4", "#a9b4c0", "#e2d04b")
@@ -84,6 +84,12 @@ def _safe(text: str) -> str:
     return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
+def _result(rollout: Rollout) -> str:
+    if rollout.unit and rollout.value is not None:
+        return f"{rollout.value:.2f} {rollout.unit}"
+    return "diverged" if rollout.loss is None else f"{rollout.loss:.4f}"
+
+
 def _first_light(scene: Scene, environment: int) -> list[float]:
     """Where the guide of a task places the light at the start."""
     for rollout in scene:
@@ -105,7 +111,7 @@ def _data(scene: Scene) -> dict[str, Any]:
         robots.append({
             "genotype": scene.designs[rollout.design]["genotype"],
             "label": f"design {rollout.design}",
-            "loss": rollout.loss,
+            "result": _result(rollout),
             "frames": len(rollout.masses_m),
             "frameS": scene.frame_s,
             "lights": (None if "lights_m" not in rollout.more

@@ -1,0 +1,90 @@
+/** Tasks: the choice that forms offer, their pictures, and scores in the unit of a task. */
+
+import { svg } from './dom.js';
+import { score } from './format.js';
+
+/** Ground of the tasks in forms: flat, then rougher and rougher. */
+const ROUGH = [0.02, 0.04, 0.06];
+const onRoughGround = (task) => [{ task },
+  ...ROUGH.map((sigma, i) => ({ task, terrain_sigma_m: sigma, seed: i + 1 }))];
+
+/** Ground that rises along x by this much per meter. */
+const slope = (rise) => Array.from({ length: 64 },
+  (_, k) => Number(((k % 8) * (5 / 7) * rise).toFixed(6)));
+
+/**
+ * The tasks in forms: title, sentence, what a request has as its environments (undefined: the
+ * default set), and a picture: the way as the path of an SVG of 64 × 36, and where the light is.
+ */
+export const TASKS = [
+  { name: 'photo', title: 'Reach the light', about: 'ten lights on rough ground (paper-test)',
+    environments: undefined, way: 'M8 28C22 30 34 18 46 12', light: [52, 9] },
+  { name: 'walk', title: 'Walk', about: 'in one direction, as far as possible in 4 s',
+    environments: onRoughGround('walk'), way: 'M8 24H46', light: [56, 24] },
+  { name: 'climb', title: 'Climb', about: 'gain height on slopes of 1 in 10 and 1 in 7',
+    environments: [{ task: 'climb', terrain_heights_m: slope(0.1) },
+      { task: 'climb', terrain_heights_m: slope(0.14) }],
+    way: 'M8 30L48 14', light: [56, 10], ground: 'M2 34L62 10' },
+  { name: 'circle', title: 'Circle', about: 'walk in a direction that turns once in 4 s',
+    environments: onRoughGround('circle'), way: 'M32 30A11 11 0 1 0 21 19', light: [20, 12] },
+  { name: 'path', title: 'Path', about: 'follow three way-points',
+    environments: onRoughGround('path'), way: 'M10 30H44V10H22', light: [14, 10],
+    points: [[44, 30], [44, 10], [22, 10]] },
+  { name: 'shuttle', title: 'Shuttle', about: 'back and forth, twice',
+    environments: onRoughGround('shuttle'), way: 'M10 14H48V20H10V26H48', light: [54, 26],
+    points: [[48, 20], [10, 20]] },
+  { name: 'pursue', title: 'Pursue', about: 'stay close to a light that flees at 0.3 m/s',
+    environments: onRoughGround('pursue'), way: 'M8 24H34', light: [52, 24],
+    flight: 'M42 24H48M44 20L48 24L44 28' },
+];
+
+/**
+ * Returns the picture of a task.
+ * @param {{way: string, light: number[], points?: number[][], ground?: string, flight?: string}}
+ *   task
+ */
+export function taskPicture({ way, light, points = [], ground, flight }) {
+  const [cx, cy] = light;
+  const path = (name, d) => (d ? svg('path', { class: name, d }) : null);
+  return svg('svg', { viewBox: '0 0 64 36', class: 'sketch', 'aria-hidden': 'true' },
+    [path('ground', ground), path('way', way), path('flight', flight),
+      ...points.map(([x, y]) => svg('circle', { class: 'point', cx: x, cy: y, r: 2 })),
+      svg('circle', { class: 'halo', cx, cy, r: 6 }),
+      svg('circle', { class: 'lamp', cx, cy, r: 3 }),
+    ].filter(Boolean));
+}
+
+/** Values of objectives that are measured in meters, from losses: −scale · ln(loss). */
+const SCALES_M = { travel: 1, follow: 1, climb: 0.1 };
+const VERBS = { travel: 'walked', follow: 'followed', climb: 'climbed' };
+
+/**
+ * Returns how to show the scores of a job in meters: its verb, and a function that turns a mean
+ * loss into the value that has this loss. That value is at most the mean of the values. Returns
+ * null unless all environments have the same objective, one that is measured in meters.
+ * @param {{task?: {objective: string}}[]} environments
+ */
+export function measureOf(environments) {
+  const objectives = [...new Set(environments.map(({ task }) => task?.objective ?? 'reach'))];
+  const scale = objectives.length === 1 ? SCALES_M[objectives[0]] : undefined;
+  if (!scale) return null;
+  return { verb: VERBS[objectives[0]],
+    valueOf: (loss) => (loss === null || loss === undefined ? null : -scale * Math.log(loss)) };
+}
+
+/** Formats a value in meters. */
+export const meters = (value) => (value === null || !Number.isFinite(value) ? '–'
+  : `${value.toFixed(Math.abs(value) < 0.995 ? 3 : 2)} m`);
+
+/**
+ * Formats the result of a rollout: its value in meters, or its loss.
+ * @param {{value?: number|null, unit?: string, loss?: number|null}} rollout
+ */
+export const resultOf = ({ value, unit, loss }) => (unit === 'm' ? meters(value) : score(loss));
+
+/** Describes the tasks of environments in a word, or returns "" if all are `photo`. */
+export function taskWords(environments) {
+  const words = new Set(environments.map(({ task }) => (task
+    ? `${task.objective} (${task.guide.kind})` : '')));
+  return [...words].filter(Boolean).join(', ');
+}

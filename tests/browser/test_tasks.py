@@ -1,0 +1,78 @@
+"""Tasks in the dashboard: chosen in a form, drawn on the stage, and scored in meters."""
+
+from conftest import CAMPAIGN
+from service import DESIGN, run
+
+WALK = CAMPAIGN | {"label": "on foot", "environments": [{"task": "walk"}]}
+STAGE = "document.querySelector('.stage').player.stage"
+
+
+def test_a_form_offers_tasks(service, browser):
+    """A task is chosen by its picture; it becomes the environments of the request and of its
+    commands, and counts in the estimate."""
+    browser.open("")
+    browser.click("New campaign")
+    browser.until("document.querySelector('dialog[open] form')")
+    names = browser.run("return [...document.querySelectorAll('.tasks input')].map((e) => e.value)")
+    assert names == ["photo", "walk", "climb", "circle", "path", "shuttle", "pursue"]
+    assert browser.run("return document.querySelectorAll('.tasks svg').length") == len(names)
+    browser.run("document.querySelector('.tasks input[value=walk]').click()")
+    browser.run("const form = document.querySelector('dialog form');"
+                "form.elements.preset.value = 'demo';"
+                "form.elements.preset.dispatchEvent(new Event('change', { bubbles: true }))")
+    browser.until("document.querySelector('dialog').innerText.includes("
+                  "'Up to 7,936 rollouts')")  # 64 × 31 designs, 4 environments
+    browser.click("Copy as a command", "dialog button")
+    browser.until("document.querySelectorAll('dialog[open] pre').length === 3")
+    curl, shell, python = browser.texts("dialog pre")
+    for text in (curl, shell, python):
+        assert '"task":"walk"' in text.replace(": ", ":")
+    assert shell.startswith("echo ") and "--environments -" in shell
+    browser.run("document.querySelectorAll('dialog').forEach((one) => one.close())")
+    browser.click("New campaign")
+    browser.until("document.querySelector('dialog[open] form')")
+    browser.run("""
+        const { elements } = document.querySelector('dialog form');
+        document.querySelector('.tasks input[value=climb]').click();
+        Object.assign(elements.population, { value: 4 });
+        Object.assign(elements.generations, { value: 1 });""")
+    browser.click("Start", "dialog button")
+    browser.until("/^#.campaigns.\\d/.test(location.hash)")
+    id = browser.run("return location.hash.split('/')[2]")
+    worlds = service.get(f"/v1/campaigns/{id}/environments")["items"]
+    assert [world["task"]["objective"] for world in worlds] == ["climb", "climb"]
+    assert worlds[0]["terrain_heights_m"][7] == 0.5  # 5 m at 1 in 10
+    service.act(id, "cancel")
+    assert browser.faults() == []
+
+
+def test_a_campaign_shows_meters(service, browser):
+    """The curve and the champions of a task that is measured in meters have that unit; on the
+    stage, the light leads, and the way-points are there."""
+    id = run(service, "campaigns", WALK)["id"]
+    browser.open(f"campaigns/{id}")
+    browser.until("document.body.innerText.includes('Meters walked')")
+    browser.until("document.querySelectorAll('.card .number').length > 0")
+    best = service.get(f"/v1/campaigns/{id}")["newest"]["score"]["quantiles"]["p0"]
+    shown = browser.texts(".card .number")
+    assert all(text.endswith(" m") for text in shown), shown
+    job = service.evaluate({"designs": [DESIGN], "environments": WALK["environments"],
+                            "physics": WALK["physics"]}).json()
+    assert 0 < best <= job["results"][0]["score"] * 2
+    browser.until_walking()
+    lights = browser.run(f"const [robot] = {STAGE}.robots; return [...robot.lights];")
+    com = browser.run(f"""
+        const [{{ track, body }}] = {STAGE}.robots;
+        let sum = 0;
+        for (let mass = 0; mass < body.nMasses; mass++) sum += track[3 * mass];
+        return sum / body.nMasses;""")
+    assert abs(lights[0] - com - 1.5) < 1e-4
+    assert browser.texts(".stage .tag .number, .stage .number")[0].endswith(" m")
+    path = service.evaluate({"designs": [DESIGN], "environments": [{"task": "path"}],
+                             "physics": {"n_steps": 60}, "record": ["masses"]}).json()
+    browser.open(f"stage?evaluation={path['id']}&rows=0")
+    browser.until_walking()
+    assert browser.run(f"return {STAGE}.robots[0].world.points") == [
+        [3.5, 2.5], [3.5, 3.5], [2.5, 3.5]]
+    browser.open(f"designs?evaluation={path['id']}")
+    assert browser.faults() == []
