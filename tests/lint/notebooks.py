@@ -13,7 +13,7 @@ from text import TOP, WIDTH, worse_words
 import tap
 
 FOLDER = TOP / "docs" / "notebooks"
-BYTES_MAX = 1_000_000  # of all notebooks together
+BYTES_MAX = 1_200_000  # of all notebooks together
 PLACE = re.compile(r"/(home|root|tmp|usr|var|work|mnt)/|"
                    r"https?://(?!127\.0\.0\.1:8765)[^/\s\"]+:\d+")
 
@@ -94,8 +94,8 @@ def main():
     size = sum(file.stat().st_size for file in files)
     results = [(name, [f"{file}: {fault}" for file, notebook in notebooks
                        for fault in rule(notebook)]) for name, rule in RULES.items()]
-    results += [("five notebooks of at most 1 MB together",
-                 [] if len(files) == 5 and size <= BYTES_MAX else [f"{len(files)}, {size} bytes"]),
+    results += [("six notebooks of at most 1.2 MB together",
+                 [] if len(files) == 6 and size <= BYTES_MAX else [f"{len(files)}, {size} bytes"]),
                 ("each rule can fail", self_test())]
     return tap.report(results)
 

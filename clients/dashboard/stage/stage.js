@@ -437,7 +437,9 @@ export class Stage {
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     };
     const world = view.robots[0]?.world;
-    for (const [x, y] of world?.points ?? []) lamp([x, y, heightAt(world.heights, x, y)], 0.09);
+    for (const [x, y] of world?.points ?? []) {
+      lamp([x, y, heightAt(world.heights, x, y) + 0.03], 0.2);
+    }
     lamp(common.lightAt, 0.26);
     gl.depthMask(true);
     gl.disable(gl.BLEND);

@@ -220,7 +220,7 @@ class AsyncClient:
             raise MorphodError(f"there is no environment {environment}: {len(environments)} are "
                                "given, counted from 0")
         scene = await self.rollouts(bodies, [world], controller=controller,
-                                    record_stride=4, physics=physics, repair=repair)
+                                    record_stride=8, physics=physics, repair=repair)
         return await player(self._connection, scene, title)
 
     async def random_bodies(self, count: int, seed: int | None = None, *,

@@ -418,7 +418,7 @@ class AsyncEvaluation(AsyncJob):
                 "environments": [world],
                 "controller": f"sha256:{self.data['controller']['sha256']}",
                 "physics": self.data["physics"], "precision": self.data["precision"],
-                "record": ["masses"], "record_stride": 4,
+                "record": ["masses"], "record_stride": 8,
             }, accept=MEDIA_TYPE)
         scene = Scene((await self._connection.send(request)).content)
         return await player(self._connection, scene, f"Design {place} of evaluation {self.id}")
@@ -584,7 +584,7 @@ class AsyncCampaign(AsyncJob):
                 "environments": [world],
                 "controller": f"sha256:{controller['sha256']}",
                 "physics": self.data["settings"]["physics"],
-                "record": ["masses"], "record_stride": 4,
+                "record": ["masses"], "record_stride": 8,
             }, accept=MEDIA_TYPE)
         scene = Scene((await self._connection.send(request)).content)
         return await player(self._connection, scene, f"Champions of campaign {self.id}")
