@@ -1,10 +1,13 @@
-/* world.h: terrain, light, task, and the named sets of environments (paper, section 2.2 and
- * appendices A.2, A.3).
+/* world.h: terrain, light, task, the named sets of environments (paper, section 2.2 and appendices
+ * A.2, A.3), and families of terrains.
  *
- * Terrain: 8 × 8 heights over 5 m × 5 m, bilinear between them; coordinates are clamped to the map.
- * Row j is y, column i is x: heights[j*8 + i] at (i·5/7 m, j·5/7 m). The robot's workspace is
- * centered at (2.5 m, 2.5 m). The light stands on the terrain: its z is the terrain height at its
- * (x, y). */
+ * A terrain is a grid or a profile; beyond its edges, its height continues unchanged.
+ *   Grid: 8 × 8 heights over 5 m × 5 m, bilinear between them. Row j is y, column i is x:
+ *   heights[j*8 + i] at (i·5/7 m, j·5/7 m).
+ *   Profile: heights along x, linear between them, the same for every y: heights[k] at
+ *   x = k · profile_spacing_m.
+ * The robot's workspace is centered at (2.5 m, 2.5 m). The light stands on the terrain: its z is
+ * the terrain height at its (x, y). */
 #ifndef MORPHO_WORLD_H
 #define MORPHO_WORLD_H
 
@@ -26,27 +29,35 @@ extern "C" {
 #define MO_PAPER_TEST_SEED  UINT64_C(20250711)
 #define MO_HEIGHT_LIMIT_M                                                                          \
   100.0 /* |height| and |light coordinate| that mo_environment_check accepts */
-#define MO_LIGHT_LIMIT_M 1000.0
+#define MO_LIGHT_LIMIT_M         1000.0
+#define MO_PROFILE_HEIGHTS_MIN   2
+#define MO_PROFILE_SPACING_MIN_M 0.02
+#define MO_PROFILE_SPACING_MAX_M 1.0
 
 struct mo_environment {
   double light_xy_m[2];
-  double terrain_heights_m[MO_TERRAIN_HEIGHTS];
-  struct mo_task task; /* all 0: the light is fixed, and the robot is to reach it */
+  double terrain_heights_m[MO_TERRAIN_HEIGHTS]; /* those that a profile does not have are 0 */
+  struct mo_task task;      /* all 0: the light is fixed, and the robot is to reach it */
+  uint32_t n_profile;       /* 0: the terrain is a grid; else the number of a profile's heights,
+                               MO_PROFILE_HEIGHTS_MIN … MO_TERRAIN_HEIGHTS */
+  double profile_spacing_m; /* of a profile: MO_PROFILE_SPACING_MIN_M … MAX_M; of a grid: 0 */
 };
 
-/* Returns the height at (x, y) in meters. Float64 reference for every faster path. */
-double mo_terrain_height(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m);
-/* Computes the gradient (∂h/∂x, ∂h/∂y) of the bilinear patch at (x, y); 0 along an axis whose
- * coordinate is clamped. On a line between two cells, the cell with the higher index is used (at
- * the far edge, the last cell). */
-void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m,
+/* Returns the terrain's height at (x, y) in meters. Float64 reference for every faster path. */
+double mo_terrain_height(const struct mo_environment *environment, double x_m, double y_m);
+/* Computes the gradient (∂h/∂x, ∂h/∂y) of the patch at (x, y); 0 along an axis whose coordinate is
+ * clamped. On a line between two cells, the cell with the higher index is used (at the far edge,
+ * the last cell). */
+void mo_terrain_gradient(const struct mo_environment *environment, double x_m, double y_m,
                          double gradient[2]);
-double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS]);
+double mo_terrain_highest(const struct mo_environment *environment);
 
-/* Checks that all values are finite and within the limits. MO_ERR_INVALID (not finite) or
- * MO_ERR_RANGE; *where (nullable): 0 and 1 for the light's coordinates, 2 + k for height k, and
- * MO_ENVIRONMENT_TASK for the task, for which mo_task_check has a message. */
-#define MO_ENVIRONMENT_TASK (2 + MO_TERRAIN_HEIGHTS)
+/* Checks that all values are finite and within the limits. MO_ERR_INVALID (not finite, or a height
+ * that a profile does not have is not 0) or MO_ERR_RANGE; *where (nullable): 0 and 1 for the
+ * light's coordinates, 2 + k for height k, MO_ENVIRONMENT_TASK for the task, for which
+ * mo_task_check has a message, and MO_ENVIRONMENT_PROFILE for n_profile and profile_spacing_m. */
+#define MO_ENVIRONMENT_TASK    (2 + MO_TERRAIN_HEIGHTS)
+#define MO_ENVIRONMENT_PROFILE (3 + MO_TERRAIN_HEIGHTS)
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
 /* Draws heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed,

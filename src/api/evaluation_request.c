@@ -134,8 +134,7 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
                      "\"auto\"");
   double highest_m = 0;
   for (uint32_t i = 0; parsed->parts.environments != NULL && i < parsed->parts.n_environments; i++)
-    highest_m =
-        fmax(highest_m, mo_terrain_highest(parsed->parts.environments[i].terrain_heights_m));
+    highest_m = fmax(highest_m, mo_terrain_highest(&parsed->parts.environments[i]));
   if (request->precision == MO_FLOAT32 &&
       request->physics.drop_height_m + highest_m > MO_ERROR_FLOAT32_MAX_M)
     mo_json_fault_at(json, 0, "/error",

@@ -115,12 +115,12 @@ static void move_masses_adjoint(const struct mo_reference *r, uint32_t step,
     const size_t at = 3 * (size_t)i;
     double da[3] = {0, 0, 0};
     if (scheme->integrator == MO_INTEGRATOR_SPLIT)
-      mo_contact_split_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
+      mo_contact_split_adjoint(scheme, &constants, r->environment, r->highest_m,
                                tape->acceleration + at, tape->position_m + at,
                                tape->velocity_m_per_s + at, adjoint->d_position + at,
                                adjoint->d_velocity + at, da);
     else
-      mo_contact_move_adjoint(scheme, &constants, r->environment->terrain_heights_m, r->highest_m,
+      mo_contact_move_adjoint(scheme, &constants, r->environment, r->highest_m,
                               tape->position_m + at, tape->velocity_m_per_s + at,
                               adjoint->d_position + at, adjoint->d_velocity + at);
     /* v = keep · v + push · impulse / mass,   v[2] −= fall

@@ -6,8 +6,8 @@
 #include "rollout/fast.h"
 
 /* The physics for one vector of lanes of a block. Positions, velocities and all other data with
- * lanes are arrays of the run's reals, starting at the first of these lanes. `constants`: a struct
- * lane_block. */
+ * lanes are arrays of the run's reals, starting at the first of these lanes. `constants`,
+ * `terrain`: structs lane_block and lane_block_terrain of all lanes. */
 struct mo_block_physics {
   uint32_t n_lanes;
   /* Computes the light at the masses, minus the body's mean. lights: (3, lanes). */
@@ -18,9 +18,9 @@ struct mo_block_physics {
                        const void *rests, const void *activations, const void *positions,
                        void *velocities);
   /* Moves all masses by one step. Returns the lanes whose state is no longer finite or valid.
-   * used_lanes: the lanes that count; tops: upper bound of each lane's terrain. */
-  uint32_t (*move)(const struct mo_fast_run *run, const void *constants, uint32_t first_lane,
-                   uint32_t used_lanes, const void *tops, const void *positions,
+   * used_lanes: the lanes that count. */
+  uint32_t (*move)(const struct mo_fast_run *run, const void *constants, const void *terrain,
+                   uint32_t first_lane, uint32_t used_lanes, const void *positions,
                    void *next_positions, void *velocities);
 };
 extern const struct mo_block_physics mo_physics_baseline_float_16, mo_physics_baseline_double_16;

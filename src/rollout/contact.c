@@ -14,36 +14,36 @@
 
 #include "rollout/fast.h"
 #include "rollout/kick.h"
+#include "world/terrain.h"
 
 #include <math.h>
 #include <string.h>
 
-#define CELLS       (MO_TERRAIN_SIDE - 1)
-#define CELLS_PER_M (CELLS / MO_TERRAIN_SIZE_M)
-
-/* One horizontal axis of a segment, in units of cells. `cell`: −1 before the map, 0 … CELLS − 1 in
- * it, CELLS beyond it. */
+/* One horizontal axis of a segment, in units of cells. `cell`: −1 before the map, 0 … cells − 1 in
+ * it, `cells` beyond it. */
 struct axis {
   double start, speed;
-  int cell;
+  int cell, cells;
 };
 
-static struct axis make_axis(double position_m, double velocity_m_per_s)
+static struct axis make_axis(const struct mo_terrain_axis *of, double position_m,
+                             double velocity_m_per_s)
 {
-  struct axis axis = {position_m * CELLS_PER_M, velocity_m_per_s * CELLS_PER_M, 0};
+  struct axis axis = {position_m * of->cells_per_m, velocity_m_per_s * of->cells_per_m, 0,
+                      of->cells};
   if (axis.start < 0)
     axis.cell = -1;
-  else if (axis.start > CELLS)
-    axis.cell = CELLS;
+  else if (axis.start > axis.cells)
+    axis.cell = axis.cells;
   else
-    axis.cell = axis.start < CELLS ? (int)axis.start : CELLS - 1;
+    axis.cell = axis.start < axis.cells ? (int)axis.start : axis.cells - 1;
   return axis;
 }
 
 /* Returns when the segment leaves the axis's current cell, or infinity if it never does. */
 static double leave_time(const struct axis *axis)
 {
-  if (axis->speed > 0 && axis->cell < CELLS)
+  if (axis->speed > 0 && axis->cell < axis->cells)
     return (axis->cell + 1 - axis->start) / axis->speed;
   if (axis->speed < 0 && axis->cell >= 0)
     return (axis->cell - axis->start) / axis->speed;
@@ -59,9 +59,9 @@ static int place(const struct axis *axis, double t, double *fraction, double *ra
     *fraction = 0;
     return 0;
   }
-  if (axis->cell >= CELLS) {
+  if (axis->cell >= axis->cells) {
     *fraction = 1;
-    return CELLS - 1;
+    return axis->cells - 1;
   }
   *fraction = axis->start + axis->speed * t - axis->cell;
   *rate = axis->speed;
@@ -79,11 +79,12 @@ static double first_descent(double a, double b, double c)
                : INFINITY; /* A < 0, C ≥ 0: the discriminant is ≥ 0 */
 }
 
-double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
+double mo_impact_exact(const struct mo_environment *environment, const double position_m[3],
                        const double velocity_m_per_s[3], double dt_s)
 {
-  struct axis x = make_axis(position_m[0], velocity_m_per_s[0]);
-  struct axis y = make_axis(position_m[1], velocity_m_per_s[1]);
+  const struct mo_terrain_map map = mo_terrain_map_of(environment);
+  struct axis x = make_axis(&map.axis[0], position_m[0], velocity_m_per_s[0]);
+  struct axis y = make_axis(&map.axis[1], position_m[1], velocity_m_per_s[1]);
   double from = 0;
   for (;;) {
     const double leave_x = leave_time(&x), leave_y = leave_time(&y);
@@ -91,9 +92,9 @@ double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double 
     if (to > from) {
       double u, w, du, dw;
       const int i = place(&x, from, &u, &du), j = place(&y, from, &w, &dw);
-      const double *h = heights_m + j * MO_TERRAIN_SIDE + i;
-      const double a = h[1] - h[0], b = h[MO_TERRAIN_SIDE] - h[0];
-      const double c = h[MO_TERRAIN_SIDE + 1] - h[1] - h[MO_TERRAIN_SIDE] + h[0];
+      const double *h = environment->terrain_heights_m + j * map.row + i;
+      const double a = h[1] - h[0], b = h[map.row] - h[0];
+      const double c = h[map.row + 1] - h[1] - h[map.row] + h[0];
       const double gap =
           position_m[2] + velocity_m_per_s[2] * from - (h[0] + a * u + b * w + c * u * w);
       const double descent =
@@ -114,14 +115,15 @@ double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double 
   }
 }
 
-double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
+double mo_impact_bisection(const struct mo_environment *environment, const double position_m[3],
                            const double velocity_m_per_s[3], double dt_s, uint32_t bisections)
 {
   double low = 0, high = dt_s;
   for (uint32_t i = 0; i < bisections; i++) {
     const double middle = 0.5 * (low + high);
-    const double height = mo_terrain_height(heights_m, position_m[0] + middle * velocity_m_per_s[0],
-                                            position_m[1] + middle * velocity_m_per_s[1]);
+    const double height =
+        mo_terrain_height(environment, position_m[0] + middle * velocity_m_per_s[0],
+                          position_m[1] + middle * velocity_m_per_s[1]);
     if (position_m[2] + middle * velocity_m_per_s[2] < height)
       high = middle;
     else
@@ -147,30 +149,30 @@ static void strike(const struct mo_constants *constants, const double gradient[2
 }
 
 bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                     const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                     const struct mo_environment *environment, double highest_m,
                      double position_m[3], double velocity_m_per_s[3])
 {
   const double dt = scheme->dt_s;
   double *p = position_m, *v = velocity_m_per_s;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
-  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(environment, next[0], next[1]))) {
     for (int axis = 0; axis < 3; axis++)
       p[axis] = next[axis];
     return false;
   }
   const double impact = scheme->impact == MO_IMPACT_EXACT
-                            ? mo_impact_exact(heights_m, p, v, dt)
-                            : mo_impact_bisection(heights_m, p, v, dt, scheme->bisections);
+                            ? mo_impact_exact(environment, p, v, dt)
+                            : mo_impact_bisection(environment, p, v, dt, scheme->bisections);
   p[0] += impact * v[0];
   p[1] += impact * v[1];
-  p[2] = mo_terrain_height(heights_m, p[0], p[1]);
+  p[2] = mo_terrain_height(environment, p[0], p[1]);
   double gradient[2];
-  mo_terrain_gradient(heights_m, p[0], p[1], gradient);
+  mo_terrain_gradient(environment, p[0], p[1], gradient);
   strike(constants, gradient, v);
   const double rest = dt - impact;
   for (int axis = 0; axis < 3; axis++)
     p[axis] += rest * v[axis];
-  p[2] = fmax(p[2], mo_terrain_height(heights_m, p[0], p[1]));
+  p[2] = fmax(p[2], mo_terrain_height(environment, p[0], p[1]));
   return true;
 }
 
@@ -219,22 +221,22 @@ static double left_by(double lost, double speed)
 }
 
 static struct split split_of(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                             const double heights_m[MO_TERRAIN_HEIGHTS], const double a[3],
+                             const struct mo_environment *environment, const double a[3],
                              const double p[3], const double v[3])
 {
   const double dt = scheme->dt_s, drag = constants->drag_per_s;
   struct split s;
-  s.lies = p[2] - mo_terrain_height(heights_m, p[0], p[1]) < MO_LIES_M;
+  s.lies = p[2] - mo_terrain_height(environment, p[0], p[1]) < MO_LIES_M;
   s.bend = mo_kick_bend(scheme, constants, mo_fast_exp(-drag * dt));
   s.impact = s.lies ? 0
              : scheme->impact == MO_IMPACT_EXACT
-                 ? mo_impact_exact(heights_m, p, v, dt)
-                 : mo_impact_bisection(heights_m, p, v, dt, scheme->bisections);
+                 ? mo_impact_exact(environment, p, v, dt)
+                 : mo_impact_bisection(environment, p, v, dt, scheme->bisections);
   s.rest = dt - s.impact;
   for (int k = 0; k < 2; k++)
     s.hit[k] = p[k] + s.impact * v[k];
-  s.hit[2] = mo_terrain_height(heights_m, s.hit[0], s.hit[1]);
-  mo_terrain_gradient(heights_m, s.hit[0], s.hit[1], s.g);
+  s.hit[2] = mo_terrain_height(environment, s.hit[0], s.hit[1]);
+  mo_terrain_gradient(environment, s.hit[0], s.hit[1], s.g);
   const double length = sqrt(s.g[0] * s.g[0] + s.g[1] * s.g[1] + 1.0);
   s.n[0] = -s.g[0] / length;
   s.n[1] = -s.g[1] / length;
@@ -271,24 +273,24 @@ static struct split split_of(const struct mo_scheme *scheme, const struct mo_con
 }
 
 bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                      const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                      const struct mo_environment *environment, double highest_m,
                       const double acceleration[3], double position_m[3],
                       double velocity_m_per_s[3])
 {
   const double dt = scheme->dt_s;
   double *p = position_m, *v = velocity_m_per_s;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
-  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(environment, next[0], next[1]))) {
     memcpy(p, next, sizeof(next));
     return false;
   }
-  const struct split s = split_of(scheme, constants, heights_m, acceleration, p, v);
+  const struct split s = split_of(scheme, constants, environment, acceleration, p, v);
   for (int k = 0; k < 3; k++) {
     const double end = s.z[k] + fmax(s.lift, 0) * s.n[k];
     v[k] = end + s.back * (acceleration[k] - constants->drag_per_s * end);
     p[k] = s.end[k];
   }
-  p[2] = fmax(p[2], mo_terrain_height(heights_m, p[0], p[1]));
+  p[2] = fmax(p[2], mo_terrain_height(environment, p[0], p[1]));
   return true;
 }
 
@@ -296,14 +298,16 @@ bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants 
 
 /* Returns the second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other
  * two vanish: the patch is bilinear. */
-static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m)
+static double twist(const struct mo_environment *environment, double x_m, double y_m)
 {
-  if (!(x_m >= 0 && x_m <= MO_TERRAIN_SIZE_M && y_m >= 0 && y_m <= MO_TERRAIN_SIZE_M))
+  const struct mo_terrain_map map = mo_terrain_map_of(environment);
+  const struct mo_terrain_axis *x = &map.axis[0], *y = &map.axis[1];
+  if (!(x_m >= 0 && x_m <= x->size_m && y_m >= 0 && y_m <= y->size_m))
     return 0;
-  const double u = x_m * CELLS_PER_M, w = y_m * CELLS_PER_M;
-  const int i = u < CELLS ? (int)u : CELLS - 1, j = w < CELLS ? (int)w : CELLS - 1;
-  const double *h = heights_m + j * MO_TERRAIN_SIDE + i;
-  return (h[MO_TERRAIN_SIDE + 1] - h[MO_TERRAIN_SIDE] - (h[1] - h[0])) * CELLS_PER_M * CELLS_PER_M;
+  const double u = x_m * x->cells_per_m, w = y_m * y->cells_per_m;
+  const int i = u < x->cells ? (int)u : x->cells - 1, j = w < y->cells ? (int)w : y->cells - 1;
+  const double *h = environment->terrain_heights_m + j * map.row + i;
+  return (h[map.row + 1] - h[map.row] - (h[1] - h[0])) * x->cells_per_m * y->cells_per_m;
 }
 
 /* Differentiates strike() at velocity v; dw: ∂loss/∂ its result. Adds to dv and to the terrain
@@ -371,13 +375,13 @@ static void impact_adjoint(double impact, double dt, const double *ground, const
 
 /* Differentiates the place and time of an impact, at p + impact · v in x and y, and the terrain's
  * gradient g there. */
-static void place_adjoint(const struct mo_scheme *scheme, const double *heights_m, double impact,
-                          const double hit[3], const double g[2], const double p[3],
+static void place_adjoint(const struct mo_scheme *scheme, const struct mo_environment *environment,
+                          double impact, const double hit[3], const double g[2], const double p[3],
                           const double v[3], double d_hit[3], const double dg[2], double d_impact,
                           double dp[3], double dv[3])
 {
   /* g = ∇h(hit) */
-  const double bend = twist(heights_m, hit[0], hit[1]);
+  const double bend = twist(environment, hit[0], hit[1]);
   d_hit[0] += bend * dg[1];
   d_hit[1] += bend * dg[0];
   /* hit[2] = h(hit) */
@@ -391,14 +395,14 @@ static void place_adjoint(const struct mo_scheme *scheme, const double *heights_
   }
   /* impact = mo_impact_exact(p, v) */
   double ground[2];
-  const bool lies = !(p[2] > mo_terrain_height(heights_m, p[0], p[1]));
-  mo_terrain_gradient(heights_m, p[0], p[1], ground);
+  const bool lies = !(p[2] > mo_terrain_height(environment, p[0], p[1]));
+  mo_terrain_gradient(environment, p[0], p[1], ground);
   if (scheme->impact == MO_IMPACT_EXACT)
     impact_adjoint(impact, scheme->dt_s, lies ? ground : NULL, g, v, d_impact, dp, dv);
 }
 
 void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                             const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                             const struct mo_environment *environment, double highest_m,
                              const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3])
 {
@@ -406,7 +410,7 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
   const double *p = position_m, *v = velocity_m_per_s;
   double *dp = d_position, *dv = d_velocity;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
-  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(environment, next[0], next[1]))) {
     /* p = p + dt · v */
     for (int k = 0; k < 3; k++)
       dv[k] += dt * dp[k];
@@ -414,13 +418,13 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
   }
   /* Repeat the forward step: impact at `hit`, velocity `slid` after it, end of the step `end`. */
   const double impact = scheme->impact == MO_IMPACT_EXACT
-                            ? mo_impact_exact(heights_m, p, v, dt)
-                            : mo_impact_bisection(heights_m, p, v, dt, scheme->bisections);
+                            ? mo_impact_exact(environment, p, v, dt)
+                            : mo_impact_bisection(environment, p, v, dt, scheme->bisections);
   const double rest = dt - impact;
   double hit[3] = {p[0] + impact * v[0], p[1] + impact * v[1], 0}, slid[3] = {v[0], v[1], v[2]},
          g[2], end[3];
-  hit[2] = mo_terrain_height(heights_m, hit[0], hit[1]);
-  mo_terrain_gradient(heights_m, hit[0], hit[1], g);
+  hit[2] = mo_terrain_height(environment, hit[0], hit[1]);
+  mo_terrain_gradient(environment, hit[0], hit[1], g);
   strike(constants, g, slid);
   for (int k = 0; k < 3; k++)
     end[k] = hit[k] + rest * slid[k];
@@ -430,11 +434,11 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
   for (int k = 0; k < 3; k++)
     dv[k] = 0;
   /* p[2] = max(end[2], h(end)) */
-  if (end[2] >= mo_terrain_height(heights_m, end[0], end[1])) {
+  if (end[2] >= mo_terrain_height(environment, end[0], end[1])) {
     d_end[2] += dp[2];
   } else {
     double slope[2];
-    mo_terrain_gradient(heights_m, end[0], end[1], slope);
+    mo_terrain_gradient(environment, end[0], end[1], slope);
     d_end[0] += dp[2] * slope[0];
     d_end[1] += dp[2] * slope[1];
   }
@@ -448,7 +452,7 @@ void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_con
   }
   /* slid = strike(g, v) */
   strike_adjoint(constants, g, v, d_slid, dv, dg);
-  place_adjoint(scheme, heights_m, impact, hit, g, p, v, d_hit, dg, d_impact, dp, dv);
+  place_adjoint(scheme, environment, impact, hit, g, p, v, d_hit, dg, d_impact, dp, dv);
 }
 
 /* Differentiates z = (1 − min(lost, |q|)/|q|) · q by q; returns ∂loss/∂lost. `speed`: |q|. Once
@@ -531,7 +535,7 @@ static double slide_adjoint(const struct mo_constants *constants, const struct s
 }
 
 void mo_contact_split_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                              const struct mo_environment *environment, double highest_m,
                               const double acceleration[3], const double position_m[3],
                               const double velocity_m_per_s[3], double d_position[3],
                               double d_velocity[3], double d_acceleration[3])
@@ -541,19 +545,19 @@ void mo_contact_split_adjoint(const struct mo_scheme *scheme, const struct mo_co
   double *dp = d_position, *dv = d_velocity, *da = d_acceleration;
   const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
   memset(da, 0, 3 * sizeof(*da));
-  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(environment, next[0], next[1]))) {
     for (int k = 0; k < 3; k++)
       dv[k] += dt * dp[k];
     return;
   }
-  const struct split s = split_of(scheme, constants, heights_m, a, p, v);
+  const struct split s = split_of(scheme, constants, environment, a, p, v);
   double d_end[3] = {dp[0], dp[1], 0}, de[3], d_hit[3], dw[3], dg[2];
   /* p[2] = max(end[2], h(end)) */
-  if (s.end[2] >= mo_terrain_height(heights_m, s.end[0], s.end[1])) {
+  if (s.end[2] >= mo_terrain_height(environment, s.end[0], s.end[1])) {
     d_end[2] = dp[2];
   } else {
     double slope[2];
-    mo_terrain_gradient(heights_m, s.end[0], s.end[1], slope);
+    mo_terrain_gradient(environment, s.end[0], s.end[1], slope);
     d_end[0] += dp[2] * slope[0];
     d_end[1] += dp[2] * slope[1];
   }
@@ -571,5 +575,5 @@ void mo_contact_split_adjoint(const struct mo_scheme *scheme, const struct mo_co
     da[k] += s.before * dw[k];
     d_impact += rate * (a[k] - drag * v[k]) * dw[k];
   }
-  place_adjoint(scheme, heights_m, s.impact, s.hit, s.g, p, v, d_hit, dg, d_impact, dp, dv);
+  place_adjoint(scheme, environment, s.impact, s.hit, s.g, p, v, d_hit, dg, d_impact, dp, dv);
 }

@@ -8,15 +8,15 @@
 
 /* Return when, in [0, dt], a mass that leaves `position` with `velocity` first goes below the
  * terrain. It must be below the terrain after dt. */
-double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
+double mo_impact_exact(const struct mo_environment *environment, const double position_m[3],
                        const double velocity_m_per_s[3], double dt_s);
-double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
+double mo_impact_bisection(const struct mo_environment *environment, const double position_m[3],
                            const double velocity_m_per_s[3], double dt_s, uint32_t bisections);
 
 /* Moves a mass for one step; `highest_m` is the terrain's largest height. Returns whether it
  * touched the terrain. */
 bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                     const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                     const struct mo_environment *environment, double highest_m,
                      double position_m[3], double velocity_m_per_s[3]);
 
 /* For `split`, a mass that is less than this above the ground lies on it. It is above the rounding
@@ -26,7 +26,7 @@ bool mo_contact_move(const struct mo_scheme *scheme, const struct mo_constants *
 /* mo_contact_move for `split`. velocity: in the middle of the step; acceleration: by springs and
  * gravity, without drag. */
 bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                      const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                      const struct mo_environment *environment, double highest_m,
                       const double acceleration[3], double position_m[3],
                       double velocity_m_per_s[3]);
 
@@ -34,13 +34,13 @@ bool mo_contact_split(const struct mo_scheme *scheme, const struct mo_constants 
  * ∂loss/∂(its results); out: ∂loss/∂(its inputs). With MO_IMPACT_BISECTION the time of impact
  * counts as constant. */
 void mo_contact_move_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                             const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                             const struct mo_environment *environment, double highest_m,
                              const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3]);
 
 /* Differentiates mo_contact_split. d_acceleration: out. */
 void mo_contact_split_adjoint(const struct mo_scheme *scheme, const struct mo_constants *constants,
-                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                              const struct mo_environment *environment, double highest_m,
                               const double acceleration[3], const double position_m[3],
                               const double velocity_m_per_s[3], double d_position[3],
                               double d_velocity[3], double d_acceleration[3]);

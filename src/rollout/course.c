@@ -154,7 +154,7 @@ void mo_course_light(const struct mo_course *course, double t_s, const struct mo
                      double light_m[3])
 {
   light_xy(course, t_s, track, light_m);
-  light_m[2] = mo_terrain_height(course->environment->terrain_heights_m, light_m[0], light_m[1]);
+  light_m[2] = mo_terrain_height(course->environment, light_m[0], light_m[1]);
 }
 
 void mo_course_begin(struct mo_course *course, const struct mo_environment *environment,
@@ -317,7 +317,7 @@ void mo_course_back(const struct mo_course *course, double t_s, const struct mo_
   double light_m[2], slope[2];
   memset(d_com, 0, 3 * sizeof(double));
   light_xy(course, t_s, track, light_m);
-  mo_terrain_gradient(course->environment->terrain_heights_m, light_m[0], light_m[1], slope);
+  mo_terrain_gradient(course->environment, light_m[0], light_m[1], slope);
   /* light[2] = height(light[0], light[1]) */
   const double d_xy[2] = {d_light[0] + slope[0] * d_light[2], d_light[1] + slope[1] * d_light[2]};
   if (guide->kind == MO_GUIDE_AHEAD || guide->kind == MO_GUIDE_TURNING) {

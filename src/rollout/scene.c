@@ -21,7 +21,7 @@ void mo_scene_start(const struct mo_body *body, const struct mo_environment *env
     p[0] = left + MO_VOXEL_M * cell[0];
     p[1] = front + MO_VOXEL_M * cell[1];
     p[2] = MO_VOXEL_M * (cell[2] - lowest); /* 0 in the lowest layer: its height is exact */
-    lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]) - p[2]);
+    lift = fmax(lift, mo_terrain_height(environment, p[0], p[1]) - p[2]);
   }
   for (uint32_t i = 0; i < body->n_masses; i++)
     position_m[3 * (size_t)i + 2] += lift + physics->drop_height_m;
@@ -38,7 +38,7 @@ void mo_scene_light(const struct mo_environment *environment, double light_m[3])
 {
   light_m[0] = environment->light_xy_m[0];
   light_m[1] = environment->light_xy_m[1];
-  light_m[2] = mo_terrain_height(environment->terrain_heights_m, light_m[0], light_m[1]);
+  light_m[2] = mo_terrain_height(environment, light_m[0], light_m[1]);
 }
 
 void mo_scene_com(const double *position_m, uint32_t n, double com_m[3])

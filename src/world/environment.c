@@ -45,9 +45,30 @@ unsigned mo_environment_version(const struct mo_environment *environment)
   return mo_fields_version(&mo_environment_fields, environment, &mo_environment_defaults);
 }
 
+/* The shape of the terrain; *where: the number of what is wrong. */
+static int check_profile(const struct mo_environment *environment, uint32_t *where)
+{
+  const uint32_t n = environment->n_profile;
+  const double spacing_m = environment->profile_spacing_m;
+  *where = MO_ENVIRONMENT_PROFILE;
+  if (!isfinite(spacing_m))
+    return MO_ERR_INVALID;
+  if (n == 0)
+    return spacing_m == 0 ? MO_OK : MO_ERR_RANGE;
+  if (n < MO_PROFILE_HEIGHTS_MIN || n > MO_TERRAIN_HEIGHTS ||
+      spacing_m < MO_PROFILE_SPACING_MIN_M || spacing_m > MO_PROFILE_SPACING_MAX_M)
+    return MO_ERR_RANGE;
+  for (uint32_t k = n; k < MO_TERRAIN_HEIGHTS; k++)
+    if (environment->terrain_heights_m[k] != 0) {
+      *where = 2 + k;
+      return MO_ERR_INVALID;
+    }
+  return MO_OK;
+}
+
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where)
 {
-  uint32_t k = 0;
+  uint32_t k = 0, wrong;
   for (const struct mo_field *row = place_rows; row < place_rows + mo_place_fields.n; row++) {
     const double *values = mo_environment_numbers(environment, row);
     for (uint32_t i = 0; i < row->n; i++, k++) {
@@ -58,11 +79,15 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
       return isfinite(values[i]) ? MO_ERR_RANGE : MO_ERR_INVALID;
     }
   }
-  int error = mo_task_check(&environment->task, NULL);
-  const bool has_light = mo_guide_has_light(&environment->task.guide);
-  if (!has_light && (environment->light_xy_m[0] != 0 || environment->light_xy_m[1] != 0))
-    error = MO_ERR_INVALID;
+  int error = check_profile(environment, &wrong);
+  if (error == MO_OK) {
+    wrong = MO_ENVIRONMENT_TASK;
+    error = mo_task_check(&environment->task, NULL);
+    const bool has_light = mo_guide_has_light(&environment->task.guide);
+    if (!has_light && (environment->light_xy_m[0] != 0 || environment->light_xy_m[1] != 0))
+      error = MO_ERR_INVALID;
+  }
   if (error != MO_OK && where != NULL)
-    *where = MO_ENVIRONMENT_TASK;
+    *where = wrong;
   return error;
 }

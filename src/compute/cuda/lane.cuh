@@ -84,12 +84,20 @@ MO_INLINE V lane_rest(bool diagonal)
 
 /* ---- terrain ---- */
 
+/* All terrains are grids here. */
+MO_INLINE struct lane_map lane_map_of_grid(void)
+{
+  const struct lane_cells cells = lane_cells_of_grid();
+  return lane_map_alike(&cells);
+}
+
 /* heights: (64), as in mo_environment; i, j: whole numbers. */
 MO_INLINE struct lane_cell lane_cell_at(const float *heights, V i, V j)
 {
+  const struct lane_cells cells = lane_cells_of_grid();
   struct lane_cell g;
   float corners[4], polynomial[4];
-  lane_corners(heights, (int)i, (int)j, corners);
+  lane_corners(&cells, heights, (int)i, (int)j, corners);
   lane_polynomial(corners, polynomial);
   g.i = i;
   g.j = j;
@@ -104,16 +112,18 @@ MO_INLINE struct lane_cell lane_cell_at(const float *heights, V i, V j)
  * there. */
 MO_INLINE V lane_ground(const float *heights, V x, V y, struct lane_cell *g)
 {
-  const V u = lane_coordinate(x), w = lane_coordinate(y);
-  *g = lane_cell_at(heights, lane_cell_number(u), lane_cell_number(w));
+  const struct lane_map map = lane_map_of_grid();
+  const V u = lane_coordinate(&map, 0, x), w = lane_coordinate(&map, 1, y);
+  *g = lane_cell_at(heights, lane_cell_number(&map, 0, u), lane_cell_number(&map, 1, w));
   return lane_height(g, u - g->i, w - g->j);
 }
 
 /* Computes the gradient of g's polynomial at that position. */
 MO_INLINE void lane_slope(const struct lane_cell *g, V x, V y, V slope[2])
 {
-  slope[0] = lane_slope_x(g, lane_coordinate(y) - g->j);
-  slope[1] = lane_slope_y(g, lane_coordinate(x) - g->i);
+  const struct lane_map map = lane_map_of_grid();
+  slope[0] = lane_slope_x(&map, g, lane_coordinate(&map, 1, y) - g->j);
+  slope[1] = lane_slope_y(&map, g, lane_coordinate(&map, 0, x) - g->i);
 }
 
 /* ---- time of impact ---- */
@@ -137,9 +147,10 @@ struct lane_impact {
 MO_INLINE struct lane_impact lane_impact_across(const float *heights, V dt, const V p[3],
                                                 const V v[3])
 {
-  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
-  const V dx = v[0] * LANE_CELLS_PER_M, dy = v[1] * LANE_CELLS_PER_M;
-  struct lane_impact impact = {dt, lane_cell_number(x), lane_cell_number(y)};
+  const struct lane_map map = lane_map_of_grid();
+  const V x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
+  const V dx = v[0] * map.scale[0], dy = v[1] * map.scale[1];
+  struct lane_impact impact = {dt, lane_cell_number(&map, 0, x), lane_cell_number(&map, 1, y)};
   V from = 0;
   for (int piece = 0; piece < 4 * MO_TERRAIN_SIDE; piece++) {
     const V leave_x = lane_leave_time(x, dx, impact.i), leave_y = lane_leave_time(y, dy, impact.j);
@@ -147,7 +158,7 @@ MO_INLINE struct lane_impact lane_impact_across(const float *heights, V dt, cons
     if (to > from) {
       const struct lane_cell g = lane_cell_at(heights, impact.i, impact.j);
       const struct lane_descent d = lane_descend(
-          &g, v_fma(from, dx, x) - g.i, v_fma(from, dy, y) - g.j, v_fma(from, v[2], p[2]), v);
+          &map, &g, v_fma(from, dx, x) - g.i, v_fma(from, dy, y) - g.j, v_fma(from, v[2], p[2]), v);
       if (d.comes && from + d.time <= to) {
         impact.time = from + d.time;
         return impact;
@@ -168,6 +179,7 @@ MO_INLINE struct lane_impact lane_impact_across(const float *heights, V dt, cons
 MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uint32_t n,
                                                  const V p[3], const V v[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   struct lane_cell g;
   V low = 0, high = dt;
   for (uint32_t k = 0; k < n; k++) {
@@ -178,8 +190,10 @@ MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uin
     else
       low = middle;
   }
-  const struct lane_impact impact = {low, lane_cell_number(lane_coordinate(v_fma(low, v[0], p[0]))),
-                                     lane_cell_number(lane_coordinate(v_fma(low, v[1], p[1])))};
+  const V x = lane_coordinate(&map, 0, v_fma(low, v[0], p[0])),
+          y = lane_coordinate(&map, 1, v_fma(low, v[1], p[1]));
+  const struct lane_impact impact = {low, lane_cell_number(&map, 0, x),
+                                     lane_cell_number(&map, 1, y)};
   return impact;
 }
 
@@ -196,11 +210,12 @@ struct lane_place {
 MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, const float *heights,
                                           const struct lane_cell *next, const V p[3], const V v[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   struct lane_place at;
-  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+  const V x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
   V time;
   at.cell = *next;
-  at.crosses = !lane_within(next, x, y);
+  at.crosses = !lane_within(&map, next, x, y);
   if (k->bisections > 0 || at.crosses) {
     const struct lane_impact impact = k->bisections > 0
                                           ? lane_impact_halving(heights, k->dt, k->bisections, p, v)
@@ -208,7 +223,7 @@ MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, const fl
     time = impact.time;
     at.cell = lane_cell_at(heights, impact.i, impact.j);
   } else {
-    const struct lane_descent d = lane_descend(next, x - next->i, y - next->j, p[2], v);
+    const struct lane_descent d = lane_descend(&map, next, x - next->i, y - next->j, p[2], v);
     time = v_sel(d.comes, d.time, k->dt);
   }
   at.time = lane_in_step(k, time);
@@ -227,11 +242,12 @@ struct lane_hit {
 MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, const float *heights,
                                       const struct lane_cell *next, const V p[3], const V v[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   struct lane_hit hit;
   hit.at = lane_place_of(k, heights, next, p, v);
-  hit.strike = lane_strike_at(k, &hit.at.cell, hit.at.time, p, v);
-  hit.stays = lane_within(&hit.at.cell, lane_coordinate(hit.strike.end[0]),
-                          lane_coordinate(hit.strike.end[1]));
+  hit.strike = lane_strike_at(k, &map, &hit.at.cell, hit.at.time, p, v);
+  hit.stays = lane_within(&map, &hit.at.cell, lane_coordinate(&map, 0, hit.strike.end[0]),
+                          lane_coordinate(&map, 1, hit.strike.end[1]));
   return hit;
 }
 
@@ -247,16 +263,17 @@ MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const st
                                           const float *heights, const V push[3], const V p[3],
                                           const V v[3], V a[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   struct lane_glide glide;
   struct lane_cell next;
-  const V x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+  const V x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
   for (int axis = 0; axis < 3; axis++)
     a[axis] = lane_acceleration(c, axis, push[axis]);
   lane_ground(heights, lane_drift(k, p[0], v[0]), lane_drift(k, p[1], v[1]), &next);
   struct lane_cell own = next;
-  const bool crosses = !lane_within(&next, x, y);
+  const bool crosses = !lane_within(&map, &next, x, y);
   if (crosses)
-    own = lane_cell_at(heights, lane_cell_number(x), lane_cell_number(y));
+    own = lane_cell_at(heights, lane_cell_number(&map, 0, x), lane_cell_number(&map, 1, y));
   const bool lies = lane_lies(&own, x - own.i, y - own.j, p[2]);
   if (lies) {
     glide.at.time = 0;
@@ -265,9 +282,9 @@ MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const st
   } else {
     glide.at = lane_place_of(k, heights, &next, p, v);
   }
-  glide.slide = lane_slide_at(k, c, &glide.at.cell, lies, glide.at.time, p, v, a);
-  glide.stays = lane_within(&glide.at.cell, lane_coordinate(glide.slide.end[0]),
-                            lane_coordinate(glide.slide.end[1]));
+  glide.slide = lane_slide_at(k, c, &map, &glide.at.cell, lies, glide.at.time, p, v, a);
+  glide.stays = lane_within(&map, &glide.at.cell, lane_coordinate(&map, 0, glide.slide.end[0]),
+                            lane_coordinate(&map, 1, glide.slide.end[1]));
   return glide;
 }
 
@@ -276,12 +293,14 @@ MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const st
 MO_INLINE void lane_land(const float *heights, const struct lane_cell *cell, bool stays, V rise,
                          const V end[3], V p[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   struct lane_cell g = *cell;
   if (!stays)
     rise = end[2] - lane_ground(heights, end[0], end[1], &g);
   p[0] = end[0];
   p[1] = end[1];
-  p[2] = lane_landing(&g, lane_coordinate(p[0]) - g.i, lane_coordinate(p[1]) - g.j, rise);
+  p[2] = lane_landing(&g, lane_coordinate(&map, 0, p[0]) - g.i,
+                      lane_coordinate(&map, 1, p[1]) - g.j, rise);
 }
 
 /* Returns whether the strike ended above the ground. slope: set to the ground's slope there. */
@@ -301,9 +320,10 @@ MO_INLINE bool lane_lands_above(const float *heights, const struct lane_cell *ce
 MO_INLINE void lane_lift(const float *heights, const struct lane_place *at, V gx, V gy,
                          const V p[3], const V v[3], struct lane_strike_back *b, V dp[3], V dv[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   struct lane_cell g;
   const bool lies = p[2] <= lane_ground(heights, p[0], p[1], &g);
-  lane_lies_back(&at->cell, v, lies, b);
+  lane_lies_back(&map, &at->cell, v, lies, b);
   if (lies && at->crosses) { /* the gradients at the impact and at p belong to two cells */
     V slope[2];
     lane_slope(&g, p[0], p[1], slope);
@@ -331,6 +351,7 @@ MO_INLINE bool lane_strikes(const struct lane_physics *k, const float *heights, 
 MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V highest, V p[3],
                          V v[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   V next[3];
   struct lane_cell g;
   if (!lane_strikes(k, heights, highest, p, v, next, &g)) {
@@ -340,7 +361,7 @@ MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V h
   }
   const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);
   const struct lane_strike *s = &hit.strike;
-  lane_land(heights, &hit.at.cell, hit.stays, lane_rise(&hit.at.cell, s), s->end, p);
+  lane_land(heights, &hit.at.cell, hit.stays, lane_rise(&map, &hit.at.cell, s), s->end, p);
   for (int axis = 0; axis < 3; axis++)
     v[axis] = s->slid[axis];
   return true;
@@ -350,10 +371,12 @@ MO_INLINE bool lane_move(const struct lane_physics *k, const float *heights, V h
 MO_INLINE void lane_move_split(const struct lane_physics *k, const struct lane_split *c,
                                const float *heights, const V push[3], V p[3], V v[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   V a[3];
   const struct lane_glide glide = lane_glide_of(k, c, heights, push, p, v, a);
   const struct lane_slide *s = &glide.slide;
-  lane_land(heights, &glide.at.cell, glide.stays, lane_slide_rise(&glide.at.cell, s), s->end, p);
+  lane_land(heights, &glide.at.cell, glide.stays, lane_slide_rise(&map, &glide.at.cell, s), s->end,
+            p);
   for (int axis = 0; axis < 3; axis++)
     v[axis] = s->velocity[axis];
 }
@@ -363,6 +386,7 @@ MO_INLINE void lane_move_split(const struct lane_physics *k, const struct lane_s
 MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights, V highest,
                               const V p[3], const V v[3], V dp[3], V dv[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   V next[3], slope[2];
   struct lane_cell g;
   if (!lane_strikes(k, heights, highest, p, v, next, &g)) {
@@ -373,8 +397,10 @@ MO_INLINE void lane_move_back(const struct lane_physics *k, const float *heights
   const struct lane_hit hit = lane_hit_of(k, heights, &g, p, v);
   const struct lane_strike *s = &hit.strike;
   const struct lane_cell *cell = &hit.at.cell;
-  const bool above = lane_lands_above(heights, cell, hit.stays, lane_rise(cell, s), s->end, slope);
-  struct lane_strike_back b = lane_strike_back_of(k, cell, s, v, above, slope[0], slope[1], dp, dv);
+  const bool above =
+      lane_lands_above(heights, cell, hit.stays, lane_rise(&map, cell, s), s->end, slope);
+  struct lane_strike_back b =
+      lane_strike_back_of(k, &map, cell, s, v, above, slope[0], slope[1], dp, dv);
   lane_lift(heights, &hit.at, s->gx, s->gy, p, v, &b, dp, dv);
 }
 
@@ -383,14 +409,15 @@ MO_INLINE void lane_move_split_back(const struct lane_physics *k, const struct l
                                     const float *heights, const V push[3], const V p[3],
                                     const V v[3], V dp[3], V dv[3], V da[3])
 {
+  const struct lane_map map = lane_map_of_grid();
   V slope[2], a[3];
   const struct lane_glide glide = lane_glide_of(k, c, heights, push, p, v, a);
   const struct lane_slide *s = &glide.slide;
   const struct lane_cell *cell = &glide.at.cell;
   const bool above =
-      lane_lands_above(heights, cell, glide.stays, lane_slide_rise(cell, s), s->end, slope);
+      lane_lands_above(heights, cell, glide.stays, lane_slide_rise(&map, cell, s), s->end, slope);
   struct lane_slide_back b =
-      lane_slide_back_of(k, c, cell, s, v, a, above, slope[0], slope[1], dp, dv);
+      lane_slide_back_of(k, c, &map, cell, s, v, a, above, slope[0], slope[1], dp, dv);
   lane_lift(heights, &glide.at, s->gx, s->gy, p, v, &b.strike, dp, dv);
   for (int axis = 0; axis < 3; axis++)
     da[axis] = b.da[axis];

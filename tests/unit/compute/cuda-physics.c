@@ -22,11 +22,11 @@ static int ascending(const void *a, const void *b)
 }
 
 /* Rounded to float32, so that both sides have the same terrain. */
-static void random_heights(double highest, double heights[MO_TERRAIN_HEIGHTS],
+static void random_heights(double highest, struct mo_environment *environment,
                            float heights32[MO_TERRAIN_HEIGHTS])
 {
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
-    heights[k] = heights32[k] = (float)uniform(0, highest);
+    environment->terrain_heights_m[k] = heights32[k] = (float)uniform(0, highest);
 }
 
 static struct lane_physics physics_of(const struct mo_physics *physics)
@@ -38,28 +38,31 @@ static struct lane_physics physics_of(const struct mo_physics *physics)
 
 static void terrain(void)
 {
-  double heights[MO_TERRAIN_HEIGHTS], worst = 0, steepest = 0;
+  const struct lane_map map = lane_map_of_grid();
+  struct mo_environment environment = {0};
+  double worst = 0, steepest = 0;
   float heights32[MO_TERRAIN_HEIGHTS];
   mo_random_init(&dice, 1, MO_PURPOSE_CHECK, 0, 0);
-  random_heights(0.1, heights, heights32);
+  random_heights(0.1, &environment, heights32);
   for (int i = 0; i < 20000; i++) { /* also beyond all edges */
     const float p[2] = {(float)uniform(-4, 4), (float)uniform(-4, 4)};
-    const float x = lane_coordinate(p[0]), y = lane_coordinate(p[1]);
+    const float x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
     struct lane_cell g;
     float slope[2];
     double gradient[2];
     const float height = lane_ground(heights32, p[0], p[1], &g);
     lane_slope(&g, p[0], p[1], slope);
-    mo_terrain_gradient(heights, p[0] + 2.5, p[1] + 2.5, gradient);
-    worst = fmax(worst, fabs((double)height - mo_terrain_height(heights, p[0] + 2.5, p[1] + 2.5)));
+    mo_terrain_gradient(&environment, p[0] + 2.5, p[1] + 2.5, gradient);
+    worst =
+        fmax(worst, fabs((double)height - mo_terrain_height(&environment, p[0] + 2.5, p[1] + 2.5)));
     if (fabs((double)x - roundf(x)) > 1e-5 && fabs((double)y - roundf(y)) > 1e-5)
       for (int axis = 0; axis < 2; axis++)
         steepest = fmax(steepest, fabs((double)slope[axis] - gradient[axis]));
   }
   CHECK(worst < 1e-6);
   CHECK(steepest < 2e-6);
-  CHECK(lane_cell_number(NAN) == 7 && lane_cell_number(1e30f) == 7);
-  CHECK(lane_cell_number(-1e30f) == -1);
+  CHECK(lane_cell_number(&map, 0, NAN) == 7 && lane_cell_number(&map, 0, 1e30f) == 7);
+  CHECK(lane_cell_number(&map, 0, -1e30f) == -1);
 }
 
 enum { STRIKES = 20000 };
@@ -82,13 +85,13 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
   int n = 0, crossing = 0;
   mo_random_init(&dice, 11, MO_PURPOSE_CHECK, 0, impact);
   while (n < STRIKES) {
-    double heights[MO_TERRAIN_HEIGHTS];
+    struct mo_environment environment = {0};
     float heights32[MO_TERRAIN_HEIGHTS];
-    random_heights(n % 2 == 0 ? 0.1 : 0.5, heights, heights32);
+    random_heights(n % 2 == 0 ? 0.1 : 0.5, &environment, heights32);
     const double speed_m_per_s = n % 8 == 0 ? far * reach : reach;
     const float x = (float)uniform(-2.7, 2.7), y = (float)uniform(-2.7, 2.7);
     const float z =
-        (float)(mo_terrain_height(heights, x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M) +
+        (float)(mo_terrain_height(&environment, x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M) +
                 uniform(1e-4, 0.004) * speed_m_per_s / 2);
     const float v[3] = {(float)uniform(-speed_m_per_s, speed_m_per_s),
                         (float)uniform(-speed_m_per_s, speed_m_per_s),
@@ -110,9 +113,10 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
       memcpy(p, start, sizeof(p));
       memcpy(w, v, sizeof(w));
       lane_move_split(&lane, &split, heights32, push, p, w);
-      mo_contact_split(&physics.scheme, &physics.constants, heights, INFINITY, a, position, speed);
+      mo_contact_split(&physics.scheme, &physics.constants, &environment, INFINITY, a, position,
+                       speed);
     } else {
-      mo_contact_move(&physics.scheme, &physics.constants, heights, INFINITY, position, speed);
+      mo_contact_move(&physics.scheme, &physics.constants, &environment, INFINITY, position, speed);
     }
     for (int k = 0; k < 3; k++) {
       d_position[k] = dp[k] = (float)uniform(-1, 1);
@@ -120,12 +124,12 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
     }
     if (splits) {
       lane_move_split_back(&lane, &split, heights32, push, start, v, dp, dv, da);
-      mo_contact_split_adjoint(&physics.scheme, &physics.constants, heights, INFINITY, a, from,
+      mo_contact_split_adjoint(&physics.scheme, &physics.constants, &environment, INFINITY, a, from,
                                with, d_position, d_velocity, d_acceleration);
     } else {
       lane_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
-      mo_contact_move_adjoint(&physics.scheme, &physics.constants, heights, INFINITY, from, with,
-                              d_position, d_velocity);
+      mo_contact_move_adjoint(&physics.scheme, &physics.constants, &environment, INFINITY, from,
+                              with, d_position, d_velocity);
     }
     double distance = 0, error = 0, size = 0;
     for (int k = 0; k < 3; k++) {
@@ -170,12 +174,12 @@ static void lying(void)
 {
   const struct mo_physics physics = mo_paper_physics();
   const struct lane_physics lane = physics_of(&physics);
-  double heights[MO_TERRAIN_HEIGHTS];
+  struct mo_environment environment = {0};
   float heights32[MO_TERRAIN_HEIGHTS];
   int below = 0;
   mo_random_init(&dice, 12, MO_PURPOSE_CHECK, 0, 0);
   for (int n = 0; n < 2000; n++) {
-    random_heights(0.3, heights, heights32);
+    random_heights(0.3, &environment, heights32);
     float p[3] = {(float)uniform(-2, 2), (float)uniform(-2, 2), 0.31f},
           v[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), 0};
     for (int step = 0; step < 60; step++) {
@@ -199,10 +203,10 @@ static void insanity(void)
 {
   const struct mo_physics physics = mo_paper_physics();
   struct lane_physics lane = physics_of(&physics);
-  double heights[MO_TERRAIN_HEIGHTS];
+  struct mo_environment environment = {0};
   float heights32[MO_TERRAIN_HEIGHTS];
   const float odd[] = {NAN, INFINITY, -INFINITY, 1e30f, -1e30f, 0.0f};
-  random_heights(0.1, heights, heights32);
+  random_heights(0.1, &environment, heights32);
   for (int mode = 0; mode < 2; mode++) {
     lane.bisections = mode == 0 ? 0 : 8;
     for (int a = 0; a < 6; a++)

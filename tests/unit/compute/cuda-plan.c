@@ -142,7 +142,7 @@ static void rows_once(void)
     CHECK_NEAR(laid[e].scene.light[0] + MO_WORLD_CENTER_M, environment->light_xy_m[0], 1e-6);
     CHECK_NEAR(laid[e].scene.heights[9], environment->terrain_heights_m[9], 1e-7);
     CHECK(laid[e].scene.constants.pull == 60.0F && laid[e].scene.constants.friction == 0.9F);
-    CHECK(laid[e].scene.highest > mo_terrain_highest(environment->terrain_heights_m));
+    CHECK(laid[e].scene.highest > mo_terrain_highest(environment));
   }
   release(&f);
 }

@@ -117,10 +117,6 @@ static void dense(const struct second_parameters *theta, size_t at, int lane, ui
   }
 }
 
-#define CELLS 7
-#define SIDE  8
-static const double cells_per_m = CELLS / 5.0;
-
 static num square_sum(const num d[3])
 {
   return add(add(mul(d[0], d[0]), mul(d[1], d[1])), mul(d[2], d[2]));
@@ -133,65 +129,90 @@ static num dot3(const num a[3], const num b[3])
 
 /* ---- terrain ---- */
 
+/* Of one axis. Along y, a profile has one cell, which never ends. */
+struct axis {
+  double per_m, end_m;
+  int cells;
+};
+
+static struct axis axis_of(const struct mo_environment *e, int k)
+{
+  if (e->n_profile == 0)
+    return (struct axis){7 / 5.0, 5.0, 7};
+  const int cells = (int)e->n_profile - 1;
+  return k == 0 ? (struct axis){1 / e->profile_spacing_m, cells * e->profile_spacing_m, cells}
+                : (struct axis){0, (double)INFINITY, 1};
+}
+
+/* Corner heights of a cell: h00, h10, h01, h11. */
+static void corners_of(const struct mo_environment *e, int i, int j, double h[4])
+{
+  const double *heights = e->terrain_heights_m;
+  for (int k = 0; k < 4; k++)
+    h[k] = heights[e->n_profile != 0 ? i + k % 2 : (j + k / 2) * 8 + i + k % 2];
+}
+
 struct spot {
   int cell, clamped;
   num fraction;
 };
 
-static struct spot find_spot(num coordinate)
+static struct spot find_spot(struct axis axis, num coordinate)
 {
   struct spot s = {0, 1, con(0)};
-  if (val(coordinate) > 5.0) {
-    s.cell = CELLS - 1;
+  if (val(coordinate) > axis.end_m) {
+    s.cell = axis.cells - 1;
     s.fraction = con(1);
   } else if (val(coordinate) >= 0) {
-    const num cells = scaled(coordinate, cells_per_m);
-    s.cell = val(cells) < CELLS ? (int)val(cells) : CELLS - 1;
+    const num cells = scaled(coordinate, axis.per_m);
+    s.cell = val(cells) < axis.cells ? (int)val(cells) : axis.cells - 1;
     s.clamped = 0;
     s.fraction = sub(cells, con(s.cell));
   }
   return s;
 }
 
-static num terrain(const double *heights, num px, num py, num gradient[2], int *cell)
+static num terrain(const struct mo_environment *e, num px, num py, num gradient[2], int *cell)
 {
-  const struct spot x = find_spot(px), y = find_spot(py);
-  const double *h = heights + y.cell * SIDE + x.cell;
+  const struct axis along_x = axis_of(e, 0), along_y = axis_of(e, 1);
+  const struct spot x = find_spot(along_x, px), y = find_spot(along_y, py);
+  double h[4];
+  corners_of(e, x.cell, y.cell, h);
   const num near = add(con(h[0]), scaled(x.fraction, h[1] - h[0]));
-  const num far = add(con(h[SIDE]), scaled(x.fraction, h[SIDE + 1] - h[SIDE]));
+  const num far = add(con(h[2]), scaled(x.fraction, h[3] - h[2]));
   if (gradient != NULL) {
-    const double x_near = h[1] - h[0], x_far = h[SIDE + 1] - h[SIDE];
-    const double y_left = h[SIDE] - h[0], y_right = h[SIDE + 1] - h[1];
+    const double x_near = h[1] - h[0], x_far = h[3] - h[2];
+    const double y_left = h[2] - h[0], y_right = h[3] - h[1];
     gradient[0] = x.clamped
                       ? con(0)
-                      : scaled(add(con(x_near), scaled(y.fraction, x_far - x_near)), cells_per_m);
-    gradient[1] = y.clamped
-                      ? con(0)
-                      : scaled(add(con(y_left), scaled(x.fraction, y_right - y_left)), cells_per_m);
-    *cell = 4 * (y.cell * SIDE + x.cell) + 2 * y.clamped + x.clamped;
+                      : scaled(add(con(x_near), scaled(y.fraction, x_far - x_near)), along_x.per_m);
+    gradient[1] =
+        y.clamped ? con(0)
+                  : scaled(add(con(y_left), scaled(x.fraction, y_right - y_left)), along_y.per_m);
+    *cell = 4 * (y.cell * 8 + x.cell) + 2 * y.clamped + x.clamped;
   }
   return add(near, mul(y.fraction, sub(far, near)));
 }
 
 /* ---- time of impact ---- */
 
-struct track { /* one axis of the segment, in cells; cell −1 and CELLS: beyond the map */
+struct track { /* one axis of the segment, in cells; cell −1 and `cells`: beyond the map */
   num start, speed;
-  int cell;
+  int cell, cells;
 };
 
-static struct track make_track(num position, num velocity)
+static struct track make_track(struct axis axis, num position, num velocity)
 {
-  struct track t = {scaled(position, cells_per_m), scaled(velocity, cells_per_m), 0};
+  struct track t = {scaled(position, axis.per_m), scaled(velocity, axis.per_m), 0, axis.cells};
   const double start = val(t.start);
-  t.cell = start < 0 ? -1 : start > CELLS ? CELLS : start < CELLS ? (int)start : CELLS - 1;
+  t.cell = start < 0 ? -1 : start > t.cells ? t.cells : start < t.cells ? (int)start : t.cells - 1;
   return t;
 }
 
 static num border_time(const struct track *t)
 {
   const double speed = val(t->speed);
-  if (speed > 0 && t->cell < CELLS)
+  if (speed > 0 && t->cell < t->cells)
     return div_(sub(con(t->cell + 1), t->start), t->speed);
   if (speed < 0 && t->cell >= 0)
     return div_(sub(con(t->cell), t->start), t->speed);
@@ -202,8 +223,8 @@ static int in_cell(const struct track *t, num time, num *fraction, num *rate)
 {
   *rate = con(0);
   *fraction = con(t->cell < 0 ? 0 : 1);
-  if (t->cell < 0 || t->cell >= CELLS)
-    return t->cell < 0 ? 0 : CELLS - 1;
+  if (t->cell < 0 || t->cell >= t->cells)
+    return t->cell < 0 ? 0 : t->cells - 1;
   *fraction = sub(add(t->start, mul(t->speed, time)), con(t->cell));
   *rate = t->speed;
   return t->cell;
@@ -211,9 +232,9 @@ static int in_cell(const struct track *t, num time, num *fraction, num *rate)
 
 /* Differentiated directly: through the root formula, and through the times at which borders are
  * crossed. */
-static num exact_impact(const double *heights, const num p[3], const num v[3], double dt)
+static num exact_impact(const struct mo_environment *e, const num p[3], const num v[3], double dt)
 {
-  struct track x = make_track(p[0], v[0]), y = make_track(p[1], v[1]);
+  struct track x = make_track(axis_of(e, 0), p[0], v[0]), y = make_track(axis_of(e, 1), p[1], v[1]);
   num from = con(0);
   for (;;) {
     const num bx = border_time(&x), by = border_time(&y);
@@ -223,14 +244,14 @@ static num exact_impact(const double *heights, const num p[3], const num v[3], d
     if (val(to) > val(from)) {
       num u, w, du, dw;
       const int i = in_cell(&x, from, &u, &du), j = in_cell(&y, from, &w, &dw);
-      const double *h = heights + j * SIDE + i;
-      const double ha = h[1] - h[0], hb = h[SIDE] - h[0], hc = h[SIDE + 1] - h[1] - h[SIDE] + h[0];
+      double h[4];
+      corners_of(e, i, j, h);
+      const double ha = h[1] - h[0], hb = h[2] - h[0], hc = h[3] - h[1] - h[2] + h[0];
       const num height =
           add(add(add(con(h[0]), scaled(u, ha)), scaled(w, hb)), mul(scaled(u, hc), w));
       const num gap = sub(add(p[2], mul(v[2], from)), height);
       /* A mass that lies on the ground strikes at once, whatever the rounding error of its gap. */
-      const int lies =
-          val(from) == 0 && !(val(p[2]) > val(terrain(heights, p[0], p[1], NULL, NULL)));
+      const int lies = val(from) == 0 && !(val(p[2]) > val(terrain(e, p[0], p[1], NULL, NULL)));
       const num c = val(gap) > 0 ? (lies ? con(val(gap)) : gap) : con(0),
                 a = mul(scaled(du, -hc), dw);
       const num b = sub(sub(sub(v[2], scaled(du, ha)), scaled(dw, hb)),
@@ -254,13 +275,13 @@ static num exact_impact(const double *heights, const num p[3], const num v[3], d
   }
 }
 
-static num bisected_impact(const double *heights, const num p[3], const num v[3], double dt,
-                           uint32_t n)
+static num bisected_impact(const struct mo_environment *e, const num p[3], const num v[3],
+                           double dt, uint32_t n)
 {
   double low = 0, high = dt;
   for (uint32_t k = 0; k < n; k++) {
     const double middle = 0.5 * (low + high);
-    const num h = terrain(heights, con(val(p[0]) + middle * val(v[0])),
+    const num h = terrain(e, con(val(p[0]) + middle * val(v[0])),
                           con(val(p[1]) + middle * val(v[1])), NULL, NULL);
     if (val(p[2]) + middle * val(v[2]) < val(h))
       high = middle;
@@ -283,25 +304,24 @@ static bool strike(const struct second_setup *setup, double highest, bool lies, 
                    const num v[3], struct hit *hit)
 {
   const struct mo_scheme *scheme = &setup->physics->scheme;
-  const double *heights = setup->environment->terrain_heights_m;
   const double dt = scheme->dt_s;
   const num next[3] = {add(p[0], scaled(v[0], dt)), add(p[1], scaled(v[1], dt)),
                        add(p[2], scaled(v[2], dt))};
   if (val(next[2]) >= highest ||
-      !(val(next[2]) < val(terrain(heights, next[0], next[1], NULL, NULL)))) {
+      !(val(next[2]) < val(terrain(setup->environment, next[0], next[1], NULL, NULL)))) {
     for (int k = 0; k < 3; k++)
       p[k] = next[k];
     return false;
   }
   hit->impact = lies ? con(0)
                 : scheme->impact == MO_IMPACT_EXACT
-                    ? exact_impact(heights, p, v, dt)
-                    : bisected_impact(heights, p, v, dt, scheme->bisections);
+                    ? exact_impact(setup->environment, p, v, dt)
+                    : bisected_impact(setup->environment, p, v, dt, scheme->bisections);
   hit->rest = sub(con(dt), hit->impact);
   num g[2];
   p[0] = add(p[0], mul(hit->impact, v[0]));
   p[1] = add(p[1], mul(hit->impact, v[1]));
-  p[2] = terrain(heights, p[0], p[1], g, &hit->cell);
+  p[2] = terrain(setup->environment, p[0], p[1], g, &hit->cell);
   const num length = root(add(add(mul(g[0], g[0]), mul(g[1], g[1])), con(1)));
   hit->normal[0] = div_(scaled(g[0], -1), length);
   hit->normal[1] = div_(scaled(g[1], -1), length);
@@ -339,7 +359,7 @@ static uint64_t end_contact(const struct second_setup *setup, const struct hit *
 {
   num slope[2];
   int end_cell;
-  const num ground = terrain(setup->environment->terrain_heights_m, p[0], p[1], slope, &end_cell);
+  const num ground = terrain(setup->environment, p[0], p[1], slope, &end_cell);
   /* If a mass is on the ground to within rounding, both branches of the maximum have the same
    * derivative: no event. */
   const bool raised = val(p[2]) < val(ground) - 1e-12;
@@ -386,8 +406,7 @@ static uint64_t move_split(const struct second_setup *setup, double highest, con
   const struct mo_physics *physics = setup->physics;
   const struct mo_constants *constants = &physics->constants;
   const double half = physics->scheme.dt_s / 2, drag = constants->drag_per_s;
-  const double *heights = setup->environment->terrain_heights_m;
-  const bool lies = val(p[2]) - val(terrain(heights, p[0], p[1], NULL, NULL)) < 1e-6;
+  const bool lies = val(p[2]) - val(terrain(setup->environment, p[0], p[1], NULL, NULL)) < 1e-6;
   struct hit hit;
   if (!strike(setup, highest, lies, p, v, &hit))
     return 0;
@@ -672,7 +691,7 @@ static void place_light(struct second *s, double t)
   } else if (guide->kind == MO_GUIDE_PATH) {
     place_on_path(s);
   }
-  s->light[2] = terrain(environment->terrain_heights_m, s->light[0], s->light[1], NULL, NULL);
+  s->light[2] = terrain(environment, s->light[0], s->light[1], NULL, NULL);
 }
 
 /* An instant at time t: places the light, and adds to the sums. */
@@ -729,7 +748,6 @@ static num loss_at(const struct second *s, double t)
 static void place_body(struct second *s)
 {
   const struct mo_body *body = s->setup->body;
-  const double *heights = s->setup->environment->terrain_heights_m;
   int lowest = 65535;
   for (uint32_t i = 0; i < body->n_masses; i++)
     lowest = body->mass_xyz[3 * i + 2] < lowest ? body->mass_xyz[3 * i + 2] : lowest;
@@ -740,17 +758,17 @@ static void place_body(struct second *s)
     p[0] = con(2.5 - 0.5 * 0.1 * body->workspace.nx + 0.1 * at[0]);
     p[1] = con(2.5 - 0.5 * 0.1 * body->workspace.ny + 0.1 * at[1]);
     p[2] = con(0.1 * (at[2] - lowest));
-    lift = fmax(lift, val(sub(terrain(heights, p[0], p[1], NULL, NULL), p[2])));
+    lift = fmax(lift, val(sub(terrain(s->setup->environment, p[0], p[1], NULL, NULL), p[2])));
   }
   for (uint32_t i = 0; i < body->n_masses; i++)
     s->p[3 * i + 2] = add(s->p[3 * i + 2], con(lift + s->setup->physics->drop_height_m));
 }
 
-static double highest_of(const double *heights)
+static double highest_of(const struct mo_environment *e)
 {
-  double highest = heights[0];
-  for (int k = 1; k < 64; k++)
-    highest = fmax(highest, heights[k]);
+  double highest = e->terrain_heights_m[0];
+  for (uint32_t k = 1; k < (e->n_profile != 0 ? e->n_profile : 64); k++)
+    highest = fmax(highest, e->terrain_heights_m[k]);
   return highest;
 }
 
@@ -761,7 +779,7 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   struct second s = {.setup = setup, .theta = theta};
   s.n_inputs = mo_workspace_masses(body->workspace) + 5;
   s.n_springs = mo_workspace_springs(body->workspace);
-  s.highest = highest_of(setup->environment->terrain_heights_m);
+  s.highest = highest_of(setup->environment);
   num *memory = calloc(9 * (size_t)body->n_masses + s.n_inputs + 512 + 2 * (size_t)body->n_springs,
                        sizeof(num));
   if (memory == NULL)
@@ -800,7 +818,7 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
 uint64_t dual_move(const struct second_setup *setup, struct dual p[3], struct dual v[3],
                    const struct dual acceleration[3])
 {
-  const double highest = highest_of(setup->environment->terrain_heights_m);
+  const double highest = highest_of(setup->environment);
   return setup->physics->scheme.integrator == MO_INTEGRATOR_SPLIT
              ? move_split(setup, highest, acceleration, p, v)
              : move(setup, highest, p, v);

@@ -391,7 +391,7 @@ static void contacts_of_a_fall(void)
       const float *p = recording.mass_m + 3 * i;
       touched += recording.contacts[i];
       CHECK(!recording.contacts[i] ||
-            p[2] - mo_terrain_height(environments[0].terrain_heights_m, p[0], p[1]) < 0.005);
+            p[2] - mo_terrain_height(&environments[0], p[0], p[1]) < 0.005);
     }
     for (uint32_t m = 0; m < body->n_masses; m++)
       CHECK_INT(recording.contacts[4 * (size_t)body->n_masses + m],
@@ -504,8 +504,7 @@ static void no_mass_below_the_terrain(void)
     for (int l = 0; l < N; l++)
       for (size_t i = 0; i < 201 * (size_t)body->n_masses; i++) {
         const float *p = recordings[l].mass_m + 3 * i;
-        deepest =
-            fmax(deepest, mo_terrain_height(environments[l].terrain_heights_m, p[0], p[1]) - p[2]);
+        deepest = fmax(deepest, mo_terrain_height(&environments[l], p[0], p[1]) - p[2]);
       }
     CHECK(deepest <= 1e-6); /* recordings are float32, whatever the precision of the rollout */
   }

@@ -185,8 +185,7 @@ static uint64_t step_back(struct mass *m, double *error)
   const struct second_setup setup = {NULL, &m->environment, m->physics, MO_SENSOR_INVERSE_SQRT};
   const struct mo_scheme *scheme = &m->physics->scheme;
   const struct mo_constants *constants = &m->physics->constants;
-  const double *heights_m = m->environment.terrain_heights_m,
-               highest_m = mo_terrain_highest(heights_m);
+  const double highest_m = mo_terrain_highest(&m->environment);
   struct dual dp[3] = {{0}}, dv[3] = {{0}}, da[3] = {{0}};
   double forward[INPUTS] = {0}, back[INPUTS] = {0}, size = 0;
   for (int i = 0; i < 3; i++) {
@@ -204,10 +203,10 @@ static uint64_t step_back(struct mass *m, double *error)
     size = fmax(size, fabs(forward[lane]));
   }
   if (scheme->integrator == MO_INTEGRATOR_SPLIT)
-    mo_contact_split_adjoint(scheme, constants, heights_m, highest_m, m->a, m->p, m->v, m->back_p,
-                             m->back_v, back + 6);
+    mo_contact_split_adjoint(scheme, constants, &m->environment, highest_m, m->a, m->p, m->v,
+                             m->back_p, m->back_v, back + 6);
   else
-    mo_contact_move_adjoint(scheme, constants, heights_m, highest_m, m->p, m->v, m->back_p,
+    mo_contact_move_adjoint(scheme, constants, &m->environment, highest_m, m->p, m->v, m->back_p,
                             m->back_v);
   *error = 0;
   for (int i = 0; i < 3; i++) {
@@ -248,7 +247,7 @@ static void contact_of(enum mo_integrator integrator)
       physics.constants.friction = frictions[k / 21 % 3];
       physics.constants.friction_cap = k / 63 % 2 == 0 ? 0.95 : 1;
     }
-    m.p[2] = mo_terrain_height(m.environment.terrain_heights_m, m.p[0], m.p[1]) +
+    m.p[2] = mo_terrain_height(&m.environment, m.p[0], m.p[1]) +
              0.5 * physics.scheme.dt_s * fabs(m.v[2]) * mo_random_uniform(&random);
     const uint64_t branch = step_back(&m, &error);
     worst = fmax(worst, error);
@@ -282,18 +281,18 @@ static void lying(void)
   double worst = 0, largest = 0, error;
   for (uint32_t k = 0; k < 20000; k++) {
     struct mass m = {.physics = &physics};
-    double *heights_m = m.environment.terrain_heights_m, slope[2];
-    mo_terrain_random(78, 5, k % 50, 0.1, heights_m);
+    double slope[2];
+    mo_terrain_random(78, 5, k % 50, 0.1, m.environment.terrain_heights_m);
     for (int i = 0; i < 3; i++) {
       m.p[i] = 0.5 + 4 * mo_random_uniform(&random);
       m.v[i] = mo_random_normal(&random);
       m.back_p[i] = 2 * mo_random_uniform(&random) - 1;
       m.back_v[i] = physics.scheme.dt_s * (2 * mo_random_uniform(&random) - 1);
     }
-    mo_terrain_gradient(heights_m, m.p[0], m.p[1], slope);
-    m.p[2] = mo_terrain_height(heights_m, m.p[0], m.p[1]) - 1e-12;
+    mo_terrain_gradient(&m.environment, m.p[0], m.p[1], slope);
+    m.p[2] = mo_terrain_height(&m.environment, m.p[0], m.p[1]) - 1e-12;
     m.v[2] = slope[0] * m.v[0] + slope[1] * m.v[1] + 1e-5 * mo_random_uniform(&random);
-    const double impact_s = mo_impact_exact(heights_m, m.p, m.v, physics.scheme.dt_s);
+    const double impact_s = mo_impact_exact(&m.environment, m.p, m.v, physics.scheme.dt_s);
     bool same_cell = step_back(&m, &error) != 0 && impact_s > 0;
     for (int i = 0; i < 2; i++) /* dual.c lifts the mass off the ground at the border of a cell */
       same_cell =

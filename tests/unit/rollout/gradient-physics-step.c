@@ -39,7 +39,7 @@ static void make_state(struct both *b, struct mo_random *random)
     double *p = b->position + 3 * m;
     for (int axis = 0; axis < 3; axis++)
       p[axis] += noise * (mo_random_uniform(random) - 0.5) + (axis < 2 ? shift[axis] : 0);
-    lowest = fmin(lowest, p[2] - mo_terrain_height(c->environment.terrain_heights_m, p[0], p[1]));
+    lowest = fmin(lowest, p[2] - mo_terrain_height(&c->environment, p[0], p[1]));
   }
   const double sink = lowest + 0.03 * mo_random_uniform(random) - 0.003;
   for (uint32_t m = 0; m < n; m++)
@@ -64,8 +64,8 @@ static void shift(struct both *b, uint32_t m)
     r->position_m[i] = b->tape.position_m[i];
     r->velocity_m_per_s[i] = b->tape.velocity_m_per_s[i];
   }
-  mo_contact_move(&r->physics->scheme, &r->physics->constants, r->environment->terrain_heights_m,
-                  r->highest_m, r->position_m + at, r->velocity_m_per_s + at);
+  mo_contact_move(&r->physics->scheme, &r->physics->constants, r->environment, r->highest_m,
+                  r->position_m + at, r->velocity_m_per_s + at);
 }
 
 /* Moves masses by no more than springs tolerate to places where float32 can barely distinguish the
@@ -75,8 +75,7 @@ static void shift(struct both *b, uint32_t m)
 static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
 {
   const struct gradient_case *c = b->c;
-  const double *heights_m = c->environment.terrain_heights_m, dt = c->physics.scheme.dt_s,
-               bear_m = 0.04;
+  const double dt = c->physics.scheme.dt_s, bear_m = 0.04;
   const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
   const uint32_t n = c->body->n_masses;
   for (uint32_t m = 0; m < n; m++) {
@@ -86,7 +85,7 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
                  beside = m % 4 == 3 ? 0.001 * mo_random_normal(random) : 0;
     if ((m % 4 == 0 || m % 4 == 3) && fabs(edge - p[axis]) < bear_m)
       p[axis] = rounded(edge + beside - MO_WORLD_CENTER_M) + MO_WORLD_CENTER_M;
-    const double ground = mo_terrain_height(heights_m, p[0], p[1]);
+    const double ground = mo_terrain_height(&c->environment, p[0], p[1]);
     if (m % 4 != 1 && fabs(ground - p[2]) < bear_m)
       p[2] = rounded(ground);
     for (int i = 0; i < 2 && m % 4 >= 2; i++)
@@ -104,8 +103,8 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
     for (uint32_t m = 1; m < n; m += 4) {
       double *p = b->position + 3 * (size_t)m;
       const double *v = b->tape.velocity_m_per_s + 3 * (size_t)m;
-      const double lift =
-          mo_terrain_height(heights_m, p[0] + dt * v[0], p[1] + dt * v[1]) - (p[2] + dt * v[2]);
+      const double lift = mo_terrain_height(&c->environment, p[0] + dt * v[0], p[1] + dt * v[1]) -
+                          (p[2] + dt * v[2]);
       if (fabs(lift) < 0.004)
         p[2] = rounded(p[2] + lift);
     }
@@ -146,7 +145,6 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
                       double d_position, struct mo_random *random)
 {
   const struct mo_reference *r = &b->reference;
-  const double *heights_m = r->environment->terrain_heights_m;
   const double keep = exp(-r->physics->constants.drag_per_s * r->physics->scheme.dt_s);
   const size_t at = 3 * (size_t)m;
   double here[3];
@@ -160,10 +158,10 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
       dp[i] = b->d_position[at + i];
       dv[i] = b->d_velocity[at + i];
     }
-    mo_contact_move(&r->physics->scheme, &r->physics->constants, heights_m, r->highest_m, next,
+    mo_contact_move(&r->physics->scheme, &r->physics->constants, r->environment, r->highest_m, next,
                     speed);
-    mo_contact_move_adjoint(&r->physics->scheme, &r->physics->constants, heights_m, r->highest_m, p,
-                            v, dp, dv);
+    mo_contact_move_adjoint(&r->physics->scheme, &r->physics->constants, r->environment,
+                            r->highest_m, p, v, dp, dv);
     for (size_t i = 0; i < 3; i++) {
       dv[i] *= keep;
       if (n < 0)

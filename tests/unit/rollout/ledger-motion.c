@@ -231,7 +231,7 @@ static double slide_down(enum mo_integrator integrator, double dt_s, double drag
   for (int i = 0; i < POINTS; i++) {
     double *x = s->r.position_m + 3 * i;
     x[0] = 2 + 0.1 * i;
-    x[2] = mo_terrain_height(s->environment.terrain_heights_m, x[0], x[1]);
+    x[2] = mo_terrain_height(&s->environment, x[0], x[1]);
   }
   const double t = 0.6, y = drag_per_s * t, c = 1 / sqrt(1 + 0.6 * 0.6);
   const double a = GRAVITY_M_PER_S2 * (0.6 - 0.3) * c;

@@ -62,7 +62,7 @@ static void never_below_ground(void)
       REQUIRE(mo_reference_step(&r, step));
       for (uint32_t m = 0; m < body->n_masses; m++) {
         const double *p = r.position_m + 3 * m;
-        const double above = p[2] - mo_terrain_height(environment.terrain_heights_m, p[0], p[1]);
+        const double above = p[2] - mo_terrain_height(&environment, p[0], p[1]);
         REQUIRE(above >= 0);
         touching += above == 0;
         checked++;
@@ -184,12 +184,12 @@ static bool start_by_feet(const struct mo_body *body, const struct mo_environmen
     p[1] = MO_WORLD_CENTER_M - 0.5 * MO_VOXEL_M * body->workspace.ny + MO_VOXEL_M * cell[1];
     p[2] = MO_VOXEL_M * (cell[2] - lowest);
     if (cell[2] == lowest)
-      lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
+      lift = fmax(lift, mo_terrain_height(environment, p[0], p[1]));
   }
   for (uint32_t i = 0; i < body->n_masses; i++) {
     double *p = position_m + 3 * i;
     p[2] += lift;
-    below |= p[2] < mo_terrain_height(environment->terrain_heights_m, p[0], p[1]) - 1e-12;
+    below |= p[2] < mo_terrain_height(environment, p[0], p[1]) - 1e-12;
   }
   return below;
 }
@@ -204,7 +204,7 @@ static bool check_start(const struct mo_body *body, const struct mo_environment 
   mo_scene_start(body, environment, &physics, position_m);
   for (uint32_t i = 0; i < body->n_masses; i++) {
     const double *p = position_m + 3 * i;
-    nearest = fmin(nearest, p[2] - mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
+    nearest = fmin(nearest, p[2] - mo_terrain_height(environment, p[0], p[1]));
   }
   CHECK(fabs(nearest) < 1e-14); /* it touches the ground, and nothing is below it */
   const bool below = start_by_feet(body, environment, by_feet_m);
@@ -388,8 +388,7 @@ static void extremes(void)
   physics.scheme.n_steps = 6000;
   outcome = outcome_of(body, NULL, &environment, &physics, NULL);
   CHECK_INT(outcome.diverged_step, 0);
-  CHECK_NEAR(outcome.com_start_m[2], 10 + 0.2 + mo_terrain_highest(environment.terrain_heights_m),
-             0.3);
+  CHECK_NEAR(outcome.com_start_m[2], 10 + 0.2 + mo_terrain_highest(&environment), 0.3);
   CHECK(outcome.com_end_m[2] < 1);
   CHECK_NEAR(outcome.loss, 1, 0.2);
 }

@@ -89,7 +89,7 @@ static void oracle_light(struct oracle *o, double t, const double *com)
     for (int i = 0; i < 2; i++)
       o->light[i] = a[i] + (length > 0 ? (b[i] - a[i]) * ahead / length : 0);
   }
-  o->light[2] = mo_terrain_height(o->environment->terrain_heights_m, o->light[0], o->light[1]);
+  o->light[2] = mo_terrain_height(o->environment, o->light[0], o->light[1]);
 }
 
 static void oracle_start(struct oracle *o, const struct mo_environment *environment,

@@ -5,18 +5,21 @@
 
 static void corners(void)
 {
-  double heights[64];
+  struct mo_environment environment = {0};
+  double *heights = environment.terrain_heights_m;
   for (int k = 0; k < 64; k++)
     heights[k] = sin(3.0 * k) * 0.1;
   for (int j = 0; j < 8; j++)
     for (int i = 0; i < 8; i++)
-      CHECK_NEAR(mo_terrain_height(heights, i * SPACING, j * SPACING), heights[j * 8 + i], 1e-15);
+      CHECK_NEAR(mo_terrain_height(&environment, i * SPACING, j * SPACING), heights[j * 8 + i],
+                 1e-15);
 }
 
 /* A bilinear function is reproduced exactly everywhere. */
 static void bilinear(void)
 {
-  double heights[64];
+  struct mo_environment environment = {0};
+  double *heights = environment.terrain_heights_m;
   for (int k = 0; k < 64; k++) {
     double x = k % 8 * SPACING;
     double y = k / 8 * SPACING; // NOLINT(bugprone-integer-division): the row
@@ -27,8 +30,9 @@ static void bilinear(void)
     double x = 5.0 * mo_random_uniform(&random);
     double y = 5.0 * mo_random_uniform(&random);
     double gradient[2];
-    mo_terrain_gradient(heights, x, y, gradient);
-    CHECK_NEAR(mo_terrain_height(heights, x, y), 0.3 + 0.2 * x - 0.1 * y + 0.05 * x * y, 1e-14);
+    mo_terrain_gradient(&environment, x, y, gradient);
+    CHECK_NEAR(mo_terrain_height(&environment, x, y), 0.3 + 0.2 * x - 0.1 * y + 0.05 * x * y,
+               1e-14);
     CHECK_NEAR(gradient[0], 0.2 + 0.05 * y, 1e-13);
     CHECK_NEAR(gradient[1], -0.1 + 0.05 * x, 1e-13);
   }
@@ -36,7 +40,8 @@ static void bilinear(void)
 
 static void differences(void)
 {
-  double heights[64];
+  struct mo_environment environment = {0};
+  double *heights = environment.terrain_heights_m;
   mo_terrain_random(5, 0, 0, 0.1, heights);
   struct mo_random random = dice(2, 0, 0);
   double step = 1e-6;
@@ -47,13 +52,15 @@ static void differences(void)
     double y =
         ((double)mo_random_below(&random, 7) + 0.01 + 0.98 * mo_random_uniform(&random)) * SPACING;
     double gradient[2];
-    mo_terrain_gradient(heights, x, y, gradient);
+    mo_terrain_gradient(&environment, x, y, gradient);
     CHECK_NEAR(gradient[0],
-               (mo_terrain_height(heights, x + step, y) - mo_terrain_height(heights, x - step, y)) /
+               (mo_terrain_height(&environment, x + step, y) -
+                mo_terrain_height(&environment, x - step, y)) /
                    (2 * step),
                1e-8);
     CHECK_NEAR(gradient[1],
-               (mo_terrain_height(heights, x, y + step) - mo_terrain_height(heights, x, y - step)) /
+               (mo_terrain_height(&environment, x, y + step) -
+                mo_terrain_height(&environment, x, y - step)) /
                    (2 * step),
                1e-8);
   }
@@ -61,24 +68,25 @@ static void differences(void)
 
 static void outside(void)
 {
-  double heights[64];
+  struct mo_environment environment = {0};
+  double *heights = environment.terrain_heights_m;
   mo_terrain_random(6, 0, 0, 0.1, heights);
   double gradient[2];
-  CHECK(mo_terrain_height(heights, -1.0, 2.0) == mo_terrain_height(heights, 0.0, 2.0));
-  CHECK(mo_terrain_height(heights, 9.0, 2.0) == mo_terrain_height(heights, 5.0, 2.0));
-  CHECK(mo_terrain_height(heights, 1.0, -1e300) == mo_terrain_height(heights, 1.0, 0.0));
-  CHECK(mo_terrain_height(heights, INFINITY, 1e300) == heights[63]);
-  CHECK(mo_terrain_height(heights, 5.0, 5.0) == heights[63]);
-  CHECK(isfinite(mo_terrain_height(heights, NAN, NAN)));
-  mo_terrain_gradient(heights, -0.1, 2.0, gradient);
+  CHECK(mo_terrain_height(&environment, -1.0, 2.0) == mo_terrain_height(&environment, 0.0, 2.0));
+  CHECK(mo_terrain_height(&environment, 9.0, 2.0) == mo_terrain_height(&environment, 5.0, 2.0));
+  CHECK(mo_terrain_height(&environment, 1.0, -1e300) == mo_terrain_height(&environment, 1.0, 0.0));
+  CHECK(mo_terrain_height(&environment, INFINITY, 1e300) == heights[63]);
+  CHECK(mo_terrain_height(&environment, 5.0, 5.0) == heights[63]);
+  CHECK(isfinite(mo_terrain_height(&environment, NAN, NAN)));
+  mo_terrain_gradient(&environment, -0.1, 2.0, gradient);
   CHECK(gradient[0] == 0.0 && gradient[1] != 0.0);
-  mo_terrain_gradient(heights, 2.0, 5.1, gradient);
+  mo_terrain_gradient(&environment, 2.0, 5.1, gradient);
   CHECK(gradient[0] != 0.0 && gradient[1] == 0.0);
   /* The far edge itself belongs to the last cell. */
-  mo_terrain_gradient(heights, 5.0, 5.0, gradient);
+  mo_terrain_gradient(&environment, 5.0, 5.0, gradient);
   CHECK_NEAR(gradient[0], (heights[63] - heights[62]) / SPACING, 1e-13);
   CHECK_NEAR(gradient[1], (heights[63] - heights[55]) / SPACING, 1e-13);
-  double highest = mo_terrain_highest(heights);
+  double highest = mo_terrain_highest(&environment);
   int met = 0;
   for (int k = 0; k < 64; k++) {
     CHECK(heights[k] <= highest);
