@@ -65,6 +65,57 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
 void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigma_m,
                        double heights_m[MO_TERRAIN_HEIGHTS]);
 
+/* ---- families of terrains ----
+ *
+ * All but `rough` and `flat` are profiles of 64 heights, for robots that start at x = 2.5 m and
+ * walk along +x. Each is level from x = 0 on to where it begins: at 2.8 m, the end of the default
+ * workspace, for `slope`, and at 3.1 m for the others, or at the next height. Between levels there
+ * are ramps over one spacing, which is why no rise may exceed it: none is steeper than 45°. The
+ * lowest height is MO_TERRAIN_FLOOR_M. docs/model.md has the formulas. */
+
+#define MO_SLOPE_BEGINS_M  2.8
+#define MO_FAMILY_BEGINS_M 3.1
+
+enum mo_terrain_family {
+  MO_TERRAIN_ROUGH = 0,   /* a grid: mo_terrain_random(seed, 0, 0, sigma_m) */
+  MO_TERRAIN_FLAT,        /* a grid; the same as `rough` with a σ of 0 */
+  MO_TERRAIN_SLOPE,       /* climbs to the end */
+  MO_TERRAIN_STAIRS_UP,   /* steps of rise_m, each run_m after the other */
+  MO_TERRAIN_STAIRS_DOWN, /* the same downward */
+  MO_TERRAIN_HURDLES,     /* ridges two spacings wide, of random heights and distances */
+  MO_TERRAIN_GAPS,        /* ditches between platforms of random lengths */
+  MO_TERRAIN_STEPS        /* platforms of random heights */
+};
+extern const char *const mo_terrain_family_words[]; /* "rough", "flat", …, NULL */
+
+/* Only the fields of the family are used; the others should be 0. Lengths along x other than
+ * spacing_m are whole numbers of spacings. */
+struct mo_terrain_recipe {
+  enum mo_terrain_family family;
+  uint64_t seed;     /* rough, hurdles, gaps, steps */
+  double spacing_m;  /* between two heights of a profile: 0.08 … 1 */
+  double sigma_m;    /* rough: 0 … 10 */
+  double degrees;    /* slope: −45 … 45 */
+  double rise_m;     /* stairs: above 0, at most spacing_m */
+  double run_m;      /* stairs, steps: from one ramp to the next, at least two spacings */
+  double height_m;   /* hurdles: of the highest; steps: between the highest and the lowest; above 0,
+                        at most spacing_m */
+  double every_m;    /* hurdles: mean distance, at least three spacings */
+  double depth_m;    /* gaps: above 0, at most spacing_m */
+  double gap_m;      /* gaps: width at the top, ramps included; at least two spacings */
+  double platform_m; /* gaps: mean length of a platform, at least two spacings */
+};
+
+/* Returns a family's defaults, with the seed 0. */
+struct mo_terrain_recipe mo_terrain_recipe_default(enum mo_terrain_family family);
+
+/* Sets an environment's heights, n_profile and profile_spacing_m; the rest stays. MO_ERR_INVALID or
+ * MO_ERR_RANGE; message (nullable) says which field is wrong and what to do. */
+int mo_terrain_draw(const struct mo_terrain_recipe *recipe, struct mo_environment *environment,
+                    struct mo_message *message);
+
+/* ---- named sets ---- */
+
 /* Draws a training environment: σ ~ U(0, 0.1 m); light uniform by area in the ring 0.4–2.0 m around
  * the center. */
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index,

@@ -121,9 +121,126 @@ static void checks(void)
   }
 }
 
+/* ---- profiles ---- */
+
+static struct mo_environment profile_of(uint64_t k, uint32_t n, double spacing_m)
+{
+  struct mo_environment environment = {.n_profile = n, .profile_spacing_m = spacing_m};
+  struct mo_random random = dice(11, 0, k);
+  for (uint32_t i = 0; i < n; i++)
+    environment.terrain_heights_m[i] = 0.1 * mo_random_normal(&random);
+  return environment;
+}
+
+static const struct {
+  uint32_t n;
+  double spacing_m;
+} profiles[] = {{2, 0.02}, {2, 1}, {9, 0.37}, {64, 0.1}, {64, 0.02}, {63, 1}};
+
+/* Linear interpolation, and its slope, by a search for the interval; x beyond the ends is moved to
+ * them. */
+static void profile_values(void)
+{
+  struct mo_random random = dice(12, 0, 0);
+  for (size_t c = 0; c < COUNT(profiles); c++) {
+    const uint32_t n = profiles[c].n;
+    const double d = profiles[c].spacing_m, end = (n - 1) * d;
+    const struct mo_environment environment = profile_of(c, n, d);
+    const double *h = environment.terrain_heights_m;
+    for (int trial = 0; trial < 2000; trial++) {
+      const double x = (1.4 * mo_random_uniform(&random) - 0.2) * end,
+                   y = 20 * mo_random_uniform(&random) - 10;
+      double gradient[2], height = x < 0 ? h[0] : h[n - 1], slope = 0;
+      for (uint32_t k = 0; k + 1 < n && x >= 0; k++)
+        if (x >= k * d && x < (k + 1) * d) {
+          height = (h[k] * ((k + 1) * d - x) + h[k + 1] * (x - k * d)) / d;
+          slope = (h[k + 1] - h[k]) / d;
+        }
+      mo_terrain_gradient(&environment, x, y, gradient);
+      CHECK_NEAR(mo_terrain_height(&environment, x, y), height, 1e-13);
+      CHECK_NEAR(gradient[0], slope, 1e-11);
+      CHECK(gradient[1] == 0);
+    }
+  }
+}
+
+/* At the heights themselves, beyond the ends, on the lines, and for numbers that are none. */
+static void profile_limits(void)
+{
+  for (size_t c = 0; c < COUNT(profiles); c++) {
+    const uint32_t n = profiles[c].n;
+    const double d = profiles[c].spacing_m;
+    const struct mo_environment environment = profile_of(c, n, d);
+    const double *h = environment.terrain_heights_m;
+    double gradient[2];
+    for (uint32_t k = 0; k < n; k++)
+      CHECK_NEAR(mo_terrain_height(&environment, k * d, 2.5), h[k], 1e-13);
+    CHECK(mo_terrain_height(&environment, -1e300, 1) == h[0]);
+    CHECK_NEAR(mo_terrain_height(&environment, INFINITY, -INFINITY), h[n - 1], 1e-15);
+    CHECK_NEAR(mo_terrain_height(&environment, 1e-9 + (n - 1) * d, NAN), h[n - 1], 1e-15);
+    CHECK(isfinite(mo_terrain_height(&environment, NAN, INFINITY)));
+    mo_terrain_gradient(&environment, -1e-9, 0, gradient);
+    CHECK(gradient[0] == 0 && gradient[1] == 0);
+    mo_terrain_gradient(&environment, (n - 1) * d * (1 + 1e-12), 0, gradient);
+    CHECK(gradient[0] == 0);
+    mo_terrain_gradient(&environment, (n - 1) * d, INFINITY, gradient); /* of the last cell */
+    CHECK_NEAR(gradient[0], (h[n - 1] - h[n - 2]) / d, 1e-11);
+    CHECK(gradient[1] == 0);
+    mo_terrain_gradient(&environment, 0, -3, gradient);
+    CHECK_NEAR(gradient[0], (h[1] - h[0]) / d, 1e-11);
+    double highest = h[0];
+    for (uint32_t k = 1; k < n; k++)
+      highest = fmax(highest, h[k]);
+    CHECK(mo_terrain_highest(&environment) == highest);
+  }
+  /* Heights that it does not have do not count. */
+  struct mo_environment low = {.n_profile = 3, .profile_spacing_m = 0.1};
+  for (int k = 0; k < 3; k++)
+    low.terrain_heights_m[k] = -1 - k;
+  CHECK(mo_terrain_highest(&low) == -1);
+}
+
+static void profile_checks(void)
+{
+  const struct {
+    uint32_t n;
+    double spacing_m;
+    int set; /* a height that is 1 */
+    int code;
+    uint32_t where;
+  } tries[] = {{0, 0, 63, MO_OK, 99},
+               {2, 0.02, 1, MO_OK, 99},
+               {64, 1, 63, MO_OK, 99},
+               {0, 0.1, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {1, 0.1, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {65, 0.1, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {8, 0, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {8, 0.0199, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {8, 1.001, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {8, -0.1, 0, MO_ERR_RANGE, MO_ENVIRONMENT_PROFILE},
+               {8, NAN, 0, MO_ERR_INVALID, MO_ENVIRONMENT_PROFILE},
+               {0, INFINITY, 0, MO_ERR_INVALID, MO_ENVIRONMENT_PROFILE},
+               {8, 0.1, 8, MO_ERR_INVALID, 10},
+               {8, 0.1, 63, MO_ERR_INVALID, 65}};
+  for (size_t i = 0; i < COUNT(tries); i++) {
+    struct mo_environment environment = {.n_profile = tries[i].n,
+                                         .profile_spacing_m = tries[i].spacing_m};
+    uint32_t where = 99;
+    environment.terrain_heights_m[tries[i].set] = 1;
+    CHECK_INT(mo_environment_check(&environment, &where), tries[i].code);
+    CHECK_INT(where, tries[i].where);
+    CHECK_INT(mo_environment_check(&environment, NULL), tries[i].code);
+  }
+}
+
 static const struct check_case cases[] = {
-    {"grid points have their heights", corners}, {"bilinear functions are exact", bilinear},
-    {"gradients are differences", differences},  {"coordinates are clamped", outside},
+    {"grid points have their heights", corners},
+    {"bilinear functions are exact", bilinear},
+    {"gradients are differences", differences},
+    {"coordinates are clamped", outside},
     {"environments are checked", checks},
+    {"profiles are linear between heights", profile_values},
+    {"profiles end at their first and last heights", profile_limits},
+    {"the shape of a terrain is checked", profile_checks},
 };
 CHECK_MAIN(cases)
