@@ -153,6 +153,22 @@ static inline struct mo_random dice(uint64_t seed, uint32_t step, uint64_t index
   return random;
 }
 
+/* Gives an environment a profile, one for each k, with heights from N(0, sigma_m). It lies under
+ * the start and ends between 4.7 and 6.3 m. */
+static inline void set_profile(struct mo_environment *environment, uint64_t k, double sigma_m)
+{
+  static const struct {
+    uint32_t n;
+    double spacing_m;
+  } shapes[] = {{64, 0.1}, {20, 0.25}, {63, 0.08}, {40, 0.13}};
+  struct mo_random random = dice(61, 0, k);
+  environment->n_profile = shapes[k % 4].n;
+  environment->profile_spacing_m = shapes[k % 4].spacing_m;
+  for (uint32_t i = 0; i < MO_TERRAIN_HEIGHTS; i++)
+    environment->terrain_heights_m[i] =
+        i < environment->n_profile ? sigma_m * mo_random_normal(&random) : 0;
+}
+
 /* ---- settings ---- */
 
 /* A field of settings, a value for it, and the expected message of the check. */

@@ -190,10 +190,9 @@ MO_INLINE struct lane_impact lane_impact_halving(const float *heights, V dt, uin
     else
       low = middle;
   }
-  const V x = lane_coordinate(&map, 0, v_fma(low, v[0], p[0])),
-          y = lane_coordinate(&map, 1, v_fma(low, v[1], p[1]));
-  const struct lane_impact impact = {low, lane_cell_number(&map, 0, x),
-                                     lane_cell_number(&map, 1, y)};
+  const struct lane_impact impact = {
+      low, lane_cell_number(&map, 0, lane_coordinate(&map, 0, v_fma(low, v[0], p[0]))),
+      lane_cell_number(&map, 1, lane_coordinate(&map, 1, v_fma(low, v[1], p[1])))};
   return impact;
 }
 

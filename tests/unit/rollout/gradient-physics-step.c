@@ -76,7 +76,9 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
 {
   const struct gradient_case *c = b->c;
   const double dt = c->physics.scheme.dt_s, bear_m = 0.04;
-  const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
+  const bool is_profile = c->environment.n_profile != 0;
+  const double cell_m =
+      is_profile ? c->environment.profile_spacing_m : MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
   const uint32_t n = c->body->n_masses;
   for (uint32_t m = 0; m < n; m++) {
     double *p = b->position + 3 * (size_t)m, *v = b->velocity + 3 * (size_t)m;
@@ -270,12 +272,14 @@ static void compare(struct both *b, const char *where, struct tally *t)
                                                 size.d_activation);
 }
 
-static void one_step(void)
+static void step_on(bool profiles)
 {
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     struct tally t = {0};
     for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
       struct gradient_case c = make_gradient_case(k);
+      if (profiles)
+        set_profile(&c.environment, k, c.sigma_m / 4);
       struct mo_random random = dice(5, 1, k), near = dice(5, 2, k);
       struct both *b = make_both(&c);
       for (uint32_t i = 0; i < 40; i++) {
@@ -312,5 +316,18 @@ static void one_step(void)
   }
 }
 
-static const struct check_case cases[] = {{"one step forward and backward", one_step}};
+static void on_grids(void)
+{
+  step_on(false);
+}
+
+static void on_profiles(void)
+{
+  step_on(true);
+}
+
+static const struct check_case cases[] = {
+    {"one step forward and backward", on_grids},
+    {"one step forward and backward on a profile", on_profiles},
+};
 CHECK_MAIN(cases)
