@@ -73,8 +73,10 @@ void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigm
  * are ramps over one spacing, which is why no rise may exceed it: none is steeper than 45°. The
  * lowest height is MO_TERRAIN_FLOOR_M. docs/model.md has the formulas. */
 
-#define MO_SLOPE_BEGINS_M  2.8
-#define MO_FAMILY_BEGINS_M 3.1
+#define MO_SLOPE_BEGINS_M      2.8
+#define MO_FAMILY_BEGINS_M     3.1
+#define MO_TERRAIN_SIGMA_MAX_M 10.0
+#define MO_TERRAIN_DEGREES_MAX 45.0
 
 enum mo_terrain_family {
   MO_TERRAIN_ROUGH = 0,   /* a grid: mo_terrain_random(seed, 0, 0, sigma_m) */

@@ -12,7 +12,6 @@
 #include "world/environment.h"
 #include "world/task_json.h"
 
-#define SIGMA_MAX_M    10.0
 #define LABEL_MAX      (MO_LABEL_BYTES_MAX / 4) /* characters */
 #define EXPERIMENT_MAX (MO_EXPERIMENT_BYTES_MAX / 4)
 #define NOTE_MAX       (MO_NOTE_BYTES_MAX / 4)
@@ -77,7 +76,7 @@ static void check_light(struct mo_json *json, unsigned depth, const double light
 
 /* The members of an environment that were given. */
 struct given {
-  bool task, light, heights, sigma, seed;
+  bool task, light, terrain, heights, sigma, seed;
 };
 
 static void check_given_light(struct mo_json *json, unsigned depth,
@@ -109,19 +108,21 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
     return;
   while (mo_json_member(json, &key)) {
     given.light |= mo_json_is(key, "light_xy_m");
+    given.terrain |= mo_json_is(key, "terrain");
     given.heights |= mo_json_is(key, "terrain_heights_m");
     if (mo_json_is(key, "task")) {
       given.task = true;
       mo_task_read(json, &tasked);
     } else if (mo_json_is(key, "terrain_sigma_m")) {
       given.sigma = true;
-      mo_json_bounded(json, 0, SIGMA_MAX_M, &sigma_m);
+      mo_json_bounded(json, 0, MO_TERRAIN_SIGMA_MAX_M, &sigma_m);
     } else if (mo_json_is(key, "seed")) {
       given.seed = true;
       mo_json_integer(json, 0, MO_SEED_MAX, &seed);
     } else if (!mo_environment_read_member(json, key, environment)) {
       mo_fields_unknown(
-          json, "task, light_xy_m, and terrain_heights_m or terrain_sigma_m with seed", NULL);
+          json, "task, light_xy_m, and terrain, terrain_heights_m or terrain_sigma_m with seed",
+          NULL);
     }
   }
   if (json->stop)
@@ -132,11 +133,12 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
   if (json->faults->n == before)
     check_given_light(json, depth, environment, &given);
   const bool drawn = given.sigma || given.seed;
-  if (given.heights ? drawn : given.sigma != given.seed || (!drawn && !given.task))
-    mo_json_fault_at(
-        json, depth, "",
-        "give the terrain either as terrain_heights_m, or as terrain_sigma_m and seed%s",
-        given.task ? ", or leave all of them out for flat ground" : "");
+  const int ways = (int)given.terrain + (int)given.heights + (int)drawn;
+  if (ways > 1 || given.sigma != given.seed || (ways == 0 && !given.task))
+    mo_json_fault_at(json, depth, "",
+                     "give the terrain either as terrain, as terrain_heights_m, or as "
+                     "terrain_sigma_m and seed%s",
+                     given.task ? ", or leave all of them out for flat ground" : "");
   else if (drawn)
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
   if (json->faults->n == before && mo_environment_check(environment, NULL) != MO_OK)

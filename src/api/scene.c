@@ -10,6 +10,7 @@
 #include "rollout/physics.h"
 #include "world/environment.h"
 #include "world/task_json.h"
+#include "world/terrain_json.h"
 
 /* ---- arrays ---- */
 
@@ -220,10 +221,14 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
   mo_member_hash(text, "sha256", &hash);
   for (size_t i = 0; i < mo_place_fields.n; i++) {
     const struct mo_fields field = {&mo_place_fields.rows[i], 1};
-    if (field.rows->side > 0)
+    if (i == MO_PLACE_HEIGHTS && environment->n_profile == 0)
       write_table(text, arrays, field.rows, environment);
-    else if (i != MO_PLACE_LIGHT || environment->task.guide.kind == MO_GUIDE_FIXED)
+    else if (i == MO_PLACE_LIGHT && environment->task.guide.kind == MO_GUIDE_FIXED)
       mo_fields_write(text, &field, environment);
+  }
+  if (environment->n_profile != 0) {
+    mo_text_name(text, "terrain");
+    mo_terrain_write(text, environment);
   }
   if (!mo_task_is_plain(&environment->task)) {
     mo_text_name(text, "task");

@@ -115,13 +115,47 @@ static void compare_tasks(struct comparison *comparison, uint32_t place,
   mo_text_free(&texts[1]);
 }
 
+static void describe_terrain(const struct mo_environment *environment, char text[VALUE_SHOWN])
+{
+  if (environment->n_profile == 0)
+    snprintf(text, VALUE_SHOWN, "a grid of heights");
+  else
+    snprintf(text, VALUE_SHOWN, "a profile of %u heights, %.12g m apart", environment->n_profile,
+             environment->profile_spacing_m);
+}
+
+/* Terrains of which at least one is a profile. Shows only the first height that differs. */
+static void compare_profiles(struct comparison *comparison, uint32_t place,
+                             const struct mo_environment *given, const struct mo_environment *known)
+{
+  char pointer[64], a[VALUE_SHOWN], b[VALUE_SHOWN];
+  uint32_t k = 0;
+  describe_terrain(given, a);
+  describe_terrain(known, b);
+  snprintf(pointer, sizeof(pointer), "/environments/%u/terrain", place);
+  if (strcmp(a, b) != 0) {
+    add(comparison, pointer, a, b);
+    return;
+  }
+  while (k < given->n_profile && given->terrain_heights_m[k] == known->terrain_heights_m[k])
+    k++;
+  if (k == given->n_profile)
+    return;
+  snprintf(pointer, sizeof(pointer), "/environments/%u/terrain/heights_m/%u", place, k);
+  show(&given->terrain_heights_m[k], 1, a);
+  show(&known->terrain_heights_m[k], 1, b);
+  add(comparison, pointer, a, b);
+}
+
 static void compare_environment(struct comparison *comparison, uint32_t place,
                                 const struct mo_environment *given,
                                 const struct mo_environment *known)
 {
   for (size_t i = 0; i < mo_place_fields.n; i++) {
     const struct mo_field *field = &mo_place_fields.rows[i];
-    if (i != MO_PLACE_LIGHT || given->task.guide.kind == known->task.guide.kind)
+    if (i == MO_PLACE_HEIGHTS && (given->n_profile != 0 || known->n_profile != 0))
+      compare_profiles(comparison, place, given, known);
+    else if (i != MO_PLACE_LIGHT || given->task.guide.kind == known->task.guide.kind)
       compare_numbers(comparison, field, place, mo_environment_numbers(given, field),
                       mo_environment_numbers(known, field));
   }

@@ -6,7 +6,7 @@
  * that masses leave their terrain cells: the reference, not the kernels, computes these moves. Some
  * hold the controller's outputs through control periods, and some use the integrator `split`. The
  * robots of the gradients stand on the ground, so that few steps have contacts. They fill one CPU
- * block and part of another. Some environments have a task. */
+ * block and part of another. Some environments have a task, and some a terrain profile. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -48,13 +48,18 @@ static struct mo_physics physics_of(uint32_t body)
   return physics;
 }
 
-/* Gives an environment a task: in each body, the last lanes have one of each kind of guide. */
+/* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
+ * fourth lane has a profile. */
 static void set_task(uint32_t lane, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
   const uint32_t first = MO_BLOCK_LANES - (uint32_t)(sizeof(words) / sizeof(*words));
   if (lane >= first)
     mo_task_named(mo_word_index(mo_task_words, words[lane - first]), environment);
+  if (lane % 4 == 1) { /* the drawn heights one after the other */
+    environment->n_profile = MO_TERRAIN_HEIGHTS;
+    environment->profile_spacing_m = 0.1;
+  }
 }
 
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)

@@ -135,6 +135,9 @@ const char *mo_back_end_unsuited(const struct mo_environment *environments, uint
     if (!mo_task_is_plain(&environments[i].task))
       return "devices cannot compute tasks yet; request \"cpu\" or \"auto\", or environments "
              "without a task";
+    else if (environments[i].n_profile != 0)
+      return "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
+             "environments with terrain_heights_m";
   return NULL;
 }
 

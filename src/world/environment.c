@@ -8,9 +8,10 @@ static const struct mo_field place_rows[] = {
     [MO_PLACE_LIGHT] = {"light_xy_m", MO_FIELD_NUMBERS, 0, AT(light_xy_m), .n = 2,
                         .min = -MO_LIGHT_LIMIT_M, .max = MO_LIGHT_LIMIT_M, .unit = "m",
                         .help = "where the light stands"},
-    {"terrain_heights_m", MO_FIELD_NUMBERS, 0, AT(terrain_heights_m), .n = MO_TERRAIN_HEIGHTS,
-     .side = MO_TERRAIN_SIDE, .min = -MO_HEIGHT_LIMIT_M, .max = MO_HEIGHT_LIMIT_M, .unit = "m",
-     .help = "heights of the terrain, row by row"},
+    [MO_PLACE_HEIGHTS] = {"terrain_heights_m", MO_FIELD_NUMBERS, 0, AT(terrain_heights_m),
+                          .n = MO_TERRAIN_HEIGHTS, .side = MO_TERRAIN_SIDE,
+                          .min = -MO_HEIGHT_LIMIT_M, .max = MO_HEIGHT_LIMIT_M, .unit = "m",
+                          .help = "heights of the terrain, row by row"},
 };
 const struct mo_fields mo_place_fields = MO_FIELDS(place_rows);
 
@@ -30,11 +31,18 @@ static const struct mo_field task_rows[] = {
 };
 #undef NUMBER
 #undef PAIRS
+/* Also only for the packed form; terrain_json.c has the members of profiles in JSON. */
+static const struct mo_field profile_rows[] = {
+    {"n_profile", MO_FIELD_COUNT, 0, AT(n_profile), .since = 3},
+    {"profile_spacing_m", MO_FIELD_NUMBER, 0, AT(profile_spacing_m), .since = 3},
+};
 #undef AT
+static const struct mo_fields profile_fields = MO_FIELDS(profile_rows);
 static const struct mo_fields task_fields = MO_FIELDS(task_rows);
 static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_place_fields},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &task_fields, .since = 2},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &profile_fields, .since = 3},
 };
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 

@@ -9,9 +9,14 @@
 /* Where the light stands and the terrain: numbers and arrays of numbers. Requests, replies and
  * scenes use these rows. */
 extern const struct mo_fields mo_place_fields;
-enum { MO_PLACE_LIGHT }; /* its first row */
+enum {
+  MO_PLACE_LIGHT,
+  MO_PLACE_HEIGHTS
+}; /* its first rows; a profile's heights are written by
+       terrain_json.h */
 /* The whole environment, for hashed encodings and the messages of workers: its packed form
- * (base/fields.h) has 66 float64, and from version 2 on the task. task_json.h: in JSON. */
+ * (base/fields.h) has 66 float64, from version 2 on the task, and from version 3 on the shape of
+ * the terrain. task_json.h: in JSON. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;

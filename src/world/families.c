@@ -4,20 +4,18 @@
  * rounds), so that the same recipe yields the same terrain, bit for bit, on every machine. Stream:
  * (seed, PROFILE, family, 0). */
 #include <morpho/random.h>
-#include <morpho/world.h>
 
 #include <math.h>
 #include <string.h>
 
+#include "world/terrain.h"
+
 #define SPACING_M          0.1
 #define SPACING_MIN_M      0.08 /* with it, 64 heights reach 5 m */
-#define SIGMA_MAX_M        10.0
-#define DEGREES_MAX        45.0
 #define N                  MO_TERRAIN_HEIGHTS
 #define RADIANS_PER_DEGREE (M_PI / 180)
 
-const char *const mo_terrain_family_words[] = {
-    "rough", "flat", "slope", "stairs-up", "stairs-down", "hurdles", "gaps", "steps", NULL};
+const char *const mo_terrain_family_words[] = {MO_TERRAIN_FAMILY_WORDS, NULL};
 
 struct mo_terrain_recipe mo_terrain_recipe_default(enum mo_terrain_family family)
 {
@@ -116,7 +114,8 @@ static double tangent(double x)
 static int slope(const struct mo_terrain_recipe *recipe, double heights_m[N],
                  struct mo_message *message)
 {
-  const int error = check_number("degrees", recipe->degrees, -DEGREES_MAX, DEGREES_MAX, message);
+  const int error = check_number("degrees", recipe->degrees, -MO_TERRAIN_DEGREES_MAX,
+                                 MO_TERRAIN_DEGREES_MAX, message);
   const int begin = first_at(recipe, MO_SLOPE_BEGINS_M);
   const double rise_m = recipe->spacing_m * tangent(recipe->degrees * RADIANS_PER_DEGREE);
   for (int k = begin + 1; k < N && error == MO_OK; k++)
@@ -218,7 +217,8 @@ static int draw_grid(const struct mo_terrain_recipe *recipe, double heights_m[N]
 {
   const bool is_flat = recipe->family == MO_TERRAIN_FLAT;
   const int error =
-      is_flat ? MO_OK : check_number("sigma_m", recipe->sigma_m, 0, SIGMA_MAX_M, message);
+      is_flat ? MO_OK
+              : check_number("sigma_m", recipe->sigma_m, 0, MO_TERRAIN_SIGMA_MAX_M, message);
   if (error != MO_OK)
     return error;
   mo_terrain_random(recipe->seed, 0, 0, is_flat ? 0 : recipe->sigma_m, heights_m);

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "world/environment.h"
+#include "world/terrain_json.h"
 
 #define KIND(kind) (1U << MO_GUIDE_##kind)
 
@@ -246,6 +247,10 @@ bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
     mo_task_read(json, environment);
     return true;
   }
+  if (mo_json_is(key, "terrain")) {
+    mo_terrain_read(json, environment);
+    return true;
+  }
   return mo_fields_read_member(json, key, &mo_place_fields, environment);
 }
 
@@ -294,8 +299,13 @@ void mo_environment_write_members(struct mo_text *text, const struct mo_environm
 {
   for (size_t i = 0; i < mo_place_fields.n; i++) {
     const struct mo_fields one = {&mo_place_fields.rows[i], 1};
-    if (i != MO_PLACE_LIGHT || environment->task.guide.kind == MO_GUIDE_FIXED)
+    if (i == MO_PLACE_HEIGHTS ? environment->n_profile == 0
+                              : environment->task.guide.kind == MO_GUIDE_FIXED)
       mo_fields_write(text, &one, environment);
+  }
+  if (environment->n_profile != 0) {
+    mo_text_name(text, "terrain");
+    mo_terrain_write(text, environment);
   }
   if (!mo_task_is_plain(&environment->task)) {
     mo_text_name(text, "task");

@@ -1,9 +1,13 @@
 /* terrain.h: the cells of a terrain along each axis, which both shapes have: a profile is a grid of
- * one row of cells, whose height does not change with y. */
+ * one row of cells, whose height does not change with y; and the words of families. */
 #ifndef MORPHO_WORLD_TERRAIN_H
 #define MORPHO_WORLD_TERRAIN_H
 
 #include <morpho/world.h>
+
+/* Of the families, in their order. */
+#define MO_TERRAIN_FAMILY_WORDS                                                                    \
+  "rough", "flat", "slope", "stairs-up", "stairs-down", "hurdles", "gaps", "steps"
 
 struct mo_terrain_axis {
   double size_m;      /* coordinates are clamped to 0 … size_m */

@@ -100,6 +100,33 @@ static void encodes_environments(void)
   CHECK_INT(mo_decode_environment(NULL, 0, &found), MO_ERR_CORRUPT);
 }
 
+/* The shape of a profile follows the task. */
+static void encodes_profiles(void)
+{
+  struct mo_environment environment = {.light_xy_m = {4, 2},
+                                       .terrain_heights_m = {0.5, -1, 0.25},
+                                       .n_profile = 3,
+                                       .profile_spacing_m = 0.3},
+                        grid = environment, found;
+  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX], plain[MO_ENVIRONMENT_BYTES_MAX];
+  struct mo_sha256 hashes[2];
+  grid.n_profile = 0;
+  grid.profile_spacing_m = 0;
+  const size_t size = mo_encode_environment(&environment, bytes);
+  const size_t grid_size = mo_encode_environment(&grid, plain);
+  REQUIRE(grid_size == 66 * sizeof(double) && size > grid_size && size <= sizeof(bytes));
+  CHECK(SAME(bytes, plain, grid_size));
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.n_profile == 3 && found.profile_spacing_m == 0.3 &&
+        found.terrain_heights_m[2] == 0.25);
+  CHECK_INT(mo_decode_environment(bytes, size - 12, &found), MO_ERR_CORRUPT);
+  mo_environment_hash(&environment, &hashes[0]);
+  mo_environment_hash(&grid, &hashes[1]);
+  CHECK(memcmp(&hashes[0], &hashes[1], sizeof(hashes[0])) != 0);
+  CHECK_TEXT(MO_SHA256_HEX(&hashes[0]),
+             "de789e7b68e20bd986e394850830226f71dd305ff109b93d7ba80e15ad729e1d");
+}
+
 static void refuses_other_bytes(void)
 {
   const struct mo_physics physics = mo_paper_physics();
@@ -143,6 +170,7 @@ static const struct check_case cases[] = {
     {"encodes physics", encodes_physics},
     {"encodes settings of later versions", encodes_later_settings},
     {"encodes environments", encodes_environments},
+    {"encodes profiles", encodes_profiles},
     {"refuses other bytes", refuses_other_bytes},
     {"hashes", hashes},
 };

@@ -1,0 +1,19 @@
+/* terrain_json.h: terrains that are not given as heights of a grid, in JSON. docs/tasks.md
+ * describes the members.
+ *
+ * {"kind": "profile", "heights_m": […], "spacing_m": …}, or a family (<morpho/world.h>) with the
+ * fields of its recipe, of which those that are left out have their defaults. */
+#ifndef MORPHO_WORLD_TERRAIN_JSON_H
+#define MORPHO_WORLD_TERRAIN_JSON_H
+
+#include <morpho/world.h>
+
+#include "base/json.h"
+#include "base/text.h"
+
+/* Reads a terrain. An invalid one adds a fault and leaves the environment unchanged. */
+void mo_terrain_read(struct mo_json *json, struct mo_environment *environment);
+/* Writes the terrain of an environment, a profile, as an object. */
+void mo_terrain_write(struct mo_text *text, const struct mo_environment *environment);
+
+#endif
