@@ -22,6 +22,8 @@ RULES = [
     r"is a form of",
     r"at most the population",
     r"fits? (in )?the workspace",
+    r"at most spacing_m",
+    r"must be a whole number of spacings",
     # Resources that must exist, and a key that was used before.
     r"there is no (campaign|evaluation|controller|design)",
     r"(campaign|evaluation|training|controller|design) .*does not exist",
