@@ -221,9 +221,11 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
   mo_member_hash(text, "sha256", &hash);
   for (size_t i = 0; i < mo_place_fields.n; i++) {
     const struct mo_fields field = {&mo_place_fields.rows[i], 1};
-    if (i == MO_PLACE_HEIGHTS && environment->n_profile == 0)
+    if (!mo_place_has(environment, i))
+      continue;
+    if (field.rows->side > 0)
       write_table(text, arrays, field.rows, environment);
-    else if (i == MO_PLACE_LIGHT && environment->task.guide.kind == MO_GUIDE_FIXED)
+    else
       mo_fields_write(text, &field, environment);
   }
   if (environment->n_profile != 0) {

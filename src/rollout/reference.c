@@ -140,10 +140,10 @@ static void move_masses(struct mo_reference *r, uint32_t step)
     a[2] -= constants.gravity_m_per_s2;
     memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
     r->contacts[i] = scheme->integrator == MO_INTEGRATOR_SPLIT
-                         ? mo_contact_split(scheme, &constants, r->environment,
-                                            r->highest_m, a, r->position_m + 3 * (size_t)i, v)
-                         : mo_contact_move(scheme, &constants, r->environment,
-                                           r->highest_m, r->position_m + 3 * (size_t)i, v);
+                         ? mo_contact_split(scheme, &constants, r->environment, r->highest_m, a,
+                                            r->position_m + 3 * (size_t)i, v)
+                         : mo_contact_move(scheme, &constants, r->environment, r->highest_m,
+                                           r->position_m + 3 * (size_t)i, v);
   }
 }
 
@@ -199,19 +199,18 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
     free(tracks);
     return MO_ERR_NO_MEMORY;
   }
-  *reference =
-      (struct mo_reference){.body = body,
-                            .controller = controller,
-                            .environment = environment,
-                            .physics = physics,
-                            .control_steps = control_steps,
-                            .tracks = tracks,
-                            .highest_m = mo_terrain_highest(environment),
-                            .position_m = memory,
-                            .velocity_m_per_s = memory + n,
-                            .impulse_n_s = memory + 2 * n,
-                            .output = memory + 6 * n,
-                            .tape = &reference->own};
+  *reference = (struct mo_reference){.body = body,
+                                     .controller = controller,
+                                     .environment = environment,
+                                     .physics = physics,
+                                     .control_steps = control_steps,
+                                     .tracks = tracks,
+                                     .highest_m = mo_terrain_highest(environment),
+                                     .position_m = memory,
+                                     .velocity_m_per_s = memory + n,
+                                     .impulse_n_s = memory + 2 * n,
+                                     .output = memory + 6 * n,
+                                     .tape = &reference->own};
   memory += 3 * n;
   reference->own = (struct mo_step_tape){
       memory, memory + n, memory + 2 * n, memory + 3 * n + body->n_springs, {0}};

@@ -15,6 +15,13 @@ static const struct mo_field place_rows[] = {
 };
 const struct mo_fields mo_place_fields = MO_FIELDS(place_rows);
 
+bool mo_place_has(const struct mo_environment *environment, size_t row)
+{
+  return row == MO_PLACE_LIGHT     ? environment->task.guide.kind == MO_GUIDE_FIXED
+         : row == MO_PLACE_HEIGHTS ? environment->n_profile == 0
+                                   : true;
+}
+
 /* Only for the packed form; task_json.c has the members of tasks in JSON. */
 #define NUMBER(member)       #member, MO_FIELD_NUMBER, 0, AT(task.guide.member)
 #define PAIRS(member, count) #member, MO_FIELD_NUMBERS, 0, AT(task.guide.member), .n = 2 * (count)

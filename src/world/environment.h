@@ -2,6 +2,8 @@
 #ifndef MORPHO_WORLD_ENVIRONMENT_H
 #define MORPHO_WORLD_ENVIRONMENT_H
 
+#include <stdbool.h>
+
 #include <morpho/world.h>
 
 #include "base/fields.h"
@@ -9,11 +11,11 @@
 /* Where the light stands and the terrain: numbers and arrays of numbers. Requests, replies and
  * scenes use these rows. */
 extern const struct mo_fields mo_place_fields;
-enum {
-  MO_PLACE_LIGHT,
-  MO_PLACE_HEIGHTS
-}; /* its first rows; a profile's heights are written by
-       terrain_json.h */
+enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
+/* Returns whether the environment has a row: no light if its task moves one, and no heights of a
+ * grid if its terrain is a profile. Those have members of their own in JSON (task_json.h). */
+bool mo_place_has(const struct mo_environment *environment, size_t row);
+
 /* The whole environment, for hashed encodings and the messages of workers: its packed form
  * (base/fields.h) has 66 float64, from version 2 on the task, and from version 3 on the shape of
  * the terrain. task_json.h: in JSON. */

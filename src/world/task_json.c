@@ -299,8 +299,7 @@ void mo_environment_write_members(struct mo_text *text, const struct mo_environm
 {
   for (size_t i = 0; i < mo_place_fields.n; i++) {
     const struct mo_fields one = {&mo_place_fields.rows[i], 1};
-    if (i == MO_PLACE_HEIGHTS ? environment->n_profile == 0
-                              : environment->task.guide.kind == MO_GUIDE_FIXED)
+    if (mo_place_has(environment, i))
       mo_fields_write(text, &one, environment);
   }
   if (environment->n_profile != 0) {

@@ -68,7 +68,8 @@ def test_shapes(service):
     heights = drawn(service, "slope", degrees=-12)["heights_m"]
     assert heights[-1] - heights[0] == pytest.approx(-3.5 * math.tan(math.radians(12)), abs=1e-12)
     heights = drawn(service, "stairs-up", rise_m=0.2, run_m=1, spacing_m=0.25)["heights_m"]
-    assert heights[13:23] == pytest.approx([FLOOR + 0.2 * n for n in (0, 1, 1, 1, 1, 2, 2, 2, 2, 3)])
+    rises = (0, 1, 1, 1, 1, 2, 2, 2, 2, 3)
+    assert heights[13:23] == pytest.approx([FLOOR + 0.2 * n for n in rises])
     assert heights[:14] == [FLOOR] * 14
     for kind in ("hurdles", "gaps", "steps"):
         assert drawn(service, kind, seed=1) != drawn(service, kind, seed=2)
