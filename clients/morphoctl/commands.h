@@ -43,6 +43,9 @@ json_t *post_job(struct ctl *ctl, const char *path, const json_t *request, unsig
  * with results. */
 json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool wait);
 
+/* ---- cmd_suite.c ---- */
+void run_suite(struct ctl *ctl);
+
 /* ---- cmd_eval.c ---- */
 
 /* Saves trajectories of an evaluation as NumPy files, with evaluation.json, in a new folder. */

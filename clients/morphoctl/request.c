@@ -211,12 +211,17 @@ struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random
   return designs;
 }
 
+static bool is_set(const char *name)
+{
+  return strcmp(name, "paper-test") == 0 || strncmp(name, "morpho-12-", 10) == 0;
+}
+
 static void fill_environments(const struct ctl *ctl, json_t *request)
 {
   const char *name = option_text(ctl, "environments", NULL);
   if (name == NULL)
     return;
-  if (strcmp(name, "paper-test") == 0) {
+  if (is_set(name)) {
     json_object_set_new(request, "environments", json_string(name));
     return;
   }

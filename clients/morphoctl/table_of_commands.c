@@ -13,8 +13,10 @@
   "physics", 'p', "KEY=VALUE|paper",                                                               \
       "One physics setting, e.g. dt_s=0.001; can be repeated. paper: all of the paper's settings."
 #define ENVIRONMENTS                                                                               \
-  "environments", 'e', "FILE",                                                                     \
-      "paper-test (default), or a JSON file with a list of environments; - is standard input."
+  "environments", 'e', "SET|FILE",                                                                 \
+      "paper-test (default), a set of morpho-12 such as morpho-12-walk, or a JSON file with a "    \
+      "list "                                                                                      \
+      "of environments; - is standard input."
 #define WEIGHT                                                                                     \
   "weight", 0, "X",                                                                                \
       "Share of the cores relative to other batch jobs, 0.001 to 1000 (default: 1).", "weight",    \
@@ -374,6 +376,22 @@ static const struct option_spec fleet_kubernetes_options[] = {
     {"image", 0, "IMAGE", "Container image with the morphod package."},
     {NULL}};
 
+static const struct option_spec suite_options[] = {
+    {CONTROLLER},
+    {PHYSICS},
+    {PRECISION},
+    RULES(""),
+    {"held-out", 0, NULL,
+     "The 64 held-out worlds of each task, for reports, instead of the ten to select with."},
+    {"random", 0, "N", "Score N random bodies in addition to the given ones, up to 10,000."},
+    {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
+    {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
+    {WEIGHT},
+    {DEVICE},
+    {LABEL},
+    {EXPERIMENT},
+    {NULL}};
+
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.", run_eval,
      "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, the "
@@ -384,6 +402,11 @@ const struct command commands[] = {
      "0 and 1, robots or ids. # begins a comment. The score is the mean over the environments of "
      "(distance to the light at the end) / (at the start): lower is better, 1 is standing still.",
      eval_options},
+    {"suite run", "[DESIGN]...", "Score designs in all tasks of the suite morpho-12.", run_suite,
+     "Makes one evaluation for each task and prints the mean values in its unit, larger is better. "
+     "A DESIGN is as for eval. Scores are stored: an interrupted run can be repeated, and computes "
+     "only what is missing.",
+     suite_options},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.", run_verify,
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
      "stored. For an id without an orientation, every stored orientation is verified.",

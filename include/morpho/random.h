@@ -32,7 +32,8 @@ enum mo_purpose {
   MO_PURPOSE_POPULATION = 13,     /* initial populations of campaigns */
   MO_PURPOSE_EVOLUTION_SEED = 14, /* seeds of the trainings inside a campaign */
   MO_PURPOSE_AUDIT = 15,          /* selects the leases that are computed twice */
-  MO_PURPOSE_PROFILE = 16         /* terrain profiles of random families; step: the family */
+  MO_PURPOSE_PROFILE = 16,        /* terrain profiles of random families; step: the family */
+  MO_PURPOSE_SUITE = 17           /* worlds of morpho-12; step: the task */
 };
 
 struct mo_random {

@@ -133,6 +133,14 @@ void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environmen
  * the pairing, 1 + k for the heights of environment k. */
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT]);
 
+/* The named sets: "paper-test", and of the suite morpho-12, for each task, ten worlds to select
+ * with ("morpho-12-walk") and 64 others ("morpho-12-walk-held-out"). A set never changes. */
+#define MO_SUITE_SEED           UINT64_C(20261129)
+#define MO_SET_ENVIRONMENTS_MAX 64
+extern const char *const mo_set_words[]; /* NULL after the last */
+/* Fills in the set number i of mo_set_words. Returns the number of its environments. */
+uint32_t mo_environment_set(int i, struct mo_environment environments[MO_SET_ENVIRONMENTS_MAX]);
+
 #ifdef __cplusplus
 }
 #endif

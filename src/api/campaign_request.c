@@ -382,6 +382,6 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   request->environments = parts->environments;
   record->n_environments = parts->n_environments;
   if (parts->environments == NULL)
-    snprintf(record->environment_set, sizeof(record->environment_set), "paper-test");
+    snprintf(record->environment_set, sizeof(record->environment_set), "%s", mo_parts_set(parts));
   return error;
 }

@@ -195,7 +195,7 @@ static const char *own_class(const struct mo_compute *compute)
 void mo_api_list_designs(struct mo_request *request)
 {
   static const char *const of_score[] = {"controller", "environments", "physics", "class"};
-  static const char *const sorts[] = {"id", "score", NULL}, *const sets[] = {"paper-test", NULL},
+  static const char *const sorts[] = {"id", "score", NULL},
                            *const orders[] = {"ascending", "descending", NULL},
                            *const kinds[] = {"default", "paper", NULL};
   const char *cursor = mo_query(request, "cursor"), *named = mo_query(request, "controller");
@@ -214,7 +214,7 @@ void mo_api_list_designs(struct mo_request *request)
       mo_reply_bad_parameter(request, of_score[i], "only sort=score supports this parameter");
       return;
     }
-  if (!mo_query_word(request, "environments", sets, &set) ||
+  if (!mo_query_word(request, "environments", mo_set_words, &set) ||
       !mo_query_word(request, "physics", kinds, &kind))
     return;
   if (kind == 1)
@@ -239,7 +239,7 @@ void mo_api_list_designs(struct mo_request *request)
     query.controller_sha256 = controller.sha256;
     /* With a period that does not fit the default step, nothing can have been scored. */
     (void)mo_physics_complete(&query.physics, controller.control_period_s);
-    snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
+    snprintf(query.environment_set, sizeof(query.environment_set), "%s", mo_set_words[set]);
     snprintf(query.fingerprint, sizeof(query.fingerprint), "%s",
              class != NULL ? class : own_class(mo_api_of(request)->compute));
   }

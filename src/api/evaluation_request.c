@@ -214,7 +214,7 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
   request->n_skipped = parts->n_skipped;
   request->environments = parts->environments;
   request->n_environments = parts->n_environments;
-  request->environment_set = parts->environments == NULL ? "paper-test" : NULL;
+  request->environment_set = mo_parts_set(parts);
   return MO_OK;
 }
 

@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "store/worlds.h"
 
@@ -92,7 +93,7 @@ int mo_tasks_read(struct mo_store *store, int64_t id, enum mo_job_kind kind, con
   uint32_t n = 0;
   bool is_plain = true;
   *environments = NULL;
-  if (set[0] != '\0') /* the tasks of named sets are plain */
+  if (strcmp(set, mo_set_words[0]) == 0) /* the usual set; its tasks are plain */
     return MO_OK;
   const int error = mo_store_job_environments(store, id, kind, environments, &n);
   for (uint32_t i = 0; error == MO_OK && i < n; i++)

@@ -146,22 +146,37 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
                      MO_HEIGHT_LIMIT_M);
 }
 
+static void read_set(struct mo_json *json, struct mo_parts *parts)
+{
+  const unsigned depth = json->depth;
+  struct mo_json_slice name;
+  if (!mo_json_string(json, &name))
+    return;
+  for (int i = 0; mo_set_words[i] != NULL; i++)
+    if (mo_json_is(name, mo_set_words[i])) {
+      parts->environment_set = mo_set_words[i];
+      return;
+    }
+  mo_json_fault_at(json, depth, "",
+                   "unknown set of environments; GET /v1/environment-sets lists them: paper-test, "
+                   "morpho-12-walk, morpho-12-walk-held-out and others");
+}
+
 static void read_environments(struct mo_json *json, void *value)
 {
   struct mo_parts *parts = value;
   unsigned depth = json->depth;
   enum mo_json_kind kind = mo_json_peek(json);
-  struct mo_json_slice name;
   uint32_t n = 0;
   parts->has_environments = true;
   if (kind == MO_JSON_STRING) {
-    if (mo_json_string(json, &name) && !mo_json_is(name, "paper-test"))
-      mo_json_fault_at(json, depth, "",
-                       "unknown set of environments; the only set is \"paper-test\"");
+    read_set(json, parts);
     return;
   }
   if (kind != MO_JSON_ARRAY) {
-    mo_json_fault(json, "must be \"paper-test\" or an array of 1 to %d environments",
+    mo_json_fault(json,
+                  "must be the name of a set, such as \"paper-test\", or an array of 1 to %d "
+                  "environments",
                   MO_ENVIRONMENTS_MAX);
     mo_json_skip(json);
     return;
@@ -362,6 +377,13 @@ static const struct mo_field rows[] = {
 };
 #undef AT
 const struct mo_fields mo_parts_fields = MO_FIELDS(rows);
+
+const char *mo_parts_set(const struct mo_parts *parts)
+{
+  if (parts->environments != NULL)
+    return NULL;
+  return parts->environment_set != NULL ? parts->environment_set : mo_set_words[0];
+}
 
 const char *mo_parts_controller(const struct mo_parts *parts)
 {

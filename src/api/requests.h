@@ -34,14 +34,15 @@ struct mo_parts {
   uint32_t n_designs, n_environments, most_designs; /* most: longest list; 0: MO_DESIGNS_MAX */
   struct mo_design_note *notes; /* (n_notes) ascending: skipped, repaired, or given by id */
   uint32_t n_notes, n_skipped;
-  struct mo_environment *environments; /* (n_environments); NULL: "paper-test" */
+  struct mo_environment *environments; /* (n_environments); NULL: the set */
+  const char *environment_set;         /* of mo_set_words; NULL: "paper-test" */
   struct mo_random_bodies random;      /* count 0: none */
 };
 /* controller, label, experiment, priority, weight, device. */
 extern const struct mo_fields mo_parts_fields;
 extern const struct mo_fields mo_weight_fields; /* of one double */
-/* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; "paper-test" or 1 to MO_ENVIRONMENTS_MAX
- * environments. */
+/* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; a word of mo_set_words or 1 to
+ * MO_ENVIRONMENTS_MAX environments. */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_controller_field;
 /* on_fault and repair, together and separately. Read them ahead of the designs. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
@@ -59,6 +60,7 @@ int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, i
 /* Returns item n of a growing array of n items of `size` bytes each. NULL: no memory. */
 void *mo_next_item(void **items, size_t n, size_t size);
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
+const char *mo_parts_set(const struct mo_parts *parts);        /* NULL: a list is given */
 void mo_parts_free(struct mo_parts *parts);
 
 /* Reads a body into `parsed` by a table; `parsed` has `parts` (nullable). Then calls `check`

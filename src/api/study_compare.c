@@ -170,12 +170,12 @@ static void compare_environments(struct comparison *comparison, const struct mo_
   char a[64], b[64];
   if (!parts->has_environments)
     return;
-  if (parts->environments == NULL && is_set)
-    return; /* there is only one set */
+  if (parts->environments == NULL && strcmp(mo_parts_set(parts), record->environment_set) == 0)
+    return;
   snprintf(a, sizeof(a), "a list of %u", (unsigned)parts->n_environments);
   snprintf(b, sizeof(b), "a list of %u", (unsigned)record->n_environments);
   if (parts->environments == NULL)
-    add(comparison, "/environments", "\"paper-test\"", b);
+    add(comparison, "/environments", mo_parts_set(parts), is_set ? record->environment_set : b);
   else if (parts->n_environments != record->n_environments)
     add(comparison, "/environments", a, is_set ? record->environment_set : b);
   else

@@ -8,6 +8,7 @@
 #include "api/requests.h"
 #include "api/scene.h"
 #include "rollout/physics.h"
+#include "store/runner.h"
 #include "store/worlds.h"
 
 static bool read_hash(struct mo_request *request, struct mo_sha256 *hash)
@@ -84,6 +85,23 @@ void mo_api_get_environment_set(struct mo_request *request)
   const int error = mo_store_environment_set(mo_api_of(request)->store, request->parameters[0],
                                              &environments, &n);
   reply_environments(request, error, environments, n, "set of environments");
+}
+
+void mo_api_list_environment_sets(struct mo_request *request)
+{
+  struct mo_text text = {0};
+  int error = MO_OK;
+  mo_text_add(&text, "{\"items\":[");
+  for (int i = 0; mo_set_words[i] != NULL && error == MO_OK; i++) {
+    uint32_t n = 0;
+    error = mo_store_environment_set_size(mo_api_of(request)->store, mo_set_words[i], &n);
+    mo_text_object(&text);
+    mo_text_member(&text, "name", mo_set_words[i]);
+    mo_text_member_count(&text, "environments", n);
+    mo_text_add(&text, "}");
+  }
+  mo_text_add(&text, "]}");
+  mo_reply_text(request, error, &text, "set of environments");
 }
 
 void mo_api_get_job_environments(struct mo_request *request)

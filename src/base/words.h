@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdio.h>
 
-#define MO_WORDS_BYTES 256
+#define MO_WORDS_BYTES 1024
 
 size_t mo_words_count(const char *const *words);
 /* Returns word i, or "unknown" beyond the last. */

@@ -114,21 +114,20 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
   return error;
 }
 
-/* The paper's test set is a constant of the code with rows of its own, so that scores can refer to
- * it. Once a folder has stored a set with this name, the set never changes there. */
-static int make_paper_test(struct mo_store *store, void *arguments)
+/* Named sets are constants of the code with rows of their own, so that scores can refer to them.
+ * Once a folder has stored a set with a name, the set never changes there. */
+static int make_set(struct mo_connection *writer, int i, struct mo_environment *environments)
 {
-  static const char set_sql[] = "INSERT INTO environment_sets(name,n) VALUES('paper-test',?1)";
+  static const char set_sql[] = "INSERT INTO environment_sets(name,n) VALUES(?1,?2)";
   static const char member_sql[] =
       "INSERT INTO environment_set_members(environment_set,position,environment) VALUES(?1,?2,?3)";
-  const struct mo_environment *environments = arguments;
-  struct mo_connection *writer = &store->writer;
   int64_t set = 0, size = 0, row = 0;
-  int error = mo_environment_set_find(writer, "paper-test", &set, &size);
+  int error = mo_environment_set_find(writer, mo_set_words[i], &set, &size);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  error = mo_sql_insert(writer, &set, set_sql, mo_int(MO_PAPER_TEST_COUNT));
-  for (unsigned k = 0; k < MO_PAPER_TEST_COUNT && error == MO_OK; k++) {
+  const uint32_t n = mo_environment_set(i, environments);
+  error = mo_sql_insert(writer, &set, set_sql, mo_string(mo_set_words[i]), mo_int(n));
+  for (uint32_t k = 0; k < n && error == MO_OK; k++) {
     error = mo_environment_row(writer, &environments[k], &row);
     if (error == MO_OK)
       error = mo_sql_do(writer, member_sql, mo_int(set), mo_int(k), mo_int(row));
@@ -136,11 +135,21 @@ static int make_paper_test(struct mo_store *store, void *arguments)
   return error;
 }
 
-int mo_make_paper_test(struct mo_store *store)
+static int make_sets(struct mo_store *store, void *arguments)
 {
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  mo_environment_paper_test(environments);
-  return mo_write(store, make_paper_test, environments);
+  int error = MO_OK;
+  for (int i = 0; mo_set_words[i] != NULL && error == MO_OK; i++)
+    error = make_set(&store->writer, i, arguments);
+  return error;
+}
+
+int mo_make_sets(struct mo_store *store)
+{
+  struct mo_environment *environments = calloc(MO_SET_ENVIRONMENTS_MAX, sizeof(*environments));
+  const int error =
+      environments != NULL ? mo_write(store, make_sets, environments) : MO_ERR_NO_MEMORY;
+  free(environments);
+  return error;
 }
 
 /* ---- the environments and designs of a job ---- */

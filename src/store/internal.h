@@ -145,6 +145,6 @@ void mo_upkeep_begin(struct mo_store *store);
 /* Same, once a minute, but for recordings only by age. The writer calls it between batches. */
 void mo_upkeep(struct mo_store *store);
 /* Creates the paper's test set if it is missing. Call it after the writer has started. */
-int mo_make_paper_test(struct mo_store *store);
+int mo_make_sets(struct mo_store *store);
 
 #endif

@@ -441,7 +441,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
     error = mo_writer_start(store);
   }
   if (error == MO_OK)
-    error = mo_make_paper_test(store);
+    error = mo_make_sets(store);
   if (error != MO_OK) {
     mo_writer_stop(store);
     if (message != NULL && message->text[0] == '\0')

@@ -1,0 +1,90 @@
+/* cmd_suite.c: suite run: scores designs in all tasks of the suite morpho-12.
+ *
+ * One evaluation for each task. The server keeps their scores, so a run that was interrupted is
+ * simply repeated: whatever is stored is not computed again. */
+#include <math.h>
+#include <string.h>
+
+#include "commands.h"
+#include "results.h"
+
+static const char *const tasks[] = {"photo",  "photo-auc", "walk",   "rough",   "up",  "down",
+                                    "hurdle", "gap",       "circle", "shuttle", "path"};
+enum { TASKS = sizeof(tasks) / sizeof(*tasks) };
+
+/* Returns the value of a result in the unit of its task; NaN: a rollout diverged. */
+static double value_of(const json_t *result)
+{
+  const json_t *value = json_object_get(result, "value");
+  if (value == NULL) /* `photo` has no value of its own */
+    return 1 - real_at(result, "score");
+  return json_is_number(value) ? json_number_value(value) : NAN;
+}
+
+/* Adds the values of one task to the rows, one for each result. */
+static void add_values(json_t *rows, const char *task, const json_t *results)
+{
+  const json_t *result;
+  size_t i;
+  json_array_foreach(results, i, result)
+  {
+    if (json_array_size(rows) <= i)
+      json_array_append_new(
+          rows, json_pack("{s:O?, s:O?, s:o}", "robot", json_object_get(result, "robot"), "fault",
+                          json_object_get(result, "fault"), "values", json_object()));
+    const double value = value_of(result);
+    json_object_set_new(json_object_get(json_array_get(rows, i), "values"), task,
+                        isfinite(value) ? json_real(value) : json_null());
+  }
+}
+
+/* Adds the mean over the designs as a last row. */
+static void add_means(json_t *rows)
+{
+  const json_t *row;
+  json_t *means = json_object();
+  size_t i;
+  for (int t = 0; t < TASKS; t++) {
+    double sum = 0;
+    json_array_foreach(rows, i, row) sum +=
+        json_number_value(json_object_get(json_object_get(row, "values"), tasks[t]));
+    json_object_set_new(means, tasks[t], json_real(sum / (double)json_array_size(rows)));
+  }
+  json_array_append_new(rows, json_pack("{s:s, s:o}", "robot", "mean", "values", means));
+}
+
+static void print_values(const struct ctl *ctl, const json_t *rows)
+{
+  char columns[TASKS * 48 + 32] = "design={robot}";
+  for (int t = 0; t < TASKS; t++)
+    snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns), "|>%s=[{values.%s:.3f}]",
+             tasks[t], tasks[t]);
+  print_table(stdout, ctl, rows, columns);
+}
+
+void run_suite(struct ctl *ctl)
+{
+  struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", DESIGNS_MAX));
+  const char *ending = option_is_set(ctl, "held-out") ? "-held-out" : "";
+  json_t *rows = keep(json_array()), *evaluations = keep(json_object());
+  for (int t = 0; t < TASKS; t++) {
+    json_t *request = keep(json_pack("{s:O, s:s++}", "designs", designs.list, "environments",
+                                     "morpho-12-", tasks[t], ending));
+    request_fill(ctl, request);
+    const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
+    expect_success("job", evaluation);
+    add_values(rows, tasks[t], json_object_get(evaluation, "results"));
+    json_object_set(evaluations, tasks[t], json_object_get(evaluation, "id"));
+  }
+  if (ctl->json) {
+    print_json(keep(json_pack("{s:O, s:O}", "evaluations", evaluations, "designs", rows)));
+    return;
+  }
+  if (json_array_size(rows) > 1)
+    add_means(rows);
+  print_values(ctl, rows);
+  if (!ctl->quiet)
+    fprintf(stderr,
+            "photo: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: m of way. "
+            "Larger is better; 0 is standing still.\n");
+}
