@@ -2,7 +2,7 @@
  *
  * Each task of the suite has ten worlds to select with and 64 that are held out. World i of task k
  * comes from the stream (MO_SUITE_SEED, SUITE, k, i); held-out worlds are i = 64 … 127. Numbers are
- * rounded to 0.001 where they are drawn, so that the worlds are short to write down. */
+ * rounded to 0.00001 where they are drawn, so that the worlds are short to write down. */
 #include <morpho/random.h>
 #include <morpho/world.h>
 
@@ -49,10 +49,10 @@ _Static_assert(sizeof(mo_set_words) / sizeof(*mo_set_words) == 2 + 2 * TASKS,
 
 /* ---- drawing ---- */
 
-/* Draws from [low, high], in steps of 0.001. */
+/* Draws from [low, high], in steps of 0.00001. */
 static double between(struct mo_random *random, double low, double high)
 {
-  return floor((low + (high - low) * mo_random_uniform(random)) * 1000 + 0.5) / 1000;
+  return floor((low + (high - low) * mo_random_uniform(random)) * 1e5 + 0.5) / 1e5;
 }
 
 static double heading(struct mo_random *random)
@@ -78,7 +78,7 @@ static void set_point(struct mo_guide *guide, uint32_t i, const double from[2], 
                       const double direction[2])
 {
   for (int axis = 0; axis < 2; axis++)
-    guide->points_m[i][axis] = floor((from[axis] + length_m * direction[axis]) * 1000 + 0.5) / 1000;
+    guide->points_m[i][axis] = floor((from[axis] + length_m * direction[axis]) * 1e5 + 0.5) / 1e5;
 }
 
 static const double middle_m[2] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M};

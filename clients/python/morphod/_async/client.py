@@ -15,12 +15,13 @@ from ..bodies import (BodyLike, OnFault, Repair, designs_of, packed, requests_of
                       warn_of_ids, warn_of_lost)
 from ..comparisons import CampaignComparison, ControllerComparison
 from ..errors import MorphodError, reading
-from ..frames import frame
+from ..frames import frame, pandas
 from ..objectives import Plan
 from ..player import Player
 from ..results import Controller
 from ..scenes import MEDIA_TYPE, Environments, Scene
 from ..scores import Entered, blocks
+from ..tasks import SUITE
 from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given, without_none
 from . import comparing
@@ -146,6 +147,27 @@ class AsyncClient:
                                      "or morphoctl job list shows it")
         finally:
             await connection.close()
+
+    async def suite(self, bodies: Iterable[BodyLike] | NDArray[Any], *, held_out: bool = False,
+                    controller: str = "default", physics: Physics | None = None,
+                    weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
+                    label: str | None = None, experiment: str | None = None) -> pd.DataFrame:
+        """Scores bodies in all tasks of the suite morpho-12 (docs/suite.md), one evaluation each.
+        Returns the mean values in the unit of each task, larger is better: a row for each robot,
+        and a column for each task; NaN if a rollout diverged. `held_out` takes the 64 held-out
+        worlds of each task, for reports, in place of the ten to select with. Scores are stored:
+        repeating an interrupted run computes only what is missing."""
+        bodies = list(bodies)
+        columns: dict[str, Any] = {}
+        robots: list[str | None] = []
+        for task in SUITE:
+            done = await self.evaluate(bodies, f"morpho-12-{task}{'-held-out' if held_out else ''}",
+                                       controller=controller, physics=physics, weight=weight,
+                                       device=device, label=label, experiment=experiment)
+            columns[task] = done.values.mean(axis=1)
+            robots = done.robots
+        table: pd.DataFrame = pandas().DataFrame(columns, index=robots)
+        return table.rename_axis("robot")
 
     async def evaluate_random(self, count: int, seed: int = 1, *, first: int = 0,
                               environments: Environments = "paper-test",
