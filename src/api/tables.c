@@ -484,7 +484,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define CONTROLLERS                                                                                \
   "name sha256 bytes:n parameters:n sensor control_period_s:n workspace metadata stored_at"
 #define USAGE                "name jobs:n core_seconds:n device_seconds:n"
-#define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m terrain"
+#define WORLDS               "sha256 light_xy_m.0:n light_xy_m.1:n terrain_heights_m terrain task"
 #define CHECKPOINTS          "step:n sha256 size:n stored_at"
 #define CAMPAIGN_CHECKPOINTS "generation:n step:n sha256 size:n stored_at"
 

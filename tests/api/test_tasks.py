@@ -1,9 +1,12 @@
 """Tasks: in requests, by name and spelled out; values, hashes, storage and refusals."""
 
+import json
 import math
+import subprocess
 
 import pytest
 
+from ctl import MORPHOCTL
 from service import DESIGN, run
 from test_worlds import roll, scene
 
@@ -231,3 +234,44 @@ def test_studies_and_campaigns_keep_tasks(service):
     scores = [row["score"]["best"] if "best" in row["score"] else row["score"]["quantiles"]["p0"]
               for row in service.get(f"/v1/campaigns/{campaign['id']}/generations")["items"]]
     assert scores[-1] <= scores[0]
+
+
+def test_the_suite_is_in_every_service(service):
+    """The sets of morpho-12 are listed, and requests accept their names; designs are ranked by
+    them. An unknown name is refused."""
+    sets = {one["name"]: one["environments"]
+            for one in service.get("/v1/environment-sets")["items"]}
+    assert sets.pop("paper-test") == 10 and len(sets) == 22
+    for name, n in sets.items():
+        assert n == (64 if name.endswith("-held-out") else 10)
+    for name in ("walk", "up", "gap"):
+        worlds = service.get(f"/v1/environment-sets/morpho-12-{name}")["items"]
+        assert len(worlds) == 10
+        objectives = {world["task"]["objective"] for world in worlds}
+        assert objectives == {"climb" if name == "up" else "travel"}
+    job = service.evaluate({"designs": [DESIGN, TALL], "environments": "morpho-12-walk"}).json()
+    assert job["environments"] == "morpho-12-walk" and job["state"] == "succeeded"
+    for result in job["results"]:
+        assert len(result["losses"]) == 10 and result["unit"] == "m"
+    ranked = service.get("/v1/designs?sort=score&environments=morpho-12-walk")["items"]
+    assert [row["score"] for row in ranked[:2]] == sorted(
+        result["score"] for result in job["results"])
+    reply = service.request("POST", "/v1/evaluations",
+                            {"designs": [DESIGN], "environments": "morpho-12-fly"})
+    assert reply.status == 422 and "/v1/environment-sets" in reply.json()["errors"][0]["detail"]
+
+
+def test_the_suite_in_one_command(service):
+    """morphoctl suite run prints every task once, with the values of the evaluations."""
+    command = [str(MORPHOCTL), "--server", f"http://{service.host}:{service.port}", "suite", "run",
+               "--random", "2", "--seed", "7", "-p", "n_steps=200"]
+    done = json.loads(subprocess.run([*command, "--json"], check=True, capture_output=True,
+                                     text=True).stdout)
+    assert len(done["evaluations"]) == 11 and len(done["designs"]) == 2
+    for task, id in done["evaluations"].items():
+        results = service.get(f"/v1/evaluations/{id}")["results"]
+        for row, result in zip(done["designs"], results):
+            assert row["robot"] == result["robot"]
+            assert row["values"][task] == pytest.approx(result.get("value", 1 - result["score"]))
+    shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert shown.split()[:4] == ["design", "photo", "photo-auc", "walk"] and "mean" in shown
