@@ -21,8 +21,7 @@
 enum mo_on_fault { MO_FAULT_REFUSE = 0, MO_FAULT_SKIP = 1 };
 enum mo_repair { MO_REPAIR_NONE = 0, MO_REPAIR_LARGEST = 1 };
 
-/* Everything that a submission of any kind may request. */
-struct mo_parts {
+struct mo_parts {           /* everything that a submission of any kind may request */
   struct mo_submission job; /* priority −1: not given */
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
@@ -57,8 +56,7 @@ bool mo_parts_note(struct mo_parts *parts, const struct mo_design_note *note);
 /* Reads a robot's notation or an id, perhaps after the letter d as in CSV files, into the words of
  * a genotype with a workspace: placed. Errors and *orientation as in mo_genotype_from_robot. */
 int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, int *orientation);
-/* Returns item n of a growing array of n items of `size` bytes each. NULL: no memory. */
-void *mo_next_item(void **items, size_t n, size_t size);
+void *mo_next_item(void **items, size_t n, size_t size); /* of a growing array; NULL: no memory */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 const char *mo_parts_set(const struct mo_parts *parts);        /* NULL: a list is given */
 void mo_parts_free(struct mo_parts *parts);
