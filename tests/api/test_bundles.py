@@ -10,6 +10,8 @@ from service import DESIGN, await_end, run
 
 ZSTD = {"Content-Type": "application/zstd"}
 HERE = [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
+# Also tasks, of every kind of guide.
+TASKED = HERE + [{"task": task} for task in ("walk", "circle", "path", "pursue", "climb")]
 LISTS = ["generations", "population", "phylogeny?limit=1000", "learning", "environments",
          "champions"]
 
@@ -27,7 +29,7 @@ def source(service):
         "mode": "zero-shot", "replicates": 2, "label": 'a "label"',
         "initial": {"designs": [DESIGN]}})["id"]
     learned = run(service, "campaigns", base | {
-        "mode": "few-shot", "name": "walker", "environments": HERE, "seed": 7,
+        "mode": "few-shot", "name": "walker", "environments": TASKED, "seed": 7,
         "learning": {"parent_steps": 1, "child_steps": 1, "batch": 4}})["id"]
     long = service.post("/v1/campaigns", base | {"mode": "zero-shot", "generations": 9999,
                                                  "environments": HERE})["id"]

@@ -60,10 +60,13 @@ def test_kill_at_random_moments(daemon, soak, seed):
                 round_of += 1
                 for k, request in enumerate(batches(seed)):
                     light = [2.5 + 0.01 * round_of, 4.0]
+                    ahead = {"guide": {"kind": "ahead", "heading_rad": 0.01 * round_of}}
+                    path = {"guide": {"kind": "path", "points_m": [light]}}
                     own = {
-                        **request, "environments": [{
-                            "light_xy_m": light, "terrain_sigma_m": 0.05, "seed": n
-                        } for n in range(N_ENVIRONMENTS)]
+                        **request, "environments": [
+                            {"light_xy_m": light, "terrain_sigma_m": 0.05, "seed": 1},
+                            {"light_xy_m": light, "terrain_sigma_m": 0.05, "seed": 2},
+                            {"task": ahead, "terrain_sigma_m": 0.05, "seed": 3}, {"task": path}]
                     }
                     key = f"round {round_of} batch {k}"
                     reply = victim.evaluate(own, key=key)

@@ -65,6 +65,27 @@ def test_errors_of_scores(daemon, worker, seed):
         one.end()
 
 
+def test_tasks(daemon, worker, seed):
+    """Other machines compute every task, with the same bits."""
+    tasks = ["walk", "climb", "circle", "path", "shuttle", "pursue"]
+    value = {"designs": bodies(seed, 30), "physics": {"n_steps": 500}, "priority": "batch",
+             "environments": [{"task": task} for task in tasks] + [
+                 {"task": "photo-auc", "light_xy_m": [4, 3]}, {"light_xy_m": [4, 3],
+                  "terrain_sigma_m": 0.05, "seed": 1}]}
+    with daemon("alone", workers=2) as one:
+        expected = one.score(value)
+        one.end()
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        worker(fleet_address(one), "helper")
+        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
+        result = one.score(value)
+        assert result["results"] == expected["results"]
+        losses = result["results"][0]["losses"]
+        assert len({entry["loss"] for entry in losses}) == len(value["environments"])
+        assert one.json("/v1/fleet")["rollouts_done"] >= 30 * len(losses)
+        one.end()
+
+
 def test_the_best_of_many(daemon, worker, seed):
     """A race with rounds that other machines compute ends with the same result, although one of
     them is lost in the middle."""
