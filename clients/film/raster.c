@@ -48,7 +48,7 @@ struct raster {
   struct vector eye, right, up, forward, lamp;
   struct vector sun, sun_right, sun_up, middle; /* for the shadow's view */
   float scale;                                  /* samples per unit of x / w */
-  const float *heights;
+  const struct scene_world *world;
 };
 
 static const struct look looks[2] = {{.background = {0.078f, 0.09f, 0.106f},
@@ -118,16 +118,20 @@ static float smooth(float from, float to, float x)
 /* ---- the world ---- */
 
 /* Returns the height of the terrain, bilinear and clamped as in the simulation, and its slope. */
-static float height_at(const float *heights, float x, float y, float slope[2])
+static float height_at(const struct scene_world *world, float x, float y, float slope[2])
 {
-  const float cx = clamp(x * 1.4f, 0, 7), cy = clamp(y * 1.4f, 0, 7);
-  const int i = cx >= 7 ? 6 : (int)cx, j = cy >= 7 ? 6 : (int)cy;
-  const float fx = cx - (float)i, fy = cy - (float)j, *h = heights + j * 8 + i;
+  const bool is_profile = world->spacing_m > 0;
+  const float scale = is_profile ? 1 / world->spacing_m : 1.4f;
+  const float last = is_profile ? (float)(world->n_heights - 1) : 7;
+  const float cx = clamp(x * scale, 0, last), cy = is_profile ? 0 : clamp(y * scale, 0, last);
+  const int i = cx >= last ? (int)last - 1 : (int)cx, j = cy >= 7 ? 6 : (int)cy;
+  const int row = is_profile ? 0 : 8; /* from a row of heights to the next */
+  const float fx = cx - (float)i, fy = cy - (float)j, *h = world->heights_m + j * row + i;
   if (slope != NULL) {
-    slope[0] = 1.4f * ((1 - fy) * (h[1] - h[0]) + fy * (h[9] - h[8]));
-    slope[1] = 1.4f * ((1 - fx) * (h[8] - h[0]) + fx * (h[9] - h[1]));
+    slope[0] = scale * ((1 - fy) * (h[1] - h[0]) + fy * (h[row + 1] - h[row]));
+    slope[1] = scale * ((1 - fx) * (h[row] - h[0]) + fx * (h[row + 1] - h[1]));
   }
-  return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * h[8] + fx * h[9]);
+  return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * h[row] + fx * h[row + 1]);
 }
 
 /* Returns the position of a mass at a time, between two frames. */
@@ -215,7 +219,7 @@ static struct vector shade_ground(const struct raster *raster, struct vector at,
 {
   const struct look *look = raster->look;
   float slope[2];
-  const float height = height_at(raster->heights, at.x, at.y, slope);
+  const float height = height_at(raster->world, at.x, at.y, slope);
   const struct vector up = normal((struct vector){-slope[0], -slope[1], 1});
   const float day = clamp(dot(up, raster->sun), 0, 1);
   struct vector lit =
@@ -333,7 +337,7 @@ static void draw_ground(struct raster *raster)
                     cy = 2 * (float)(j + (k >> 1)) / MESH - 1;
         const float x = 2.5f + cx * (0.55f + 0.45f * fabsf(cx)) * 6,
                     y = 2.5f + cy * (0.55f + 0.45f * fabsf(cy)) * 6;
-        const float z = height_at(raster->heights, x, y, NULL);
+        const float z = height_at(raster->world, x, y, NULL);
         seen &= see(raster, (struct vector){x, y, z}, &corners[k]);
       }
       for (int t = 0; seen && t < 2; t++)
@@ -429,7 +433,7 @@ static void draw_trail(struct raster *raster, const struct scene *scene, uint32_
       const float share = frame > 0 ? (float)k / (float)n : 1;
       struct vector dot_at = {(float)before[0] + (float)dx * share,
                               (float)before[1] + (float)dy * share, 0};
-      dot_at.z = height_at(raster->heights, dot_at.x, dot_at.y, NULL) + 0.006f;
+      dot_at.z = height_at(raster->world, dot_at.x, dot_at.y, NULL) + 0.006f;
       blend_disc(raster, dot_at, TRAIL_M, orange, 0.9f, false);
     }
     memcpy(before, at, sizeof(before));
@@ -513,12 +517,12 @@ void raster_draw(struct raster *raster, const struct scene *scene, uint32_t roll
   const double end_s = (r->n_frames - 1) * scene->frame_s, t = time_s < end_s ? time_s : end_s;
   struct vector *masses = need(malloc((body->n_masses + (size_t)1) * sizeof(*masses)));
   raster->look = &looks[light];
-  raster->heights = world->heights_m;
+  raster->world = world;
   const float *light_m =
       r->lights_m == NULL ? NULL : r->lights_m + 3 * (size_t)(t / scene->frame_s);
   const float x = light_m != NULL ? light_m[0] : (float)world->light_xy_m[0],
               y = light_m != NULL ? light_m[1] : (float)world->light_xy_m[1];
-  raster->lamp = (struct vector){x, y, height_at(world->heights_m, x, y, NULL) + 0.1f};
+  raster->lamp = (struct vector){x, y, height_at(world, x, y, NULL) + 0.1f};
   begin(raster, camera);
   for (uint32_t i = 0; i < body->n_masses; i++)
     masses[i] = mass_at(r, body->n_masses, i, t / scene->frame_s);

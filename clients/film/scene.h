@@ -18,7 +18,9 @@ struct scene_body {
 
 struct scene_world {
   double light_xy_m[2];   /* of a light that does not move */
-  const float *heights_m; /* (8, 8), row y */
+  const float *heights_m; /* (8, 8), row y; with a spacing, (n_heights) along x, for every y */
+  uint32_t n_heights;
+  float spacing_m; /* of a profile; else 0 */
 };
 
 struct scene_rollout {

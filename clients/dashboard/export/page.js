@@ -91,8 +91,8 @@ export async function toPage(robots, title) {
   const sources = await Promise.all(MODULES.map(load));
   const worlds = [...new Set(robots.map((robot) => robot.world))];
   const data = {
-    worlds: worlds.map(({ light, points, heights }) => ({
-      light: [...light], points, heights: [...heights],
+    worlds: worlds.map(({ light, points, heights, spacing }) => ({
+      light: [...light], points, heights: [...heights], spacing,
     })),
     robots: robots.map(({
       genotype, label, loss, value, unit, frames, frameS, color, track, lights, world,

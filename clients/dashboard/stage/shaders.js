@@ -22,12 +22,14 @@ vec3 massAt(uint mass) {
 }
 `;
 
-/** Height of the terrain: 8 × 8 heights over 5 m × 5 m, bilinear, clamped at the edge. */
+/** Height of the terrain: bilinear, clamped at the edge. A profile has two equal rows. */
 const TERRAIN = `
 uniform highp sampler2D heights;
+uniform vec2 cellsPerM;
 float heightAt(vec2 at) {
-  vec2 cell = clamp(at * 1.4, 0.0, 7.0);
-  ivec2 low = min(ivec2(cell), 6);
+  ivec2 last = textureSize(heights, 0) - 1;
+  vec2 cell = clamp(at * cellsPerM, vec2(0.0), vec2(last));
+  ivec2 low = min(ivec2(cell), last - 1);
   vec2 f = cell - vec2(low);
   float h00 = texelFetch(heights, low, 0).r;
   float h10 = texelFetch(heights, low + ivec2(1, 0), 0).r;

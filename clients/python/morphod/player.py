@@ -102,7 +102,9 @@ def _first_light(scene: Scene, environment: int) -> list[float]:
 def _data(scene: Scene) -> dict[str, Any]:
     worlds = [{"light": list(world.get("light_xy_m", _first_light(scene, place))),
                "points": world.get("task", {}).get("guide", {}).get("points_m"),
-               "heights": np.ravel(world["terrain_heights_m"]).tolist()}
+               "spacing": world.get("terrain", {}).get("spacing_m"),
+               "heights": (world["terrain"]["heights_m"] if "terrain" in world
+                           else np.ravel(world["terrain_heights_m"]).tolist())}
               for place, world in enumerate(scene.environments)]
     robots = []
     for place, rollout in enumerate(scene):
