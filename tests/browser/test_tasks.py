@@ -29,11 +29,12 @@ def test_a_form_offers_tasks(service, browser):
         assert '"task":"walk"' in text.replace(": ", ":")
     assert shell.startswith("echo ") and "--environments -" in shell
     browser.run("document.querySelectorAll('dialog').forEach((one) => one.close())")
+    browser.until("!document.querySelector('dialog')")
     browser.click("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
     browser.run("""
-        const { elements } = document.querySelector('dialog form');
-        document.querySelector('.tasks input[value=climb]').click();
+        const { elements } = document.querySelector('dialog[open] form');
+        document.querySelector('dialog[open] .tasks input[value=climb]').click();
         Object.assign(elements.population, { value: 4 });
         Object.assign(elements.generations, { value: 1 });""")
     browser.click("Start", "dialog button")
