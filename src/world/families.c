@@ -127,12 +127,14 @@ static int stairs(const struct mo_terrain_recipe *recipe, double heights_m[N],
                   struct mo_message *message)
 {
   const double sign = recipe->family == MO_TERRAIN_STAIRS_UP ? 1 : -1;
-  int run = 0, error = check_rise(recipe, "rise_m", recipe->rise_m, message);
+  int run = 2, error = check_rise(recipe, "rise_m", recipe->rise_m, message);
   if (error == MO_OK)
     error = check_length(recipe, "run_m", recipe->run_m, 2, &run, message);
   const int begin = first_at(recipe, MO_FAMILY_BEGINS_M);
-  for (int k = begin + 1; k < N && error == MO_OK; k++)
-    heights_m[k] = sign * recipe->rise_m * ((k - begin + run - 1) / run);
+  for (int k = begin + 1; k < N && error == MO_OK; k++) {
+    const int step = (k - begin + run - 1) / run;
+    heights_m[k] = sign * recipe->rise_m * step;
+  }
   return error;
 }
 
@@ -176,7 +178,7 @@ static int gaps(const struct mo_terrain_recipe *recipe, struct mo_random *random
 static int steps(const struct mo_terrain_recipe *recipe, struct mo_random *random,
                  double heights_m[N], struct mo_message *message)
 {
-  int run = 0, error = check_rise(recipe, "height_m", recipe->height_m, message);
+  int run = 2, error = check_rise(recipe, "height_m", recipe->height_m, message);
   if (error == MO_OK)
     error = check_length(recipe, "run_m", recipe->run_m, 2, &run, message);
   const int begin = first_at(recipe, MO_FAMILY_BEGINS_M) + 1;
