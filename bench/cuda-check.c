@@ -56,27 +56,33 @@ static void check_golden(struct mo_device_controller *controller)
 }
 
 struct references {
+  const struct mo_controller *controller;
   const struct mo_robot *robots;
   uint32_t n;
   const struct mo_physics *physics;
-  double *loss;
+  struct mo_outcome *outcomes;
   uint32_t next;
 };
 
-static void *compute_references(void *context)
+static void *compute_some(void *context)
 {
   struct references *references = context;
   for (;;) {
     const uint32_t i = __atomic_fetch_add(&references->next, 1, __ATOMIC_RELAXED);
     if (i >= references->n)
       return NULL;
-    struct mo_outcome outcome;
-    must(mo_rollout_reference(references->robots[i].body, golden.controller,
+    must(mo_rollout_reference(references->robots[i].body, references->controller,
                               references->robots[i].environment, references->physics, NULL,
-                              &outcome),
+                              references->outcomes + i),
          "reference");
-    references->loss[i] = outcome.loss;
   }
+}
+
+void compute_references(const struct mo_controller *controller, const struct mo_robot *robots,
+                        uint32_t n, const struct mo_physics *physics, struct mo_outcome *outcomes)
+{
+  struct references references = {controller, robots, n, physics, outcomes, 0};
+  on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_some, &references);
 }
 
 static void load_references(const char *path, const struct mo_robot *robots, uint32_t n,
@@ -89,8 +95,11 @@ static void load_references(const char *path, const struct mo_robot *robots, uin
     if (read == n)
       return;
   }
-  struct references references = {robots, n, physics, loss, 0};
-  on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_references, &references);
+  struct mo_outcome *outcomes = must_have(calloc(n, sizeof(*outcomes)));
+  compute_references(golden.controller, robots, n, physics, outcomes);
+  for (uint32_t i = 0; i < n; i++)
+    loss[i] = outcomes[i].loss;
+  free(outcomes);
   file = path != NULL ? fopen(path, "wb") : NULL;
   if (file != NULL) {
     fwrite(loss, sizeof(*loss), n, file);
@@ -366,6 +375,7 @@ void check_short(struct mo_device_controller *controller)
   check_bits(controller, 20, 3, physics_with_period(0));
   check_bits(controller, 20, 3, physics_with_period(2));
   check_bits(controller, 20, 3, physics_with(MO_INTEGRATOR_SPLIT, 4));
+  check_tasks_short(controller, 9);
 }
 
 void check_all(struct mo_device_controller *controller, const char *references)
@@ -374,6 +384,7 @@ void check_all(struct mo_device_controller *controller, const char *references)
                           fours = physics_with_period(4),
                           split = physics_with(MO_INTEGRATOR_SPLIT, 4);
   check_sizes(40);
+  check_tasks(controller);
   check_starts(controller);
   check_golden(controller);
   check_random(controller, "random, exact impact", RANDOM, &every, references);

@@ -31,9 +31,17 @@ struct mo_device_score run(struct mo_device_controller *controller, const struct
                            uint32_t n, const struct mo_physics *physics,
                            struct mo_outcome *outcomes);
 
+/* Computes outcomes in float64, on all processors. controller: NULL: passive bodies. */
+void compute_references(const struct mo_controller *controller, const struct mo_robot *robots,
+                        uint32_t n, const struct mo_physics *physics, struct mo_outcome *outcomes);
+
 /* ---- cuda-check.c ---- */
 /* references: the file of float64 losses that is read, or written; NULL: none. */
 void check_all(struct mo_device_controller *controller, const char *references);
 void check_short(struct mo_device_controller *controller); /* a few steps of everything */
+
+/* ---- cuda-tasks.c: guides and objectives ---- */
+void check_tasks(struct mo_device_controller *controller);
+void check_tasks_short(struct mo_device_controller *controller, uint32_t n_steps);
 
 #endif

@@ -40,7 +40,7 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      8
+#define MO_DEVICE_ABI      9
 #define MO_DEVICE_SHARD    1024 /* consecutive robots whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 131072
 

@@ -72,13 +72,14 @@ struct mo_device {
   uint64_t total_bytes; /* of the device's memory */
   bool lost;
   const struct mo_cuda_score_kernel *score; /* the kernel that scores rows */
+  const struct mo_cuda_tasks_kernel *tasks; /* the same with tasks */
   char error[256];
   cudaStream_t stream;
   cudaEvent_t begin, end;
   int *cancel; /* in pinned memory; read by running kernels */
   int *cancel_on_device;
   /* On the device. */
-  mo_cuda_buffer plan, velocities, outcomes, generators, counter;
+  mo_cuda_buffer plan, velocities, outcomes, generators, counter, guided;
   /* Pinned memory of the host. */
   mo_cuda_buffer staged_plan, staged_outcomes, staged_generators;
   double generators_dt_s; /* the dt of the `generators_steps` steps in `generators` */

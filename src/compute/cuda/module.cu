@@ -49,8 +49,8 @@ void close(mo_device *device)
     return;
   cudaSetDevice(device->index);
   mo_cuda_gradient_close(device);
-  mo_cuda_buffer *const buffers[] = {&device->plan, &device->velocities, &device->outcomes,
-                                     &device->generators, &device->counter};
+  mo_cuda_buffer *const buffers[] = {&device->plan,       &device->velocities, &device->outcomes,
+                                     &device->generators, &device->counter,    &device->guided};
   mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes,
                                     &device->staged_generators};
   for (mo_cuda_buffer *buffer : buffers)
@@ -110,6 +110,7 @@ cudaError_t set_up(mo_device *device)
 {
   size_t free_bytes = 0, total_bytes = 0;
   device->score = is_wide() ? &mo_cuda_score_wide : &mo_cuda_score_narrow;
+  device->tasks = is_wide() ? &mo_cuda_tasks_wide : &mo_cuda_tasks_narrow;
   const cudaError_t status = in_turn(
       [&] { return cudaSetDevice(device->index); },
       [&] {
@@ -125,7 +126,7 @@ cudaError_t set_up(mo_device *device)
         *device->cancel = 0;
         return cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
       },
-      [&] { return device->score->prepare(); });
+      [&] { return device->score->prepare(); }, [&] { return device->tasks->prepare(); });
   device->total_bytes = total_bytes;
   return status;
 }

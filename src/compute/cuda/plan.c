@@ -195,6 +195,8 @@ static void lay_out(struct mo_plan *plan)
   block->tiles =
       place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(struct mo_plan_tile));
   block->columns = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(uint16_t));
+  block->tasks =
+      place(&used, plan->has_tasks ? plan->n_environments : 0, sizeof(struct mo_environment));
   block->bytes = used;
 }
 
@@ -261,6 +263,8 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   }
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
+  for (uint32_t e = 0; e < plan->n_environments && !plan->has_tasks; e++)
+    plan->has_tasks = !mo_task_is_plain(&plan->environments[e]->task);
   return MO_OK;
 }
 
@@ -567,6 +571,7 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
   struct input_order order;
   order_inputs(&order);
   struct mo_plan_environment *environments = (void *)(base + block->environments);
+  struct mo_environment *tasks = (void *)(base + block->tasks);
   struct mo_plan_body *bodies = (struct mo_plan_body *)(void *)(base + block->bodies);
   uint32_t *links = (uint32_t *)(void *)(base + block->links),
            *masses = (uint32_t *)(void *)(base + block->masses);
@@ -583,6 +588,8 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
            sizeof(environments[e].heights_m));
     environments[e].scene = mo_plan_scene_of(plan->environments[e], plan->physics);
     environments[e].split = mo_plan_split_of(plan->environments[e], plan->physics);
+    if (plan->has_tasks)
+      tasks[e] = *plan->environments[e];
   }
   struct mo_plan_group *groups = (struct mo_plan_group *)(void *)(base + block->groups);
   for (uint32_t g = share; g < plan->n_groups; g += n_shares) {

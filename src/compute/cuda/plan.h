@@ -24,6 +24,7 @@ struct mo_plan_options {
 
 struct mo_plan {
   uint32_t n, n_bodies, n_environments, n_groups, n_parts;
+  bool has_tasks; /* some environment's task is not plain */
   struct mo_plan_block block;
   /* The plan's own memory, one allocation. */
   void *memory;

@@ -127,6 +127,8 @@ struct mo_plan_block {
   size_t tiles;        /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
   size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's
                      springs */
+  size_t tasks;   /* struct mo_environment (n_environments), as course.cuh reads them; none if all
+                     tasks are plain */
   size_t bytes;
 };
 

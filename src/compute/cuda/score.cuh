@@ -2,13 +2,14 @@
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_CUH
 
+#include "compute/cuda/course.cuh"
 #include "compute/cuda/lane.cuh"
 #include "compute/cuda/plan_block.h"
 #include "compute/cuda/weights.h"
 
 #include <cuda_runtime.h>
 
-/* The outcome of a row's rollout, from which the host computes the loss. */
+/* The outcome of a row's rollout, from which the host computes the loss of a plain row. */
 struct mo_cuda_outcome {
   double com_start_m[3], com_end_m[3];
   int32_t diverged_step, unused;
@@ -41,6 +42,22 @@ struct mo_cuda_score {
   bool splits;            /* the integrator is `split` */
 };
 
+/* A row with a task. */
+struct mo_cuda_guided {
+  mo_course course; /* its environment is one of mo_cuda_tasks.environments */
+  mo_track track;   /* at the start of the current control period */
+};
+
+/* What a launch needs in addition if some rows have tasks. It is an argument of its own kernels,
+ * which leaves the kernels for plain rows as they are. */
+struct mo_cuda_tasks {
+  const mo_environment *environments; /* as in the plan's block */
+  mo_cuda_guided *rows; /* by the caller's row, as the results; plain rows have none */
+  course_result *results;
+  double dt_s, end_s;
+  uint32_t n_periods;
+};
+
 /* A kernel: rows per group, blocks per multiprocessor, the memory of a group (mo_plan_options), and
  * how to launch it. */
 struct mo_cuda_score_kernel {
@@ -49,8 +66,15 @@ struct mo_cuda_score_kernel {
   cudaError_t (*prepare)(); /* once per device */
   cudaError_t (*launch)(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream);
 };
+/* The same kernel with tasks. */
+struct mo_cuda_tasks_kernel {
+  cudaError_t (*prepare)();
+  cudaError_t (*launch)(const mo_cuda_score &score, const mo_cuda_tasks &tasks, uint32_t blocks,
+                        cudaStream_t stream);
+};
 /* Kernels for any device, and for devices of one capability. */
 extern const mo_cuda_score_kernel mo_cuda_score_narrow, mo_cuda_score_wide;
+extern const mo_cuda_tasks_kernel mo_cuda_tasks_narrow, mo_cuda_tasks_wide;
 
 /* Dynamic shared memory of a block. */
 #define MO_CUDA_SCORE_NARROW_BYTES (113 * 1024)

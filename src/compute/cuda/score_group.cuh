@@ -6,6 +6,7 @@
 
 #include "compute/cuda/network.cuh"
 #include "compute/cuda/score.cuh"
+#include "compute/cuda/terrain.cuh"
 
 namespace {
 
@@ -56,35 +57,6 @@ struct Shared {
 constexpr size_t kSharedBytes = (sizeof(Shared) + 127) / 128 * 128;
 
 /* ---- the start of a rollout, in float64 as in rollout/scene.c ---- */
-
-struct Corner {
-  int cell;
-  double fraction;
-};
-
-__device__ Corner corner_of(double coordinate_m)
-{
-  Corner corner = {0, 0.0};
-  if (coordinate_m > MO_TERRAIN_SIZE_M) {
-    corner.cell = MO_TERRAIN_SIDE - 2;
-    corner.fraction = 1.0;
-  } else if (coordinate_m >= 0.0) {
-    const double cells = coordinate_m * ((MO_TERRAIN_SIDE - 1) / MO_TERRAIN_SIZE_M);
-    corner.cell = cells < MO_TERRAIN_SIDE - 1 ? (int)cells : MO_TERRAIN_SIDE - 2;
-    corner.fraction = cells - corner.cell;
-  }
-  return corner;
-}
-
-__device__ double terrain_height(const double *heights, double x_m, double y_m)
-{
-  const Corner x = corner_of(x_m), y = corner_of(y_m);
-  const double *corner = heights + y.cell * MO_TERRAIN_SIDE + x.cell;
-  const double near = corner[0] + x.fraction * (corner[1] - corner[0]);
-  const double far = corner[MO_TERRAIN_SIDE] +
-                     x.fraction * (corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE]);
-  return near + y.fraction * (far - near);
-}
 
 /* Returns where along an axis a mass starts. */
 __device__ double start_of(uint32_t cell, int side)

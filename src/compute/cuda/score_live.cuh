@@ -14,17 +14,19 @@
  * The kernel has two versions. For any device: 256 threads and at most 40 rows, two blocks per
  * multiprocessor, so that the physics of one runs alongside the products of the other
  * (score_think_narrow.cuh, which is included first). For capability 9.0: 512 threads and at most 80
- * rows, for which the weights are loaded once, not twice (score_think_wide.cuh). */
+ * rows, for which the weights are loaded once, not twice (score_think_wide.cuh). Launches in which
+ * some row has a task have kernels of their own (MO_CUDA_TASKS, score_guide.cuh). */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 
+#include "compute/cuda/score_guide.cuh"
 #include "compute/cuda/score_move.cuh"
 
 namespace {
 
-template <bool SPLIT>
-__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
-    live(const __grid_constant__ mo_cuda_score score)
+/* TASKS: Plain, or Tasks if rows have tasks. */
+template <bool SPLIT, class TASKS>
+__device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS &tasks)
 {
   Shared &shared = shared_of_block();
   const uint32_t thread = threadIdx.x;
@@ -52,9 +54,11 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
       memory.velocity = score.velocities + (size_t)blockIdx.x * 6 * score.max_places;
     const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
     begin_group(score, shared, memory);
+    tasks.begin();
     if (SPLIT)
       set_kicks(shared, true);
     for (uint32_t step = 0; step < score.n_steps; step++) {
+      tasks.guide(score, step);
       float *velocity = memory.velocity;
       Pull how = {velocity, 1.0f, true};
       if (SPLIT) {
@@ -99,7 +103,48 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
     }
     __syncthreads();
     end_group(score, shared, memory.position);
+    tasks.end();
   }
+}
+
+#ifdef MO_CUDA_TASKS
+
+template <bool SPLIT>
+__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
+    live_with_tasks(const __grid_constant__ mo_cuda_score score,
+                    const __grid_constant__ mo_cuda_tasks tasks)
+{
+  live_of<SPLIT>(score, Tasks{tasks});
+}
+
+cudaError_t prepare_live()
+{
+  const cudaError_t status = cudaFuncSetAttribute(
+      live_with_tasks<false>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+  return status != cudaSuccess
+             ? status
+             : cudaFuncSetAttribute(live_with_tasks<true>,
+                                    cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+}
+
+cudaError_t launch_live(const mo_cuda_score &score, const mo_cuda_tasks &tasks, uint32_t blocks,
+                        cudaStream_t stream)
+{
+  const auto kernel = score.splits ? live_with_tasks<true> : live_with_tasks<false>;
+  kernel<<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score, tasks);
+  return cudaGetLastError();
+}
+
+/* The kernel that score_tasks.cu or score_wide_tasks.cu compiles from this file. */
+constexpr mo_cuda_tasks_kernel kLive = {prepare_live, launch_live};
+
+#else
+
+template <bool SPLIT>
+__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS)
+    live(const __grid_constant__ mo_cuda_score score)
+{
+  live_of<SPLIT>(score, Plain());
 }
 
 cudaError_t prepare_live()
@@ -127,6 +172,8 @@ constexpr mo_cuda_score_kernel kLive = {MO_CUDA_ROWS,
                                         MO_CUDA_COLUMN_BYTES,
                                         prepare_live,
                                         launch_live};
+
+#endif
 
 } // namespace
 

@@ -54,11 +54,22 @@ uint32_t most_places(const mo_plan &plan)
   return (most + 31) / 32 * 32;
 }
 
+/* The bytes of all outcomes, after which come the results of rows with tasks, if there are any. */
+size_t outcomes_bytes(const mo_plan &plan)
+{
+  return plan.n * sizeof(mo_cuda_outcome);
+}
+
+size_t results_bytes(const mo_plan &plan)
+{
+  return outcomes_bytes(plan) + (plan.has_tasks ? plan.n * sizeof(course_result) : 0);
+}
+
 /* per_place: bytes of velocities. */
 int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t places,
             size_t per_place)
 {
-  const size_t outcomes = plan.n * sizeof(mo_cuda_outcome);
+  const size_t outcomes = results_bytes(plan);
   return in_turn(
       [&] { return mo_cuda_reserve(device, &device->plan, plan.block.bytes); },
       [&] {
@@ -66,12 +77,17 @@ int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t pl
       },
       [&] { return mo_cuda_reserve(device, &device->outcomes, outcomes); },
       [&] { return mo_cuda_reserve(device, &device->counter, sizeof(uint32_t)); },
+      [&] {
+        return plan.has_tasks
+                   ? mo_cuda_reserve(device, &device->guided, plan.n * sizeof(mo_cuda_guided))
+                   : MO_OK;
+      },
       [&] { return mo_cuda_reserve_pinned(device, &device->staged_plan, plan.block.bytes); },
       [&] { return mo_cuda_reserve_pinned(device, &device->staged_outcomes, outcomes); });
 }
 
-mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_device_score *score,
-                        uint32_t places)
+mo_cuda_score arguments_of(const mo_device *device, const mo_plan &plan,
+                           const mo_device_score *score, uint32_t places)
 {
   const char *base = (const char *)device->plan.memory;
   const mo_plan_block &block = plan.block;
@@ -106,14 +122,47 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   return s;
 }
 
-void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
+mo_cuda_tasks task_arguments(const mo_device *device, const mo_plan &plan,
+                             const mo_device_score *score)
+{
+  const mo_scheme &scheme = score->physics.scheme;
+  const uint32_t period = mo_control_steps(&scheme);
+  mo_cuda_tasks t = {};
+  t.environments = (const mo_environment *)((const char *)device->plan.memory + plan.block.tasks);
+  t.rows = device->guided.of<mo_cuda_guided>();
+  t.results = (course_result *)((char *)device->outcomes.memory + outcomes_bytes(plan));
+  t.dt_s = scheme.dt_s;
+  t.end_s = scheme.n_steps * scheme.dt_s;
+  t.n_periods = (scheme.n_steps + period - 1) / period;
+  return t;
+}
+
+/* Launches the kernel for plain rows, or the one that also computes tasks. */
+cudaError_t launch(mo_device *device, const mo_plan &plan, const mo_device_score *score,
+                   uint32_t places, uint32_t blocks)
+{
+  const mo_cuda_score arguments = arguments_of(device, plan, score, places);
+  return plan.has_tasks ? device->tasks->launch(arguments, task_arguments(device, plan, score),
+                                                blocks, device->stream)
+                        : device->score->launch(arguments, blocks, device->stream);
+}
+
+/* results: of the rows with tasks. */
+void hand_over(const mo_cuda_outcome *from, const course_result *results,
+               const mo_device_score *score)
 {
   for (uint32_t r = 0; r < score->n; r++) {
+    const mo_environment *environment = score->robots[r].environment;
     mo_outcome *to = score->outcomes + r;
     memcpy(to->com_start_m, from[r].com_start_m, sizeof(to->com_start_m));
     memcpy(to->com_end_m, from[r].com_end_m, sizeof(to->com_end_m));
     to->diverged_step = from[r].diverged_step;
-    mo_scene_finish(to, score->robots[r].environment);
+    if (mo_task_is_plain(&environment->task)) {
+      mo_scene_finish(to, environment);
+    } else {
+      to->loss = results[r].loss;
+      to->value = results[r].value;
+    }
   }
 }
 
@@ -137,19 +186,19 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   if (status != MO_OK)
     return status;
   const cudaStream_t stream = device->stream;
-  const cudaError_t error = in_turn(
-      [&] { return cudaEventRecord(device->begin, stream); },
-      [&] {
-        return cudaMemcpyAsync(device->plan.memory, block, plan.block.bytes, cudaMemcpyHostToDevice,
-                               stream);
-      },
-      [&] { return cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), stream); },
-      [&] { return device->score->launch(arguments(device, plan, score, places), blocks, stream); },
-      [&] {
-        return cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory,
-                               plan.n * sizeof(mo_cuda_outcome), cudaMemcpyDeviceToHost, stream);
-      },
-      [&] { return cudaEventRecord(device->end, stream); });
+  const cudaError_t error =
+      in_turn([&] { return cudaEventRecord(device->begin, stream); },
+              [&] {
+                return cudaMemcpyAsync(device->plan.memory, block, plan.block.bytes,
+                                       cudaMemcpyHostToDevice, stream);
+              },
+              [&] { return cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), stream); },
+              [&] { return launch(device, plan, score, places, blocks); },
+              [&] {
+                return cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory,
+                                       results_bytes(plan), cudaMemcpyDeviceToHost, stream);
+              },
+              [&] { return cudaEventRecord(device->end, stream); });
   const int launched = mo_cuda_check(device, error, "launch");
   /* Launched work must have finished before its buffers are used again. */
   status = mo_cuda_wait(device, score->cancel);
@@ -181,7 +230,9 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
   if (status == MO_OK)
     status = run(device, plan, score, blocks, &device_ms);
   if (status == MO_OK) {
-    hand_over((const mo_cuda_outcome *)device->staged_outcomes.memory, score);
+    const char *staged = (const char *)device->staged_outcomes.memory;
+    hand_over((const mo_cuda_outcome *)staged,
+              (const course_result *)(staged + outcomes_bytes(plan)), score);
     score->device_s = 1e-3 * device_ms;
     score->host_s = fmax(0.0, now_s() - start_s - score->device_s);
   }

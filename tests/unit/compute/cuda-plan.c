@@ -147,6 +147,32 @@ static void rows_once(void)
   release(&f);
 }
 
+/* Environments are laid out a second time if some row has a task, and only then. */
+static void tasks(void)
+{
+  struct filled f;
+  REQUIRE(fill(&f, robots, N, 2));
+  CHECK(!f.plan.has_tasks);
+  CHECK_INT(f.plan.block.tasks, f.plan.block.bytes);
+  const size_t plain_bytes = f.plan.block.bytes;
+  release(&f);
+  struct mo_environment climb = environments[3];
+  struct mo_robot mixed[N];
+  climb.task.objective = MO_OBJECTIVE_CLIMB;
+  memcpy(mixed, robots, sizeof(mixed));
+  mixed[N - 1].environment = &climb;
+  REQUIRE(fill(&f, mixed, N, 2));
+  CHECK(f.plan.has_tasks);
+  CHECK_INT(f.plan.n_environments, PLACES + 1);
+  CHECK_INT(f.plan.block.bytes - f.plan.block.tasks,
+            (f.plan.n_environments * sizeof(climb) + 255) / 256 * 256);
+  CHECK(f.plan.block.bytes > plain_bytes);
+  const struct mo_environment *laid = (const void *)(f.block + f.plan.block.tasks);
+  for (uint32_t e = 0; e < f.plan.n_environments; e++)
+    CHECK(memcmp(laid + e, f.plan.environments[e], sizeof(*laid)) == 0);
+  release(&f);
+}
+
 /* Returns a body's own slots: those of its pairs, from the lattice's slots. */
 static void own_slots(const struct filled *f, uint32_t b, uint32_t *own)
 {
@@ -318,6 +344,7 @@ static void refusals(void)
 }
 
 static const struct check_case cases[] = {{"every row once", rows_once},
+                                          {"environments with tasks", tasks},
                                           {"links", links},
                                           {"slots", slots},
                                           {"tiles", tiles},

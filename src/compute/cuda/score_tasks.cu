@@ -1,0 +1,7 @@
+/* score_tasks.cu: as score.cu, for launches in which some row has a task. */
+#define MO_CUDA_TASKS
+#include "compute/cuda/score_think_narrow.cuh"
+
+#include "compute/cuda/score_live.cuh"
+
+const mo_cuda_tasks_kernel mo_cuda_tasks_narrow = kLive;

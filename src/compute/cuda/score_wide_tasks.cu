@@ -1,0 +1,7 @@
+/* score_wide_tasks.cu: as score_wide.cu, for launches in which some row has a task. */
+#define MO_CUDA_TASKS
+#include "compute/cuda/score_think_wide.cuh"
+
+#include "compute/cuda/score_live.cuh"
+
+const mo_cuda_tasks_kernel mo_cuda_tasks_wide = kLive;

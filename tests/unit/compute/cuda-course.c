@@ -1,0 +1,143 @@
+/* The tasks of a device's rows, compiled for the host, against src/rollout/course.c: bit by bit. */
+#include "../make.h"
+#include "../rollout/task-cases.h"
+
+#include "compute/cuda/course.cuh"
+#include "rollout/distance.h"
+#include "rollout/fast.h"
+
+enum { WALKS = 40, PERIODS = 60 };
+
+/* A center of mass that wanders, on a path also to the way-points and past them. */
+static void wander(const struct mo_guide *guide, struct mo_random *dice, uint32_t period,
+                   double com_m[3])
+{
+  const bool leads = guide->kind == MO_GUIDE_PATH && mo_random_uniform(dice) < 0.7;
+  const double *to = guide->points_m[period * guide->n_points / PERIODS];
+  for (int axis = 0; axis < 3; axis++) {
+    com_m[axis] += 0.05 * mo_random_normal(dice);
+    if (leads && axis < 2)
+      com_m[axis] += 0.3 * (to[axis] - com_m[axis]);
+  }
+}
+
+static struct mo_environment environment_of(uint32_t k, uint32_t walk)
+{
+  struct mo_environment environment;
+  mo_environment_training(71, walk, k, &environment);
+  environment.task = task_case(k);
+  if (walk == 0) /* a start at the light: a distance of 0 */
+    environment.light_xy_m[0] = environment.light_xy_m[1] = MO_WORLD_CENTER_M;
+  return environment;
+}
+
+static bool same_course(const struct mo_course *a, const struct mo_course *b)
+{
+  return a->environment == b->environment &&
+         memcmp(a->start_m, b->start_m, sizeof(a->start_m)) == 0 && a->scale_m == b->scale_m &&
+         a->end_s == b->end_s && a->n_periods == b->n_periods;
+}
+
+static bool same_light(const struct mo_course *course, double t_s, const struct mo_track *track)
+{
+  double light_m[3], other_m[3];
+  mo_course_light(course, t_s, track, light_m);
+  course_light(course, t_s, track, other_m);
+  return memcmp(light_m, other_m, sizeof(light_m)) == 0;
+}
+
+static void forward(void)
+{
+  uint32_t legs = 0, kept = 0, set = 0;
+  for (uint32_t k = 0; k < TASK_CASES; k++)
+    for (uint32_t walk = 0; walk < WALKS; walk++) {
+      const struct mo_environment environment = environment_of(k, walk);
+      struct mo_random dice;
+      struct mo_scheme scheme = mo_default_physics().scheme;
+      struct mo_course course, other_course;
+      struct mo_track track, other;
+      struct mo_outcome outcome = {0};
+      double com_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2};
+      scheme.control_period_s = 7 * scheme.dt_s;
+      scheme.n_steps = 7 * PERIODS - 3;
+      mo_random_init(&dice, 5, MO_PURPOSE_CHECK, k, walk);
+      mo_course_begin(&course, &environment, &scheme, com_m, &track);
+      course_begin(&other_course, &environment, scheme.n_steps * scheme.dt_s, PERIODS, com_m,
+                   &other);
+      CHECK(same_course(&course, &other_course) && memcmp(&track, &other, sizeof(track)) == 0);
+      CHECK(same_light(&course, 0, &track));
+      for (uint32_t period = 1; period <= PERIODS; period++) {
+        const double t_s = period < PERIODS ? 7 * period * scheme.dt_s : course.end_s;
+        wander(&environment.task.guide, &dice, period - 1, com_m);
+        mo_course_advance(&course, t_s, com_m, &track);
+        course_advance(&other_course, t_s, com_m, &other);
+        REQUIRE(memcmp(&track, &other, sizeof(track)) == 0);
+        REQUIRE(same_light(&course, t_s, &track));
+        kept += environment.task.guide.kind == MO_GUIDE_PATH && track.along_is == MO_TRACK_KEPT;
+        set += track.along_is == MO_TRACK_SET;
+      }
+      mo_course_finish(&course, &track, &outcome);
+      const struct course_result result = course_finish(&other_course, &other);
+      CHECK(result.loss == outcome.loss && result.value == outcome.value);
+      CHECK(isfinite(result.loss));
+      legs += track.leg;
+    }
+  printf("# %u way-points reached, progress kept %u times, at an end %u times\n", legs, kept, set);
+  CHECK(legs > 0 && kept > 0 && set > 0);
+}
+
+/* Losses whose exponents are limited, and a fall that would overflow. */
+static void falls(void)
+{
+  struct mo_environment environment = environment_of(1, 1);
+  const struct mo_scheme scheme = mo_default_physics().scheme;
+  struct mo_course course;
+  struct mo_track track;
+  struct mo_outcome outcome = {0};
+  const double start_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2};
+  REQUIRE(environment.task.objective == MO_OBJECTIVE_CLIMB);
+  mo_course_begin(&course, &environment, &scheme, start_m, &track);
+  for (double rise = -100; rise <= 100; rise += 0.37) {
+    track.com_m[2] = start_m[2] + rise;
+    mo_course_finish(&course, &track, &outcome);
+    const struct course_result result = course_finish(&course, &track);
+    CHECK(result.loss == outcome.loss && result.value == outcome.value);
+  }
+}
+
+static void functions(void)
+{
+  struct mo_random dice;
+  mo_random_init(&dice, 6, MO_PURPOSE_CHECK, 0, 0);
+  for (uint32_t i = 0; i < 200000; i++) {
+    const double x = 400 * mo_random_uniform(&dice) - 200, y = 7 * mo_random_uniform(&dice) - 1,
+                 z = 7 * mo_random_uniform(&dice) - 1;
+    CHECK(course_sin(x) == mo_fast_sin(x));
+    CHECK(course_exp(-fabs(3 * x)) == mo_fast_exp(-fabs(3 * x)));
+    CHECK(course_length(x, y) == mo_distance(x, y));
+    CHECK(course_length(x, 1e-17 * y) == mo_distance(x, 1e-17 * y));
+    CHECK(course_length(1e-150 * z, 1e-150 * y) == mo_distance(1e-150 * z, 1e-150 * y));
+    if (i % 100 == 0) {
+      const struct mo_environment environment = environment_of(0, i);
+      const double *heights_m = environment.terrain_heights_m;
+      double slope[2], other[2];
+      CHECK(terrain_height(heights_m, y, z) == mo_terrain_height(heights_m, y, z));
+      mo_terrain_gradient(heights_m, y, z, slope);
+      terrain_slope(heights_m, y, z, other);
+      CHECK(slope[0] == other[0] && slope[1] == other[1]);
+    }
+  }
+  CHECK(course_length(0, 0) == 0 && course_length(3, 4) == 5);
+  CHECK(isinf(course_length(-INFINITY, NAN)) && isnan(course_length(NAN, 1)));
+  for (uint32_t k = 0; k < TASK_CASES; k++) {
+    const struct mo_task task = task_case(k), plain = {0};
+    CHECK(course_is_plain(&task) == mo_task_is_plain(&task) && course_is_plain(&plain));
+  }
+}
+
+static const struct check_case cases[] = {
+    {"lights, sums and results are those of course.c", forward},
+    {"exponents of long falls", falls},
+    {"sines, exponentials, lengths, terrain", functions},
+};
+CHECK_MAIN(cases)
