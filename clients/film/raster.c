@@ -15,7 +15,8 @@
 
 #define SAMPLES     2 /* along each side of a pixel */
 #define SHADOW_SIDE 512
-#define MESH        96 /* cells of the terrain along each side */
+#define MESH        96  /* cells of the terrain along each side */
+#define FINE_MESH   160 /* of a profile, whose heights may be 0.1 m apart */
 #define NEAR_M      0.05f
 #define HALF_VIEW   0.3443f /* tangent of half the angle of view, 38 degrees high */
 #define TRAIL_M     0.014f
@@ -117,21 +118,41 @@ static float smooth(float from, float to, float x)
 
 /* ---- the world ---- */
 
+/* The same of a profile. */
+static float profile_at(const struct scene_world *world, float x, float slope[2])
+{
+  const uint32_t last = world->n_profile - 1;
+  const float per_m = 1 / (float)world->spacing_m, c = clamp(x * per_m, 0, (float)last);
+  const uint32_t i = c >= (float)last ? last - 1 : (uint32_t)c;
+  const float *h = world->heights_m + i;
+  if (slope != NULL) {
+    slope[0] = x < 0 || x * per_m > (float)last ? 0 : per_m * (h[1] - h[0]);
+    slope[1] = 0;
+  }
+  return h[0] + (c - (float)i) * (h[1] - h[0]);
+}
+
 /* Returns the height of the terrain, bilinear and clamped as in the simulation, and its slope. */
 static float height_at(const struct scene_world *world, float x, float y, float slope[2])
 {
-  const bool is_profile = world->spacing_m > 0;
-  const float scale = is_profile ? 1 / world->spacing_m : 1.4f;
-  const float last = is_profile ? (float)(world->n_heights - 1) : 7;
-  const float cx = clamp(x * scale, 0, last), cy = is_profile ? 0 : clamp(y * scale, 0, last);
-  const int i = cx >= last ? (int)last - 1 : (int)cx, j = cy >= 7 ? 6 : (int)cy;
-  const int row = is_profile ? 0 : 8; /* from a row of heights to the next */
-  const float fx = cx - (float)i, fy = cy - (float)j, *h = world->heights_m + j * row + i;
+  if (world->n_profile != 0)
+    return profile_at(world, x, slope);
+  const float cx = clamp(x * 1.4f, 0, 7), cy = clamp(y * 1.4f, 0, 7);
+  const int i = cx >= 7 ? 6 : (int)cx, j = cy >= 7 ? 6 : (int)cy;
+  const float fx = cx - (float)i, fy = cy - (float)j, *h = world->heights_m + j * 8 + i;
   if (slope != NULL) {
-    slope[0] = scale * ((1 - fy) * (h[1] - h[0]) + fy * (h[row + 1] - h[row]));
-    slope[1] = scale * ((1 - fx) * (h[row] - h[0]) + fx * (h[row + 1] - h[1]));
+    slope[0] = 1.4f * ((1 - fy) * (h[1] - h[0]) + fy * (h[9] - h[8]));
+    slope[1] = 1.4f * ((1 - fx) * (h[8] - h[0]) + fx * (h[9] - h[1]));
   }
-  return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * h[row] + fx * h[row + 1]);
+  return (1 - fy) * ((1 - fx) * h[0] + fx * h[1]) + fy * ((1 - fx) * h[8] + fx * h[9]);
+}
+
+/* Returns up to which x the ground is drawn in full. */
+static float reach_of(const struct scene_world *world)
+{
+  return world->n_profile == 0
+             ? 5
+             : clamp((float)world->spacing_m * (float)(world->n_profile - 1), 5, 8);
 }
 
 /* Returns the position of a mass at a time, between two frames. */
@@ -239,7 +260,9 @@ static struct vector shade_ground(const struct raster *raster, struct vector at,
   const float dx = at.x - raster->lamp.x, dy = at.y - raster->lamp.y, r2 = dx * dx + dy * dy;
   lit = add(lit, times(look->glow,
                        0.35f * expf(-9 * r2) + 0.5f * smooth(0.012f, 0, fabsf(sqrtf(r2) - 0.12f))));
-  const float bx = fmaxf(fabsf(at.x - 2.5f) - 2.35f, 0), by = fmaxf(fabsf(at.y - 2.5f) - 2.35f, 0);
+  const float half = reach_of(raster->world) / 2,
+              bx = fmaxf(fabsf(at.x - half) - (half - 0.15f), 0),
+              by = fmaxf(fabsf(at.y - 2.5f) - 2.35f, 0);
   const float fade = fmaxf(smooth(0, 1.3f, sqrtf(bx * bx + by * by)), smooth(7, 13, w));
   return mix(expose(lit), look->background, fade);
 }
@@ -325,17 +348,28 @@ static void fill(struct raster *raster, const struct vertex corners[4], const in
     }
 }
 
+/* Moves an x of the mesh onto a height of a profile that is less than a cell away, so that its
+ * edges are sharp. */
+static float on_profile(const struct scene_world *world, float x)
+{
+  if (world->n_profile == 0)
+    return x;
+  const float height = roundf(x / (float)world->spacing_m) * (float)world->spacing_m;
+  return fabsf(height - x) < 0.05f ? height : x;
+}
+
 static void draw_ground(struct raster *raster)
 {
-  for (int j = 0; j < MESH; j++)
-    for (int i = 0; i < MESH; i++) {
+  const int mesh = raster->world->n_profile != 0 ? FINE_MESH : MESH;
+  for (int j = 0; j < mesh; j++)
+    for (int i = 0; i < mesh; i++) {
       struct vertex corners[4];
       bool seen = true;
       for (int k = 0; k < 4; k++) {
         /* Finer in the middle, where robots walk. */
-        const float cx = 2 * (float)(i + (k == 1 || k == 2)) / MESH - 1,
-                    cy = 2 * (float)(j + (k >> 1)) / MESH - 1;
-        const float x = 2.5f + cx * (0.55f + 0.45f * fabsf(cx)) * 6,
+        const float cx = 2 * (float)(i + (k == 1 || k == 2)) / (float)mesh - 1,
+                    cy = 2 * (float)(j + (k >> 1)) / (float)mesh - 1;
+        const float x = on_profile(raster->world, 2.5f + cx * (0.55f + 0.45f * fabsf(cx)) * 6),
                     y = 2.5f + cy * (0.55f + 0.45f * fabsf(cy)) * 6;
         const float z = height_at(raster->world, x, y, NULL);
         seen &= see(raster, (struct vector){x, y, z}, &corners[k]);

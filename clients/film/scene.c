@@ -95,18 +95,20 @@ static void read_body(const struct reader *reader, const json_t *item, struct sc
   check_indices(body->voxels, body->n_voxels, 8, 8, body->n_masses);
 }
 
+/* A profile is JSON, not an array after the header. */
 static void read_profile(const json_t *terrain, struct scene_world *world)
 {
   const json_t *heights = json_object_get(terrain, "heights_m");
   const size_t n = json_array_size(heights);
-  world->spacing_m = (float)json_number_value(json_object_get(terrain, "spacing_m"));
-  if (n < 2 || n > 4096 || !(world->spacing_m > 0.001f && world->spacing_m < 1000))
-    refuse("a profile has too few or too many heights, or no spacing");
+  world->spacing_m = json_number_value(json_object_get(terrain, "spacing_m"));
+  if (n < 2 || n > 64 || !(world->spacing_m > 1e-3 && world->spacing_m < 1e3))
+    refuse("a profile does not have 2 to 64 heights, or no spacing");
   float *heights_m = keep(calloc(n, sizeof(*heights_m)));
-  for (size_t i = 0; i < n; i++)
-    heights_m[i] = (float)json_number_value(json_array_get(heights, i));
+  for (size_t k = 0; k < n; k++)
+    heights_m[k] = (float)json_number_value(json_array_get(heights, k));
   world->heights_m = heights_m;
-  world->n_heights = (uint32_t)n;
+  world->n_profile = (uint32_t)n;
+  check_places(heights_m, n);
 }
 
 static void read_world(const struct reader *reader, const json_t *item, struct scene_world *world)
@@ -122,11 +124,10 @@ static void read_world(const struct reader *reader, const json_t *item, struct s
         array(reader, json_object_get(item, "terrain_heights_m"), "float32", 4, sizes, 2, 8);
     if (sizes[0] != 8)
       refuse("a terrain does not have 8 by 8 heights");
-    world->n_heights = 64;
+    check_places(world->heights_m, 64);
   }
   if (!(fabs(world->light_xy_m[0]) <= FAR_M && fabs(world->light_xy_m[1]) <= FAR_M))
     refuse("a light is far outside the world");
-  check_places(world->heights_m, world->n_heights);
 }
 
 static void read_rollout(const struct reader *reader, const struct scene *scene, const json_t *item,

@@ -18,9 +18,9 @@ struct scene_body {
 
 struct scene_world {
   double light_xy_m[2];   /* of a light that does not move */
-  const float *heights_m; /* (8, 8), row y; with a spacing, (n_heights) along x, for every y */
-  uint32_t n_heights;
-  float spacing_m; /* of a profile; else 0 */
+  const float *heights_m; /* (8, 8), row y; of a profile, (n_profile) along x */
+  uint32_t n_profile;     /* 0: a grid */
+  double spacing_m;       /* of a profile */
 };
 
 struct scene_rollout {

@@ -7,11 +7,13 @@
  * A service without devices may expect workers with devices. Their class is set once: by the first
  * worker that has devices, or, if a job needs it earlier, from the record of an earlier process in
  * the store. From then on, all jobs on devices have this class and wait for such workers. */
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/thread.h"
 #include "jobs/state.h"
 #include "jobs/trainings.h"
+#include "store/worlds.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
@@ -129,16 +131,28 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                                                        : "the service has no devices");
 }
 
-const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
+static bool has_profile(const struct mo_environment *environments, uint32_t n)
 {
-  for (uint32_t i = 0; environments != NULL && i < n; i++)
-    if (!mo_task_is_plain(&environments[i].task))
-      return "devices cannot compute tasks yet; request \"cpu\" or \"auto\", or environments "
-             "without a task";
-    else if (environments[i].n_profile != 0)
-      return "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
-             "environments with terrain_heights_m";
-  return NULL;
+  for (uint32_t i = 0; i < n; i++)
+    if (environments[i].n_profile != 0)
+      return true;
+  return false;
+}
+
+const char *mo_back_end_unsuited(struct mo_jobs *jobs, const char *set,
+                                 const struct mo_environment *environments, uint32_t n)
+{
+  struct mo_environment *of_set = NULL;
+  bool is_profile = environments != NULL && has_profile(environments, n);
+  /* A set that cannot be read is refused by the submission. */
+  if (environments == NULL && set != NULL &&
+      mo_store_environment_set(jobs->store, set, &of_set, &n) == MO_OK)
+    is_profile = has_profile(of_set, n);
+  free(of_set);
+  return is_profile
+             ? "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
+               "environments with terrain_heights_m"
+             : NULL;
 }
 
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)

@@ -47,6 +47,31 @@ def test_a_form_offers_tasks(service, browser):
     assert browser.faults() == []
 
 
+def test_the_stage_draws_profiles(service, browser):
+    """The ground is that of the recording: its masses stand on it, also where it is not level."""
+    profile = {"kind": "profile", "spacing_m": 0.25,
+               "heights_m": [0.1 * (k % 3) for k in range(24)]}
+    job = service.evaluate({
+        "designs": [DESIGN], "record": ["masses"], "record_stride": 5,
+        "physics": {"n_steps": 200}, "environments": [{"task": "walk", "terrain": profile}]}).json()
+    browser.open(f"stage?evaluation={job['id']}&rows=0")
+    browser.until_walking()
+    browser.run("import(document.querySelector('script[type=module]').src.replace("
+                "/[^/]*$/, 'stage/stage.js')).then(({ heightAt }) => "
+                "Object.assign(window, { heightAt }));")
+    browser.until("window.heightAt")
+    lowest, off = browser.run(f"""
+        const {{ world, track }} = {STAGE}.robots[0];
+        let lowest = Infinity;
+        for (let i = 0; i < track.length; i += 3) {{
+          lowest = Math.min(lowest, track[i + 2] - heightAt(world, track[i], track[i + 1]));
+        }}
+        const off = world.heights.map((h, k) => heightAt(world, k * world.spacing, 9) - h);
+        return [lowest, Math.max(...off.map(Math.abs))];""")
+    assert -1e-5 < lowest < 0.01 and off < 1e-6
+    assert browser.faults() == []
+
+
 def test_a_campaign_shows_meters(service, browser):
     """The curve and the champions of a task that is measured in meters have that unit; on the
     stage, the light leads, and the way-points are there."""

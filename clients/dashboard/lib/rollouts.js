@@ -10,7 +10,7 @@ import { taskWords } from './tasks.js';
 const lists = new Map();
 
 /** Loads the environments at a path, which never change: [{sha256, light_xy_m, task,
- * terrain_heights_m}]. */
+ * terrain_heights_m or terrain}]. */
 async function environmentsAt(path) {
   if (!lists.has(path)) {
     const load = getJson(path);

@@ -22,14 +22,21 @@ vec3 massAt(uint mass) {
 }
 `;
 
-/** Height of the terrain: bilinear, clamped at the edge. A profile has two equal rows. */
+/** Height of the terrain: 8 × 8 heights over 5 m × 5 m, bilinear, clamped at the edge; or, with a
+ * spacing, heights of a profile along x. */
 const TERRAIN = `
 uniform highp sampler2D heights;
-uniform vec2 cellsPerM;
+uniform float spacing;
 float heightAt(vec2 at) {
-  ivec2 last = textureSize(heights, 0) - 1;
-  vec2 cell = clamp(at * cellsPerM, vec2(0.0), vec2(last));
-  ivec2 low = min(ivec2(cell), last - 1);
+  if (spacing > 0.0) {
+    int last = textureSize(heights, 0).x - 1;
+    float along = clamp(at.x / spacing, 0.0, float(last));
+    int from = min(int(along), last - 1);
+    return mix(texelFetch(heights, ivec2(from, 0), 0).r, texelFetch(heights, ivec2(from + 1, 0), 0).r,
+               along - float(from));
+  }
+  vec2 cell = clamp(at * 1.4, 0.0, 7.0);
+  ivec2 low = min(ivec2(cell), 6);
   vec2 f = cell - vec2(low);
   float h00 = texelFetch(heights, low, 0).r;
   float h10 = texelFetch(heights, low + ivec2(1, 0), 0).r;
@@ -88,6 +95,9 @@ void main() {
   // The mesh is finer in the middle, where robots walk; beyond the map it continues, flat in one
   // axis.
   vec2 p = 2.5 + corner * (0.55 + 0.45 * abs(corner)) * 6.0;
+  // Edges of a profile are sharp where the mesh is finer than its heights.
+  float edge = spacing > 0.0 ? round(p.x / spacing) * spacing : p.x;
+  if (abs(edge - p.x) < 0.05) p.x = edge;
   at = vec3(p, heightAt(p));
   gl_Position = matrix * vec4(at, 1.0);
 }`,
@@ -121,7 +131,10 @@ void main() {
   float halo = smoothstep(0.012, 0.0, abs(ring - 0.12)) * 0.5;
   lit += glow * (halo + 0.35 * exp(-ring * ring * 9.0));
   // Beyond the map the ground fades into the background.
-  vec2 beyond = max(abs(at.xy - 2.5) - 2.35, 0.0);
+  float along = spacing > 0.0
+    ? clamp(spacing * float(textureSize(heights, 0).x - 1), 5.0, 8.0) : 5.0;
+  vec2 middle = vec2(along * 0.5, 2.5);
+  vec2 beyond = max(abs(at.xy - middle) - (middle - 0.15), 0.0);
   float fade = smoothstep(0.0, 1.3, length(beyond));
   fade = max(fade, smoothstep(7.0, 13.0, distance(at, eye)));
   color = vec4(mix(exposed(lit), background, fade), 1.0);

@@ -41,9 +41,6 @@ function clear(gl, [r, g, b]) {
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 const MIDDLE_M = 2.5;
-/** Heights along each side of a terrain of 5 m × 5 m, and their density. */
-const SIDE = 8;
-const CELLS_PER_M = 1.4;
 
 /** Returns the direction from the middle of the map to the light, as a rotation of the camera. */
 const towardsLight = ({ light }) => Math.atan2(light[0] - MIDDLE_M, light[1] - MIDDLE_M);
@@ -160,9 +157,8 @@ function groundMesh(gl, cells) {
  * @property {number} frameS seconds per frame
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
- *   spacing?: number}} world light (x, y) in meters, at the start if it moves; way-points of a
- *   path; and the 64 heights of the terrain or, with a spacing in meters, those of a profile along
- *   x
+ *   spacing?: number}} world light (x, y) in meters, at the start if it moves; way-points of a path;
+ *   and the terrain: 64 heights of a grid, or, with their spacing in meters, those of a profile
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend
@@ -252,11 +248,9 @@ export class Stage {
     const key = world.key ?? world;
     if (!this.terrains.has(key)) {
       const { gl } = this;
-      const columns = world.spacing ? world.heights.length : SIDE;
-      const heights = Float32Array.from(world.spacing ? [...world.heights, ...world.heights]
-        : world.heights);
-      this.terrains.set(key,
-        dataTexture(gl, gl.R32F, columns, heights.length / columns, gl.RED, gl.FLOAT, heights));
+      const [columns, rows] = world.spacing ? [world.heights.length, 1] : [8, 8];
+      this.terrains.set(key, dataTexture(gl, gl.R32F, columns, rows, gl.RED, gl.FLOAT,
+        Float32Array.from(world.heights)));
     }
     return this.terrains.get(key);
   }
@@ -344,7 +338,7 @@ export class Stage {
     gl.enable(gl.DEPTH_TEST);
     const common = {
       ...look, matrix, sunMatrix, sun, eye, heights: this.#heights(world),
-      cellsPerM: world.spacing ? [1 / world.spacing, 0] : [CELLS_PER_M, CELLS_PER_M],
+      spacing: world.spacing ?? 0,
       lightAt: this.#lightOf(lead, world),
       shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
     };
@@ -454,18 +448,18 @@ export class Stage {
   }
 }
 
-/** Returns the height of a terrain at (x, y), as the daemon computes it: bilinear, clamped at the
- * edge; a profile is the same for every y. */
+/** Returns the height of a world's terrain at (x, y), as the daemon computes it: bilinear, clamped
+ * at the edge. */
 export function heightAt({ heights, spacing }, x, y) {
-  const place = (v, perM, n) => {
-    const cell = Math.min(n - 1, Math.max(0, v * perM));
-    const low = Math.min(n - 2, Math.floor(cell));
-    return [low, cell - low];
-  };
-  const [i, fx] = place(x, spacing ? 1 / spacing : CELLS_PER_M, spacing ? heights.length : SIDE);
-  if (spacing) return (1 - fx) * heights[i] + fx * heights[i + 1];
-  const [j, fy] = place(y, CELLS_PER_M, SIDE);
-  const at = (a, b) => heights[(j + b) * SIDE + i + a];
+  if (spacing) {
+    const along = Math.min(heights.length - 1, Math.max(0, x / spacing));
+    const from = Math.min(heights.length - 2, Math.floor(along));
+    return heights[from] + (along - from) * (heights[from + 1] - heights[from]);
+  }
+  const [cx, cy] = [x, y].map((v) => Math.min(7, Math.max(0, v * 1.4)));
+  const [i, j] = [cx, cy].map((v) => Math.min(6, Math.floor(v)));
+  const [fx, fy] = [cx - i, cy - j];
+  const at = (a, b) => heights[(j + b) * 8 + i + a];
   return (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(1, 0)) +
     fy * ((1 - fx) * at(0, 1) + fx * at(1, 1));
 }

@@ -99,12 +99,16 @@ def _first_light(scene: Scene, environment: int) -> list[float]:
     return [2.5, 4.5]
 
 
+def _terrain(world: dict[str, Any]) -> dict[str, Any]:
+    if "terrain" in world:
+        return {"heights": world["terrain"]["heights_m"], "spacing": world["terrain"]["spacing_m"]}
+    return {"heights": np.ravel(world["terrain_heights_m"]).tolist()}
+
+
 def _data(scene: Scene) -> dict[str, Any]:
     worlds = [{"light": list(world.get("light_xy_m", _first_light(scene, place))),
                "points": world.get("task", {}).get("guide", {}).get("points_m"),
-               "spacing": world.get("terrain", {}).get("spacing_m"),
-               "heights": (world["terrain"]["heights_m"] if "terrain" in world
-                           else np.ravel(world["terrain_heights_m"]).tolist())}
+               **_terrain(world)}
               for place, world in enumerate(scene.environments)]
     robots = []
     for place, rollout in enumerate(scene):

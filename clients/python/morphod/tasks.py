@@ -68,5 +68,6 @@ class Task(dict[str, Any]):
 
     def environment(self, **place: Any) -> dict[str, Any]:
         """Returns an environment with this task: `light_xy_m` for a fixed light, and, unless the
-        ground is flat, `terrain_heights_m`, or `terrain_sigma_m` and `seed`."""
+        ground is flat, `terrain` ({"kind": "slope"}), `terrain_heights_m`, or `terrain_sigma_m`
+        and `seed`."""
         return {"task": self, **place}

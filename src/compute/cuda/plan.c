@@ -263,8 +263,11 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   }
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
-  for (uint32_t e = 0; e < plan->n_environments && !plan->has_tasks; e++)
-    plan->has_tasks = !mo_task_is_plain(&plan->environments[e]->task);
+  for (uint32_t e = 0; e < plan->n_environments; e++) {
+    if (plan->environments[e]->n_profile != 0)
+      return MO_ERR_UNSUPPORTED;
+    plan->has_tasks |= !mo_task_is_plain(&plan->environments[e]->task);
+  }
   return MO_OK;
 }
 

@@ -170,6 +170,49 @@ static void refuses_places_that_are_none(void)
 
 static uint8_t rgb[96 * 64 * 3];
 
+/* The scene with a profile in place of the grid. */
+static size_t make_profile(const char *members)
+{
+  static const char grid[] =
+      "\"terrain_heights_m\":{\"offset\":0,\"type\":\"float32\",\"shape\":[8,8]}";
+  char text[sizeof(header) + 128];
+  const char *at = strstr(header, grid);
+  snprintf(text, sizeof(text), "%.*s\"terrain\":{%s}%s", (int)(at - header), header, members,
+           at + strlen(grid));
+  return make(bytes, text);
+}
+
+/* A wall of 0.5 m behind the voxel: it hides what a flat ground shows, and stands in the light. */
+static void draws_profiles(void)
+{
+  static const char *const odd[] = {"\"heights_m\":[0],\"spacing_m\":1",
+                                    "\"heights_m\":[0,0],\"spacing_m\":0",
+                                    "\"heights_m\":[0,0]",
+                                    "\"heights_m\":[0,1e30],\"spacing_m\":1",
+                                    "\"spacing_m\":1",
+                                    "\"heights_m\":3,\"spacing_m\":1"};
+  static const struct raster_camera camera = {{3, 2.55, 0.1}, 0, 0.6, 4};
+  static const char flat[] = "\"heights_m\":[0,0],\"spacing_m\":0.9",
+                    wall[] = "\"heights_m\":[0,0,0,0,0.5],\"spacing_m\":0.9";
+  static uint8_t seen[3][sizeof(rgb)];
+  struct raster *raster = raster_create(96, 64);
+  for (int i = 0; i < 3; i++) {
+    const size_t size = i == 0 ? make(bytes, header) : make_profile(i == 1 ? flat : wall);
+    const struct scene scene = scene_read(bytes, size);
+    CHECK_INT(scene.worlds[0].n_profile, i == 0 ? 0 : i == 1 ? 2 : 5);
+    raster_draw(raster, &scene, 0, 0, &camera, true, seen[i]);
+  }
+  int same = 0, changed = 0;
+  for (size_t k = 0; k < sizeof(rgb); k++) {
+    same += abs(seen[0][k] - seen[1][k]) <= 8;
+    changed += abs(seen[1][k] - seen[2][k]) > 8;
+  }
+  CHECK(same > (int)sizeof(rgb) * 95 / 100); /* a level profile is a level grid */
+  CHECK(changed > (int)sizeof(rgb) / 20);
+  for (size_t i = 0; i < COUNT(odd); i++)
+    CHECK(refuses(make_profile(odd[i]), NULL));
+}
+
 static void draws(void)
 {
   const struct raster_camera camera = {{2.55, 2.55, 0.1}, 0.5, 1.2, 0.6};
@@ -204,6 +247,7 @@ static const struct check_case cases[] = {
     {"refuses indices out of range", refuses_indices_out_of_range},
     {"refuses invalid positions", refuses_places_that_are_none},
     {"draws", draws},
+    {"draws profiles, and refuses odd ones", draws_profiles},
     {"encodes a picture", encodes},
 };
 CHECK_MAIN(cases)
