@@ -65,10 +65,11 @@ void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, v
 /* ---- environments ---- */
 
 /* Losses are divided by the distance to the light at the start. */
-static void check_light(struct mo_json *json, unsigned depth, const double light_xy_m[2])
+static void check_light(struct mo_json *json, unsigned depth, const char *below,
+                        const double light_xy_m[2])
 {
   if (hypot(light_xy_m[0] - MO_WORLD_CENTER_M, light_xy_m[1] - MO_WORLD_CENTER_M) < MO_VOXEL_M)
-    mo_json_fault_at(json, depth, "",
+    mo_json_fault_at(json, depth, below,
                      "must be at least %g m from (2.5, 2.5), where robots start; closer, losses "
                      "would be divided by almost zero",
                      MO_VOXEL_M);
@@ -92,7 +93,8 @@ static void check_given_light(struct mo_json *json, unsigned depth,
     mo_json_fault_at(json, depth, "",
                      "light_xy_m is missing; it must be [x, y] of the light in meters");
   else if (mo_guide_has_light(guide))
-    check_light(json, depth, environment->light_xy_m);
+    check_light(json, depth, given->light ? "/light_xy_m" : "/task/guide/light_xy_m",
+                environment->light_xy_m);
 }
 
 static void read_environment(struct mo_json *json, struct mo_environment *environment)

@@ -36,7 +36,8 @@ def walk(service):
     world = call("GET", f"{of}/environments")["items"][0]["sha256"]
     for path in ("/v1/evaluations?limit=1", f"{of}/results?limit=1", f"{of}/trajectories/0", jobs,
                  "/v1/jobs?limit=1",
-                 f"/v1/environments/{world}", "/v1/environment-sets/paper-test",
+                 f"/v1/environments/{world}", "/v1/environment-sets",
+                 "/v1/environment-sets/paper-test",
                  f"/v1/designs/{result['id']}/body", "/v1/designs?limit=1", "/v1/controllers",
                  "/v1/controllers/default", "/v1/held-out?designs=1&environments=1", "/v1/whoami",
                  "/v1/threads", "/v1/devices", "/v1/load", "/v1/fleet", "/healthz", "/readyz"):

@@ -82,7 +82,8 @@ def test_tasks(daemon, worker, seed):
         assert result["results"] == expected["results"]
         losses = result["results"][0]["losses"]
         assert len({entry["loss"] for entry in losses}) == len(value["environments"])
-        assert one.json("/v1/fleet")["rollouts_done"] >= 30 * len(losses)
+        done = result["rollouts_total"] - result["rollouts_cached"]
+        assert one.json("/v1/fleet")["rollouts_done"] >= done > 20 * len(losses)
         one.end()
 
 

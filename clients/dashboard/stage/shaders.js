@@ -32,8 +32,8 @@ float heightAt(vec2 at) {
     int last = textureSize(heights, 0).x - 1;
     float along = clamp(at.x / spacing, 0.0, float(last));
     int from = min(int(along), last - 1);
-    return mix(texelFetch(heights, ivec2(from, 0), 0).r, texelFetch(heights, ivec2(from + 1, 0), 0).r,
-               along - float(from));
+    return mix(texelFetch(heights, ivec2(from, 0), 0).r,
+               texelFetch(heights, ivec2(from + 1, 0), 0).r, along - float(from));
   }
   vec2 cell = clamp(at * 1.4, 0.0, 7.0);
   ivec2 low = min(ivec2(cell), 6);

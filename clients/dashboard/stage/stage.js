@@ -157,8 +157,8 @@ function groundMesh(gl, cells) {
  * @property {number} frameS seconds per frame
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
- *   spacing?: number}} world light (x, y) in meters, at the start if it moves; way-points of a path;
- *   and the terrain: 64 heights of a grid, or, with their spacing in meters, those of a profile
+ *   spacing?: number}} world light (x, y) in meters, at the start if it moves; way-points of a
+ *   path; and the terrain: 64 heights of a grid, or, with their spacing in meters, of a profile
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend

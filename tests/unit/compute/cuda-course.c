@@ -121,8 +121,8 @@ static void functions(void)
       const struct mo_environment environment = environment_of(0, i);
       const double *heights_m = environment.terrain_heights_m;
       double slope[2], other[2];
-      CHECK(terrain_height(heights_m, y, z) == mo_terrain_height(heights_m, y, z));
-      mo_terrain_gradient(heights_m, y, z, slope);
+      CHECK(terrain_height(heights_m, y, z) == mo_terrain_height(&environment, y, z));
+      mo_terrain_gradient(&environment, y, z, slope);
       terrain_slope(heights_m, y, z, other);
       CHECK(slope[0] == other[0] && slope[1] == other[1]);
     }
