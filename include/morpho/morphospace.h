@@ -205,6 +205,7 @@ struct mo_body {
   const uint32_t *spring_lattice;      /* (n_springs) lattice spring index, ascending */
   const uint32_t *spring_a, *spring_b; /* (n_springs) positions in the mass arrays, a < b */
   const double *spring_rest_m;         /* (n_springs) as in the lattice */
+  const uint32_t *voxel_mass;          /* (n_voxels, 8) positions in the mass arrays, ascending */
 };
 /* MO_ERR_EMPTY, MO_ERR_NO_MEMORY. */
 int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_body **body);

@@ -1,4 +1,4 @@
-/* body.c: the masses and springs that one genotype expresses.
+/* body.c: the masses, springs and voxels that one genotype expresses.
  *
  * Voxels mark their masses and springs in two bit arrays over the lattice; reading the marks in
  * order yields both lists ascending and without duplicates, and the number of marks below a mass is
@@ -42,16 +42,18 @@ static uint32_t position(const struct marks *marks, uint32_t mass)
 /* The arrays of a body, widest elements first, after the structure itself. */
 struct arrays {
   double *spring_rest_m;
-  uint32_t *mass_lattice, *spring_lattice, *spring_a, *spring_b;
+  uint32_t *mass_lattice, *spring_lattice, *spring_a, *spring_b, *voxel_mass;
   uint16_t *mass_xyz;
 };
 
-static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct arrays *arrays)
+static struct mo_body *allocate(uint32_t n_voxels, uint32_t n_masses, uint32_t n_springs,
+                                struct arrays *arrays)
 {
   const size_t header = (sizeof(struct mo_body) + MO_CACHE_LINE_BYTES - 1) / MO_CACHE_LINE_BYTES *
                         MO_CACHE_LINE_BYTES;
   size_t bytes = header + n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
-                 n_springs * (sizeof(double) + 3 * sizeof(uint32_t));
+                 n_springs * (sizeof(double) + 3 * sizeof(uint32_t)) +
+                 (size_t)n_voxels * 8 * sizeof(uint32_t);
   char *memory = mo_alloc_aligned(bytes, 1);
   if (memory == NULL)
     return NULL;
@@ -60,8 +62,10 @@ static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct ar
   arrays->spring_lattice = arrays->mass_lattice + n_masses;
   arrays->spring_a = arrays->spring_lattice + n_springs;
   arrays->spring_b = arrays->spring_a + n_springs;
-  arrays->mass_xyz = (uint16_t *)(void *)(arrays->spring_b + n_springs);
+  arrays->voxel_mass = arrays->spring_b + n_springs;
+  arrays->mass_xyz = (uint16_t *)(void *)(arrays->voxel_mass + 8 * (size_t)n_voxels);
   struct mo_body *body = (struct mo_body *)(void *)memory;
+  body->n_voxels = n_voxels;
   body->n_masses = n_masses;
   body->n_springs = n_springs;
   body->mass_lattice = arrays->mass_lattice;
@@ -70,10 +74,12 @@ static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct ar
   body->spring_a = arrays->spring_a;
   body->spring_b = arrays->spring_b;
   body->spring_rest_m = arrays->spring_rest_m;
+  body->voxel_mass = arrays->voxel_mass;
   return body;
 }
 
-static void fill(const struct mo_lattice *lattice, const struct marks *marks, struct arrays *arrays)
+static void fill(const struct mo_lattice *lattice, const uint64_t *bits, const struct marks *marks,
+                 struct arrays *arrays)
 {
   const uint32_t side_y = lattice->workspace.ny + UINT32_C(1);
   const uint32_t side_z = lattice->workspace.nz + UINT32_C(1);
@@ -99,6 +105,14 @@ static void fill(const struct mo_lattice *lattice, const struct marks *marks, st
       n++;
     }
   }
+  n = 0;
+  for (uint32_t w = 0; w < mo_workspace_words(lattice->workspace); w++) {
+    for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
+      const size_t voxel = (size_t)w * 64 + (size_t)__builtin_ctzll(rest);
+      for (int i = 0; i < 8; i++)
+        arrays->voxel_mass[n++] = position(marks, lattice->voxel_mass[8 * voxel + i]);
+    }
+  }
 }
 
 int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_body **body)
@@ -119,12 +133,11 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
     marks.mass_below[w] = marks.mass_below[w - 1] + mo_bits_count_word(marks.mass[w - 1]);
   int code = MO_ERR_NO_MEMORY;
   struct arrays arrays;
-  struct mo_body *made = allocate(mo_bits_count(marks.mass, marks.mass_words),
+  struct mo_body *made = allocate(n_voxels, mo_bits_count(marks.mass, marks.mass_words),
                                   mo_bits_count(marks.spring, marks.spring_words), &arrays);
   if (made != NULL) {
     made->workspace = lattice->workspace;
-    made->n_voxels = n_voxels;
-    fill(lattice, &marks, &arrays);
+    fill(lattice, bits, &marks, &arrays);
     *body = made;
     code = MO_OK;
   }

@@ -186,6 +186,17 @@ static void bodies(void)
     }
     CHECK_INT(n, body->n_springs);
     CHECK_INT(voxels, body->n_voxels);
+    n = 0;
+    for (uint32_t v = 0; v < lattice->n_voxels; v++) {
+      if (bits[v / 64] >> v % 64 & 1) {
+        for (uint32_t k = 0; k < 8; k++)
+          wrong +=
+              body->voxel_mass[8 * n + k] >= body->n_masses ||
+              body->mass_lattice[body->voxel_mass[8 * n + k]] != lattice->voxel_mass[8 * v + k];
+        n++;
+      }
+    }
+    CHECK_INT(n, voxels);
     CHECK_INT(wrong, 0);
     mo_body_free(body);
   }
