@@ -111,7 +111,7 @@ static double time_ms(const struct bench_scene *scene, enum mo_isa isa, struct m
   const double start = bench_thread_s();
   for (uint32_t i = 0; i < n; i++)
     bench_check(mo_rollout_block(memory, pack, scene->bodies[i], scene->list, MO_PAPER_TEST_COUNT,
-                                 &physics, NULL, NULL, outcomes),
+                                 &physics, NULL, NULL, NULL, outcomes),
                 "rollout");
   const double ms = 1e3 * (bench_thread_s() - start) / (n * MO_PAPER_TEST_COUNT);
   mo_workspace_memory_free(memory);

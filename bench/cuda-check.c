@@ -72,7 +72,7 @@ static void *compute_some(void *context)
     if (i >= references->n)
       return NULL;
     must(mo_rollout_reference(references->robots[i].body, references->controller,
-                              references->robots[i].environment, references->physics, NULL,
+                              references->robots[i].environment, references->physics, NULL, NULL,
                               references->outcomes + i),
          "reference");
   }
@@ -144,7 +144,7 @@ static void check_starts(struct mo_device_controller *controller)
   run(controller, robots, RANDOM, &physics, outcomes);
   for (uint32_t i = 0; i < RANDOM; i++) {
     struct mo_outcome truth;
-    must(mo_rollout_reference(bodies[i], golden.controller, environments + i, &physics, NULL,
+    must(mo_rollout_reference(bodies[i], golden.controller, environments + i, &physics, NULL, NULL,
                               &truth),
          "reference");
     for (int axis = 0; axis < 3; axis++) {
@@ -228,7 +228,7 @@ static void check_sizes(uint32_t n_steps)
       struct mo_outcome truth;
       must(mo_rollout_reference(rows->robots[r].body,
                                 kinds[kind].is_passive ? NULL : golden.controller,
-                                rows->robots[r].environment, &physics, NULL, &truth),
+                                rows->robots[r].environment, &physics, NULL, NULL, &truth),
            "reference");
       for (int axis = 0; axis < 3; axis++) {
         worst = fmax(worst, fabs(outcome->com_end_m[axis] - truth.com_end_m[axis]));
@@ -318,7 +318,7 @@ static void check_divergence(struct mo_device_controller *controller)
     const struct mo_outcome *o = rows->outcomes + i;
     struct mo_outcome truth;
     must(mo_rollout_reference(bodies[i], golden.controller, rows->robots[i].environment, &physics,
-                              NULL, &truth),
+                              NULL, NULL, &truth),
          "reference");
     diverged += truth.diverged_step != 0;
     agree &= (truth.diverged_step != 0) == (o->diverged_step != 0) &&

@@ -34,9 +34,9 @@ static double run_s(const struct runner *runner, const struct mo_pack *pack,
 {
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   const double start = bench_thread_s();
-  bench_check(
-      mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL, outcomes),
-      "rollout");
+  bench_check(mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL,
+                               NULL, outcomes),
+              "rollout");
   return bench_thread_s() - start;
 }
 

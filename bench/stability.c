@@ -207,7 +207,8 @@ static void run_body(struct lane *lane, const struct mo_body *body,
   for (int e = 0; e < ENVIRONMENTS; e++)
     list[e] = environments + e;
   bench_check(mo_rollout_block(lane->memory, lane->packs[!cell->is_passive], body, list,
-                               ENVIRONMENTS, &cell->physics, lane->recordings, NULL, outcomes),
+                               ENVIRONMENTS, &cell->physics, lane->recordings, NULL, NULL,
+                               outcomes),
               "rollouts");
   for (int e = 0; e < ENVIRONMENTS; e++) {
     const double stretch = stretch_of(body, lane->recordings + e, frames, &cell->wrong);

@@ -53,6 +53,7 @@ struct mo_block {
   enum mo_urgency urgency;
   enum mo_back_end back_end;             /* MO_ON_DEVICE: if devices support it, see below */
   const struct mo_recording *recordings; /* NULL or (n_environments) */
+  const struct mo_measuring *measuring;  /* NULL, or of n_environments rollouts */
   const volatile int *cancel; /* NULL or a flag; non-zero stops the block with MO_ERR_CANCELLED */
   int64_t tag; /* chosen by the submitter, such as a job's id: the thread's tag while the block
                   runs */
@@ -219,9 +220,9 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 /* ---- remote takers: machines that compute blocks from this back end's queues ---- */
 
 /* Work taken by a remote taker. It is either blocks: batch blocks in float32, without recordings
- * and with `body` NULL, all of one share, one controller and one physics; the submitters still own
- * them. Or it is one shard of a gradient on the CPU or on expected devices, if the batch has a
- * share, is not urgent, and includes its genotypes. */
+ * and measures, and with `body` NULL, all of one share, one controller and one physics; the
+ * submitters still own them. Or it is one shard of a gradient on the CPU or on expected devices, if
+ * the batch has a share, is not urgent, and includes its genotypes. */
 struct mo_taken {
   enum mo_back_end back_end;
   uint32_t n_blocks, n_rows;              /* a row is one rollout; a shard counts as one block */
@@ -296,10 +297,10 @@ bool mo_compute_lacks_takers(const struct mo_compute *compute, enum mo_back_end 
 /* Blocks with MO_ON_DEVICE wait in one queue for all devices, in which shares have the same weights
  * as for workers. A device takes many blocks at once, all of one share, one controller and one
  * physics; fewer if it lacks memory. MO_INTERACTIVE blocks go first. The workers compute what
- * devices cannot: blocks in float64 or with recordings, and blocks that the module does not
- * support. The choice depends only on the block, and `computed_on` reports it. A device that fails
- * is lost, and its work moves to the other devices. If no device is left, all queued and later work
- * fails with MO_ERR_DEVICE. */
+ * devices cannot: blocks in float64, with recordings or with measures, and blocks that the module
+ * does not support. The choice depends only on the block, and `computed_on` reports it. A device
+ * that fails is lost, and its work moves to the other devices. If no device is left, all queued and
+ * later work fails with MO_ERR_DEVICE. */
 enum mo_device_state { MO_DEVICE_WORKS = 0, MO_DEVICE_LOST = 1 };
 
 struct mo_device_status {

@@ -21,6 +21,7 @@
 #include <stdint.h>
 
 #include <morpho/controller.h>
+#include <morpho/measure.h>
 #include <morpho/morphospace.h>
 #include <morpho/world.h>
 
@@ -155,12 +156,13 @@ struct mo_pause_point {
   void *context;
 };
 
-/* Runs one rollout. controller NULL: no actuation (rest lengths constant). recording nullable.
- * MO_ERR_INVALID: the workspaces of the controller and the body differ; MO_ERR_NO_MEMORY. A
- * diverged rollout still returns MO_OK: the outcome records the divergence. */
+/* Runs one rollout. controller NULL: no actuation (rest lengths constant). recording, measuring:
+ * nullable. MO_ERR_INVALID: the workspaces of the controller and the body differ; MO_ERR_NO_MEMORY.
+ * A diverged rollout still returns MO_OK: the outcome records the divergence. */
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
-                         const struct mo_recording *recording, struct mo_outcome *outcome);
+                         const struct mo_recording *recording, const struct mo_measuring *measuring,
+                         struct mo_outcome *outcome);
 
 /* ---- the fast path ---- */
 
@@ -183,12 +185,12 @@ void mo_workspace_memory_free(struct mo_workspace_memory *memory);
 size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory);
 
 /* Runs one body in n_environments (1 … MO_BLOCK_LANES) environments. recordings: NULL or
- * n_environments of them. outcomes: (n_environments). pause nullable. */
+ * n_environments of them. outcomes: (n_environments). measuring, pause: nullable. */
 int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
                      const struct mo_body *body, const struct mo_environment *const *environments,
                      uint32_t n_environments, const struct mo_physics *physics,
-                     const struct mo_recording *recordings, const struct mo_pause_point *pause,
-                     struct mo_outcome *outcomes);
+                     const struct mo_recording *recordings, const struct mo_measuring *measuring,
+                     const struct mo_pause_point *pause, struct mo_outcome *outcomes);
 
 #ifdef __cplusplus
 }

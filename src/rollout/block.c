@@ -4,6 +4,7 @@
  * with a body that fits allocates nothing. */
 #include "rollout/carve.h"
 #include "rollout/fast.h"
+#include "rollout/measuring.h"
 #include "rollout/scene.h"
 
 #include <stdlib.h>
@@ -49,15 +50,24 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   const bool splits = run->physics->scheme.integrator == MO_INTEGRATOR_SPLIT;
   run->velocity = carve(&carver, n_masses * 3 * MO_LANES, real);
   run->coasted = carve(&carver, splits ? n_masses * 3 * MO_LANES : 0, real);
-  run->keeps = splits || run->control_steps > 1;
+  run->blends = splits || (run->observations & MO_OBSERVE_SPRINGS) != 0;
+  run->keeps = run->blends || run->control_steps > 1;
   run->start = carve(&carver, n_masses * 3, sizeof(double));
   run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
   run->spring_rest = carve(&carver, n_springs, real);
   run->activation = carve(&carver, MO_LANES * panel, real);
   run->held = carve(&carver, MO_LANES * (run->keeps ? springs_padded : panel), real);
-  run->blended = carve(&carver, splits ? MO_LANES * panel : 0, real);
+  run->blended = carve(&carver, run->blends ? MO_LANES * panel : 0, real);
   run->contacts = carve(&carver, n_masses, sizeof(uint32_t));
   run->terrain = carve(&carver, (size_t)MO_LANES * MO_CELLS * 4, real);
+  if (run->observations != 0) {
+    run->rows = carve(&carver, n_masses, sizeof(*run->rows));
+    run->turn_rows = carve(&carver, n_masses * 2, real);
+    run->halves = carve(&carver, n_masses, sizeof(*run->halves));
+    run->inverse_rest = carve(&carver, n_springs, real);
+    run->inverted = carve(&carver, run->body->n_voxels, sizeof(uint32_t));
+    run->corners = carve(&carver, (size_t)run->body->n_voxels * 8, sizeof(uint32_t));
+  }
   if (!pack->passive) {
     run->sensor = carve(&carver, n_masses * MO_LANES, real);
     run->hidden = carve(&carver, (size_t)2 * MO_LANES * MO_HIDDEN, real);
@@ -84,8 +94,8 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
 int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
                      const struct mo_body *body, const struct mo_environment *const *environments,
                      uint32_t n_environments, const struct mo_physics *physics,
-                     const struct mo_recording *recordings, const struct mo_pause_point *pause,
-                     struct mo_outcome *outcomes)
+                     const struct mo_recording *recordings, const struct mo_measuring *measuring,
+                     const struct mo_pause_point *pause, struct mo_outcome *outcomes)
 {
   if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
     return MO_ERR_RANGE;
@@ -98,6 +108,8 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .physics = physics,
                             .control_steps = mo_control_steps(&physics->scheme),
                             .recordings = recordings,
+                            .measuring = measuring,
+                            .observations = measuring != NULL ? mo_observations(measuring->set) : 0,
                             .pause = pause,
                             .outcomes = outcomes};
   if (run.control_steps == 0)

@@ -5,6 +5,22 @@
 
 #include "rollout/fast.h"
 
+/* The springs of a panel as the measures see them at the start of a control period. */
+struct mo_observed_springs {
+  const void *inverse_rests; /* (n) 1 / rest length */
+  const void *means;         /* (n, lanes) mean of the new and the previous activations */
+  const void *news;          /* (n, lanes) the new activations */
+  void *squares;             /* (lanes) square of the largest strain so far */
+  void *pulls; /* (lanes) the sum over the springs of L0 (mean − new) (L − L0 (1 + actuation ·
+                  mean)), where that is positive; times 2 · stiffness · actuation, it is the energy
+                  that these springs gain */
+};
+
+typedef void mo_pull_function(const void *constants, uint32_t first_lane, uint32_t n,
+                              const uint32_t *ends, const void *rests, const void *activations,
+                              const void *positions, void *velocities,
+                              const struct mo_observed_springs *observed);
+
 /* The physics for one vector of lanes of a block. Positions, velocities and all other data with
  * lanes are arrays of the run's reals, starting at the first of these lanes. `constants`,
  * `terrain`: structs lane_block and lane_block_terrain of all lanes. */
@@ -13,10 +29,10 @@ struct mo_block_physics {
   /* Computes the light at the masses, minus the body's mean. lights: (3, lanes). */
   void (*sense_light)(enum mo_sensor kind, uint32_t n_masses, const void *positions,
                       const void *lights, void *sensors);
-  /* Computes n springs. activations: (n, lanes). */
-  void (*pull_springs)(const void *constants, uint32_t first_lane, uint32_t n, const uint32_t *ends,
-                       const void *rests, const void *activations, const void *positions,
-                       void *velocities);
+  /* Computes n springs. activations: (n, lanes). `observed` is unused. */
+  mo_pull_function *pull_springs;
+  /* Does the same, and observes them for the measures. */
+  mo_pull_function *pull_observed_springs;
   /* Moves all masses by one step. Returns the lanes whose state is no longer finite or valid.
    * used_lanes: the lanes that count. */
   uint32_t (*move)(const struct mo_fast_run *run, const void *constants, const void *terrain,

@@ -53,6 +53,8 @@ struct mo_fast_run {
   uint32_t control_steps;                  /* in a control period */
   struct mo_constants constants[MO_LANES]; /* of the environments */
   const struct mo_recording *recordings;
+  const struct mo_measuring *measuring; /* NULL: no measures */
+  unsigned observations;                /* measuring.h; 0: no measures */
   const struct mo_pause_point *pause;
   struct mo_outcome *outcomes;
   /* Scratch, carved by block.c. */
@@ -69,13 +71,22 @@ struct mo_fast_run {
   void *sensor;          /* (n_masses, lanes) */
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel) */
-  bool keeps;            /* activations outlast their step: a control period, or `split` */
-  void *held;            /* (n_panels · panel, lanes) the latest activations of all springs; one
-                            panel's if they do not outlast their step */
-  void *blended;         /* (panel, lanes) the mean of new and previous activations; for `split` */
-  void *terrain;         /* (lanes, MO_CELLS, 4) */
-  uint32_t *contacts;    /* (n_masses) bits of the lanes that touched the terrain, in steps that end
-                          * at a frame; undefined in other steps */
+  bool keeps;    /* activations outlast their step: a control period, `split`, or for measures */
+  bool blends;   /* `split`, or for measures */
+  void *held;    /* (n_panels · panel, lanes) the latest activations of all springs; one
+                    panel's if they do not outlast their step */
+  void *blended; /* (panel, lanes) the mean of new and previous activations, if it blends */
+  void *terrain; /* (lanes, MO_CELLS, 4) */
+  uint32_t *contacts; /* (n_masses) bits of the lanes that touched the terrain, in steps that end
+                       * at a frame or that the measures observe; undefined in other steps */
+  /* For measures only: measuring.h has the first two. */
+  double (*rows)[3];    /* (n_masses) */
+  uint8_t (*halves)[2]; /* (n_masses) */
+  void *turn_rows;      /* (n_masses, 2) reals: what the yaw needs of `rows` */
+  void *inverse_rest;   /* (n_springs) 1 / rest length */
+  uint32_t *corners;    /* (n_voxels, 8) offsets of the masses in the arrays of positions */
+  uint32_t *inverted;   /* (n_voxels) bits of the lanes in which it was inverted at the instant
+                           before */
 };
 
 /* ---- gradients ---- */

@@ -4,6 +4,7 @@
 #include "rollout/reference.h"
 
 #include "rollout/contact.h"
+#include "rollout/reference_measures.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -258,12 +259,12 @@ void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint3
 struct recorder {
   struct mo_reference reference;
   const struct mo_recording *recording; /* NULL: none */
+  struct mo_reference_measures measures;
   const struct mo_outcome *outcome;
 };
 
-static void record(void *context, uint32_t step)
+static void record(const struct recorder *recorder, uint32_t step)
 {
-  const struct recorder *recorder = context;
   const struct mo_reference *r = &recorder->reference;
   const struct mo_recording *recording = recorder->recording;
   if (recording == NULL || recording->stride == 0 || step % recording->stride != 0)
@@ -285,15 +286,31 @@ static void record(void *context, uint32_t step)
       recording->contacts[frame * n_masses + m] = moves && r->contacts[m];
 }
 
+static void look(void *context, uint32_t step)
+{
+  struct recorder *recorder = context;
+  record(recorder, step);
+  if (step > 0 && recorder->outcome->diverged_step == 0)
+    mo_reference_observe(&recorder->measures, &recorder->reference, step - 1);
+}
+
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
-                         const struct mo_recording *recording, struct mo_outcome *outcome)
+                         const struct mo_recording *recording, const struct mo_measuring *measuring,
+                         struct mo_outcome *outcome)
 {
   struct recorder recorder = {.recording = recording, .outcome = outcome};
-  const int r = mo_reference_init(&recorder.reference, body, controller, environment, physics);
+  int r = mo_reference_init(&recorder.reference, body, controller, environment, physics);
   if (r < 0)
     return r;
-  mo_reference_run(&recorder.reference, record, &recorder, outcome);
+  double light_m[3];
+  mo_reference_light(&recorder.reference, 0, light_m);
+  r = mo_reference_measures_init(&recorder.measures, &recorder.reference, light_m, measuring);
+  if (r == MO_OK) {
+    mo_reference_run(&recorder.reference, look, &recorder, outcome);
+    mo_reference_measures_finish(&recorder.measures, &recorder.reference, outcome);
+  }
+  mo_reference_measures_done(&recorder.measures);
   mo_reference_done(&recorder.reference);
-  return MO_OK;
+  return r;
 }

@@ -232,7 +232,7 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
       lanes++;
     }
     status = mo_rollout_block(device->memory, pack, score->robots[i].body, environments, lanes,
-                              &score->physics, NULL, &pause, score->outcomes + i);
+                              &score->physics, NULL, NULL, &pause, score->outcomes + i);
     i += lanes;
   }
   return status;

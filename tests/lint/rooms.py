@@ -44,7 +44,8 @@ FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnut
 PUBLIC = {
     "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
     "task.h": "world",
-    "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout",
+    "controller.h": "controller", "measure.h": "rollout", "rollout.h": "rollout",
+    "gradient.h": "rollout",
     "score_error.h": "rollout", "compute.h": "compute", "learning.h": "learning",
     "evolution.h": "evolution"
 }

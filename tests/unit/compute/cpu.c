@@ -263,8 +263,12 @@ static void blocks_are_what_was_asked_for(void)
   struct mo_body *body = make_body(lattice, genotype);
   struct mo_workspace_memory *memory = make_workspace_memory();
   struct mo_block blocks[4];
+  double values[4][MO_PAPER_TEST_COUNT][MO_MEASURES];
+  const struct mo_measuring measurings[4] = {
+      {MO_MEASURES_ALL, values[0]}, {0}, {MO_MEASURES_ALL, values[2]}, {1, values[3]}};
   for (int i = 0; i < 4; i++) {
     fill_block(blocks + i, genotype, brain, 100);
+    blocks[i].measuring = i != 1 ? &measurings[i] : NULL;
     blocks[i].precision = i & 1 ? MO_FLOAT64 : MO_FLOAT32;
     blocks[i].physics.constants.stiffness_n_per_m =
         i & 2 ? 1e6 : 15000; /* the stiff bodies diverge */
@@ -274,10 +278,13 @@ static void blocks_are_what_was_asked_for(void)
   for (int i = 0; i < 4; i++) {
     struct mo_outcome outcomes[MO_PAPER_TEST_COUNT];
     struct mo_pack *pack = make_pack(controller, mo_isa_best(), blocks[i].precision);
+    double expected[MO_PAPER_TEST_COUNT][MO_MEASURES];
+    const struct mo_measuring measuring = {measurings[i].set, expected};
     CHECK_INT(mo_rollout_block(memory, pack, body, blocks[i].environments, MO_PAPER_TEST_COUNT,
-                               &blocks[i].physics, NULL, NULL, outcomes),
+                               &blocks[i].physics, NULL, &measuring, NULL, outcomes),
               MO_OK);
     CHECK(SAME(outcomes, blocks[i].outcomes, MO_PAPER_TEST_COUNT));
+    CHECK(i == 1 || memcmp(expected, values[i], sizeof(expected)) == 0);
     for (int e = 0; e < MO_PAPER_TEST_COUNT; e++)
       diverged += outcomes[e].diverged_step > 0;
   }

@@ -149,19 +149,24 @@ static void workers_keep_the_rest(void)
   struct mo_compute_share *share = NULL;
   REQUIRE(mo_body_create(lattice, genotypes[0], &body) == MO_OK);
   REQUIRE(mo_compute_share_create(world.compute, 1, &share) == MO_OK);
+  double values[MO_BLOCK_LANES][MO_MEASURES];
+  const struct mo_measuring measuring = {MO_MEASURES_ALL, values};
   blocks[0].body = body;
   blocks[0].share = share;
   blocks[1].precision = MO_FLOAT64;
   blocks[2].urgency = MO_INTERACTIVE;
+  blocks[4].measuring = &measuring;
+  submit(&world, 4, 5);
   submit(&world, 0, 4);
-  CHECK(await(&ended, 3));
+  CHECK(await(&ended, 4));
   check_block(0, 0);
   check_block(2, 0);
+  check_block(4, 0);
   struct mo_taken *taken = mo_compute_take(world.compute, MO_ON_CPU, steps_of(BODIES));
   REQUIRE(taken != NULL && taken->n_blocks == 1 && taken->blocks[0] == &blocks[3]);
   mo_compute_put_back(world.compute, taken);
   mo_compute_leave_remote(world.compute, false); /* workers take it at once */
-  CHECK(await(&ended, 4));
+  CHECK(await(&ended, 5));
   check_block(3, 0);
   mo_compute_share_free(share);
   mo_body_free(body);

@@ -62,7 +62,10 @@ static int rollout(void)
   struct mo_environment environment = {.light_xy_m = {1, 1}};
   const struct mo_physics physics = physics_of(3);
   struct mo_outcome outcome = {.loss = -1};
-  const int r = mo_rollout_reference(body, shared, &environment, &physics, NULL, &outcome);
+  double values[1][MO_MEASURES];
+  const struct mo_measuring measuring = {MO_MEASURES_ALL, values};
+  const int r =
+      mo_rollout_reference(body, shared, &environment, &physics, NULL, &measuring, &outcome);
   CHECK((outcome.loss > 0) == (r == MO_OK));
   return r;
 }

@@ -46,7 +46,7 @@ static double lone_loss(void *context, const struct mo_bits *genotype,
   struct mo_pack *pack = NULL;
   if (mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK &&
       mo_body_create(alone->lattice, genotype->words, &body) == MO_OK)
-    CHECK_OK(mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL,
+    CHECK_OK(mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL, NULL,
                               &outcome));
   mo_body_free(body);
   mo_pack_free(pack);

@@ -16,7 +16,7 @@ static double loss_of(const struct mo_controller *controller,
       struct mo_outcome outcome = {.loss = NAN};
       mo_environment_training(1, step, i, &environment);
       mo_rollout_reference(bodies[(step * BATCH + i) % DESIGNS], controller, &environment, physics,
-                           NULL, &outcome);
+                           NULL, NULL, &outcome);
       sum += outcome.loss / (STEPS * BATCH);
     }
   return sum;

@@ -107,7 +107,7 @@ static void kernels(void)
         struct mo_pack *pack =
             make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision);
         REQUIRE(mo_rollout_block(memory, pack, body, list, ENVIRONMENTS, &physics, recordings, NULL,
-                                 outcomes) == MO_OK);
+                                 NULL, outcomes) == MO_OK);
         for (uint32_t e = 0; e < ENVIRONMENTS; e++) {
           hash_outcome(&h, outcomes + e, com[e]);
           const float loss =
@@ -142,7 +142,7 @@ static void reference(void)
       struct mo_outcome outcome;
       double com[FRAMES * 3];
       const struct mo_recording recording = {.stride = STRIDE, .com_m = com};
-      REQUIRE(mo_rollout_reference(body, controller, environments + e, &physics, &recording,
+      REQUIRE(mo_rollout_reference(body, controller, environments + e, &physics, &recording, NULL,
                                    &outcome) == MO_OK);
       hash_outcome(&h, &outcome, com);
       hash(&h, &outcome.loss, sizeof(outcome.loss));

@@ -41,7 +41,7 @@ static void run_block(int isa, int precision, const struct mo_body *body, const 
     list[l] = environments + lanes[l] % MO_PAPER_TEST_COUNT;
   make_check(mo_rollout_block(make_workspace_memory(),
                               make_pack(controller, (enum mo_isa)isa, (enum mo_precision)precision),
-                              body, list, n, physics, recordings, NULL, outcomes),
+                              body, list, n, physics, recordings, NULL, NULL, outcomes),
              "rollouts");
   check_drop_to(kept);
 }
@@ -241,7 +241,7 @@ static void compare_kernels(const struct mo_body *body, const struct mo_physics 
   prepare_lives(&reference);
   for (int l = 0; l < LANES; l++)
     REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], physics,
-                                 &reference.recordings[l], &reference.outcomes[l]) == 0);
+                                 &reference.recordings[l], NULL, &reference.outcomes[l]) == 0);
   EACH_KERNEL(isa, precision)
   {
     prepare_lives(&lives);
@@ -342,7 +342,7 @@ static void channels_agree(void)
     make_recordings(reference, LANES, body);
     for (int l = 0; l < LANES; l++)
       REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], &physics,
-                                   &reference[l], &outcomes[l]) == MO_OK);
+                                   &reference[l], NULL, &outcomes[l]) == MO_OK);
     EACH_KERNEL(isa, precision)
     {
       uint32_t contacts = 0, moved = 0;
@@ -383,8 +383,8 @@ static void contacts_of_a_fall(void)
     uint32_t touched = 0;
     make_recordings(&recording, 1, body);
     memset(recording.actuation, 99, (size_t)CHANNEL_FRAMES * body->n_springs);
-    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, &recording, NULL, &outcome) ==
-            MO_OK);
+    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, &recording, NULL, NULL,
+                             &outcome) == MO_OK);
     for (size_t i = 0; i < (size_t)CHANNEL_FRAMES * body->n_springs; i++)
       CHECK_INT(recording.actuation[i], 0);
     for (size_t i = 0; i < (size_t)CHANNEL_FRAMES * body->n_masses; i++) {
@@ -412,8 +412,10 @@ static void passive_bodies(void)
     const struct mo_environment *list[1] = {environments};
     struct mo_pack *pack = make_pack(NULL, (enum mo_isa)isa, (enum mo_precision)precision);
     struct mo_workspace_memory *memory = make_workspace_memory();
-    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &outcome) == MO_OK);
-    REQUIRE(mo_rollout_reference(body, NULL, environments, &physics, NULL, &reference) == MO_OK);
+    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, NULL, &outcome) ==
+            MO_OK);
+    REQUIRE(mo_rollout_reference(body, NULL, environments, &physics, NULL, NULL, &reference) ==
+            MO_OK);
     const double tolerance = precision == MO_FLOAT64 ? 1e-11 : 1e-4;
     for (int axis = 0; axis < 3; axis++)
       CHECK_NEAR(outcome.com_end_m[axis], reference.com_end_m[axis], tolerance);
@@ -529,9 +531,10 @@ static void large_bodies(void)
       mo_controller_randomize(brain, 1);
     struct mo_pack *pack = make_pack(brain, mo_isa_best(), MO_FLOAT32);
     struct mo_workspace_memory *memory = make_workspace_memory();
-    REQUIRE(mo_rollout_block(memory, pack, body, list, large ? 1 : 2, &physics, NULL, NULL,
+    REQUIRE(mo_rollout_block(memory, pack, body, list, large ? 1 : 2, &physics, NULL, NULL, NULL,
                              outcomes) == MO_OK);
-    REQUIRE(mo_rollout_reference(body, brain, &environment, &physics, NULL, &reference) == MO_OK);
+    REQUIRE(mo_rollout_reference(body, brain, &environment, &physics, NULL, NULL, &reference) ==
+            MO_OK);
     for (int axis = 0; axis < 3; axis++)
       CHECK_NEAR(outcomes[0].com_end_m[axis], reference.com_end_m[axis], 1e-5);
     CHECK(large || memcmp(&outcomes[0], &outcomes[1], sizeof(outcomes[0])) == 0);
@@ -553,23 +556,24 @@ static void pauses_and_faults(void)
   struct mo_workspace_memory *memory = make_workspace_memory();
   int calls = 0;
   struct mo_pause_point pause = {.interval = 10, .reached = stop_after_three, .context = &calls};
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &pause, &outcome),
             MO_ERR_CANCELLED);
   CHECK_INT(calls, 3);
   calls = 3;
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, &outcome), MO_OK);
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &pause, &outcome),
+            MO_OK);
   CHECK_INT(calls, 13);
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 0, &physics, NULL, NULL, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 0, &physics, NULL, NULL, NULL, &outcome),
             MO_ERR_RANGE);
   CHECK_INT(mo_rollout_block(memory, pack, body, list, MO_BLOCK_LANES + 1, &physics, NULL, NULL,
-                             &outcome),
+                             NULL, &outcome),
             MO_ERR_RANGE);
   struct mo_pack *other = NULL;
   CHECK_INT(mo_pack_create(controller, MO_ISA_COUNT, MO_FLOAT32, &other), MO_ERR_INVALID);
   const uint64_t one = 1;
   struct mo_lattice *small = make_lattice((struct mo_workspace){2, 1, 1});
   struct mo_body *voxel = make_body(small, &one);
-  CHECK_INT(mo_rollout_block(memory, pack, voxel, list, 1, &physics, NULL, NULL, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, voxel, list, 1, &physics, NULL, NULL, NULL, &outcome),
             MO_ERR_INVALID);
 }
 

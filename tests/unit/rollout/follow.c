@@ -26,14 +26,14 @@ static void follow(const struct mo_environment *environment, const struct mo_phy
   double *d = make_zeros(n, sizeof(double)), error = 0, size = 0;
   float *fast_d = make_zeros(n, sizeof(float));
   struct mo_outcome before, outcome, block[2], fast;
-  REQUIRE_OK(mo_rollout_reference(body, controller, &hilly, &plain, NULL, &before));
+  REQUIRE_OK(mo_rollout_reference(body, controller, &hilly, &plain, NULL, NULL, &before));
   REQUIRE_OK(
       mo_gradient_reference(body, controller, environment, physics, &options, &outcome, d, NULL));
   CHECK(fabs(outcome.loss - before.loss) > 1e-5);
   const struct mo_environment *lanes[] = {&hilly, environment};
   REQUIRE_OK(mo_rollout_block(make_workspace_memory(),
                               make_pack(controller, MO_ISA_BASELINE, MO_FLOAT64), body, lanes, 2,
-                              physics, NULL, NULL, block));
+                              physics, NULL, NULL, NULL, block));
   CHECK_NEAR(block[1].loss, outcome.loss, 1e-9);
   struct mo_gradient_counts counts = {0};
   REQUIRE_OK(mo_gradient_block(make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES),

@@ -17,13 +17,13 @@ static double live(const struct golden_case *c, int isa, enum mo_precision preci
   const struct mo_environment *list[1] = {&c->environment};
   struct mo_outcome outcome;
   if (isa < 0)
-    make_check(
-        mo_rollout_reference(c->body, golden.controller, list[0], physics, &recording, &outcome),
-        "reference");
+    make_check(mo_rollout_reference(c->body, golden.controller, list[0], physics, &recording, NULL,
+                                    &outcome),
+               "reference");
   else
     make_check(mo_rollout_block(make_workspace_memory(),
                                 make_pack(golden.controller, (enum mo_isa)isa, precision), c->body,
-                                list, 1, physics, &recording, NULL, &outcome),
+                                list, 1, physics, &recording, NULL, NULL, &outcome),
                "kernel");
   CHECK_INT(outcome.diverged_step, 0);
   return outcome.loss;

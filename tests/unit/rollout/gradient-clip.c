@@ -247,8 +247,8 @@ static void adds_up(void)
   CHECK_NEAR(options.weight, 1.0, 0);
   REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
                                 &outcome, once, &counts) == MO_OK);
-  REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &plain) ==
-          MO_OK);
+  REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, NULL,
+                               &plain) == MO_OK);
   CHECK(SAME(&outcome, &plain, 1));
   options.weight = 0.5;
   for (int k = 0; k < 2; k++)

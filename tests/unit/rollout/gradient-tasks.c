@@ -50,7 +50,7 @@ static void differences(void)
         along += (end == 0 ? gradient[i] : -gradient[i]) * controller->parameters[i];
       }
       REQUIRE_OK(mo_rollout_reference(robots[k].body, controller, robots[k].environment, &physics,
-                                      NULL, &ends[end]));
+                                      NULL, NULL, &ends[end]));
       memcpy(controller->parameters, middle, bytes);
     }
     difference = ends[0].loss - ends[1].loss;

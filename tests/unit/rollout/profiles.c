@@ -33,9 +33,9 @@ static void block_of(const struct mo_pack *pack, const struct mo_body *body,
   const struct mo_environment *list[MO_BLOCK_LANES];
   for (uint32_t l = 0; l < n; l++)
     list[l] = environments + lanes[l];
-  make_check(
-      mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL, outcomes),
-      "block");
+  make_check(mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL,
+                              NULL, outcomes),
+             "block");
 }
 
 /* ---- the same plane twice ---- */
@@ -150,8 +150,8 @@ static void kernels(void)
           block_of(pack, body, environments, alone + k, 1, &physics, &one);
           CHECK(SAME(&one, &outcomes[k], 1));
           CHECK(SAME(&turned[k], &outcomes[lanes[k]], 1));
-          REQUIRE_OK(
-              mo_rollout_reference(body, controller, &environments[k], &physics, NULL, &exact));
+          REQUIRE_OK(mo_rollout_reference(body, controller, &environments[k], &physics, NULL, NULL,
+                                          &exact));
           worst = fmax(worst, apart(&exact, &one));
         }
       }
@@ -186,7 +186,7 @@ static void never_below(void)
       for (uint32_t l = 0; l < LANES; l++)
         recordings[l] = (struct mo_recording){.stride = 1, .mass_m = mass + l * n * 3};
       REQUIRE_OK(mo_rollout_block(make_workspace_memory(), pack, body, list, LANES, &physics,
-                                  recordings, NULL, outcomes));
+                                  recordings, NULL, NULL, outcomes));
       double deepest = 0;
       for (uint32_t l = 0; l < LANES; l++)
         for (size_t i = 0; i < n; i++) {

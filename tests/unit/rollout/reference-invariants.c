@@ -38,7 +38,7 @@ static struct mo_outcome outcome_of(const struct mo_body *body, const struct mo_
                                     const struct mo_recording *recording)
 {
   struct mo_outcome outcome;
-  make_check(mo_rollout_reference(body, brain, environment, physics, recording, &outcome),
+  make_check(mo_rollout_reference(body, brain, environment, physics, recording, NULL, &outcome),
              "rollout");
   return outcome;
 }
@@ -281,7 +281,7 @@ static void no_energy_of_overhangs(void)
           struct mo_outcome outcome;
           const struct mo_pack *pack =
               make_pack(bootstrap, (enum mo_isa)isa, (enum mo_precision)precision);
-          REQUIRE(mo_rollout_block(memory, pack, body, &list, 1, &physics, &recording, NULL,
+          REQUIRE(mo_rollout_block(memory, pack, body, &list, 1, &physics, &recording, NULL, NULL,
                                    &outcome) == MO_OK);
           CHECK_INT(outcome.diverged_step, 0);
           for (uint32_t frame = 1; frame <= 300; frame++)
@@ -423,7 +423,7 @@ static void wrong_workspace(void)
   const struct mo_environment environment = {.light_xy_m = {1, 1}};
   const struct mo_physics physics = mo_paper_physics();
   struct mo_outcome outcome = {.loss = 7};
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome),
+  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, NULL, &outcome),
             MO_ERR_INVALID);
   CHECK_NEAR(outcome.loss, 7, 0);
 }

@@ -22,7 +22,7 @@ static void million_springs(void)
   mo_environment_training(1, 0, 0, &environment);
   struct mo_physics physics = physics_of(20);
   struct mo_outcome passive, driven;
-  CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, &passive), MO_OK);
+  CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, NULL, &passive), MO_OK);
   CHECK_INT(passive.diverged_step, 0);
   CHECK_NEAR(passive.loss, 1, 0.01);
   CHECK(passive.com_end_m[2] < passive.com_start_m[2]);
@@ -34,8 +34,9 @@ static void million_springs(void)
   for (uint32_t i = 0; i < controller->n_springs; i++)
     controller->bias[3][i] = i % 2 ? 1.0F : -1.0F;
   physics.scheme.n_steps = 2;
-  CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, &passive), MO_OK);
-  CHECK_INT(mo_rollout_reference(body, controller, &environment, &physics, NULL, &driven), MO_OK);
+  CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, NULL, &passive), MO_OK);
+  CHECK_INT(mo_rollout_reference(body, controller, &environment, &physics, NULL, NULL, &driven),
+            MO_OK);
   CHECK_INT(driven.diverged_step, 0);
   CHECK(driven.com_end_m[2] != passive.com_end_m[2]);
   printf("# with a controller of %zu parameters: %.0f MiB\n", controller->n_parameters, peak_mib());

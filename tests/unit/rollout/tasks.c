@@ -180,7 +180,7 @@ static void reference(void)
     struct mo_reference r;
     struct oracle o;
     REQUIRE_OK(
-        mo_rollout_reference(body, controller, &environment, &physics, &recording, &outcome));
+        mo_rollout_reference(body, controller, &environment, &physics, &recording, NULL, &outcome));
     REQUIRE_OK(mo_reference_init(&r, body, controller, &environment, &physics));
     oracle_start(&o, &environment, com_m[0]);
     for (uint32_t step = 0; step < physics.scheme.n_steps; step++) {
@@ -216,7 +216,8 @@ static void nothing(void)
     memset(environment.terrain_heights_m, 0, sizeof(environment.terrain_heights_m));
     if (environment.task.guide.kind == MO_GUIDE_MOVING || environment.task.guide.n_points > 1)
       continue;
-    REQUIRE_OK(mo_rollout_reference(robots[0].body, NULL, &environment, &physics, NULL, &outcome));
+    REQUIRE_OK(
+        mo_rollout_reference(robots[0].body, NULL, &environment, &physics, NULL, NULL, &outcome));
     CHECK_NEAR(outcome.loss, 1, environment.task.objective == MO_OBJECTIVE_CLIMB ? 0.3 : 3e-3);
   }
 }
@@ -231,9 +232,9 @@ static void block_of(const struct mo_pack *pack, const struct mo_body *body,
   const struct mo_environment *list[MO_BLOCK_LANES];
   for (uint32_t l = 0; l < n; l++)
     list[l] = environments + lanes[l];
-  make_check(
-      mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL, outcomes),
-      "rollouts");
+  make_check(mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL,
+                              NULL, outcomes),
+             "rollouts");
   check_drop_to(kept);
 }
 
@@ -268,8 +269,8 @@ static void kernels(void)
         for (uint32_t k = 0; k < N; k++) {
           block_of(pack, body, environments, alone + k, 1, &physics, &one);
           CHECK(memcmp(&one, &outcomes[k], sizeof(one)) == 0);
-          REQUIRE_OK(
-              mo_rollout_reference(body, controller, &environments[k], &physics, NULL, &exact));
+          REQUIRE_OK(mo_rollout_reference(body, controller, &environments[k], &physics, NULL, NULL,
+                                          &exact));
           worst = fmax(worst, fmax(fabs(exact.loss - one.loss), fabs(exact.value - one.value)));
         }
         for (uint32_t l = 0; l < N; l++)
@@ -292,8 +293,8 @@ static void divergence(void)
     const struct mo_environment environment = environment_of(k);
     const uint32_t lane = 0;
     struct mo_outcome outcome;
-    REQUIRE_OK(
-        mo_rollout_reference(robots[0].body, controller, &environment, &physics, NULL, &outcome));
+    REQUIRE_OK(mo_rollout_reference(robots[0].body, controller, &environment, &physics, NULL, NULL,
+                                    &outcome));
     CHECK(outcome.diverged_step > 0 && isinf(outcome.loss) && outcome.loss > 0);
     CHECK(isinf(outcome.value) && outcome.value < 0);
     block_of(make_pack(controller, MO_ISA_BASELINE, MO_FLOAT32), robots[0].body, &environment,
@@ -313,7 +314,8 @@ static void long_falls(void)
   environment.task = (struct mo_task){{.kind = MO_GUIDE_FIXED}, MO_OBJECTIVE_CLIMB};
   physics.constants.drag_per_s = 0;
   physics.drop_height_m = 200;
-  REQUIRE_OK(mo_rollout_reference(robots[0].body, NULL, &environment, &physics, NULL, &outcome));
+  REQUIRE_OK(
+      mo_rollout_reference(robots[0].body, NULL, &environment, &physics, NULL, NULL, &outcome));
   CHECK_INT(outcome.diverged_step, 0);
   CHECK(outcome.value < -70 && isfinite(outcome.loss) && outcome.loss > 1e200);
 }

@@ -1,0 +1,152 @@
+/* reference_measures.c: what the measures observe of the float64 rollout, from the definitions of
+ * docs/model.md. */
+#include "rollout/reference_measures.h"
+
+#include "rollout/scene.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+int mo_reference_measures_init(struct mo_reference_measures *measures,
+                               const struct mo_reference *reference, const double light_m[3],
+                               const struct mo_measuring *measuring)
+{
+  const struct mo_body *body = reference->body;
+  *measures = (struct mo_reference_measures){0};
+  if (measuring == NULL || measuring->set == 0)
+    return MO_OK;
+  measures->set = measuring->set;
+  measures->values = measuring->values[0];
+  measures->observations = mo_observations(measuring->set);
+  measures->rows = calloc(body->n_masses, sizeof(*measures->rows));
+  measures->halves = calloc(body->n_masses, sizeof(*measures->halves));
+  measures->output = calloc(body->n_springs, sizeof(*measures->output));
+  measures->inverted = calloc(body->n_voxels, sizeof(*measures->inverted));
+  if (measures->rows == NULL || measures->halves == NULL || measures->output == NULL ||
+      measures->inverted == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_measuring_frame(body, measures->rows);
+  mo_measuring_halves(body, measures->halves);
+  double com_m[3];
+  mo_scene_com(reference->position_m, body->n_masses, com_m);
+  mo_observer_begin(&measures->observer, body, reference->environment, reference->physics, com_m,
+                    light_m);
+  return MO_OK;
+}
+
+void mo_reference_measures_done(struct mo_reference_measures *measures)
+{
+  free(measures->rows);
+  free(measures->halves);
+  free(measures->output);
+  free(measures->inverted);
+  *measures = (struct mo_reference_measures){0};
+}
+
+static void pose_of(const struct mo_reference_measures *m, const struct mo_body *body,
+                    const double *position_m, struct mo_pose *pose)
+{
+  mo_scene_com(position_m, body->n_masses, pose->com_m);
+  pose->turn[0] = pose->turn[1] = 0;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const double *p = position_m + 3 * (size_t)i, *row = m->rows[i];
+    pose->turn[0] += row[0] * p[0] + row[1] * p[1];
+    pose->turn[1] += row[0] * p[1] - row[1] * p[0];
+  }
+}
+
+/* The strain of the springs, and the work of the actuators: what the energy of each spring gains
+ * where the new outputs replace the old ones, if it gains. */
+static void observe_springs(struct mo_reference_measures *m, const struct mo_reference *r,
+                            const double *position_m, bool changes)
+{
+  const struct mo_body *body = r->body;
+  const struct mo_constants *c = &m->observer.constants;
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    const double *a = position_m + 3 * (size_t)body->spring_a[s],
+                 *b = position_m + 3 * (size_t)body->spring_b[s], rest = body->spring_rest_m[s];
+    const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+    const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+    m->observer.strain = fmax(m->observer.strain, fabs(length / rest - 1));
+    const double before = length - rest * (1 + c->actuation * m->output[s]),
+                 after = length - rest * (1 + c->actuation * r->output[s]);
+    if (changes)
+      m->observer.work_j += 0.5 * c->stiffness_n_per_m * fmax(after * after - before * before, 0);
+    m->output[s] = r->output[s];
+  }
+}
+
+/* Counts the voxels whose mean edges along x, y and z are left-handed now and were at the instant
+ * before. */
+static void observe_voxels(struct mo_reference_measures *m, const struct mo_body *body,
+                           const double *position_m)
+{
+  uint32_t count = 0;
+  for (uint32_t v = 0; v < body->n_voxels; v++) {
+    double e[3][3] = {{0}};
+    for (uint32_t k = 0; k < 8; k++) {
+      const double *p = position_m + 3 * (size_t)body->voxel_mass[8 * (size_t)v + k];
+      for (uint32_t edge = 0; edge < 3; edge++)
+        for (int axis = 0; axis < 3; axis++)
+          e[edge][axis] += (k >> (2 - edge) & 1) != 0 ? p[axis] : -p[axis];
+    }
+    const double volume = e[0][0] * (e[1][1] * e[2][2] - e[1][2] * e[2][1]) +
+                          e[0][1] * (e[1][2] * e[2][0] - e[1][0] * e[2][2]) +
+                          e[0][2] * (e[1][0] * e[2][1] - e[1][1] * e[2][0]);
+    count += volume < 0 && m->inverted[v];
+    m->inverted[v] = volume < 0;
+  }
+  if (count > m->observer.inverted)
+    m->observer.inverted = count;
+}
+
+static void observe_contacts(struct mo_reference_measures *m, const struct mo_reference *r)
+{
+  for (uint32_t i = 0; i < r->body->n_masses; i++)
+    if (r->contacts[i] != 0) {
+      m->observer.contacts++;
+      m->observer.front_2 += m->halves[i][0];
+      m->observer.left_2 += m->halves[i][1];
+    }
+}
+
+void mo_reference_observe(struct mo_reference_measures *measures,
+                          const struct mo_reference *reference, uint32_t step)
+{
+  struct mo_reference_measures *m = measures;
+  const struct mo_reference *r = reference;
+  if (m->set == 0)
+    return;
+  const bool touches = memchr(r->contacts, 1, r->body->n_masses) != NULL;
+  m->observer.air_steps += !touches;
+  m->observer.hops += m->touches && !touches;
+  m->touches = touches;
+  if (step % r->control_steps != 0)
+    return;
+  const double *position_m = r->tape->position_m; /* at the start of the step */
+  struct mo_pose pose;
+  pose_of(m, r->body, position_m, &pose);
+  if (step > 0)
+    mo_observe(&m->observer, &pose);
+  observe_springs(m, r, position_m, step > 0);
+  observe_voxels(m, r->body, position_m);
+  observe_contacts(m, r);
+}
+
+void mo_reference_measures_finish(struct mo_reference_measures *measures,
+                                  const struct mo_reference *reference,
+                                  const struct mo_outcome *outcome)
+{
+  struct mo_reference_measures *m = measures;
+  if (m->set == 0)
+    return;
+  struct mo_pose pose;
+  double up[3] = {0, 0, 0};
+  pose_of(m, reference->body, reference->position_m, &pose);
+  mo_observe(&m->observer, &pose);
+  for (uint32_t i = 0; i < reference->body->n_masses; i++)
+    for (int axis = 0; axis < 3; axis++)
+      up[axis] += m->rows[i][2] * reference->position_m[3 * (size_t)i + (size_t)axis];
+  mo_observer_finish(&m->observer, m->set, outcome->diverged_step != 0, up, m->values);
+}

@@ -1,0 +1,36 @@
+/* reference_measures.h: the measures of the float64 rollout. */
+#ifndef MORPHO_ROLLOUT_REFERENCE_MEASURES_H
+#define MORPHO_ROLLOUT_REFERENCE_MEASURES_H
+
+#include "rollout/measuring.h"
+#include "rollout/reference.h"
+
+/* All zero: no measures. */
+struct mo_reference_measures {
+  uint32_t set;
+  double *values;
+  unsigned observations;
+  struct mo_observer observer;
+  double (*rows)[3];    /* (n_masses) mo_measuring_frame */
+  uint8_t (*halves)[2]; /* (n_masses) mo_measuring_halves */
+  double *output;       /* (n_springs) the controller's outputs of the control period before */
+  bool *inverted;       /* (n_voxels) at the instant before */
+  bool touches;         /* the terrain, in the step before */
+};
+
+/* light_m: where it stands at the start. measuring: NULL or of one rollout. MO_ERR_NO_MEMORY; call
+ * mo_reference_measures_done in any case. */
+int mo_reference_measures_init(struct mo_reference_measures *measures,
+                               const struct mo_reference *reference, const double light_m[3],
+                               const struct mo_measuring *measuring);
+void mo_reference_measures_done(struct mo_reference_measures *measures);
+
+/* Observes step number `step`, from 0, which the reference has just run. */
+void mo_reference_observe(struct mo_reference_measures *measures,
+                          const struct mo_reference *reference, uint32_t step);
+
+void mo_reference_measures_finish(struct mo_reference_measures *measures,
+                                  const struct mo_reference *reference,
+                                  const struct mo_outcome *outcome);
+
+#endif
