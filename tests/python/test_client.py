@@ -275,7 +275,7 @@ def test_players_are_one_file(m, tmp_path):
     # The page loads nothing from elsewhere.
     assert not re.search(r"\bimport\b[^(\n]*from|https?://|src=|fetch\(", page)
     data = json.loads(re.search(r"const DATA=(.*);\n", page)[1])
-    assert data["robots"][0]["frames"] == 6 and len(data["worlds"][0]["heights"]) == 64
+    assert data["robots"][0]["frames"] == 3 and len(data["worlds"][0]["heights"]) == 64
     assert player._repr_html_().startswith("<iframe srcdoc=")
     assert "Two &lt;robots&gt;" in m.show([DESIGN, DESIGN], physics=SHORT, environment=3,
                                           title="Two <robots>").html
