@@ -379,6 +379,10 @@ static int get_environments(struct codec *codec, struct mo_wire_lease *lease, un
       continue;
     if (mo_task_check(&environment->task, &why) != MO_OK)
       error = mo_fail(message, MO_ERR_FORMAT, "lease %u, environment %u: %s", i, e, why.text);
+    else if (where == MO_ENVIRONMENT_PROFILE)
+      error =
+          mo_fail(message, MO_ERR_FORMAT,
+                  "lease %u, environment %u: the terrain is neither a grid nor a profile", i, e);
     else
       error = mo_fail(message, MO_ERR_FORMAT,
                       "lease %u, environment %u: number %u must be finite and within its limit", i,
