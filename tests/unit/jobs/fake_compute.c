@@ -8,6 +8,7 @@
 #include <math.h>
 #include <pthread.h>
 #include <signal.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -97,7 +98,9 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
   int kind = precision;
   h = mix(h, genotype, MO_DEFAULT_WORDS * sizeof(*genotype));
   const int talent = (int)(h >> 20 & 7);
-  h = mix(h, environment, sizeof(*environment));
+  h = mix(h, environment, offsetof(struct mo_environment, n_profile)); /* padding follows */
+  if (environment->n_profile != 0)
+    h = mix(h, &environment->profile_spacing_m, sizeof(environment->profile_spacing_m));
   h = mix(h, &physics->scheme.dt_s, sizeof(physics->scheme.dt_s));
   h = mix(h, &physics->scheme.n_steps, sizeof(physics->scheme.n_steps));
   h = mix(h, &kind, sizeof(kind));
