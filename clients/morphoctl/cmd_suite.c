@@ -38,19 +38,42 @@ static void add_values(json_t *rows, const char *task, const json_t *results)
   }
 }
 
-/* Adds the mean over the designs as a last row. */
-static void add_means(json_t *rows)
+/* Replaces ids by the robots that were scored, so that every task scores the same orientation. */
+static void pin_robots(json_t *designs, const json_t *rows)
+{
+  const json_t *row;
+  size_t i;
+  json_array_foreach(rows, i, row)
+  {
+    json_t *robot = json_object_get(row, "robot");
+    if (json_is_string(robot))
+      json_array_set_new(designs, i, json_pack("{s:O}", "id", robot));
+  }
+}
+
+/* Adds the means over the designs that have all values as a last row. Returns the number of the
+ * others. */
+static size_t add_means(json_t *rows)
 {
   const json_t *row;
   json_t *means = json_object();
-  size_t i;
-  for (int t = 0; t < TASKS; t++) {
-    double sum = 0;
-    json_array_foreach(rows, i, row) sum +=
-        json_number_value(json_object_get(json_object_get(row, "values"), tasks[t]));
-    json_object_set_new(means, tasks[t], json_real(sum / (double)json_array_size(rows)));
+  double sums[TASKS] = {0};
+  size_t i, n = 0;
+  json_array_foreach(rows, i, row)
+  {
+    const json_t *values = json_object_get(row, "values");
+    int known = 0;
+    while (known < TASKS && json_is_number(json_object_get(values, tasks[known])))
+      known++;
+    for (int t = 0; t < TASKS && known == TASKS; t++)
+      sums[t] += json_number_value(json_object_get(values, tasks[t]));
+    n += known == TASKS;
   }
+  const size_t left_out = json_array_size(rows) - n;
+  for (int t = 0; t < TASKS; t++)
+    json_object_set_new(means, tasks[t], n > 0 ? json_real(sums[t] / (double)n) : json_null());
   json_array_append_new(rows, json_pack("{s:s, s:o}", "robot", "mean", "values", means));
+  return left_out;
 }
 
 static void print_values(const struct ctl *ctl, const json_t *rows)
@@ -74,15 +97,19 @@ void run_suite(struct ctl *ctl)
     const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
     expect_success("job", evaluation);
     add_values(rows, tasks[t], json_object_get(evaluation, "results"));
+    if (t == 0)
+      pin_robots(designs.list, rows);
     json_object_set(evaluations, tasks[t], json_object_get(evaluation, "id"));
   }
   if (ctl->json) {
     print_json(keep(json_pack("{s:O, s:O}", "evaluations", evaluations, "designs", rows)));
     return;
   }
-  if (json_array_size(rows) > 1)
-    add_means(rows);
+  const size_t left_out = json_array_size(rows) > 1 ? add_means(rows) : 0;
   print_values(ctl, rows);
+  if (left_out > 0)
+    fprintf(stderr, "The means leave out %zu of %zu designs: skipped, or diverged in a task.\n",
+            left_out, json_array_size(rows) - 1);
   if (!ctl->quiet)
     fprintf(stderr,
             "photo: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: m of way. "

@@ -1,6 +1,7 @@
 /* evaluation_request.c: the body of POST /v1/evaluations. Every fault has its place: a cell out of
  * bounds is at /designs/3/cells/7/0. */
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "api/requests.h"
@@ -89,15 +90,38 @@ static const struct mo_field rows[] = {
 const struct mo_fields mo_evaluation_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words are in the order of their values");
 
+/* Returns the number of environments, listed or of a set. *highest_m: the highest ground in them.
+ */
+static uint32_t survey_worlds(struct mo_json *json, struct mo_parts *parts, double *highest_m)
+{
+  struct mo_environment *of_set = NULL;
+  uint32_t n = parts->n_environments;
+  *highest_m = 0;
+  if (parts->environments == NULL) {
+    of_set = malloc(MO_SET_ENVIRONMENTS_MAX * sizeof(*of_set));
+    n = of_set != NULL
+            ? mo_environment_set(mo_word_index(mo_set_words, mo_parts_set(parts)), of_set)
+            : 0;
+  }
+  if (parts->environments == NULL && of_set == NULL) {
+    parts->error = MO_ERR_NO_MEMORY;
+    json->stop = true;
+  }
+  for (uint32_t i = 0; i < n; i++)
+    *highest_m =
+        fmax(*highest_m, mo_terrain_highest(of_set != NULL ? &of_set[i] : &parts->environments[i]));
+  free(of_set);
+  return n;
+}
+
 /* Random bodies are drawn, and long lists are stored, only after the submission, so the size of a
  * recording is not known yet. */
-static void check_large(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+static void check_large(struct mo_json *json, const struct mo_parsed_evaluation *parsed,
+                        uint64_t n_environments)
 {
   const struct mo_random_bodies *random = &parsed->parts.random;
   const char *const place = random->count > 0 ? "/random" : "/designs";
   const uint32_t n = random->count > 0 ? random->count : parsed->parts.n_designs;
-  const uint64_t n_environments =
-      parsed->parts.environments != NULL ? parsed->parts.n_environments : MO_PAPER_TEST_COUNT;
   const uint64_t n_rollouts = n * n_environments * mo_error_runs(parsed->request.n_displaced);
   if (random->count == 0 && n <= MO_DESIGNS_MAX)
     return;
@@ -118,7 +142,8 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
 }
 
 /* The settings of every run must be within the bounds. */
-static void check_error(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+static void check_error(struct mo_json *json, const struct mo_parsed_evaluation *parsed,
+                        double highest_m)
 {
   const struct mo_evaluation_request *request = &parsed->request;
   struct mo_message message;
@@ -132,9 +157,6 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
     mo_json_fault_at(json, 0, "/error",
                      "is estimated only for scores that processors compute; request \"cpu\" or "
                      "\"auto\"");
-  double highest_m = 0;
-  for (uint32_t i = 0; parsed->parts.environments != NULL && i < parsed->parts.n_environments; i++)
-    highest_m = fmax(highest_m, mo_terrain_highest(&parsed->parts.environments[i]));
   if (request->precision == MO_FLOAT32 &&
       request->physics.drop_height_m + highest_m > MO_ERROR_FLOAT32_MAX_M)
     mo_json_fault_at(json, 0, "/error",
@@ -169,9 +191,10 @@ static int check(struct mo_json *json, void *any)
   if (parsed->parts.has_designs && parsed->parts.has_random)
     mo_json_fault_at(json, 0, "/random", "cannot be combined with designs; give only one of them");
   request->n_displaced = parsed->parts.estimates_error ? MO_ERROR_DISPLACED : 0;
-  check_large(json, parsed);
+  double highest_m;
+  check_large(json, parsed, survey_worlds(json, &parsed->parts, &highest_m));
   if (parsed->parts.estimates_error)
-    check_error(json, parsed);
+    check_error(json, parsed, highest_m);
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (request->record_stride > steps)

@@ -155,7 +155,7 @@ static void compare_environment(struct comparison *comparison, uint32_t place,
     const struct mo_field *field = &mo_place_fields.rows[i];
     if (i == MO_PLACE_HEIGHTS && (given->n_profile != 0 || known->n_profile != 0))
       compare_profiles(comparison, place, given, known);
-    else if (i != MO_PLACE_LIGHT || given->task.guide.kind == known->task.guide.kind)
+    else if (mo_place_has(given, i) && mo_place_has(known, i))
       compare_numbers(comparison, field, place, mo_environment_numbers(given, field),
                       mo_environment_numbers(known, field));
   }

@@ -144,8 +144,8 @@ const char *mo_back_end_unsuited(struct mo_jobs *jobs, const char *set,
 {
   struct mo_environment *of_set = NULL;
   bool is_profile = environments != NULL && has_profile(environments, n);
-  /* A set that cannot be read is refused by the submission. */
-  if (environments == NULL && set != NULL &&
+  /* The paper's worlds are grids. A set that cannot be read is refused by the submission. */
+  if (environments == NULL && set != NULL && strcmp(set, mo_set_words[0]) != 0 &&
       mo_store_environment_set(jobs->store, set, &of_set, &n) == MO_OK)
     is_profile = has_profile(of_set, n);
   free(of_set);

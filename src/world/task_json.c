@@ -152,6 +152,9 @@ static void check_members(struct mo_json *json, unsigned depth, const struct mo_
       mo_json_fault_at(json, depth, "/guide", "a guide of kind \"%s\" has no %s; remove it", word,
                        rows[i].name);
   }
+  if (guide->kind == MO_GUIDE_MOVING && guide->turn_rad_per_s == 0 && (given >> CENTER & 1) != 0)
+    mo_json_fault_at(json, depth, "/guide",
+                     "center_m needs a turn_rad_per_s other than 0; remove it");
 }
 
 /* Sets what was not given. */

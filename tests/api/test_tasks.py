@@ -171,8 +171,10 @@ REFUSED = [
     ({"task": {"guide": {"kind": "moving"}}}, "/task/guide", "light_xy_m is missing"),
     ({"task": {"guide": {"kind": "moving", "light_xy_m": [2.5, 2.55]}}}, "/task/guide/light_xy_m",
      "at least 0.1 m from"),
-    ({"task": {"guide": {"kind": "moving", "light_xy_m": [4, 4], "center_m": [1, 1]}}}, "/task",
-     "does not use must be 0"),
+    ({"task": {"guide": {"kind": "moving", "light_xy_m": [4, 4], "center_m": [1, 1]}}},
+     "/task/guide", "center_m needs a turn_rad_per_s other than 0; remove it"),
+    ({"task": {"guide": {"kind": "moving", "light_xy_m": [4, 4], "center_m": [0, 0]}}},
+     "/task/guide", "center_m needs a turn_rad_per_s other than 0; remove it"),
     ({"task": {"guide": AHEAD, "objective": "reach"}}, "/task",
      "objective reach needs a guide that is fixed or moving, got ahead"),
     ({"task": {"guide": AHEAD, "objective": "dance"}}, "/task/objective", "must be"),
@@ -276,3 +278,25 @@ def test_the_suite_in_one_command(service):
             assert row["values"][task] == pytest.approx(result.get("value", 1 - result["score"]))
     shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert shown.split()[:4] == ["design", "photo", "photo-auc", "walk"] and "mean" in shown
+    ids = [row["robot"] for row in done["designs"]]
+    shown = subprocess.run([*command[:-6], *ids, "-", "--on-fault", "skip", "-p", "n_steps=200"],
+                           check=True, capture_output=True, text=True,
+                           input='{"cells": [[0, 0, 0], [3, 3, 3]]}')
+    assert "The means leave out 1 of 3 designs" in shown.stderr
+    table = [line.split() for line in shown.stdout.splitlines()]
+    assert float(table[-1][3]) == pytest.approx(
+        (float(table[1][3]) + float(table[2][3])) / 2, abs=1e-3)
+
+
+def test_the_worlds_of_a_set_are_counted_and_measured(service):
+    """Limits hold for the worlds of a named set as for a list."""
+    refusal = service.request("POST", "/v1/evaluations",
+                              {"random": {"seed": 1, "count": 200000},
+                               "environments": "morpho-12-walk-held-out"}).json()
+    assert refusal["errors"][0]["pointer"] == "/random/count"
+    assert "12800000 rollouts" in refusal["errors"][0]["detail"]
+    worlds = service.get("/v1/environment-sets/morpho-12-up")["items"]
+    assert max(max(world["terrain"]["heights_m"]) for world in worlds) > 1
+    reply = service.request("POST", "/v1/evaluations",
+                            {"designs": [DESIGN], "environments": "morpho-12-up", "error": True})
+    assert reply.status == 422 and "float64" in reply.json()["errors"][0]["detail"]

@@ -155,8 +155,9 @@ class AsyncClient:
         """Scores bodies in all tasks of the suite morpho-12 (docs/suite.md), one evaluation each.
         Returns the mean values in the unit of each task, larger is better: a row for each robot,
         and a column for each task; NaN if a rollout diverged. `held_out` takes the 64 held-out
-        worlds of each task, for reports, in place of the ten to select with. Scores are stored:
-        repeating an interrupted run computes only what is missing."""
+        worlds of each task, for reports, in place of the ten to select with. An id without an
+        orientation has the one of the first task in all of them. Scores are stored: repeating an
+        interrupted run computes only what is missing."""
         bodies = list(bodies)
         columns: dict[str, Any] = {}
         robots: list[str | None] = []
@@ -166,6 +167,8 @@ class AsyncClient:
                                        device=device, label=label, experiment=experiment)
             columns[task] = done.values.mean(axis=1)
             robots = done.robots
+            # Every task scores the same orientation: the one that an id had in the first.
+            bodies = [robot or body for robot, body in zip(robots, bodies)]
         table: pd.DataFrame = pandas().DataFrame(columns, index=robots)
         return table.rename_axis("robot")
 
