@@ -527,6 +527,7 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     const uint64_t state_at = 3 * (g.first_mass + group_first());
     float *state_x = k.position + state_at, *state_v = k.velocity + state_at;
     float *own_v = v + 3 * first;
+    __syncthreads(); /* all threads have loaded the rows' constants, which unpushed() reads */
     for (int m = begin() + lane; m < end(); m += 32)
       x[first + m] = make_float4(state_x[3 * m], state_x[3 * m + 1], state_x[3 * m + 2], 0);
     for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
