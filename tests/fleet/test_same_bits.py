@@ -48,10 +48,8 @@ def test_same_bits(daemon, worker, seed, mode):
         one.end()
 
 
-def test_errors_of_scores(daemon, worker, seed):
-    """Other machines compute the additional rollouts that estimate errors, with the same bits."""
-    value = {"designs": bodies(seed, 20), "physics": "paper", "error": True,
-             "priority": "batch"}
+def scored_elsewhere(daemon, worker, value):
+    """Returns the results, which a worker computed with the same bits, and its rollouts."""
     with daemon("alone", workers=2) as one:
         expected = one.score(value)
         one.end()
@@ -60,31 +58,30 @@ def test_errors_of_scores(daemon, worker, seed):
         one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
         result = one.score(value)
         assert result["results"] == expected["results"]
-        done = result["rollouts_total"] - result["rollouts_cached"]
-        assert one.json("/v1/fleet")["rollouts_done"] >= done > 20 * 10
+        rollouts = one.json("/v1/fleet")["rollouts_done"]
+        assert rollouts >= result["rollouts_total"] - result["rollouts_cached"]
         one.end()
+    return result["results"], rollouts
+
+
+def test_errors_of_scores(daemon, worker, seed):
+    """Other machines compute the additional rollouts that estimate errors, with the same bits."""
+    _, rollouts = scored_elsewhere(daemon, worker, {
+        "designs": bodies(seed, 20), "physics": "paper", "error": True, "priority": "batch"})
+    assert rollouts > 20 * 10
 
 
 def test_tasks(daemon, worker, seed):
     """Other machines compute every task, with the same bits."""
     tasks = ["walk", "climb", "circle", "path", "shuttle", "pursue"]
-    value = {"designs": bodies(seed, 30), "physics": {"n_steps": 500}, "priority": "batch",
-             "environments": [{"task": task} for task in tasks] + [
-                 {"task": "photo-auc", "light_xy_m": [4, 3]}, {"light_xy_m": [4, 3],
-                  "terrain_sigma_m": 0.05, "seed": 1}]}
-    with daemon("alone", workers=2) as one:
-        expected = one.score(value)
-        one.end()
-    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
-        worker(fleet_address(one), "helper")
-        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
-        result = one.score(value)
-        assert result["results"] == expected["results"]
-        losses = result["results"][0]["losses"]
-        assert len({entry["loss"] for entry in losses}) == len(value["environments"])
-        done = result["rollouts_total"] - result["rollouts_cached"]
-        assert one.json("/v1/fleet")["rollouts_done"] >= done > 20 * len(losses)
-        one.end()
+    worlds = [{"task": task} for task in tasks] + [
+        {"task": "photo-auc", "light_xy_m": [4, 3]},
+        {"light_xy_m": [4, 3], "terrain_sigma_m": 0.05, "seed": 1}]
+    results, rollouts = scored_elsewhere(daemon, worker, {
+        "designs": bodies(seed, 30), "physics": {"n_steps": 500}, "priority": "batch",
+        "environments": worlds})
+    assert len({entry["loss"] for entry in results[0]["losses"]}) == len(worlds)
+    assert rollouts > 20 * len(worlds)
 
 
 def test_the_best_of_many(daemon, worker, seed):
