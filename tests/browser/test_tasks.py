@@ -101,4 +101,6 @@ def test_a_campaign_shows_meters(service, browser):
     assert browser.run(f"return {STAGE}.robots[0].world.points") == [
         [3.5, 2.5], [3.5, 3.5], [2.5, 3.5]]
     browser.open(f"designs?evaluation={path['id']}")
+    browser.until("document.querySelector('.card .number')")
+    assert browser.texts(".card .number") == [f"{path['results'][0]['value']:.3f} m"]
     assert browser.faults() == []

@@ -10,6 +10,7 @@ import {
 } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
+import { meters } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
 import { JobParts, shortProgress, titleOf } from './jobs.js';
@@ -29,6 +30,10 @@ export async function mount(main, [id], parameters, app) {
   if (parameters.get('evaluation')) return mountEvaluation(main, parameters.get('evaluation'), app);
   return mountBoard(main, parameters, app);
 }
+
+/** Formats a result: its value in meters if its task has one, or else its score. */
+const wordsOf = (design) => (design.unit === 'm' && !design.lower_bound && design.value !== null
+  ? meters(design.value) : scoreOf(design));
 
 /** Cards of designs that can be selected for the stage. The selection is kept with the history. */
 class Wall {
@@ -53,7 +58,7 @@ class Wall {
 
   card(design) {
     const { id, robot = id, genotype, voxels, row } = design;
-    const shown = design.score === undefined ? '–' : scoreOf(design);
+    const shown = design.score === undefined ? '–' : wordsOf(design);
     const card = h('button.card', {
       type: 'button', 'aria-pressed': String(this.chosen.has(genotype)),
       'aria-label': `Design ${robot}, score ${shown}, ${inVoxels(voxels)}`,
