@@ -8,8 +8,8 @@
 #include "commands.h"
 #include "results.h"
 
-static const char *const tasks[] = {"photo",  "photo-auc", "walk",   "rough",   "up",  "down",
-                                    "hurdle", "gap",       "circle", "shuttle", "path"};
+static const char *const tasks[] = {"photo",  "photo-auc", "walk",   "rough",   "up",   "down",
+                                    "hurdle", "gap",       "circle", "shuttle", "path", "damage"};
 enum { TASKS = sizeof(tasks) / sizeof(*tasks) };
 
 /* Returns the value of a result in the unit of its task; NaN: a rollout diverged. */
@@ -112,6 +112,6 @@ void run_suite(struct ctl *ctl)
             left_out, json_array_size(rows) - 1);
   if (!ctl->quiet)
     fprintf(stderr,
-            "photo: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: m of way. "
-            "Larger is better; 0 is standing still.\n");
+            "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: m of "
+            "way. Larger is better; 0 is standing still.\n");
 }

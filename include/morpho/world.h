@@ -34,6 +34,17 @@ extern "C" {
 #define MO_PROFILE_SPACING_MIN_M 0.02
 #define MO_PROFILE_SPACING_MAX_M 1.0
 
+/* Springs that break during the rollout: those of one octant of the body's bounding box before the
+ * rollout (a spring is where its midpoint is; on a middle plane, it is on the side with larger
+ * coordinates) exert no force in steps that start at time_s or later. */
+struct mo_damage {
+  uint32_t cut;  /* 0: none; otherwise 1 + octant; bits of the octant: 1: the half with larger x, 2:
+                    with larger y, 4: with larger z */
+  double time_s; /* 0 … MO_DAMAGE_TIME_MAX_S; without damage 0 */
+};
+#define MO_OCTANTS           8
+#define MO_DAMAGE_TIME_MAX_S 3600.0
+
 struct mo_environment {
   double light_xy_m[2];
   double terrain_heights_m[MO_TERRAIN_HEIGHTS]; /* those that a profile does not have are 0 */
@@ -41,6 +52,7 @@ struct mo_environment {
   uint32_t n_profile;       /* 0: the terrain is a grid; else the number of a profile's heights,
                                MO_PROFILE_HEIGHTS_MIN … MO_TERRAIN_HEIGHTS */
   double profile_spacing_m; /* of a profile: MO_PROFILE_SPACING_MIN_M … MAX_M; of a grid: 0 */
+  struct mo_damage damage;
 };
 
 /* Returns the terrain's height at (x, y) in meters. Float64 reference for every faster path. */
@@ -55,9 +67,11 @@ double mo_terrain_highest(const struct mo_environment *environment);
 /* Checks that all values are finite and within the limits. MO_ERR_INVALID (not finite, or a height
  * that a profile does not have is not 0) or MO_ERR_RANGE; *where (nullable): 0 and 1 for the
  * light's coordinates, 2 + k for height k, MO_ENVIRONMENT_TASK for the task, for which
- * mo_task_check has a message, and MO_ENVIRONMENT_PROFILE for n_profile and profile_spacing_m. */
+ * mo_task_check has a message, MO_ENVIRONMENT_PROFILE for n_profile and profile_spacing_m, and
+ * MO_ENVIRONMENT_DAMAGE for the damage. */
 #define MO_ENVIRONMENT_TASK    (2 + MO_TERRAIN_HEIGHTS)
 #define MO_ENVIRONMENT_PROFILE (3 + MO_TERRAIN_HEIGHTS)
+#define MO_ENVIRONMENT_DAMAGE  (4 + MO_TERRAIN_HEIGHTS)
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
 /* Draws heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed,

@@ -123,7 +123,8 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
       mo_json_integer(json, 0, MO_SEED_MAX, &seed);
     } else if (!mo_environment_read_member(json, key, environment)) {
       mo_fields_unknown(
-          json, "task, light_xy_m, and terrain, terrain_heights_m or terrain_sigma_m with seed",
+          json,
+          "task, damage, light_xy_m, and terrain, terrain_heights_m or terrain_sigma_m with seed",
           NULL);
     }
   }

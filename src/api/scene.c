@@ -10,7 +10,6 @@
 #include "rollout/physics.h"
 #include "world/environment.h"
 #include "world/task_json.h"
-#include "world/terrain_json.h"
 
 /* ---- arrays ---- */
 
@@ -228,14 +227,7 @@ static void write_environment(struct mo_text *text, struct mo_text *arrays,
     else
       mo_fields_write(text, &field, environment);
   }
-  if (environment->n_profile != 0) {
-    mo_text_name(text, "terrain");
-    mo_terrain_write(text, environment);
-  }
-  if (!mo_task_is_plain(&environment->task)) {
-    mo_text_name(text, "task");
-    mo_task_write(text, environment);
-  }
+  mo_environment_write_tasks(text, environment);
   mo_text_add(text, "}");
 }
 

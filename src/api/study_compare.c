@@ -115,6 +115,25 @@ static void compare_tasks(struct comparison *comparison, uint32_t place,
   mo_text_free(&texts[1]);
 }
 
+static void describe_damage(const struct mo_damage *damage, char text[VALUE_SHOWN])
+{
+  if (damage->cut == 0)
+    snprintf(text, VALUE_SHOWN, "none");
+  else
+    snprintf(text, VALUE_SHOWN, "octant %u at %.12g s", damage->cut - 1, damage->time_s);
+}
+
+static void compare_damage(struct comparison *comparison, uint32_t place,
+                           const struct mo_environment *given, const struct mo_environment *known)
+{
+  char pointer[64], a[VALUE_SHOWN], b[VALUE_SHOWN];
+  snprintf(pointer, sizeof(pointer), "/environments/%u/damage", place);
+  describe_damage(&given->damage, a);
+  describe_damage(&known->damage, b);
+  if (strcmp(a, b) != 0)
+    add(comparison, pointer, a, b);
+}
+
 static void describe_terrain(const struct mo_environment *environment, char text[VALUE_SHOWN])
 {
   if (environment->n_profile == 0)
@@ -160,6 +179,7 @@ static void compare_environment(struct comparison *comparison, uint32_t place,
                       mo_environment_numbers(known, field));
   }
   compare_tasks(comparison, place, given, known);
+  compare_damage(comparison, place, given, known);
 }
 
 static void compare_environments(struct comparison *comparison, const struct mo_parts *parts,

@@ -49,7 +49,8 @@ static struct mo_physics physics_of(uint32_t body)
 }
 
 /* Gives an environment a task: in each body, the last lanes have one of each kind of guide. On
- * processors every fourth lane has a profile, which devices do not compute. */
+ * processors every fourth lane has a profile, and every fourth has damage, which devices do not
+ * compute. */
 static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
@@ -60,6 +61,8 @@ static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environ
     environment->n_profile = MO_TERRAIN_HEIGHTS;
     environment->profile_spacing_m = 0.1;
   }
+  if (lane % 4 == 3 && back_end == MO_ON_CPU)
+    environment->damage = (struct mo_damage){1 + lane % MO_OCTANTS, 0.1};
 }
 
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)

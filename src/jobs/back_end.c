@@ -131,28 +131,30 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                                                        : "the service has no devices");
 }
 
-static bool has_profile(const struct mo_environment *environments, uint32_t n)
+static const char *unsuited(const struct mo_environment *environments, uint32_t n)
 {
-  for (uint32_t i = 0; i < n; i++)
+  for (uint32_t i = 0; i < n; i++) {
     if (environments[i].n_profile != 0)
-      return true;
-  return false;
+      return "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
+             "environments with terrain_heights_m";
+    if (environments[i].damage.cut != 0)
+      return "devices cannot compute damage yet; request \"cpu\" or \"auto\", or environments "
+             "without damage";
+  }
+  return NULL;
 }
 
 const char *mo_back_end_unsuited(struct mo_jobs *jobs, const char *set,
                                  const struct mo_environment *environments, uint32_t n)
 {
   struct mo_environment *of_set = NULL;
-  bool is_profile = environments != NULL && has_profile(environments, n);
+  const char *reason = environments != NULL ? unsuited(environments, n) : NULL;
   /* The paper's worlds are grids. A set that cannot be read is refused by the submission. */
   if (environments == NULL && set != NULL && strcmp(set, mo_set_words[0]) != 0 &&
       mo_store_environment_set(jobs->store, set, &of_set, &n) == MO_OK)
-    is_profile = has_profile(of_set, n);
+    reason = unsuited(of_set, n);
   free(of_set);
-  return is_profile
-             ? "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
-               "environments with terrain_heights_m"
-             : NULL;
+  return reason;
 }
 
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)

@@ -3,6 +3,7 @@
 #include "rollout/adjoint.h"
 
 #include "rollout/contact.h"
+#include "rollout/damage.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -74,6 +75,10 @@ static void pull_springs_adjoint(const struct mo_reference *r, uint32_t step,
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
   const bool blends = mo_reference_blends(r, step);
   for (uint32_t s = 0; s < body->n_springs; s++) {
+    if (mo_damage_lasts(r->cut, r->cut_step, step, s)) {
+      adjoint->d_previous[s] = 0;
+      continue;
+    }
     const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
     double d[3], across[3];
     for (int axis = 0; axis < 3; axis++) {

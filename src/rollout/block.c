@@ -55,6 +55,8 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   run->start = carve(&carver, n_masses * 3, sizeof(double));
   run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
   run->spring_rest = carve(&carver, n_springs, real);
+  run->intact = carve(&carver, run->breaks ? n_springs * MO_LANES : 0, real);
+  run->cut = carve(&carver, run->breaks ? n_springs : 0, 1);
   run->activation = carve(&carver, MO_LANES * panel, real);
   run->held = carve(&carver, MO_LANES * (run->keeps ? springs_padded : panel), real);
   run->blended = carve(&carver, run->blends ? MO_LANES * panel : 0, real);
@@ -114,8 +116,10 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .outcomes = outcomes};
   if (run.control_steps == 0)
     return MO_ERR_INVALID;
-  for (uint32_t e = 0; e < n_environments; e++)
+  for (uint32_t e = 0; e < n_environments; e++) {
     run.constants[e] = mo_scene_constants(environments[e], physics);
+    run.breaks |= environments[e]->damage.cut != 0;
+  }
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;

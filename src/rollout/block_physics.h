@@ -16,10 +16,11 @@ struct mo_observed_springs {
                   that these springs gain */
 };
 
+/* intact: (n, lanes) 1, or 0 for a spring that exerts no force. */
 typedef void mo_pull_function(const void *constants, uint32_t first_lane, uint32_t n,
                               const uint32_t *ends, const void *rests, const void *activations,
                               const void *positions, void *velocities,
-                              const struct mo_observed_springs *observed);
+                              const struct mo_observed_springs *observed, const void *intact);
 
 /* The physics for one vector of lanes of a block. Positions, velocities and all other data with
  * lanes are arrays of the run's reals, starting at the first of these lanes. `constants`,
@@ -29,10 +30,13 @@ struct mo_block_physics {
   /* Computes the light at the masses, minus the body's mean. lights: (3, lanes). */
   void (*sense_light)(enum mo_sensor kind, uint32_t n_masses, const void *positions,
                       const void *lights, void *sensors);
-  /* Computes n springs. activations: (n, lanes). `observed` is unused. */
+  /* Computes n springs. activations: (n, lanes). `observed` and `intact` are unused. */
   mo_pull_function *pull_springs;
   /* Does the same, and observes them for the measures. */
   mo_pull_function *pull_observed_springs;
+  /* Does the same for springs of which some may be cut; observed->squares NULL: observes
+   * nothing. */
+  mo_pull_function *pull_intact_springs;
   /* Moves all masses by one step. Returns the lanes whose state is no longer finite or valid.
    * used_lanes: the lanes that count. */
   uint32_t (*move)(const struct mo_fast_run *run, const void *constants, const void *terrain,

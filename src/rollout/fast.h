@@ -64,6 +64,9 @@ struct mo_fast_run {
   void *output_bias;     /* (n_panels · panel) */
   uint32_t *spring_ends; /* (n_springs, 2) offsets of the masses in the arrays below */
   void *spring_rest;     /* (n_springs) rest lengths */
+  bool breaks;           /* an environment cuts springs */
+  void *intact;          /* (n_springs, lanes) 1, or 0: cut; only if it breaks */
+  uint8_t *cut;          /* (n_springs) room for one environment's; only if it breaks */
   void *position[2];     /* (n_masses, 3, lanes): now and next; x, y from the world's center */
   void *velocity;        /* (n_masses, 3, lanes) */
   void *coasted;         /* (n_masses, 3, lanes) velocities without the springs; for `split` only */

@@ -4,6 +4,7 @@
 #include "rollout/reference.h"
 
 #include "rollout/contact.h"
+#include "rollout/damage.h"
 #include "rollout/reference_measures.h"
 #include "rollout/scene.h"
 
@@ -93,13 +94,15 @@ static void activate(struct mo_reference *r, uint32_t step)
 }
 
 /* Computes the impulses of all springs over one step. */
-static void pull_springs(struct mo_reference *r)
+static void pull_springs(struct mo_reference *r, uint32_t step)
 {
   const struct mo_body *body = r->body;
   const struct mo_scheme *scheme = &r->physics->scheme;
   const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
   memset(r->impulse_n_s, 0, (size_t)body->n_masses * 3 * sizeof(double));
   for (uint32_t s = 0; s < body->n_springs; s++) {
+    if (mo_damage_lasts(r->cut, r->cut_step, step, s))
+      continue;
     const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
     double d[3];
     for (int axis = 0; axis < 3; axis++)
@@ -171,7 +174,7 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
     control(r, step);
   if (r->controller != NULL)
     activate(r, step);
-  pull_springs(r);
+  pull_springs(r, step);
   move_masses(r, step);
   if (is_sane(r))
     return true;
@@ -190,11 +193,12 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
   const size_t n = 3 * (size_t)body->n_masses,
                tape =
                    controller != NULL ? mo_controller_tape_doubles(controller, body->n_springs) : 0,
-               contacts = (body->n_masses + sizeof(double) - 1) / sizeof(double),
+               bytes =
+                   ((size_t)body->n_masses + body->n_springs + sizeof(double) - 1) / sizeof(double),
                periods = (physics->scheme.n_steps + (size_t)control_steps - 1) / control_steps;
   const bool plain = mo_task_is_plain(&environment->task);
   struct mo_track *tracks = plain ? NULL : calloc(periods + 1, sizeof(*tracks));
-  double *memory = calloc(6 * n + tape + contacts + 2 * (size_t)body->n_springs, sizeof(double));
+  double *memory = calloc(6 * n + tape + bytes + 2 * (size_t)body->n_springs, sizeof(double));
   if (memory == NULL || (!plain && tracks == NULL)) {
     free(memory);
     free(tracks);
@@ -217,6 +221,9 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
       memory, memory + n, memory + 2 * n, memory + 3 * n + body->n_springs, {0}};
   memory += 3 * n + 2 * (size_t)body->n_springs;
   reference->contacts = (uint8_t *)(memory + tape);
+  reference->cut = reference->contacts + body->n_masses;
+  reference->cut_step = mo_damage_step(environment, &physics->scheme);
+  mo_damage_mark(environment, body, reference->cut);
   if (controller != NULL)
     reference->own.control = mo_controller_tape_place(controller, body->n_springs, memory);
   mo_scene_light(environment, reference->light_m);

@@ -27,17 +27,19 @@ struct mo_reference {
   const struct mo_controller *controller; /* NULL: passive */
   const struct mo_environment *environment;
   const struct mo_physics *physics;
-  uint32_t control_steps;    /* in a control period */
-  double light_m[3];         /* unless the task is plain, that of the latest control period */
-  struct mo_course course;   /* unused by plain tasks */
-  struct mo_track *tracks;   /* (control periods + 1) at the start of each, and at the end; NULL if
-                                the task is plain */
-  double highest_m;          /* of the terrain */
-  double *position_m;        /* (n_masses, 3) */
-  double *velocity_m_per_s;  /* (n_masses, 3) */
-  double *impulse_n_s;       /* (n_masses, 3) impulses of the last step's springs */
-  double *output;            /* (n_springs) the latest outputs of the controller */
-  uint8_t *contacts;         /* (n_masses) 1: touched the terrain in the last step */
+  uint32_t control_steps;   /* in a control period */
+  double light_m[3];        /* unless the task is plain, that of the latest control period */
+  struct mo_course course;  /* unused by plain tasks */
+  struct mo_track *tracks;  /* (control periods + 1) at the start of each, and at the end; NULL if
+                               the task is plain */
+  double highest_m;         /* of the terrain */
+  double *position_m;       /* (n_masses, 3) */
+  double *velocity_m_per_s; /* (n_masses, 3) */
+  double *impulse_n_s;      /* (n_masses, 3) impulses of the last step's springs */
+  double *output;           /* (n_springs) the latest outputs of the controller */
+  uint8_t *contacts;        /* (n_masses) 1: touched the terrain in the last step */
+  uint8_t *cut;             /* (n_springs) 1: exerts no force from step cut_step on */
+  uint32_t cut_step;
   struct mo_step_tape own;   /* its `control` is empty without a controller */
   struct mo_step_tape *tape; /* of the next step; initially `own` */
 };

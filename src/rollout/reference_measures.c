@@ -2,6 +2,7 @@
  * docs/model.md. */
 #include "rollout/reference_measures.h"
 
+#include "rollout/damage.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -59,11 +60,13 @@ static void pose_of(const struct mo_reference_measures *m, const struct mo_body 
 /* The strain of the springs, and the work of the actuators: what the energy of each spring gains
  * where the new outputs replace the old ones, if it gains. */
 static void observe_springs(struct mo_reference_measures *m, const struct mo_reference *r,
-                            const double *position_m, bool changes)
+                            const double *position_m, uint32_t step)
 {
   const struct mo_body *body = r->body;
   const struct mo_constants *c = &m->observer.constants;
   for (uint32_t s = 0; s < body->n_springs; s++) {
+    if (mo_damage_lasts(r->cut, r->cut_step, step, s))
+      continue;
     const double *a = position_m + 3 * (size_t)body->spring_a[s],
                  *b = position_m + 3 * (size_t)body->spring_b[s], rest = body->spring_rest_m[s];
     const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
@@ -71,7 +74,7 @@ static void observe_springs(struct mo_reference_measures *m, const struct mo_ref
     m->observer.strain = fmax(m->observer.strain, fabs(length / rest - 1));
     const double before = length - rest * (1 + c->actuation * m->output[s]),
                  after = length - rest * (1 + c->actuation * r->output[s]);
-    if (changes)
+    if (step > 0)
       m->observer.work_j += 0.5 * c->stiffness_n_per_m * fmax(after * after - before * before, 0);
     m->output[s] = r->output[s];
   }
@@ -129,7 +132,7 @@ void mo_reference_observe(struct mo_reference_measures *measures,
   pose_of(m, r->body, position_m, &pose);
   if (step > 0)
     mo_observe(&m->observer, &pose);
-  observe_springs(m, r, position_m, step > 0);
+  observe_springs(m, r, position_m, step);
   observe_voxels(m, r->body, position_m);
   observe_contacts(m, r);
 }

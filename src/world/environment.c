@@ -38,18 +38,25 @@ static const struct mo_field task_rows[] = {
 };
 #undef NUMBER
 #undef PAIRS
-/* Also only for the packed form; terrain_json.c has the members of profiles in JSON. */
+/* Also only for the packed form; terrain_json.c has the members of profiles in JSON, and
+ * task_json.c those of damage. */
 static const struct mo_field profile_rows[] = {
     {"n_profile", MO_FIELD_COUNT, 0, AT(n_profile), .since = 3},
     {"profile_spacing_m", MO_FIELD_NUMBER, 0, AT(profile_spacing_m), .since = 3},
 };
+static const struct mo_field damage_rows[] = {
+    {"cut", MO_FIELD_COUNT, 0, AT(damage.cut), .since = 4},
+    {"cut_at_s", MO_FIELD_NUMBER, 0, AT(damage.time_s), .since = 4},
+};
 #undef AT
+static const struct mo_fields damage_fields = MO_FIELDS(damage_rows);
 static const struct mo_fields profile_fields = MO_FIELDS(profile_rows);
 static const struct mo_fields task_fields = MO_FIELDS(task_rows);
 static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_place_fields},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &task_fields, .since = 2},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &profile_fields, .since = 3},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &damage_fields, .since = 4},
 };
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 
@@ -81,6 +88,15 @@ static int check_profile(const struct mo_environment *environment, uint32_t *whe
   return MO_OK;
 }
 
+static int check_damage(const struct mo_damage *damage)
+{
+  if (!isfinite(damage->time_s) || (damage->cut == 0 && damage->time_s != 0))
+    return MO_ERR_INVALID;
+  return damage->cut <= MO_OCTANTS && damage->time_s >= 0 && damage->time_s <= MO_DAMAGE_TIME_MAX_S
+             ? MO_OK
+             : MO_ERR_RANGE;
+}
+
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where)
 {
   uint32_t k = 0, wrong;
@@ -101,6 +117,10 @@ int mo_environment_check(const struct mo_environment *environment, uint32_t *whe
     const bool has_light = mo_guide_has_light(&environment->task.guide);
     if (!has_light && (environment->light_xy_m[0] != 0 || environment->light_xy_m[1] != 0))
       error = MO_ERR_INVALID;
+  }
+  if (error == MO_OK) {
+    wrong = MO_ENVIRONMENT_DAMAGE;
+    error = check_damage(&environment->damage);
   }
   if (error != MO_OK && where != NULL)
     *where = wrong;

@@ -17,8 +17,9 @@
 #define HELD_OUT       64
 #define SIGMA_TOP_M    0.1
 #define POINTS         3
+#define DAMAGE_S       2.0
 
-enum { PHOTO, PHOTO_AUC, WALK, ROUGH, UP, DOWN, HURDLE, GAP, CIRCLE, SHUTTLE, PATH, TASKS };
+enum { PHOTO, PHOTO_AUC, WALK, ROUGH, UP, DOWN, HURDLE, GAP, CIRCLE, SHUTTLE, PATH, DAMAGE, TASKS };
 
 const char *const mo_set_words[] = {"paper-test",
                                     "morpho-12-photo",
@@ -43,6 +44,8 @@ const char *const mo_set_words[] = {"paper-test",
                                     "morpho-12-shuttle-held-out",
                                     "morpho-12-path",
                                     "morpho-12-path-held-out",
+                                    "morpho-12-damage",
+                                    "morpho-12-damage-held-out",
                                     NULL};
 _Static_assert(sizeof(mo_set_words) / sizeof(*mo_set_words) == 2 + 2 * TASKS,
                "each task has two sets");
@@ -158,9 +161,12 @@ static void draw_world(int task, uint64_t i, struct mo_environment *environment)
   *environment = (struct mo_environment){0};
   switch (task) {
   case PHOTO:
-  case PHOTO_AUC: /* the same worlds */
+  case PHOTO_AUC:
+  case DAMAGE: /* the same worlds */
     mo_environment_held_out(MO_SUITE_SEED, i, environment);
-    set_task(task == PHOTO ? "photo" : "photo-auc", environment);
+    set_task(task == PHOTO_AUC ? "photo-auc" : "photo", environment);
+    if (task == DAMAGE)
+      environment->damage = (struct mo_damage){1 + (uint32_t)(i % MO_OCTANTS), DAMAGE_S};
     break;
   case WALK:
   case ROUGH:

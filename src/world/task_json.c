@@ -243,6 +243,35 @@ void mo_task_read(struct mo_json *json, struct mo_environment *environment)
     memcpy(environment->light_xy_m, read.light_xy_m, sizeof(read.light_xy_m));
 }
 
+/* ---- damage ---- */
+
+/* In JSON; the environment has 1 + octant. */
+struct damage {
+  uint32_t octant;
+  double time_s;
+};
+static const struct mo_field damage_rows[] = {
+    {"octant", MO_FIELD_COUNT, 0, offsetof(struct damage, octant), .max = MO_OCTANTS - 1,
+     .unit = "", .help = "1: larger x, + 2: larger y, + 4: larger z"},
+    {"time_s", MO_FIELD_NUMBER, 0, offsetof(struct damage, time_s), .max = MO_DAMAGE_TIME_MAX_S,
+     .unit = "s", .help = "when its springs break"},
+};
+static const struct mo_fields damage_fields = MO_FIELDS(damage_rows);
+
+static void read_damage(struct mo_json *json, struct mo_environment *environment)
+{
+  const unsigned depth = json->depth, faults = json->faults->n;
+  struct damage damage = {UINT32_MAX, -1};
+  mo_fields_read(json, &damage_fields, &damage);
+  if (json->stop || json->faults->n > faults)
+    return;
+  if (damage.octant == UINT32_MAX || damage.time_s < 0)
+    mo_json_fault_at(json, depth, "", "%s is missing",
+                     damage_rows[damage.octant != UINT32_MAX].name);
+  else
+    environment->damage = (struct mo_damage){1 + damage.octant, damage.time_s};
+}
+
 bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
                                 struct mo_environment *environment)
 {
@@ -252,6 +281,10 @@ bool mo_environment_read_member(struct mo_json *json, struct mo_json_slice key,
   }
   if (mo_json_is(key, "terrain")) {
     mo_terrain_read(json, environment);
+    return true;
+  }
+  if (mo_json_is(key, "damage")) {
+    read_damage(json, environment);
     return true;
   }
   return mo_fields_read_member(json, key, &mo_place_fields, environment);
@@ -305,6 +338,11 @@ void mo_environment_write_members(struct mo_text *text, const struct mo_environm
     if (mo_place_has(environment, i))
       mo_fields_write(text, &one, environment);
   }
+  mo_environment_write_tasks(text, environment);
+}
+
+void mo_environment_write_tasks(struct mo_text *text, const struct mo_environment *environment)
+{
   if (environment->n_profile != 0) {
     mo_text_name(text, "terrain");
     mo_terrain_write(text, environment);
@@ -312,5 +350,10 @@ void mo_environment_write_members(struct mo_text *text, const struct mo_environm
   if (!mo_task_is_plain(&environment->task)) {
     mo_text_name(text, "task");
     mo_task_write(text, environment);
+  }
+  if (environment->damage.cut != 0) {
+    const struct damage damage = {environment->damage.cut - 1, environment->damage.time_s};
+    mo_text_name(text, "damage");
+    mo_fields_write_object(text, &damage_fields, &damage);
   }
 }

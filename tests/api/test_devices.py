@@ -62,6 +62,7 @@ def run(service, kind, request):
 def refused(service, kind, request):
     reply = service.request("POST", f"/v1/{kind}", request)
     assert reply.status == 422 and reply.pointers() == ["/device"], reply.body
+    return reply.body.decode()
 
 
 def show(service):
@@ -138,6 +139,10 @@ def test_evaluations(start):
     small = run(service, "evaluations",
                 {"designs": DESIGNS[:3], "physics": {"n_steps": 22}, "device": "cuda"})
     assert small["device"] == "cuda" and small["priority"] == "batch"
+    for world, word in (({"task": "walk", "terrain": {"kind": "slope"}}, "profiles"),
+                        ({"task": "walk", "damage": {"octant": 0, "time_s": 1}}, "damage")):
+        assert word in refused(service, "evaluations",
+                               {**LARGE, "device": "cuda", "environments": [world]})
     for more in ({"record": ["com"]}, {"precision": "float64"}, {"priority": "interactive"}):
         refused(service, "evaluations", {**LARGE, "device": "cuda", **more})
         if more != {"priority": "interactive"}:

@@ -244,7 +244,7 @@ def test_the_suite_is_in_every_service(service):
     them. An unknown name is refused."""
     sets = {one["name"]: one["environments"]
             for one in service.get("/v1/environment-sets")["items"]}
-    assert sets.pop("paper-test") == 10 and len(sets) == 22
+    assert sets.pop("paper-test") == 10 and len(sets) == 24
     for name, n in sets.items():
         assert n == (64 if name.endswith("-held-out") else 10)
     for name in ("walk", "up", "gap"):
@@ -270,7 +270,7 @@ def test_the_suite_in_one_command(service):
                "--random", "2", "--seed", "7", "-p", "n_steps=200"]
     done = json.loads(subprocess.run([*command, "--json"], check=True, capture_output=True,
                                      text=True).stdout)
-    assert len(done["evaluations"]) == 11 and len(done["designs"]) == 2
+    assert len(done["evaluations"]) == 12 and len(done["designs"]) == 2
     for task, id in done["evaluations"].items():
         results = service.get(f"/v1/evaluations/{id}")["results"]
         for row, result in zip(done["designs"], results):
@@ -300,3 +300,40 @@ def test_the_worlds_of_a_set_are_counted_and_measured(service):
     reply = service.request("POST", "/v1/evaluations",
                             {"designs": [DESIGN], "environments": "morpho-12-up", "error": True})
     assert reply.status == 422 and "float64" in reply.json()["errors"][0]["detail"]
+
+
+def test_springs_break(service):
+    """Damage is told back, changes the score of a rollout that lasts long enough, and belongs to
+    the identity of an environment; what makes no sense is refused."""
+    world = {"light_xy_m": [4, 3], "terrain_sigma_m": 0.05, "seed": 1}
+    worlds = [world, world | {"damage": {"octant": 0, "time_s": 0.1}},
+              world | {"damage": {"octant": 0, "time_s": 10}},
+              {"task": "walk", "damage": {"octant": 7, "time_s": 0}}, {"task": "walk"}]
+    job = service.evaluate({"designs": [TALL], "environments": worlds,
+                            "physics": {"n_steps": 500}}).json()
+    losses = [entry["loss"] for entry in job["results"][0]["losses"]]
+    assert losses[0] == losses[2] != losses[1] and losses[3] != losses[4]
+    shown = service.request("POST", "/v1/rollouts", {
+        "designs": [TALL], "environments": worlds[1:2], "physics": {"n_steps": 500}},
+        headers={"Accept": "application/json"}).json()
+    assert shown["environments"][0]["damage"] == {"octant": 0, "time_s": 0.1}
+    assert shown["rollouts"][0]["loss"] == losses[1]
+    damaged = service.get("/v1/environment-sets/morpho-12-damage")["items"]
+    assert [one["damage"] for one in damaged] == [
+        {"octant": i % 8, "time_s": 2} for i in range(10)]
+    campaign = service.request("POST", "/v1/campaigns", {
+        "mode": "study", "label": "broken", "environments": worlds[1:2]}).json()
+    reply = service.request("POST", "/v1/campaigns", {
+        "mode": "study", "label": "broken", "if_exists": "return", "environments": worlds[2:3]})
+    assert reply.status == 409 and "/environments/0/damage" in reply.body.decode(), reply.body
+    service.act(campaign["id"], "cancel")
+    for damage, place, words in [
+            ({"octant": 8, "time_s": 1}, "/octant", "7"), ({"octant": 1}, "", "time_s is missing"),
+            ({"time_s": 1}, "", "octant is missing"), ({"octant": 1, "time_s": -1}, "/time_s", "0"),
+            ({"octant": 1, "time_s": 1, "share": 1}, "/share", "octant, time_s"),
+            ([1], "", "object")]:
+        reply = service.request("POST", "/v1/evaluations", {
+            "designs": [TALL], "environments": [world | {"damage": damage}]})
+        error = reply.json()["errors"][0]
+        assert error["pointer"] == f"/environments/0/damage{place}", error
+        assert words in error["detail"], error

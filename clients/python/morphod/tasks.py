@@ -9,7 +9,7 @@ from ._wire import given
 
 
 SUITE = ("photo", "photo-auc", "walk", "rough", "up", "down", "hurdle", "gap", "circle", "shuttle",
-         "path")
+         "path", "damage")
 """The tasks of the suite morpho-12, in order."""
 
 
@@ -69,5 +69,5 @@ class Task(dict[str, Any]):
     def environment(self, **place: Any) -> dict[str, Any]:
         """Returns an environment with this task: `light_xy_m` for a fixed light, and, unless the
         ground is flat, `terrain` ({"kind": "slope"}), `terrain_heights_m`, or `terrain_sigma_m`
-        and `seed`."""
+        and `seed`. `damage={"octant": 3, "time_s": 2}` cuts the springs of an octant then."""
         return {"task": self, **place}

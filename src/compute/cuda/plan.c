@@ -264,7 +264,7 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
   for (uint32_t e = 0; e < plan->n_environments; e++) {
-    if (plan->environments[e]->n_profile != 0)
+    if (plan->environments[e]->n_profile != 0 || plan->environments[e]->damage.cut != 0)
       return MO_ERR_UNSUPPORTED;
     plan->has_tasks |= !mo_task_is_plain(&plan->environments[e]->task);
   }

@@ -101,6 +101,8 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
   h = mix(h, environment, offsetof(struct mo_environment, n_profile)); /* padding follows */
   if (environment->n_profile != 0)
     h = mix(h, &environment->profile_spacing_m, sizeof(environment->profile_spacing_m));
+  if (environment->damage.cut != 0)
+    h = mix(h, &environment->damage.time_s, sizeof(environment->damage.time_s));
   h = mix(h, &physics->scheme.dt_s, sizeof(physics->scheme.dt_s));
   h = mix(h, &physics->scheme.n_steps, sizeof(physics->scheme.n_steps));
   h = mix(h, &kind, sizeof(kind));

@@ -237,13 +237,35 @@ static void control_step(struct second *s, uint32_t step, bool computes)
   s->activation_now = s->previous;
 }
 
-static void pull_all(struct second *s)
+/* Returns whether spring k is in an octant, by the middle of the spring and that of the body. */
+static bool is_inside(const struct mo_body *body, uint32_t k, unsigned octant)
+{
+  for (int axis = 0; axis < 3; axis++) {
+    double low = INFINITY, high = 0;
+    for (uint32_t i = 0; i < body->n_masses; i++) {
+      low = fmin(low, body->mass_xyz[3 * i + axis]);
+      high = fmax(high, body->mass_xyz[3 * i + axis]);
+    }
+    const double middle = (body->mass_xyz[3 * body->spring_a[k] + axis] +
+                           body->mass_xyz[3 * body->spring_b[k] + axis]) /
+                          2.0;
+    if ((middle >= (low + high) / 2) != (octant >> axis & 1))
+      return false;
+  }
+  return true;
+}
+
+static void pull_all(struct second *s, uint32_t step)
 {
   const struct mo_body *body = s->setup->body;
   const struct mo_physics *physics = s->setup->physics;
   for (uint32_t k = 0; k < 3 * body->n_masses; k++)
     s->impulse[k] = con(0);
+  const struct mo_damage *damage = &s->setup->environment->damage;
+  const bool broken = damage->cut != 0 && step * physics->scheme.dt_s > damage->time_s - 1e-9;
   for (uint32_t k = 0; k < body->n_springs; k++) {
+    if (broken && is_inside(body, k, damage->cut - 1))
+      continue;
     const num *a = s->p + 3 * body->spring_a[k], *b = s->p + 3 * body->spring_b[k];
     const num d[3] = {sub(a[0], b[0]), sub(a[1], b[1]), sub(a[2], b[2])};
     const num length = root(square_sum(d));
@@ -497,7 +519,7 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
     if (step > 0 && step % held == 0)
       instant(&s, step * scheme->dt_s, false);
     control_step(&s, step, step % held == 0);
-    pull_all(&s);
+    pull_all(&s, step);
     if (scheme->integrator == MO_INTEGRATOR_SPLIT)
       move_all_split(&s, step == 0);
     else

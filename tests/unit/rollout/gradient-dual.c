@@ -76,7 +76,8 @@ static double compare(struct gradient_case *c, const struct second_parameters *d
 enum scenes { PLAIN = 0, TASKS = 1, PROFILES = 2 };
 
 /* held: the steps of a control period in each case; NULL: the controller computes its outputs in
- * every step. scenes: with the tasks of task-cases.h, and on profiles, or not. */
+ * every step. scenes: with the tasks of task-cases.h, and on
+ * profiles, of which half have damage, or not. */
 static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32_t n_at,
                        const uint32_t *held, uint32_t n_cases, unsigned scenes)
 {
@@ -94,6 +95,8 @@ static void run_scenes(enum mo_integrator integrator, const uint32_t *at, uint32
       c.environment.task = task_case(k);
     if (scenes & PROFILES)
       set_profile(&c.environment, k, fmin(c.sigma_m, 0.03));
+    if ((scenes & PROFILES) && k % 2 == 1) /* in the middle of a control period, or before it */
+      c.environment.damage = (struct mo_damage){1 + (k + 5) % MO_OCTANTS, 0.07 * (k % 4)};
     const struct second_parameters d = make_directions(&c, k);
     double *gradient = make_zeros(c.controller->n_parameters, sizeof(double));
     c.physics.scheme.n_steps = at[n_at - 1];

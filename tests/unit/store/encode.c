@@ -127,6 +127,29 @@ static void encodes_profiles(void)
              "de789e7b68e20bd986e394850830226f71dd305ff109b93d7ba80e15ad729e1d");
 }
 
+/* Damage follows the shape of a profile. */
+static void encodes_damage(void)
+{
+  struct mo_environment environment = {.light_xy_m = {4, 2}, .damage = {3, 1.5}}, whole, found;
+  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX], plain[MO_ENVIRONMENT_BYTES_MAX];
+  struct mo_sha256 hash;
+  whole = environment;
+  whole.damage = (struct mo_damage){0, 0};
+  const size_t size = mo_encode_environment(&environment, bytes);
+  REQUIRE(mo_encode_environment(&whole, plain) == 66 * sizeof(double) && size <= sizeof(bytes));
+  CHECK(SAME(bytes, plain, 66 * sizeof(double)));
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.damage.cut == 3 && found.damage.time_s == 1.5 && found.n_profile == 0);
+  CHECK_INT(mo_decode_environment(bytes, size - 12, &found), MO_ERR_CORRUPT);
+  mo_environment_hash(&environment, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash),
+             "eead583ca1cb462189629e307ee6b969b43114c8d320de3905e48758f43c3352");
+  environment.damage.cut = 1 + MO_OCTANTS;
+  CHECK_INT(mo_environment_check(&environment, NULL), MO_ERR_RANGE);
+  environment.damage = (struct mo_damage){0, 1};
+  CHECK_INT(mo_environment_check(&environment, NULL), MO_ERR_INVALID);
+}
+
 static void refuses_other_bytes(void)
 {
   const struct mo_physics physics = mo_paper_physics();
@@ -171,6 +194,7 @@ static const struct check_case cases[] = {
     {"encodes settings of later versions", encodes_later_settings},
     {"encodes environments", encodes_environments},
     {"encodes profiles", encodes_profiles},
+    {"encodes damage", encodes_damage},
     {"refuses other bytes", refuses_other_bytes},
     {"hashes", hashes},
 };

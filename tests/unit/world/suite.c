@@ -3,7 +3,7 @@
 
 #include "base/words.h"
 
-enum { SETS = 23, MAX = MO_SET_ENVIRONMENTS_MAX };
+enum { SETS = 25, MAX = MO_SET_ENVIRONMENTS_MAX };
 
 static struct mo_environment worlds[MAX], others[MAX];
 
@@ -25,7 +25,8 @@ static void frozen(void)
       UINT64_C(0x936c243c8ce80e1e), UINT64_C(0x2ec6f94ec54044f5), UINT64_C(0x65641a37f30bd72d),
       UINT64_C(0xb39753bca079c761), UINT64_C(0x8c824ecda6d87ecf), UINT64_C(0x46f5711414dd97d4),
       UINT64_C(0xf0c96420397bfb26), UINT64_C(0xfe289b4674ec05d5), UINT64_C(0xe9c3a7c0fa37e7c1),
-      UINT64_C(0x53945fe137ab063b), UINT64_C(0x36fdb57532f5e864),
+      UINT64_C(0x53945fe137ab063b), UINT64_C(0x36fdb57532f5e864), UINT64_C(0x1cdc3791739a2b81),
+      UINT64_C(0x7573edc42854e239),
   };
   CHECK_INT(mo_words_count(mo_set_words), SETS);
   for (int i = 0; i < SETS; i++) {
@@ -44,6 +45,10 @@ static void frozen(void)
       hash(&h, &e->task.objective, sizeof(e->task.objective));
       hash(&h, &e->n_profile, sizeof(e->n_profile));
       hash(&h, &e->profile_spacing_m, sizeof(e->profile_spacing_m));
+      if (e->damage.cut != 0) {
+        hash(&h, &e->damage.cut, sizeof(e->damage.cut));
+        hash(&h, &e->damage.time_s, sizeof(e->damage.time_s));
+      }
     }
     printf("# 0x%016llx, %s\n", (unsigned long long)h, mo_set_words[i]);
     CHECK(h == expected[i]);
