@@ -9,6 +9,14 @@
 #include "commands.h"
 #include "results.h"
 
+/* Returns a copy of a job with the names of its measures as one text. */
+static const json_t *with_measures(const json_t *job)
+{
+  json_t *copy = keep(json_copy((json_t *)job));
+  json_object_set_new(copy, "measured", json_string(words_of(json_object_get(job, "measures"))));
+  return copy;
+}
+
 static void print_job(const struct ctl *ctl, const json_t *job)
 {
   static const struct fact first[] = {
@@ -30,6 +38,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
        "{physics.impact}[, outputs held for {physics.control_period_s>0:g} s]"},
       {"designs", "{n_designs:,}[, the {best:,} best of them]"},
       {"errors", "[estimated with {displaced_starts} displaced starts]"},
+      {"measures", "[{measured}]"},
       {"rollouts", "{rollouts_done:,} of {rollouts_total:,}[  {progress.rollouts_per_s:.0f} "
                    "rollouts/s][  {progress.seconds_left:duration} left]"},
       {"from store", "[{rollouts_cached>0:,}]"},
@@ -38,6 +47,8 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {NULL, NULL}};
   static const struct fact times[] = {JOB_TIME_FACTS, {NULL, NULL}};
   print_facts(ctl, job, first);
+  if (json_object_get(job, "measures") != NULL)
+    job = with_measures(job);
   if (json_object_get(job, "training") == NULL && json_object_get(job, "campaign") == NULL)
     print_facts(ctl, job, evaluation);
   print_facts(ctl, job, times);

@@ -1,8 +1,11 @@
 /* results.c: see results.h. */
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "results.h"
+
+#define MEASURES_MAX 32 /* columns */
 
 static int compare_ranked(const void *a, const void *b)
 {
@@ -27,6 +30,33 @@ struct ranked *rank_results(const json_t *results, bool by_score)
   if (by_score)
     qsort(order, n, sizeof(*order), compare_ranked);
   return order;
+}
+
+const char *words_of(const json_t *list)
+{
+  const char *words = "";
+  const json_t *word;
+  size_t i;
+  json_array_foreach(list, i, word) if (json_is_string(word)) words =
+      keep(format_text("%s%s%s", words, words[0] != '\0' ? ", " : "", json_string_value(word)));
+  return words;
+}
+
+/* Returns the columns of the measures, and of their flags. A server may send any names, so others
+ * than those of measures have no column. */
+static const char *measure_columns(const json_t *measures)
+{
+  const char *columns = "", *name;
+  const json_t *mean;
+  size_t n = 0;
+  if (measures == NULL)
+    return columns;
+  json_object_foreach((json_t *)measures, name,
+                      mean) if (name[strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_")] ==
+                                    '\0' &&
+                                strlen(name) <= 48 && n++ < MEASURES_MAX) columns =
+      keep(format_text("%s|>%s=[{measures.%s:.4g}]", columns, name, name));
+  return keep(format_text("%s|flags=[{flag}]", columns));
 }
 
 /* Returns a copy of a result with the other columns of the table: number, name, note and, unless
@@ -55,6 +85,9 @@ static json_t *result_row(const json_t *result, size_t number, const char *name)
                           "best", best, "worst", worst);
   if (agrees != NULL)
     json_object_set_new(row, "note", json_string(note));
+  const char *flags = words_of(json_object_get(result, "flags"));
+  if (flags[0] != '\0')
+    json_object_set_new(row, "flag", json_string(flags));
   json_object_update_missing(row, (json_t *)result);
   return row;
 }
@@ -80,7 +113,7 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   struct ranked *order = rank_results(results, by_score);
   json_t *rows = keep(json_array());
   bool named = false, verified = false, estimated = false, valued = false;
-  char columns[640];
+  const char *measured = measure_columns(json_object_get(value_at(results, "0"), "measures"));
   for (size_t i = 0; i < n; i++) {
     named |= name_of(designs, place_of(results, i)) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
@@ -93,16 +126,16 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
     json_array_append_new(rows,
                           result_row(json_array_get(results, i), place, name_of(designs, place)));
   }
-  snprintf(columns, sizeof(columns),
-           ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
-           "]{score:.4f}%s%s|>best={best:.4f}"
-           "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
-           "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
-           named ? "|name={name}" : "", valued ? "|>value=[{value:.4f} {unit}]" : "",
-           estimated ? "|>limit=[{error.low:.4f} to {error.high:.4f}]|>bifurcates="
-                       "[{error.low:-}{error.bifurcates:#} of {losses:#}]"
-                     : "",
-           verified ? "bits" : "note");
+  const char *columns = keep(format_text(
+      ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
+      "]{score:.4f}%s%s%s|>best={best:.4f}"
+      "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
+      "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
+      named ? "|name={name}" : "", valued ? "|>value=[{value:.4f} {unit}]" : "",
+      estimated ? "|>limit=[{error.low:.4f} to {error.high:.4f}]|>bifurcates="
+                  "[{error.low:-}{error.bifurcates:#} of {losses:#}]"
+                : "",
+      measured, verified ? "bits" : "note"));
   print_table(stdout, ctl, rows, columns);
   say_orientations(ctl, results);
   if (shown < n)

@@ -11,6 +11,8 @@ struct ranked {
 };
 /* Ranks results, in their order or best first. */
 struct ranked *rank_results(const json_t *results, bool by_score);
+/* Returns the texts of an array, separated by commas. */
+const char *words_of(const json_t *list);
 /* Prints the results of a finished evaluation as a table. designs: nullable, used for names. */
 void print_results(const struct ctl *ctl, const json_t *evaluation, const struct designs *designs,
                    bool by_score, size_t top);

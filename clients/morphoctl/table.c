@@ -13,7 +13,7 @@
 
 #define DASH        "–"
 #define WORD_BYTES  64
-#define COLUMNS_MAX 16
+#define COLUMNS_MAX 40
 
 const json_t *value_at(const json_t *json, const char *place)
 {

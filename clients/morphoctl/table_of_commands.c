@@ -116,6 +116,10 @@ static const struct option_spec eval_options[] = {
      "Estimate the error of each score: the interval that contains its limit of small steps (at "
      "six "
      "times the cost), and the environments in which rounding decides."},
+    {"measures", 0, "LIST",
+     "Numbers that describe the rollouts, as means in the table: all, or names separated by "
+     "commas, "
+     "such as displacement_m,air_share,work_j."},
     {KEY("evaluation")},
     {NULL}};
 static const struct option_spec verify_options[] = {

@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <morpho/measure.h>
+
 #include "api/requests.h"
 #include "base/words.h"
 #include "rollout/physics.h"
@@ -32,6 +34,51 @@ static void read_channels(struct mo_json *json, void *value)
 }
 
 const struct mo_field_own mo_channels_field = {.read = read_channels};
+
+/* Reads true, for all measures, or their names. */
+static void read_measures(struct mo_json *json, void *value)
+{
+  const char *names[MO_MEASURES + 1] = {NULL};
+  char list[MO_WORDS_BYTES];
+  struct mo_json_slice name;
+  uint32_t *set = value;
+  const enum mo_json_kind kind = mo_json_peek(json);
+  bool all = false;
+  *set = 0;
+  if (kind == MO_JSON_TRUE || kind == MO_JSON_FALSE) {
+    if (mo_json_bool(json, &all) && all)
+      *set = MO_MEASURES_ALL;
+    return;
+  }
+  for (unsigned m = 0; m < MO_MEASURES; m++)
+    names[m] = mo_measure_info[m].name;
+  const unsigned depth = json->depth, before = json->faults->n;
+  if (kind != MO_JSON_ARRAY) {
+    mo_json_skip(json);
+    mo_json_fault_at(json, depth, "", "must be true, for all measures, or an array of names: %s",
+                     mo_words_list(names, list));
+    return;
+  }
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json)) {
+    unsigned m = 0;
+    if (!mo_json_string(json, &name))
+      continue;
+    while (m < MO_MEASURES && !mo_json_is(name, names[m]))
+      m++;
+    if (m == MO_MEASURES)
+      mo_json_fault(json, "must be %s", mo_words_list(names, list));
+    else if (*set >> m & 1)
+      mo_json_fault(json, "duplicate measure; list it once");
+    else
+      *set |= UINT32_C(1) << m;
+  }
+  if (*set == 0 && json->faults->n == before)
+    mo_json_fault_at(json, depth, "", "must name at least one measure; leave it out for none");
+}
+
+static const struct mo_field_own measures_field = {.read = read_measures};
 
 #define AT(member) offsetof(struct mo_random_bodies, member)
 static const struct mo_field random_rows[] = {
@@ -82,6 +129,7 @@ static const struct mo_field rows[] = {
     {"random", MO_FIELD_OWN, 0, AT(parts), .own = &random_field},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
     {"error", MO_FIELD_FLAG, 0, AT(parts.estimates_error)},
+    {"measures", MO_FIELD_OWN, 0, AT(request.measures), .own = &measures_field},
     {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_LARGE_MAX, .unit = "designs",
      .help = "number of the best designs that get complete scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
@@ -173,6 +221,17 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
                      message.text);
 }
 
+static void check_measures(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+{
+  if (parsed->request.verify)
+    mo_json_fault_at(json, 0, "/measures",
+                     "cannot be combined with verify, which only compares losses; give only one of "
+                     "them");
+  if (parsed->parts.job.back_end == MO_ON_DEVICE)
+    mo_json_fault_at(json, 0, "/measures",
+                     "are computed only by processors; request \"cpu\" or \"auto\"");
+}
+
 static int check(struct mo_json *json, void *any)
 {
   struct mo_parsed_evaluation *parsed = any;
@@ -195,6 +254,8 @@ static int check(struct mo_json *json, void *any)
   check_large(json, parsed, survey_worlds(json, &parsed->parts, &highest_m));
   if (parsed->parts.estimates_error)
     check_error(json, parsed, highest_m);
+  if (request->measures != 0)
+    check_measures(json, parsed);
   if (parsed->parts.no_controller)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (request->record_stride > steps)

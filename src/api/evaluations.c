@@ -7,6 +7,10 @@
 #include "api/submission.h"
 #include "rollout/physics.h"
 
+/* The reply for a whole evaluation has at most so many measured numbers, about 60 MB: those of
+ * MO_DESIGNS_MAX designs on the paper's test set. Longer results are read in pages. */
+#define MEASURED_MAX 2000000
+
 /* ---- the kind ---- */
 
 static void write_error(struct mo_text *text, const struct mo_score_error *error)
@@ -40,7 +44,12 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);
   mo_text_member_bool(text, "lower_bound", results->is_bound[d]);
-  mo_members_losses(text, &results->losses[(size_t)d * columns], columns, tasks);
+  const struct mo_measured measured = {
+      .set = results->measure_set,
+      .values = &results->measures[(size_t)d * columns * results->n_measures],
+      .flags = &results->flags[(size_t)d * columns]};
+  mo_members_losses(text, &results->losses[(size_t)d * columns], columns, tasks,
+                    results->measure_set != 0 ? &measured : NULL);
   mo_text_add(text, ",\"diverged\":[");
   for (uint32_t k = 0; k < columns; k++)
     if (steps[k] != 0) {
@@ -117,6 +126,8 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_member_bool(text, "verify", job->verify);
   if (job->n_displaced > 0)
     mo_text_member_count(text, "displaced_starts", job->n_displaced);
+  if (job->measures != 0)
+    mo_member_measures(text, "measures", job->measures);
   mo_member_count_if(text, "best", job->best > 0, job->best);
   if (job->is_random)
     mo_text_format(text, ",\"random\":{\"seed\":%llu,\"first\":%u,\"drawn\":%u}",
@@ -140,6 +151,13 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_job(store, id, &status->job);
 }
 
+/* Returns how many measured numbers the results have. */
+static uint64_t measured_numbers(const struct mo_job *job)
+{
+  return (uint64_t)job->n_designs * job->n_environments *
+         (uint64_t)__builtin_popcount(job->measures);
+}
+
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
                        const struct mo_live *live, bool is_listed)
 {
@@ -147,7 +165,8 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   struct mo_evaluation_results *results = NULL;
   struct mo_environment *tasks = NULL;
   int error = MO_OK;
-  if (job->state == MO_JOB_SUCCEEDED && !is_listed && job->n_designs <= MO_DESIGNS_MAX)
+  if (job->state == MO_JOB_SUCCEEDED && !is_listed && job->n_designs <= MO_DESIGNS_MAX &&
+      measured_numbers(job) <= MEASURED_MAX)
     error = mo_store_results(api->store, job->id, &results);
   if (error == MO_OK && results != NULL)
     error = mo_tasks_read(api->store, job->id, job->kind, job->environment_set, &tasks);

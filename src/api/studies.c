@@ -84,7 +84,7 @@ static void write_child(struct mo_text *text, const struct told *told, uint32_t 
   mo_text_member_count(text, "child", told->batch->children[i].place);
   mo_campaign_json_design(text, &told->designs[i], &told->status.words);
   if (told->known[i])
-    mo_members_losses(text, loss->losses, told->status.record.n_environments, told->tasks);
+    mo_members_losses(text, loss->losses, told->status.record.n_environments, told->tasks, NULL);
   else
     mo_text_member(text, "losses", NULL);
   mo_text_add(text, "}");

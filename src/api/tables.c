@@ -460,11 +460,20 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
   " recorded_bytes:n verify:n best:n rollouts_cut:n displaced_starts:n"
+#define MEASURES                                                                                   \
+  " measures.displacement_m:n measures.path_length_m:n measures.mean_speed_m_per_s:n"              \
+  " measures.straightness:n measures.heading_error_rad:n measures.sideways_m:n"                    \
+  " measures.peak_height_m:n measures.mean_height_m:n measures.tilt_rad:n"                         \
+  " measures.yaw_rate_rad_per_s:n measures.air_share:n measures.contact_front_share:n"             \
+  " measures.contact_back_share:n measures.contact_left_share:n"                                   \
+  " measures.contact_right_share:n measures.hops_per_s:n measures.work_j:n"                        \
+  " measures.cost_of_transport:n measures.peak_strain:n measures.inverted_voxels:n flags"
 #define RESULTS                                                                                    \
   "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
   "masses:n"                                                                                       \
   " springs:n path_length_m:n repaired fault orientation error.low:n error.high:n"                 \
-  " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates value:n unit"
+  " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates value:n "      \
+  "unit" MEASURES
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

@@ -17,7 +17,7 @@ enum mo_fault_place {
 struct mo_fault {
   enum mo_fault_place place;
   char where[256];
-  char detail[256];
+  char detail[512];
 };
 
 struct mo_faults {

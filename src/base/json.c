@@ -125,7 +125,7 @@ static void write_pointer(const struct mo_json *json, unsigned depth, char *poin
 void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
                       ...)
 {
-  char words[256], pointer[sizeof(json->faults->items[0].where)];
+  char words[sizeof(json->faults->items[0].detail)], pointer[sizeof(json->faults->items[0].where)];
   va_list arguments;
   if (json->stop)
     return;

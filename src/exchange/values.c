@@ -112,10 +112,66 @@ void mo_members_value(struct mo_text *text, const struct mo_task *task, double l
     write_value(text, task, loss);
 }
 
-void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
-                       const struct mo_environment *environments)
+/* ---- measures ---- */
+
+void mo_member_measures(struct mo_text *text, const char *name, uint32_t set)
 {
-  bool is_plain = true, is_same = true;
+  mo_text_open(text, name, "[");
+  for (unsigned m = 0; m < MO_MEASURES; m++)
+    if (set >> m & 1) {
+      mo_text_next(text);
+      mo_text_format(text, "\"%s\"", mo_measure_info[m].name);
+    }
+  mo_text_add(text, "]");
+}
+
+static void write_flags(struct mo_text *text, unsigned flags)
+{
+  static const char *const words[] = {"overstrained", "inverted"};
+  mo_text_open(text, "flags", "[");
+  for (size_t i = 0; i < sizeof(words) / sizeof(words[0]); i++)
+    if (flags >> i & 1) {
+      mo_text_next(text);
+      mo_text_format(text, "\"%s\"", words[i]);
+    }
+  mo_text_add(text, "]");
+}
+_Static_assert(MO_FLAG_OVERSTRAINED == 1 && MO_FLAG_INVERTED == 2, "in the order of the words");
+
+/* values: in the order of the set. */
+static void write_measures(struct mo_text *text, uint32_t set, const double *values, unsigned flags)
+{
+  mo_text_open(text, "measures", "{");
+  for (unsigned m = 0; m < MO_MEASURES; m++)
+    if (set >> m & 1)
+      mo_text_member_number(text, mo_measure_info[m].name, *values++);
+  mo_text_add(text, "}");
+  write_flags(text, flags);
+}
+
+static void write_means(struct mo_text *text, const struct mo_measured *measured, size_t n)
+{
+  const size_t each = (size_t)__builtin_popcount(measured->set);
+  double means[MO_MEASURES] = {0};
+  unsigned flags = 0;
+  for (size_t k = 0; k < n; k++) {
+    flags |= measured->flags[k];
+    for (size_t i = 0; i < each; i++)
+      means[i] += measured->values[k * each + i];
+  }
+  for (size_t i = 0; i < each; i++)
+    means[i] /= (double)n;
+  write_measures(text, measured->set, means, flags);
+}
+
+/* ---- losses ---- */
+
+void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
+                       const struct mo_environment *environments,
+                       const struct mo_measured *measured)
+{
+  static const struct mo_task plain = {.objective = MO_OBJECTIVE_REACH};
+  bool is_plain = measured == NULL, is_same = true;
   double sum = 0;
   for (size_t k = 0; environments != NULL && k < n; k++) {
     const struct mo_task *task = &environments[k].task;
@@ -129,17 +185,26 @@ void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
   }
   mo_text_open(text, "losses", "[");
   for (size_t k = 0; k < n; k++) {
+    const struct mo_task *task = environments != NULL ? &environments[k].task : &plain;
     mo_text_object(text);
     mo_text_member_number(text, "loss", losses[k]);
-    write_value(text, &environments[k].task, losses[k]);
+    write_value(text, task, losses[k]);
+    if (measured != NULL) {
+      const size_t each = (size_t)__builtin_popcount(measured->set);
+      write_measures(text, measured->set, &measured->values[k * each], measured->flags[k]);
+    }
     mo_text_add(text, "}");
-    sum += mo_objective_value(environments[k].task.objective, losses[k]);
+    sum += mo_objective_value(task->objective, losses[k]);
   }
   mo_text_add(text, "]");
   if (is_same) {
     mo_text_member_number(text, "value", sum / (double)n);
-    mo_text_member(text, "unit", mo_objective_unit(environments[0].task.objective));
+    mo_text_member(
+        text, "unit",
+        mo_objective_unit((environments != NULL ? &environments[0].task : &plain)->objective));
   }
+  if (measured != NULL)
+    write_means(text, measured, n);
 }
 
 void mo_environment_write(struct mo_text *text, const struct mo_environment *environment)

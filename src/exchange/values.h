@@ -2,6 +2,8 @@
 #ifndef MORPHO_EXCHANGE_VALUES_H
 #define MORPHO_EXCHANGE_VALUES_H
 
+#include <morpho/measure.h>
+
 #include "base/fields.h"
 #include "base/text.h"
 #include "store/campaign_designs.h"
@@ -27,11 +29,22 @@ extern const struct mo_field_own mo_hash_field; /* a struct mo_sha256 */
 /* Writes the value that a task has at a loss, and its unit, as members; nothing for a plain
  * task. */
 void mo_members_value(struct mo_text *text, const struct mo_task *task, double loss);
+/* The measures of n rollouts of a design, to be written. */
+struct mo_measured {
+  uint32_t set;         /* as bits: the measures that were requested */
+  const double *values; /* (n, measures of the set); NaN: null */
+  const uint8_t *flags; /* (n) bits of enum mo_measure_flag */
+};
 /* Writes losses as the member "losses". environments (nullable): if one of them has a task that is
- * not plain, each loss becomes an object with its value and unit; and if all units are the same,
- * "value", the mean of the values, and "unit" follow. */
+ * not plain, or with measures, each loss becomes an object with its value and unit; and if all
+ * units are the same, "value", the mean of the values, and "unit" follow. measured (nullable): each
+ * object has "measures" and "flags", too, and the means and all flags follow; a mean is null if one
+ * of its numbers is. */
 void mo_members_losses(struct mo_text *text, const double *losses, size_t n,
-                       const struct mo_environment *environments);
+                       const struct mo_environment *environments,
+                       const struct mo_measured *measured);
+/* Writes the names of measures as a member. */
+void mo_member_measures(struct mo_text *text, const char *name, uint32_t set);
 
 /* Writes an environment as an object. */
 void mo_environment_write(struct mo_text *text, const struct mo_environment *environment);

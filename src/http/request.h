@@ -56,7 +56,7 @@ struct mo_query {
   } items[MO_QUERY_MAX];
 };
 
-#define MO_REASON_BYTES 640 /* size of a note for the log */
+#define MO_REASON_BYTES 896 /* size of a note for the log */
 
 enum mo_stage { MO_STAGE_TARGET, MO_STAGE_BODY, MO_STAGE_HANDLING, MO_STAGE_REPLY };
 

@@ -21,6 +21,8 @@ struct flight {
   struct mo_recording recordings[MO_BLOCK_LANES];
   uint32_t frames;
   uint64_t recorded_bytes;
+  struct mo_measuring measuring;
+  double (*measures)[MO_MEASURES]; /* NULL: none, or the save owns them */
 };
 
 void mo_active_detach(struct mo_active *active)
@@ -62,6 +64,12 @@ static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo
 static uint32_t run_of(const struct mo_work *work, uint32_t design)
 {
   return design / (work->n_designs / work->n_runs);
+}
+
+/* Returns whether a row of the grid has measures: the additional runs have none. */
+static bool is_measured(const struct mo_work *work, uint32_t design)
+{
+  return work->job.measures != 0 && run_of(work, design) == 0;
 }
 
 static int64_t physics_of(const struct mo_work *work, uint32_t design)
@@ -169,6 +177,7 @@ static int look_up(void *context, uint32_t design)
   const struct mo_work *work = active->work;
   struct mo_saved_design key = design_of(work, design);
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  uint64_t measured = UINT64_MAX; /* a score without its measures counts as unknown */
   bool any = false, is_done = false;
   int error;
   for (uint32_t k = 0; k < work->n_environments && !any && !active->private_runs; k++)
@@ -178,8 +187,11 @@ static int look_up(void *context, uint32_t design)
   key.workers = 0; /* only the job's own class */
   error =
       mo_store_scores(all->jobs->store, &key, work->environment_rows, work->n_environments, scores);
+  if (error == MO_OK && is_measured(work, design))
+    error = mo_store_measured(all->jobs->store, &key, work->environment_rows, work->n_environments,
+                              work->job.measures, &measured);
   for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++)
-    if (scores[k].known && mo_grid_is_open(&active->grid, design, k))
+    if (scores[k].known && (measured >> k & 1) && mo_grid_is_open(&active->grid, design, k))
       is_done = finish_known(all, active, design, k, &scores[k]);
   return is_done ? finish_design(all, active, design) : error;
 }
@@ -199,6 +211,19 @@ static int joins(void *context, struct mo_flight *flight, uint32_t k)
   return *rollout != NULL ? 1 : MO_ERR_NO_MEMORY;
 }
 
+/* All measures are computed, whichever were requested: most of the time goes into observing the
+ * body once, and the next request finds the others. */
+static int prepare_measures(struct flight *flight)
+{
+  struct mo_block *block = &flight->flight.block;
+  flight->measures = malloc(block->n_environments * sizeof(*flight->measures));
+  if (flight->measures == NULL)
+    return MO_ERR_NO_MEMORY;
+  flight->measuring = (struct mo_measuring){.set = MO_MEASURES_ALL, .values = flight->measures};
+  block->measuring = &flight->measuring;
+  return MO_OK;
+}
+
 static int prepare(void *context, struct mo_flight *any)
 {
   struct mo_active *active = context;
@@ -210,6 +235,8 @@ static int prepare(void *context, struct mo_flight *any)
   int error = job->record != 0
                   ? mo_body_create(active->all->jobs->lattice, block->genotype, &flight->body)
                   : MO_OK;
+  if (error == MO_OK && is_measured(active->work, any->design))
+    error = prepare_measures(flight);
   if (error != MO_OK || job->record == 0)
     return error;
   flight->frames = mo_recording_frames(&job->physics, job->record_stride);
@@ -272,6 +299,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
                                        : all->jobs->classes.cpu[block->precision],
                     .n = block->n_environments},
       .origin = block->origin,
+      .measures = flight->measures,
       .verify_job = work->job.verify ? active->id : 0,
       .design_position = work->positions[flight->flight.design]};
   int error = MO_OK;
@@ -285,6 +313,8 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
   }
   if (error == MO_OK && mo_pending_add(all, &all->pending.blocks, &saved, sizeof(saved)) == NULL)
     error = MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    flight->measures = NULL; /* the save owns them now */
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++) {
     if (flight->rollouts[i] != NULL) { /* forgotten after the commit */
       flight->rollouts[i]->next_save = all->pending.rollouts;
@@ -323,6 +353,7 @@ static void free_flight(struct mo_evaluations *all, struct flight *flight)
   }
   all->recording_bytes -= flight->recorded_bytes;
   mo_body_free(flight->body);
+  free(flight->measures);
   free(flight);
 }
 

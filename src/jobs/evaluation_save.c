@@ -78,10 +78,13 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
 void mo_pending_clear(struct mo_pending *pending)
 {
   struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
+  const struct mo_saved_block *blocks = pending->blocks.rows;
   struct mo_rows *const arrays[] = {&pending->blocks, &pending->trajectories, &pending->designs,
                                     &pending->updates};
   for (size_t i = 0; i < pending->trajectories.n; i++)
     mo_recording_free(&trajectories[i].recording);
+  for (size_t i = 0; i < pending->blocks.n; i++)
+    free(blocks[i].measures);
   for (size_t i = 0; i < sizeof(arrays) / sizeof(arrays[0]); i++)
     arrays[i]->n = 0;
   pending->rollouts = NULL;

@@ -66,14 +66,14 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                                     request->n_environments, &physics, request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   const bool suits = !is_interactive && request->precision == MO_FLOAT32 && request->record == 0 &&
-                     request->n_displaced == 0;
+                     request->n_displaced == 0 && request->measures == 0;
   error = mo_back_end_choose(jobs, job,
                              suits ? mo_back_end_unsuited(jobs, request->environment_set,
                                                           request->environments,
                                                           request->n_environments)
                                    : "devices can only compute batches in float32 that record "
-                                     "nothing and estimate no errors; request \"cpu\" or "
-                                     "\"auto\", or such a batch",
+                                     "nothing, estimate no errors and have no measures; request "
+                                     "\"cpu\" or \"auto\", or such a batch",
                              n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,

@@ -8,6 +8,7 @@
 #include "store/controller_rows.h"
 #include "store/folder.h"
 #include "store/jobs.h"
+#include "store/measures.h"
 #include "store/scores.h"
 
 struct walk {
@@ -51,6 +52,14 @@ static int check_score(sqlite3_stmt *row)
   double losses[MO_BLOCK_LANES];
   uint32_t steps[MO_BLOCK_LANES];
   return mo_score_from_row(row, 1, &condition, losses, steps);
+}
+
+static int check_measures(sqlite3_stmt *row)
+{
+  struct mo_condition condition;
+  double values[MO_BLOCK_LANES][MO_MEASURES];
+  uint32_t n;
+  return mo_measures_from_row(row, 1, &condition, values, &n);
 }
 
 static int check_member(sqlite3_stmt *row)
@@ -163,6 +172,10 @@ static const struct part {
     {"losses are damaged: scores, genotype",
      "SELECT x.genotype," MO_SCORE_COLUMNS " FROM scores x JOIN conditions c ON c.id=x.condition",
      check_score},
+    {"measures are damaged: measures, genotype",
+     "SELECT x.genotype," MO_MEASURE_COLUMNS
+     " FROM measures x JOIN conditions c ON c.id=x.condition",
+     check_measures},
     {"losses of a generation are damaged: campaign",
      "SELECT l.job,l.place,l.losses,c.n_environments FROM campaign_losses l JOIN campaigns c ON"
      " c.job=l.job",

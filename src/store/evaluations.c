@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "store/contents.h"
+#include "store/measures.h"
 #include "store/scores.h"
 
 /* ---- results ---- */
@@ -28,7 +29,8 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
-      "coalesce(workers,0),state=3,n_displaced,encoding FROM evaluations JOIN jobs j ON j.id=job"
+      "coalesce(workers,0),state=3,n_displaced,encoding,measures FROM evaluations JOIN jobs j ON "
+      "j.id=job"
       " JOIN physics p ON p.id=physics WHERE job=?1 AND state<>6";
   struct mo_physics physics;
   enum mo_precision precision;
@@ -50,6 +52,10 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
                                .physics = {sqlite3_column_int64(row, 1)}};
   results->n_designs = mo_column_u32(row, 3);
   results->n_environments = mo_column_u32(row, 4);
+  results->measure_set = mo_column_u32(row, 10);
+  results->n_measures = (uint32_t)__builtin_popcount(results->measure_set);
+  if ((results->measure_set & ~MO_MEASURES_ALL) != 0)
+    return MO_ERR_CORRUPT;
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
       results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED)
     return MO_ERR_CORRUPT;
@@ -80,6 +86,12 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify, 
     results->stored_losses = calloc(cells, sizeof(*results->stored_losses));
     results->agrees = calloc(n, sizeof(*results->agrees));
   }
+  if (results->measure_set != 0) {
+    results->measures = calloc(cells * results->n_measures, sizeof(*results->measures));
+    results->flags = calloc(cells, sizeof(*results->flags));
+    if (results->measures == NULL || results->flags == NULL)
+      return MO_ERR_NO_MEMORY;
+  }
   if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL ||
       results->is_bound == NULL || results->losses == NULL || results->diverged_steps == NULL ||
       results->paths_m == NULL || (has_errors && results->errors == NULL) ||
@@ -95,6 +107,8 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify, 
     if (verify)
       results->stored_losses[i] = NAN;
   }
+  for (size_t i = 0; i < cells * results->n_measures; i++)
+    results->measures[i] = NAN;
   return MO_OK;
 }
 
@@ -147,6 +161,34 @@ static int estimate_error(struct mo_connection *reader, const struct result_keys
   return error;
 }
 
+/* Reads the stored measures that count for the key's genotype into row `n` of the results. */
+static int load_measures(struct mo_connection *reader, const struct result_keys *keys, size_t n,
+                         uint64_t counted, struct mo_evaluation_results *results)
+{
+  const uint32_t columns = results->n_environments, set = results->measure_set;
+  double values[MO_ENVIRONMENTS_MAX][MO_MEASURES];
+  uint64_t known = 0;
+  const int error =
+      mo_measures_read(reader, &keys->design, keys->environments, columns, set, values, &known);
+  if (error != MO_OK)
+    return error;
+  for (uint32_t k = 0; k < columns; k++) {
+    const size_t cell = n * columns + k;
+    double *to = &results->measures[cell * results->n_measures];
+    if (!(counted >> k & 1))
+      continue;
+    if (!(known >> k & 1) && keys->is_complete)
+      return MO_ERR_CORRUPT;
+    if (!(known >> k & 1))
+      continue;
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      if (set >> m & 1)
+        *to++ = values[k][m];
+    results->flags[cell] = (uint8_t)mo_measures_flags(values[k]);
+  }
+  return MO_OK;
+}
+
 /* Skipped designs have no row, so they keep empty genotypes and unknown losses. */
 static int load_designs(struct mo_connection *reader, const struct range *range,
                         struct result_keys *keys, struct mo_evaluation_results *results)
@@ -170,6 +212,8 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
       error = load_losses(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);
     if (error == MO_OK && results->errors != NULL && keys->design.fingerprint != 0)
       error = estimate_error(reader, keys, n, results);
+    if (error == MO_OK && results->measure_set != 0 && keys->design.fingerprint != 0)
+      error = load_measures(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);
   }
   for (uint32_t i = 0; i < results->n_notes; i++) {
     const struct mo_design_note *note = &results->notes[i];
@@ -279,6 +323,8 @@ void mo_evaluation_results_free(void *any)
   free(results->notes);
   free(results->is_bound);
   free(results->errors);
+  free(results->measures);
+  free(results->flags);
   free(results->paths_m);
   free(results);
 }

@@ -42,6 +42,7 @@ struct mo_evaluation_request {
   uint32_t best;        /* number of best designs that get complete scores; 0: all */
   uint32_t n_displaced; /* displaced starts that estimate the errors of the scores; 0: no estimate.
                            The settings of all runs (score_error.h) are checked */
+  uint32_t measures; /* of the rollouts, as bits (morpho/measure.h) */
   bool verify;
   unsigned record;        /* channels */
   uint32_t record_stride; /* 1 … n_steps; ignored if nothing is recorded */
@@ -69,6 +70,11 @@ struct mo_evaluation_results {
   double *stored_losses; /* (n_designs, n_environments); NaN: not stored */
   uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
   struct mo_score_error *errors; /* (n_designs) NULL: no estimates */
+  /* Requested measures, else measure_set is 0 and these are NULL. */
+  uint32_t measure_set, n_measures;
+  double *measures; /* (n_designs, n_environments, n_measures) those of the set, in its order; NaN:
+                       without a value, diverged, or not computed */
+  uint8_t *flags;   /* (n_designs, n_environments) bits of enum mo_measure_flag */
   double *paths_m; /* (n_designs) mean path length of the center of mass over the environments; NaN:
                       not recorded in all of them */
   struct mo_design_note *notes; /* (n_notes) on all designs of the request, ascending */

@@ -61,7 +61,8 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->recorded_bytes = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_RECORDED_BYTES);
   job->recordings_removed_us = sqlite3_column_int64(row, MO_COLUMN_RECORDINGS_REMOVED_US);
   job->n_displaced = mo_column_u32(row, MO_COLUMN_N_DISPLACED);
-  if (job->n_displaced > MO_ERROR_DISPLACED)
+  job->measures = mo_column_u32(row, MO_COLUMN_MEASURES);
+  if (job->n_displaced > MO_ERROR_DISPLACED || (job->measures & ~MO_MEASURES_ALL) != 0)
     return MO_ERR_CORRUPT;
   job->rollouts_total = (uint64_t)(job->n_designs - job->n_skipped) * job->n_environments *
                         mo_error_runs(job->n_displaced);

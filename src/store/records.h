@@ -120,6 +120,7 @@ struct mo_job {
   uint32_t random_first, n_waiting; /* n_waiting: how many of its last designs are not stored yet */
   uint32_t best;                    /* number of best designs that get complete scores; 0: all */
   uint32_t n_displaced; /* displaced starts that estimate the errors of scores; 0: no estimate */
+  uint32_t measures;    /* requested measures of the rollouts, as bits (morpho/measure.h) */
   struct mo_physics physics;
   enum mo_precision precision;
   uint32_t record, record_stride; /* channels; steps between two frames */

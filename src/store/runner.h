@@ -120,5 +120,8 @@ struct mo_score {
  * class `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_store_scores(struct mo_store *store, const struct mo_saved_design *design,
                     const int64_t *environment_rows, uint32_t n, struct mo_score *scores);
+/* Reads in which of n environments all measures of a set are stored, as bits. */
+int mo_store_measured(struct mo_store *store, const struct mo_saved_design *design,
+                      const int64_t *environment_rows, uint32_t n, uint32_t set, uint64_t *known);
 
 #endif

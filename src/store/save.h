@@ -2,6 +2,8 @@
 #ifndef MORPHO_STORE_SAVE_H
 #define MORPHO_STORE_SAVE_H
 
+#include <morpho/measure.h>
+
 #include "store/records.h"
 
 struct mo_store;
@@ -18,7 +20,8 @@ struct mo_saved_block {
   struct mo_condition condition;
   double losses[MO_BLOCK_LANES];
   uint32_t diverged_steps[MO_BLOCK_LANES];
-  int64_t origin; /* from mo_store_origin: who computed them; 0: this host */
+  int64_t origin;                  /* from mo_store_origin: who computed them; 0: this host */
+  double (*measures)[MO_MEASURES]; /* (condition.n) all of them; NULL: not computed */
   /* The verify job that recomputed these losses, which are also stored for it; 0: none. */
   int64_t verify_job;
   uint32_t design_position;

@@ -10,6 +10,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "store/measures.h"
+
 _Static_assert(MO_BLOCK_LANES == 16, "the schema limits the length of rows");
 
 #define KEY_WORDS (6 + MO_BLOCK_LANES)
@@ -271,6 +273,29 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_b
                        key, 4, values, before.known ? sizeof(values) : sizeof(values[0]))));
 }
 
+/* Returns whether all losses of a block are stored, in any blocks. */
+static int find_losses(struct mo_connection *writer, const struct mo_saved_block *block,
+                       bool *are_known)
+{
+  const struct mo_saved_design design = mo_design_under(&block->condition, block->genotype, 0);
+  struct mo_score scores[MO_BLOCK_LANES];
+  const int error =
+      mo_losses_read(writer, &design, block->condition.environments, block->condition.n, scores);
+  *are_known = true;
+  for (uint32_t k = 0; k < block->condition.n; k++)
+    *are_known = *are_known && scores[k].known;
+  return error;
+}
+
+/* Inserts the measures of a block. Its losses may be stored already, from a block without them. */
+static int insert_measures(struct mo_store *store, const struct mo_saved_block *block,
+                           const struct mo_condition *condition, int64_t now_us, bool *are_known)
+{
+  const int error = mo_measures_insert(store, condition, block->genotype,
+                                       (const double(*)[MO_MEASURES])block->measures, now_us);
+  return error == MO_OK ? find_losses(&store->writer, block, are_known) : error;
+}
+
 static int insert_block(struct mo_store *store, const struct mo_saved_block *block, int64_t now_us,
                         struct mo_condition *last)
 {
@@ -284,6 +309,11 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
   if (error != MO_OK || all_known)
     return error;
   error = mo_condition_row_after(&store->writer, &condition, last);
+  if (error == MO_OK && block->measures != NULL) {
+    error = insert_measures(store, block, &condition, now_us, &all_known);
+    if (error != MO_OK || all_known)
+      return error;
+  }
   return error == MO_OK ? mo_losses_insert(store, &condition, block->genotype, block->origin,
                                            block->losses, block->diverged_steps, now_us, &is_new)
                         : error;

@@ -223,9 +223,10 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   static const char sql[] =
       "INSERT INTO evaluations(job,controller,controller_name,physics,"
       "environment_set,n_designs,n_environments,verify,record,record_stride,"
-      "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting,n_displaced)"
+      "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting,n_displaced,"
+      "measures)"
       " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
-      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17)";
+      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17,?18)";
   const struct mo_evaluation_request *request = any;
   const bool waits = request->forms == NULL;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
@@ -236,13 +237,14 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error = mo_sql_do(
-        writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
-        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
-        mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
-        mo_int(request->n_skipped), mo_int(request->best), mo_int((int64_t)request->random.seed),
-        mo_int(request->random.count), mo_int(request->random.first),
-        mo_int(waits ? request->n_designs : 0), mo_int(request->n_displaced));
+    error =
+        mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
+                  mo_int(set), mo_int((int64_t)request->n_designs + request->n_skipped),
+                  mo_int(n_environments), mo_int(request->verify), mo_int(request->record),
+                  mo_int(request->record_stride), mo_int(request->n_skipped), mo_int(request->best),
+                  mo_int((int64_t)request->random.seed), mo_int(request->random.count),
+                  mo_int(request->random.first), mo_int(waits ? request->n_designs : 0),
+                  mo_int(request->n_displaced), mo_int(request->measures));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
