@@ -168,7 +168,9 @@ void run_eval(struct ctl *ctl)
     return;
   }
   print_evaluation(ctl, evaluation, &designs, strcmp(sort, "score") == 0 || top > 0, (size_t)top);
-  if (speaks && is_large)
+  const bool is_long = json_object_get(evaluation, "results") == NULL &&
+                       strcmp(text_of(evaluation, "state"), "succeeded") == 0;
+  if (speaks && (is_large || is_long))
     print_from(stderr, evaluation,
                "all results: morphoctl export evaluations/{id}/results -o FILE.csv");
   if (speaks)

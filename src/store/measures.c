@@ -28,9 +28,10 @@
 static int32_t steps_of(double value, double steps_in_one, bool *is_exact)
 {
   const double whole = rint(value * steps_in_one);
-  *is_exact = isnan(value) || (whole > INT32_MIN && whole <= INT32_MAX &&
-                               mo_same_bits(whole / steps_in_one, value));
-  return !isnan(value) && *is_exact ? (int32_t)whole : NO_VALUE;
+  const bool fits = whole > INT32_MIN && whole <= INT32_MAX; /* not NaN */
+  const int32_t steps = fits ? (int32_t)whole : NO_VALUE;
+  *is_exact = isnan(value) || (fits && mo_same_bits(steps / steps_in_one, value)); /* not -0 */
+  return steps;
 }
 
 /* Writes values as numbers of steps. Returns false if one does not fit. */

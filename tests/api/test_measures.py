@@ -132,7 +132,7 @@ def test_errors_and_races(service, measured):
     assert all("error" in row for row in estimated["results"])
     places = [PLACES[1] | {"seed": seed} for seed in range(20, 52)]
     raced = service.evaluate({"random": {"count": 60, "seed": 4}, "environments": places, "best": 1,
-                              "physics": {"n_steps": 100}, "measures": ["work_j"]}).json()
+                              "physics": {"n_steps": 1000}, "measures": ["work_j"]}).json()
     assert raced["rollouts_cut"] > 0
     for row in raced["results"]:
         assert (row["measures"]["work_j"] is None) == row["lower_bound"]

@@ -84,6 +84,27 @@ def test_tasks(daemon, worker, seed):
     assert rollouts > 20 * len(worlds)
 
 
+def test_measures(daemon, worker, seed):
+    """Losses that other machines computed get measures with the bits that one machine gives them;
+    the losses stay."""
+    value = {"designs": bodies(seed, 20), "priority": "batch"}
+    with daemon("alone", workers=2) as one:
+        expected = one.score(value | {"measures": True})
+        one.end()
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        worker(fleet_address(one), "helper")
+        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
+        plain = one.score(value)
+        assert one.json("/v1/fleet")["rollouts_done"] > 0
+        result = one.score(value | {"measures": True})
+        assert result["results"] == expected["results"] and result["rollouts_cached"] == 0
+        for row, known in zip(result["results"], plain["results"]):
+            assert [entry["loss"] for entry in row["losses"]] == known["losses"]
+        again = one.score(value | {"measures": ["work_j"], "label": "again"})
+        assert again["rollouts_cached"] == again["rollouts_total"]
+        one.end()
+
+
 def test_the_best_of_many(daemon, worker, seed):
     """A race with rounds that other machines compute ends with the same result, although one of
     them is lost in the middle."""

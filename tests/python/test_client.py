@@ -106,6 +106,32 @@ def test_errors_of_scores(m, service):
         m.evaluate([DESIGN], error=True, device="cuda")
 
 
+def test_measures_of_rollouts(m, service):
+    names = ["work_j", "displacement_m"]
+    scored = m.evaluate([BAR, ONE], measures=names, physics=SHORT)
+    shown = service.get(f"/v1/evaluations/{scored.id}")["results"]
+    assert set(scored.measures) == set(names) and scored.losses.shape == (2, 10)
+    for place, (result, row) in enumerate(zip(scored, shown)):
+        assert result.measures == row["measures"] and result.flags == tuple(row["flags"])
+        for name in names:
+            values = [entry["measures"][name] for entry in row["losses"]]
+            assert result.measured[name].tolist() == values
+            assert scored.measures[name][place].tolist() == values
+    table = scored.frame()
+    assert table["measures_work_j"].tolist() == [row["measures"]["work_j"] for row in shown]
+    assert table["flags"].tolist() == [tuple(row["flags"]) for row in shown]
+    drawn = m.evaluate_random(3, seed=3, environments=WORLD, physics=SHORT, measures=True)
+    assert len(drawn.measures) == 20 and (drawn.table()["measures_path_length_m"] >= 0).all()
+    plain = m.evaluate([BAR, ONE], physics=SHORT)
+    assert (plain.losses == scored.losses).all()
+    assert plain.measures == {} == plain[0].measures == plain[0].measured
+    assert plain[0].flags == () and "flags" not in plain.frame()
+    with pytest.raises(morphod.InvalidError, match="inverted_voxels"):
+        m.evaluate([BAR], measures=["speed"])
+    with pytest.raises(morphod.MorphodError, match="array of names"):
+        m.evaluate([BAR], measures="work_j")
+
+
 def test_diverged_rollouts_are_nan(m):
     wild = {"integrator": "paper", "n_steps": 200, "dt_s": 0.1, "control_period_s": 0.1}
     with pytest.warns(UserWarning, match="every rollout diverged"):

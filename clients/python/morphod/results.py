@@ -64,6 +64,14 @@ def units_of(row: Sequence[Any]) -> list[str]:
     return [entry["unit"] if isinstance(entry, dict) else "" for entry in row]
 
 
+def measures_of(rows: Sequence[Sequence[Any]]) -> dict[str, NDArray[np.float64]]:
+    """(rows, environments) for each measure that was requested; NaN where it has no value."""
+    first = rows[0][0] if rows else None
+    names = list(first.get("measures", ())) if isinstance(first, dict) else []
+    return {name: np.array([[entry["measures"][name] for entry in row] for row in rows],
+                           dtype=np.float64) for name in names}
+
+
 class Result:
     """The scores of one design in all environments of its evaluation.
 
@@ -75,6 +83,9 @@ class Result:
     score: then `id`, `robot` and `genotype` are empty, and the score is NaN. `lower_bound` is true
     if the score is a lower bound, because the design cannot be among the `best` that were
     requested. `error` is the estimated error of the score; None if it was not requested.
+    `measures` has the means of the requested measures over the environments, by name (NaN if a
+    rollout has none), and `flags` marks what real bodies cannot do: "overstrained" and "inverted"
+    if that happens in any of the rollouts.
     """
 
     @reading()
@@ -93,6 +104,9 @@ class Result:
         self.lower_bound = bool(data["lower_bound"])
         error = data.get("error")
         self.error = None if error is None else ScoreError(error)
+        self.measures = {str(name): float("nan") if mean is None else float(mean)
+                         for name, mean in data.get("measures", {}).items()}
+        self.flags = tuple(str(flag) for flag in data.get("flags", ()))
 
     @property
     @reading()
@@ -112,6 +126,13 @@ class Result:
         """One per environment: the score in the unit of the task, larger is better; for `photo`,
         1 minus the loss."""
         return values_of([self.data["losses"]]).ravel()
+
+    @property
+    @reading()
+    def measured(self) -> dict[str, NDArray[np.float64]]:
+        """The requested measures of each rollout: by name, one per environment; NaN where a measure
+        has no value, or the rollout diverged or was not needed."""
+        return {name: row.ravel() for name, row in measures_of([self.data["losses"]]).items()}
 
     def __repr__(self) -> str:
         return f"<Result {self.robot}: score {self.score:.6g}>"

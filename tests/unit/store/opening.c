@@ -3,7 +3,9 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 17 /* schema */
+#define NEWEST 18 /* schema */
+/* Takes back what version 18 added. */
+#define WITHOUT_18 "DROP TABLE measures; ALTER TABLE evaluations DROP COLUMN measures;"
 
 static void opens_and_locks(void)
 {
@@ -39,7 +41,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=17; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=18; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -55,13 +57,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 17");
+                                    : "of an unreleased program; this version reads 14 to 18");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=17"));
+  CHECK_OK(reopen_after("PRAGMA user_version=18"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
@@ -74,7 +76,7 @@ static void opens_version_14(void)
   REQUIRE_OK(reopen_after("CREATE TABLE outcasts(user TEXT, name TEXT) STRICT;"
                           "INSERT INTO outcasts VALUES('','liar');"
                           "ALTER TABLE controllers DROP COLUMN control_period_s;"
-                          "ALTER TABLE evaluations DROP COLUMN n_displaced;"
+                          "ALTER TABLE evaluations DROP COLUMN n_displaced;" WITHOUT_18
                           "PRAGMA user_version=14"));
   CHECK_TEXT(job_of(old).label, "old");
   CHECK_OK(check_whole());
@@ -96,8 +98,7 @@ static void opens_version_15(void)
            "INSERT INTO waiting_designs(job,first,bits,checksum) VALUES(%lld,0,x'00',0),"
            "(%lld,0,x'00',0);"
            "UPDATE jobs SET state=5 WHERE id=%lld;"
-           "ALTER TABLE evaluations DROP COLUMN n_displaced;"
-           "PRAGMA user_version=15",
+           "ALTER TABLE evaluations DROP COLUMN n_displaced;" WITHOUT_18 "PRAGMA user_version=15",
            (long long)old, (long long)open, (long long)old);
   REQUIRE_OK(reopen_after(sql));
   CHECK_INT(job_of(open).n_displaced, 0);
@@ -117,7 +118,7 @@ static void opens_version_16(void)
   CHECK_INT(outside_integer(old), 0);
   REQUIRE(outside("PRAGMA writable_schema=ON;"
                   "UPDATE sqlite_schema SET sql=replace(sql,'>= 528','= 528') WHERE"
-                  " name='environments'; PRAGMA user_version=16") == SQLITE_OK);
+                  " name='environments';" WITHOUT_18 "PRAGMA user_version=16") == SQLITE_OK);
   CHECK_INT(outside_integer(old), 1);
   REQUIRE_OK(reopen());
   struct mo_evaluation_request submission = draw_evaluation(2, 3);
@@ -130,6 +131,23 @@ static void opens_version_16(void)
   close_store();
   CHECK_INT(outside_integer(old), 0);
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
+/* Evaluations of version 17 have no measures. */
+static void opens_version_17(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
+  const int64_t old = submit_evaluation(&submission);
+  REQUIRE(old > 0);
+  REQUIRE_OK(reopen_after(WITHOUT_18 "PRAGMA user_version=17"));
+  CHECK_INT(job_of(old).measures, 0);
+  submission.measures = MO_MEASURES_ALL;
+  const int64_t new = submit_evaluation(&submission);
+  CHECK_INT(job_of(new).measures, MO_MEASURES_ALL);
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+  CHECK_INT(outside_integer("SELECT count(*) FROM measures"), 0);
 }
 
 /* Noise replaces the root page of a table or an index; the header and the schema stay. */
@@ -253,6 +271,7 @@ static const struct check_case cases[] = {
     {"opens a folder of version 14", opens_version_14},
     {"opens a folder of version 15", opens_version_15},
     {"opens a folder of version 16", opens_version_16},
+    {"opens a folder of version 17", opens_version_17},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

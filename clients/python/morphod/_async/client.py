@@ -46,6 +46,11 @@ _LOOK_UP_S = 5.0
 """How long an interrupted call looks for the job that continues."""
 
 
+def _measures(measures: Literal[True] | Sequence[str] | None) -> Any:
+    """As the service wants them, which refuses a single text."""
+    return measures if measures is None or isinstance(measures, (bool, str)) else list(measures)
+
+
 class AsyncClient:
     """A client of a morphod service.
 
@@ -88,6 +93,7 @@ class AsyncClient:
                        weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                        label: str | None = None, experiment: str | None = None,
                        verify: bool = False, best: int | None = None, error: bool = False,
+                       measures: Literal[True] | Sequence[str] | None = None,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
         """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). With
@@ -102,7 +108,9 @@ class AsyncClient:
         `on_fault="skip"` skips invalid bodies; their results have a `fault` and NaN. `best=10`
         computes complete scores only for the ten best; the others are cut short, and have lower
         bounds. `error=True` estimates the error of each score, at six times the cost: see
-        `Result.error`. An id without an orientation is scored in the orientation with the best
+        `Result.error`. `measures` requests numbers that describe each rollout, such as
+        `["displacement_m", "work_j"]`, or all with True: see `measures` of the evaluation and of
+        `Result`. An id without an orientation is scored in the orientation with the best
         stored score, or else in the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
@@ -117,7 +125,7 @@ class AsyncClient:
             "precision": precision, "weight": weight, "device": device, "verify": verify,
             "on_fault": on_fault,
             **_given(physics=physics, priority=priority, label=label, experiment=experiment,
-                     repair=repair, best=best, error=error or None),
+                     repair=repair, best=best, error=error or None, measures=_measures(measures)),
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)
@@ -129,7 +137,7 @@ class AsyncClient:
         evaluation = AsyncEvaluation(self._connection, data, lost, faults)
         if wait:
             await evaluation.wait()
-            if not is_large:
+            if not is_large and "results" in evaluation.data:
                 evaluation._check(designs)
         return evaluation
 
@@ -180,10 +188,11 @@ class AsyncClient:
                               weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                               label: str | None = None, experiment: str | None = None,
                               best: int | None = None, error: bool = False,
+                              measures: Literal[True] | Sequence[str] | None = None,
                               wait: bool = True) -> AsyncEvaluation:
         """Scores the bodies of `random_bodies(count, seed, first=first)` without sending them: up
         to 1,000,000 in one evaluation, with one `best` for all. The service first draws and stores
-        them; until then the evaluation is queued. `error` as in `evaluate`.
+        them; until then the evaluation is queued. `error` and `measures` as in `evaluate`.
 
         With more than 10,000 bodies, `table()` reads the results in pages; `table(whole=True)`
         reads only those that are not lower bounds.
@@ -193,7 +202,7 @@ class AsyncClient:
             "environments": environments, "controller": controller, "precision": precision,
             "weight": weight, "device": device,
             **_given(physics=physics, label=label, experiment=experiment, best=best,
-                     error=error or None),
+                     error=error or None, measures=_measures(measures)),
         }
         request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
         try:

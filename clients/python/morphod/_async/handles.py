@@ -16,7 +16,7 @@ from ..frames import frame, frame_of_columns, pandas
 from ..phylogenies import Phylogeny
 from ..player import Player, player_of
 from ..progress import Bar, doing
-from ..results import Controller, Result, losses_of, units_of, values_of
+from ..results import Controller, Result, losses_of, measures_of, units_of, values_of
 from ..scenes import MEDIA_TYPE, Scene, read_npy
 from .._wire import WAIT_S, Request
 from .connection import AsyncConnection
@@ -278,6 +278,13 @@ class AsyncEvaluation(AsyncJob):
 
     @property
     @reading()
+    def measures(self) -> dict[str, NDArray[np.float64]]:
+        """The requested measures by name, each (designs, environments); NaN where a measure has no
+        value, or the rollout diverged or was not needed. Empty without `measures`."""
+        return measures_of([row["losses"] for row in self._results])
+
+    @property
+    @reading()
     def ids(self) -> list[str | None]:
         """The designs' ids: their canonical forms; None if there was no body.
 
@@ -328,7 +335,8 @@ class AsyncEvaluation(AsyncJob):
         score, lower_bound (with `best`: whether the score is one), diverged (rollouts), voxels,
         masses, springs, footprint, repaired (dropped voxels), path_length_m (if com is recorded),
         fault (None, or why there was no body), with `error` the numbers of `ScoreError`, and a
-        column loss_0, loss_1, … per environment. With tasks also value and unit (if all values have
+        column loss_0, loss_1, … per environment. With `measures` also their means, as
+        measures_displacement_m and so on, and flags. With tasks or measures also value and unit (if all values have
         the same unit), and value_0, value_1, … per environment."""
         results = self._results
         losses = self.losses
@@ -352,6 +360,10 @@ class AsyncEvaluation(AsyncJob):
             **{name: [getattr(error, name) for error in errors] for name in _ERRORS if errors},
             **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
         })
+        for name in self.measures:
+            table[f"measures_{name}"] = [result.measures[name] for result in self]
+        if "measures" in self.data:
+            table["flags"] = [result.flags for result in self]
         if any(isinstance(loss, dict) for row in results for loss in row["losses"]):
             values = self.values
             if len(set(self.units)) == 1:
