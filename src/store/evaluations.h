@@ -42,7 +42,7 @@ struct mo_evaluation_request {
   uint32_t best;        /* number of best designs that get complete scores; 0: all */
   uint32_t n_displaced; /* displaced starts that estimate the errors of the scores; 0: no estimate.
                            The settings of all runs (score_error.h) are checked */
-  uint32_t measures; /* of the rollouts, as bits (morpho/measure.h) */
+  uint32_t measures;    /* of the rollouts, as bits (morpho/measure.h) */
   bool verify;
   unsigned record;        /* channels */
   uint32_t record_stride; /* 1 … n_steps; ignored if nothing is recorded */

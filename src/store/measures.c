@@ -112,18 +112,35 @@ static size_t key_of(const struct mo_condition *condition, int64_t genotype, int
   return 5 + condition->n;
 }
 
-int mo_measures_insert(struct mo_store *store, const struct mo_condition *condition,
-                       int64_t genotype, const double (*values)[MO_MEASURES], int64_t computed_us)
+static int insert_block(struct mo_store *store, const struct mo_saved_block *block,
+                        const struct mo_condition *condition, int64_t computed_us)
 {
   /* A row of an earlier version may lack measures. */
   static const char sql[] = "INSERT OR REPLACE INTO measures(genotype,condition,computed_us,data)"
                             " VALUES(?1,?2,?3,?4)";
   uint8_t bytes[MO_PACKED_MEASURES_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
-  const size_t size = mo_pack_measures(key, key_of(condition, genotype, computed_us, key), values,
-                                       condition->n, bytes);
-  return mo_sql_do(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
+  const size_t size =
+      mo_pack_measures(key, key_of(condition, block->genotype, computed_us, key),
+                       (const double(*)[MO_MEASURES])block->measures, condition->n, bytes);
+  return mo_sql_do(&store->writer, sql, mo_int(block->genotype), mo_int(condition->id),
                    mo_int(computed_us), mo_blob(bytes, size));
+}
+
+int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
+                       int64_t now_us)
+{
+  struct mo_condition last = {.n = 0};
+  int error = MO_OK;
+  for (size_t i = 0; i < n && error == MO_OK; i++) {
+    struct mo_condition condition = blocks[i].condition;
+    if (blocks[i].measures == NULL)
+      continue;
+    error = mo_condition_row_after(&store->writer, &condition, &last);
+    if (error == MO_OK)
+      error = insert_block(store, &blocks[i], &condition, now_us);
+  }
+  return error;
 }
 
 int mo_measures_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,

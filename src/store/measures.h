@@ -16,9 +16,9 @@ size_t mo_pack_measures(const int64_t *key, size_t n_key, const double (*values)
 int mo_unpack_measures(const int64_t *key, size_t n_key, const uint8_t *bytes, size_t size,
                        uint32_t n, double (*values)[MO_MEASURES], uint32_t *n_measures);
 
-/* Inserts the measures of a genotype's rollouts under a condition with an id. */
-int mo_measures_insert(struct mo_store *store, const struct mo_condition *condition,
-                       int64_t genotype, const double (*values)[MO_MEASURES], int64_t computed_us);
+/* Inserts the measures of those blocks that have them. */
+int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
+                       int64_t now_us);
 /* Decodes a row of MO_MEASURE_COLUMNS, starting at column `first`; values (MO_BLOCK_LANES). */
 #define MO_MEASURE_COLUMNS                                                                         \
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.data"

@@ -118,9 +118,8 @@ struct mo_job {
   bool is_random; /* the designs of an evaluation are random bodies of a seed */
   uint64_t random_seed;
   uint32_t random_first, n_waiting; /* n_waiting: how many of its last designs are not stored yet */
-  uint32_t best;                    /* number of best designs that get complete scores; 0: all */
-  uint32_t n_displaced; /* displaced starts that estimate the errors of scores; 0: no estimate */
-  uint32_t measures;    /* requested measures of the rollouts, as bits (morpho/measure.h) */
+  uint32_t best, measures; /* best designs that get complete scores, 0: all; measures, as bits */
+  uint32_t n_displaced;    /* displaced starts that estimate the errors of scores; 0: no estimate */
   struct mo_physics physics;
   enum mo_precision precision;
   uint32_t record, record_stride; /* channels; steps between two frames */

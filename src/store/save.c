@@ -4,6 +4,7 @@
  * (its epoch). So a job that a client has cancelled or paused in the meantime keeps that state.
  * Scores are stored in any case, because they are valid. So are the counts of an unfinished job;
  * otherwise blocks that finish after a pause would be attributed to other jobs. */
+#include "store/measures.h"
 #include "store/recordings.h"
 #include "store/runs.h"
 #include "store/scores.h"
@@ -110,7 +111,10 @@ static int save(struct mo_store *store, void *arguments)
 {
   struct mo_save *call = arguments;
   struct mo_connection *writer = &store->writer;
-  int error = mo_blocks_insert(store, call->blocks, call->n_blocks, mo_clock_wall_us());
+  const int64_t now_us = mo_clock_wall_us();
+  int error = mo_blocks_insert(store, call->blocks, call->n_blocks, now_us);
+  if (error == MO_OK)
+    error = mo_measures_insert(store, call->blocks, call->n_blocks, now_us);
   if (error == MO_OK)
     error = mo_trajectories_insert(writer, call->trajectories, call->n_trajectories);
   for (size_t i = 0; i < call->n_designs && error == MO_OK; i++)

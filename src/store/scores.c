@@ -10,8 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "store/measures.h"
-
 _Static_assert(MO_BLOCK_LANES == 16, "the schema limits the length of rows");
 
 #define KEY_WORDS (6 + MO_BLOCK_LANES)
@@ -287,15 +285,6 @@ static int find_losses(struct mo_connection *writer, const struct mo_saved_block
   return error;
 }
 
-/* Inserts the measures of a block. Its losses may be stored already, from a block without them. */
-static int insert_measures(struct mo_store *store, const struct mo_saved_block *block,
-                           const struct mo_condition *condition, int64_t now_us, bool *are_known)
-{
-  const int error = mo_measures_insert(store, condition, block->genotype,
-                                       (const double(*)[MO_MEASURES])block->measures, now_us);
-  return error == MO_OK ? find_losses(&store->writer, block, are_known) : error;
-}
-
 static int insert_block(struct mo_store *store, const struct mo_saved_block *block, int64_t now_us,
                         struct mo_condition *last)
 {
@@ -306,14 +295,11 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
     error = note_recomputed(&store->writer, block, i, &is_known);
     all_known = all_known && is_known;
   }
+  if (error == MO_OK && block->measures != NULL) /* perhaps only for its measures */
+    error = find_losses(&store->writer, block, &all_known);
   if (error != MO_OK || all_known)
     return error;
   error = mo_condition_row_after(&store->writer, &condition, last);
-  if (error == MO_OK && block->measures != NULL) {
-    error = insert_measures(store, block, &condition, now_us, &all_known);
-    if (error != MO_OK || all_known)
-      return error;
-  }
   return error == MO_OK ? mo_losses_insert(store, &condition, block->genotype, block->origin,
                                            block->losses, block->diverged_steps, now_us, &is_new)
                         : error;

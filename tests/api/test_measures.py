@@ -144,7 +144,8 @@ def test_without_a_value(service):
     """Skipped designs and diverged rollouts have no measures, and no flags."""
     value = service.evaluate({
         "designs": [{"cells": [[9, 0, 0]]}, DESIGN], "environments": PLACES[:2], "measures": True,
-        "on_fault": "skip", "physics": {"integrator": "paper", "dt_s": 0.1, "control_period_s": 0.1, "n_steps": 200}
+        "on_fault": "skip", "physics": {
+            "integrator": "paper", "dt_s": 0.1, "control_period_s": 0.1, "n_steps": 200}
     }).json()
     for row in value["results"]:
         assert row["measures"] == dict.fromkeys(NAMES) and row["flags"] == []
@@ -157,7 +158,8 @@ def test_flags(service):
     stands, and is marked."""
     value = service.evaluate({
         "random": {"count": 40, "seed": 2}, "environments": PLACES,
-        "physics": {"n_steps": 400, "stiffness_n_per_m": 100.0}, "measures": ["peak_strain"]}).json()
+        "physics": {"n_steps": 400, "stiffness_n_per_m": 100.0}, "measures": ["peak_strain"]
+    }).json()
     marked = 0
     for row in value["results"]:
         for entry in row["losses"]:

@@ -336,8 +336,8 @@ class AsyncEvaluation(AsyncJob):
         masses, springs, footprint, repaired (dropped voxels), path_length_m (if com is recorded),
         fault (None, or why there was no body), with `error` the numbers of `ScoreError`, and a
         column loss_0, loss_1, … per environment. With `measures` also their means, as
-        measures_displacement_m and so on, and flags. With tasks or measures also value and unit (if all values have
-        the same unit), and value_0, value_1, … per environment."""
+        measures_displacement_m and so on, and flags. With tasks or measures also value and unit (if
+        all values have the same unit), and value_0, value_1, … per environment."""
         results = self._results
         losses = self.losses
         with reading():
