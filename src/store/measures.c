@@ -116,7 +116,7 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
                         const struct mo_condition *condition, int64_t computed_us)
 {
   /* A row of an earlier version may lack measures. */
-  static const char sql[] = "INSERT OR REPLACE INTO measures(genotype,condition,computed_us,data)"
+  static const char sql[] = "INSERT OR REPLACE INTO measures(genotype,condition,computed_us,packed)"
                             " VALUES(?1,?2,?3,?4)";
   uint8_t bytes[MO_PACKED_MEASURES_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];

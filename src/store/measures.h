@@ -21,7 +21,7 @@ int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *bloc
                        int64_t now_us);
 /* Decodes a row of MO_MEASURE_COLUMNS, starting at column `first`; values (MO_BLOCK_LANES). */
 #define MO_MEASURE_COLUMNS                                                                         \
-  "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.data"
+  "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.packed"
 int mo_measures_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                          double (*values)[MO_MEASURES], uint32_t *n_measures);
 /* Reads the measures of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments, of the class

@@ -1,4 +1,5 @@
-/* save.c: writes the scheduler's results in one transaction: losses, trajectories, steps of jobs.
+/* save.c: writes the scheduler's results in one transaction: losses, measures, trajectories, steps
+ * of jobs.
  *
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store
  * (its epoch). So a job that a client has cancelled or paused in the meantime keeps that state.

@@ -417,6 +417,7 @@ struct part {
   struct mo_saved_block blocks[MO_PAPER_TEST_COUNT];
   struct mo_saved_trajectory trajectory;
   double com_m[9];
+  double measures[MO_PAPER_TEST_COUNT][MO_MEASURES];
   struct mo_saved_design design;
   struct mo_job_update updates[2];
 };
@@ -435,7 +436,11 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
     const double loss = life_loss(evaluation->seed, design, k, &step);
     fixture_loss(&part->save, work, design, k, life->fingerprint, loss, step);
     *diverged += step != 0;
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      part->measures[k][m] = step != 0 ? (double)NAN : k + m / mo_measure_info[m].steps_in_one;
   }
+  if (evaluation->seed % 2 == 1) /* of other evaluations, the same losses have none */
+    part->blocks[0].measures = part->measures;
   for (int i = 0; i < 9; i++)
     part->com_m[i] = design + i * 0.125;
   part->trajectory =

@@ -132,10 +132,10 @@ static bool is_left_out(const char *column)
   return strcmp(column, "epoch") == 0 || (n > 3 && strcmp(column + n - 3, "_us") == 0);
 }
 
-/* Packed losses end with an 8-byte checksum, which also covers the row's time. */
+/* Packed losses and measures end with an 8-byte checksum, which also covers the row's time. */
 static size_t checksum_of(const char *column)
 {
-  return strcmp(column, "losses") == 0 ? 8 : 0;
+  return strcmp(column, "losses") == 0 || strcmp(column, "packed") == 0 ? 8 : 0;
 }
 
 /* Returns the rows of a query. */

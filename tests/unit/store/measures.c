@@ -203,7 +203,7 @@ static void refuses_damaged_measures(void)
   REQUIRE_OK(mo_store_check_contents(store, report, NULL, &counts));
   CHECK_INT(counts.findings, 0);
   REQUIRE_OK(reopen_after(
-      "UPDATE measures SET data=CAST(substr(data,1,8)||x'01'||substr(data,10) AS BLOB)"));
+      "UPDATE measures SET packed=CAST(substr(packed,1,8)||x'01'||substr(packed,10) AS BLOB)"));
   const struct mo_saved_design design = design_of(work);
   uint64_t known = 0;
   CHECK_INT(mo_store_measured(store, &design, work->environment_rows, MO_PAPER_TEST_COUNT,
