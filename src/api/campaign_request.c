@@ -224,6 +224,9 @@ static const struct mo_field rows[] = {
     {"name", MO_FIELD_OWN, 0, AT(request.record.name), .own = &mo_name_field},
     {"if_exists", MO_FIELD_WORD, 0, AT(if_exists), .words = if_exists_words, .unit = "",
      .help = "create another study, or return the open one of this label"},
+    {"own_score", MO_FIELD_OWN, 0, AT(request.record.own_score), .group = &mo_own_score_fields,
+     .own = &mo_own_score_field, .unit = "",
+     .help = "name and unit of the score that the study's client tells"},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
     {"initial", MO_FIELD_OWN, 0, 0, .own = &initial},
     {"learning", MO_FIELD_OWN, 0, 0, .own = &learning},
@@ -322,6 +325,10 @@ static int check(struct mo_json *json, void *any)
     check_mode(json, parsed);
   if (!mo_modes[settings->mode].makes_children)
     check_study(json, parsed);
+  else if (mo_own_score_is_set(&record->own_score))
+    mo_json_fault_at(json, 0, "/own_score",
+                     "only studies support this: the service scores the designs of a %s campaign",
+                     mo_campaign_mode_words[settings->mode]);
   check_if_exists(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",

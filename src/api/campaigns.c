@@ -93,6 +93,14 @@ static void write_words(struct mo_text *text, const char *name,
   mo_text_add(text, "]");
 }
 
+void mo_member_own_score(struct mo_text *text, const struct mo_own_score *own)
+{
+  if (!mo_own_score_is_set(own))
+    return;
+  mo_text_name(text, "own_score");
+  mo_own_score_field.write(text, own);
+}
+
 static void write_study(struct mo_text *text, const struct mo_campaign_status *status)
 {
   mo_text_add(text, ",\"study\":{");
@@ -100,6 +108,8 @@ static void write_study(struct mo_text *text, const struct mo_campaign_status *s
   mo_text_member_bool(text, "pending", status->told > status->generation);
   write_words(text, "operators", status->words.operators, status->words.n_operators);
   write_words(text, "measures", status->words.measures, status->words.n_measures);
+  mo_text_name(text, "own_score");
+  mo_own_score_field.write(text, &status->record.own_score);
   if (status->sampler_bytes > 0) {
     mo_text_add(text, ",\"sampler\":{");
     mo_member_hash(text, "sha256", &status->sampler_sha256);

@@ -34,7 +34,9 @@ void mo_api_get_campaign_champions(struct mo_request *request)
                                            : "The campaign does not have this generation.");
   } else {
     struct mo_text text = {0};
-    mo_text_format(&text, "{\"generation\":%lld,\"items\":[", (long long)generation);
+    mo_text_format(&text, "{\"generation\":%lld", (long long)generation);
+    mo_member_own_score(&text, &status.record.own_score);
+    mo_text_open(&text, "items", "[");
     for (uint32_t i = 0; i < n; i++) {
       mo_text_object(&text);
       mo_campaign_json_design(&text, &rows[i], &status.words);

@@ -71,13 +71,17 @@ static int write_campaigns(struct mo_store *store, struct mo_text *text,
   mo_text_add(text, ",\"campaigns\":[");
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
     struct mo_campaign_design row;
+    struct mo_campaign_status status;
     code = mo_store_campaign_designs_of(store, places[i].campaign, &places[i].number, 1, &row);
+    if (code == MO_OK)
+      code = mo_store_campaign(store, places[i].campaign, &status);
     if (code != MO_OK)
       break;
     mo_text_object(text);
     mo_text_member_id(text, "campaign", places[i].campaign);
     mo_text_member_count(text, "number", places[i].number);
     mo_campaign_json_life(text, &row);
+    mo_member_own_score(text, &status.record.own_score);
     mo_text_add(text, "}");
   }
   mo_text_add(text, "]");

@@ -124,6 +124,7 @@ void mo_api_get_campaign_population(struct mo_request *request)
   } else {
     struct mo_text text = {0};
     mo_text_format(&text, "{\"generation\":%lld,\"size\":%u", (long long)generation, size);
+    mo_member_own_score(&text, &status.record.own_score);
     write_rows(&text, rows, n > 0 ? (size_t)n : 0, &status.words);
     offset += n;
     if (offset < size)
@@ -288,6 +289,7 @@ static void reply_page(struct mo_request *request, const struct mo_campaign_stat
   struct mo_text text = {0};
   mo_text_add(&text, "{");
   write_rows(&text, rows, n > 0 ? (size_t)n : 0, &status->words);
+  mo_member_own_score(&text, &status->record.own_score);
   mo_text_member_id(&text, "next_cursor",
                     n > 0 && (size_t)n == limit ? (int64_t)rows[n - 1].number : -1);
   finish(request, n < 0 ? (int)n : MO_OK, &text);
@@ -484,7 +486,7 @@ void mo_api_get_campaign_phylogeny(struct mo_request *request)
   if (request->reply.status == 304)
     return; /* answered by the tag, before anything is read */
   if (form == COLUMNS) {
-    mo_api_reply_columns(request, id, wanted.since, wanted.lineages == 1, tag);
+    mo_api_reply_columns(request, &status, wanted.since, wanted.lineages == 1, tag);
   } else if (form == NEWICK) {
     reply_newick(request, &status, tag);
   } else {

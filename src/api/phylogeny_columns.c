@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "api/handlers.h"
+#include "api/job_json.h"
 #include "api/scene.h"
 #include "store/campaign_designs.h"
 
@@ -76,11 +77,12 @@ static void write_generations(struct mo_text *text, struct mo_text *arrays, cons
 /* numbers: NULL if the numbers are consecutive and need not be written. */
 static void write_columns(struct mo_text *text, struct mo_text *arrays,
                           struct mo_campaign_columns *columns, const uint32_t *numbers,
-                          uint32_t total)
+                          uint32_t total, const struct mo_own_score *own)
 {
   const bool narrow = is_narrow(columns);
   mo_text_object(text);
   mo_text_member_count(text, "designs", total);
+  mo_member_own_score(text, own);
   mo_text_open(text, "operators", "[");
   for (uint32_t i = 0; i < MO_OPERATORS + columns->words.n_operators; i++)
     mo_text_format(text, i > 0 ? ",\"%s\"" : "\"%s\"",
@@ -106,8 +108,8 @@ static void write_columns(struct mo_text *text, struct mo_text *arrays,
   mo_text_add(text, "}}");
 }
 
-void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,
-                          const char *tag)
+void mo_api_reply_columns(struct mo_request *request, const struct mo_campaign_status *status,
+                          int64_t after, bool lineages, const char *tag)
 {
   struct mo_campaign_columns *columns = NULL;
   struct mo_text header = {0}, arrays = {0};
@@ -115,7 +117,7 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
   uint8_t *kept = NULL;
   char *joined = NULL;
   size_t size = 0;
-  int error = mo_store_campaign_columns(mo_api_of(request)->store, id, &columns);
+  int error = mo_store_campaign_columns(mo_api_of(request)->store, status->job.id, &columns);
   if (error == MO_OK) {
     const uint32_t total = columns->n;
     numbers = malloc(((size_t)total + 1) * sizeof(*numbers));
@@ -124,7 +126,8 @@ void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after,
       mark_lineages(columns, kept);
     if (numbers != NULL && (kept != NULL || !lineages)) {
       choose_rows(columns, kept, after, numbers);
-      write_columns(&header, &arrays, columns, lineages ? numbers : NULL, total);
+      write_columns(&header, &arrays, columns, lineages ? numbers : NULL, total,
+                    &status->record.own_score);
       joined = mo_scene_join(&header, &arrays, &size);
     }
     if (joined == NULL)

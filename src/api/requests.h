@@ -125,9 +125,10 @@ struct mo_parsed_telling {
   struct mo_study_telling telling;
   struct mo_parts parts;         /* genotypes: of the children */
   struct mo_workspace workspace; /* which they must fit */
-  bool has_children;
+  bool has_children, has_scores; /* has_scores: each child must have a score */
 };
-int mo_tell_parse(const char *text, size_t size, struct mo_workspace workspace,
+/* study: the settings of the study. */
+int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record *study,
                   struct mo_parsed_telling *parsed, struct mo_faults *faults);
 void mo_tell_free(struct mo_parsed_telling *parsed);
 struct mo_parsed_ask {

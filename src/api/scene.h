@@ -37,10 +37,11 @@ int mo_scene_write_body(struct mo_text *text, struct mo_text *arrays,
  * recordings. */
 void mo_reply_rollouts(struct mo_request *request, const struct mo_rollouts *rollouts,
                        bool as_scene);
+struct mo_campaign_status;
 /* Replies with the phylogeny of a campaign as columns: the designs after number `after` (−1: all).
  * lineages: only the living ones and their ancestors. tag: the ETag. */
-void mo_api_reply_columns(struct mo_request *request, int64_t id, int64_t after, bool lineages,
-                          const char *tag);
+void mo_api_reply_columns(struct mo_request *request, const struct mo_campaign_status *status,
+                          int64_t after, bool lineages, const char *tag);
 
 /* ---- recordings ---- */
 

@@ -176,6 +176,8 @@ static void reply_refused(struct mo_request *request, struct mo_post *post, int 
     snprintf(place, sizeof(place), "/children/%u/parents", reply->place);
   else if (reply->fault == MO_TELLING_SURVIVOR)
     snprintf(place, sizeof(place), "/survivors/%u", reply->place);
+  else if (reply->fault == MO_TELLING_SCORE)
+    snprintf(place, sizeof(place), "/children/%u/score", reply->place);
   mo_faults_add(&post->faults, MO_FAULT_BODY, place, "%s", mo_post_words(post, error));
   mo_reply_problem(request, 422, &post->faults, NULL);
 }
@@ -193,8 +195,7 @@ static int tell(struct mo_request *request, struct mo_post *post)
     mo_reply_error(request, error, "study");
     return error;
   }
-  error = mo_tell_parse(request->body, request->body_size, status.record.settings.workspace,
-                        &parsed, &post->faults);
+  error = mo_tell_parse(request->body, request->body_size, &status.record, &parsed, &post->faults);
   post->parsed = error == MO_OK;
   if (error == MO_OK)
     error = mo_jobs_tell(mo_api_of(request)->jobs, id, &parsed.telling, &reply, &post->message);

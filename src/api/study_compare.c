@@ -222,6 +222,22 @@ static void compare_job(struct comparison *comparison, const struct mo_parsed_ca
     compare_texts(comparison, "/experiment", parts->experiment, job->experiment);
 }
 
+static void compare_own_scores(struct comparison *comparison, const struct mo_own_score *given,
+                               const struct mo_own_score *known)
+{
+  struct mo_text texts[2] = {{0}, {0}};
+  if (mo_own_score_equal(given, known))
+    return;
+  mo_own_score_field.write(&texts[0], given);
+  mo_own_score_field.write(&texts[1], known);
+  if (texts[0].failed || texts[1].failed)
+    comparison->error = MO_ERR_NO_MEMORY;
+  else
+    add(comparison, "/own_score", texts[0].data, texts[1].data);
+  mo_text_free(&texts[0]);
+  mo_text_free(&texts[1]);
+}
+
 static void compare_controller(struct comparison *comparison, const struct mo_parts *parts,
                                const struct mo_sha256 *controller)
 {
@@ -257,6 +273,7 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
     if (parsed.preset >= 0)
       compare_texts(&comparison, "/preset", mo_preset_words[parsed.preset], status->record.preset);
     compare_environments(&comparison, &parsed.parts, environments);
+    compare_own_scores(&comparison, &given.own_score, &known.own_score);
     compare_controller(&comparison, &parsed.parts, controller);
     compare_job(&comparison, &parsed);
   }

@@ -82,6 +82,22 @@ static void read_measures(struct mo_json *json, struct mo_study_words *words, do
   }
 }
 
+/* Reads the client's own score of a child. Null leaves it missing, for a child that is skipped. */
+static void read_score(struct mo_json *json, bool has_scores, double *score)
+{
+  double number = 0; /* stays if there is a fault, which is not reported twice */
+  if (!has_scores) {
+    mo_json_fault(json, "this study ranks by the service's scores: only a study whose settings "
+                        "have own_score takes a score");
+    mo_json_skip(json);
+  } else if (mo_json_peek(json) == MO_JSON_NULL)
+    mo_json_skip(json);
+  else {
+    mo_json_number(json, &number);
+    *score = number + 0.0; /* not −0, so that equal scores have equal bits */
+  }
+}
+
 /* Skips or refuses the child that was read last if its body does not fit the workspace. Returns
  * false if memory runs out. */
 static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t place)
@@ -113,7 +129,8 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
 
 /* Reads a child. *is_kept: it was not skipped. Returns false if memory runs out. */
 static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
-                       struct mo_study_child *child, double *measures, bool *is_kept)
+                       struct mo_study_child *child, double *measures, double *score,
+                       bool *is_kept)
 {
   struct mo_study_words *words = &parsed->telling.words;
   const unsigned depth = json->depth;
@@ -135,12 +152,17 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
       read_operator(json, words, &child->descent.op);
     else if (mo_json_is(key, "measures"))
       read_measures(json, words, measures);
+    else if (mo_json_is(key, "score"))
+      read_score(json, parsed->has_scores, score);
     else
-      mo_fields_unknown(json, "body, parents, operator or measures", NULL);
+      mo_fields_unknown(json, "body, parents, operator, measures or score", NULL);
   }
   if (!json->stop && !has_body)
     mo_json_fault_at(json, depth, "", "body is missing; it must be a design");
   *is_kept = parsed->parts.n_designs > before;
+  if (!json->stop && parsed->has_scores && *is_kept && isnan(*score))
+    mo_json_fault_at(json, depth, "/score",
+                     "score is missing; this study ranks by its own score, so it must be a number");
   if (*is_kept)
     child->genotype = mo_genotype_of(MO_STORE_WORKSPACE, &parsed->parts.genotypes[before]);
   return memory;
@@ -164,13 +186,15 @@ static void read_children(struct mo_json *json, void *value)
         mo_next_item((void **)&batch->children, batch->n_children, sizeof(*child));
     double *measures = mo_next_item((void **)&batch->measures, batch->n_children,
                                     MO_STUDY_MEASURES_MAX * sizeof(*measures));
-    bool memory = child != NULL && measures != NULL, is_kept = false;
+    double *score = mo_next_item((void **)&batch->scores, batch->n_children, sizeof(*score));
+    bool memory = child != NULL && measures != NULL && score != NULL, is_kept = false;
     if (memory) {
       *child = (struct mo_study_child){.place = n,
                                        .descent = {{MO_NO_PARENT, MO_NO_PARENT}, MO_BORN_LISTED}};
       for (int m = 0; m < MO_STUDY_MEASURES_MAX; m++)
         measures[m] = NAN;
-      memory = read_child(json, parsed, child, measures, &is_kept);
+      *score = NAN;
+      memory = read_child(json, parsed, child, measures, score, &is_kept);
     }
     if (!memory) {
       parsed->parts.error = MO_ERR_NO_MEMORY;
@@ -181,6 +205,19 @@ static void read_children(struct mo_json *json, void *value)
   }
   if (n > MO_DESIGNS_MAX)
     mo_json_fault_at(json, depth, "", "must be at most %d children, got %u", MO_DESIGNS_MAX, n);
+}
+
+/* Drops the room for scores if the study has no own score. A batch without children has scores,
+ * too. */
+static int pack_scores(struct mo_study_batch *batch, bool has_scores)
+{
+  if (has_scores && batch->scores == NULL)
+    batch->scores = calloc(1, sizeof(*batch->scores));
+  if (has_scores)
+    return batch->scores != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  free(batch->scores);
+  batch->scores = NULL;
+  return MO_OK;
 }
 
 /* Packs the measures: while they are read, each child has room for the largest number of measures.
@@ -284,16 +321,20 @@ static int check(struct mo_json *json, void *any)
   return MO_OK;
 }
 
-int mo_tell_parse(const char *text, size_t size, struct mo_workspace workspace,
+int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record *study,
                   struct mo_parsed_telling *parsed, struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_telling){.telling.batch.number = UINT32_MAX, .workspace = workspace};
+  *parsed = (struct mo_parsed_telling){.telling.batch.number = UINT32_MAX,
+                                       .workspace = study->settings.workspace,
+                                       .has_scores = mo_own_score_is_set(&study->own_score)};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
-  const int error =
+  int error =
       mo_read_body(text, size, &mo_tell_fields, parsed, &parsed->parts, check, faults);
   parsed->telling.notes = parsed->parts.notes;
   parsed->telling.n_notes = parsed->parts.n_notes;
   pack_measures(&parsed->telling.batch, parsed->telling.words.n_measures);
+  if (error == MO_OK)
+    error = pack_scores(&parsed->telling.batch, parsed->has_scores);
   mo_sha256_of(text, size, &parsed->telling.sha256);
   return error;
 }
@@ -302,6 +343,7 @@ void mo_tell_free(struct mo_parsed_telling *parsed)
 {
   free(parsed->telling.batch.children);
   free(parsed->telling.batch.measures);
+  free(parsed->telling.batch.scores);
   free(parsed->telling.batch.survivors);
   free((void *)parsed->telling.sampler);
   mo_parts_free(&parsed->parts);

@@ -248,10 +248,17 @@ static int compute(struct mo_campaign_run *run)
 }
 
 /* Computes each score as the mean over the environments, or infinity if a rollout diverged. For a
- * child that was cut short, the score is a lower bound. */
+ * child that was cut short, the score is a lower bound. A study may have an own score: its client
+ * has told it, and the losses are only stored. */
 static void read_scores(struct mo_campaign_run *run)
 {
   const struct mo_campaign_scores *scores = &run->scores;
+  if (run->batch != NULL && run->batch->scores != NULL) {
+    memcpy(run->rows->scores + scores->first, run->batch->scores,
+           scores->n * sizeof(*run->rows->scores));
+    memset(run->rows->cut + scores->first, 0, scores->n * sizeof(*run->rows->cut));
+    return;
+  }
   for (uint32_t i = 0; i < scores->n; i++) {
     const struct mo_campaign_loss *loss = &scores->losses[i];
     const double score = mo_race_score(loss->losses, run->n_environments);

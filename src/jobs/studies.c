@@ -91,6 +91,11 @@ static int explain(int error, const struct mo_telling_reply *reply,
     return mo_fail(message, error,
                    "survivors and children must not exceed the study's population, which is %u",
                    (unsigned)reply->place);
+  case MO_TELLING_SCORE:
+    return mo_fail(message, error,
+                   "this body was told before with the score %s; a body has one score in a study, "
+                   "so tell the same one, or leave the body out",
+                   MO_NUMBER(reply->score));
   case MO_TELLING_WORDS:
     return mo_fail(message, error, "a study may define at most %d operators and %d measures",
                    MO_STUDY_OPERATORS_MAX, MO_STUDY_MEASURES_MAX);
@@ -107,6 +112,10 @@ int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *tell
   int error = read_study(jobs, id, &status);
   if (error != MO_OK)
     return mo_fail(message, error, "the study does not exist");
+  if ((telling->batch.scores != NULL) != mo_own_score_is_set(&status.record.own_score))
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   telling->batch.scores != NULL ? "the study has no score of its own"
+                                                 : "the study needs a score for each child");
   error = place_bodies(status.record.settings.workspace, telling);
   if (error != MO_OK)
     return mo_fail(message, error, "a child does not fit the study's workspace");

@@ -5,6 +5,7 @@
 #include <morpho/evolution.h>
 
 #include "store/checkpoints.h"
+#include "store/own_score.h"
 
 #define MO_REPLICATES_MAX 100
 
@@ -34,6 +35,7 @@ struct mo_campaign_record {
   int64_t group;            /* id of the first replicate, set in the first one as well */
   uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
   uint32_t checkpoint_every_s;    /* while a generation learns; 0: only at its end */
+  struct mo_own_score own_score;  /* only a study may have one */
 };
 
 /* A generation, as in lists. It depends only on settings and seed, except for `seconds`,

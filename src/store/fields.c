@@ -68,6 +68,12 @@ static const struct mo_field stored_campaign_rows[] = {
     {"learning", MO_FIELD_GROUP, 0, 0, .group = &mo_campaign_record_learning_fields, .unit = "",
      .help = ""},
 };
+static const struct mo_field own_score_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0,
+     .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
+    {"own_score", MO_FIELD_OWN, 0, AT(own_score), .group = &mo_own_score_fields,
+     .own = &mo_own_score_field, .unit = "", .help = ""},
+};
 #undef AT
 
 /* ---- in the database ---- */
@@ -77,14 +83,26 @@ static const struct mo_fields stored_fields[MO_JOB_KINDS] = {
     [MO_JOB_TRAINING] = MO_FIELDS(stored_training_rows),
     [MO_JOB_CAMPAIGN] = MO_FIELDS(stored_campaign_rows)};
 
+/* Of a study whose client computes the scores. The settings of all others keep the form that they
+ * always had, in which bundles have them, too. */
+static const struct mo_fields own_score_fields = MO_FIELDS(own_score_rows);
+
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
 {
-  mo_fields_write_object(text, &stored_fields[kind], record);
+  const bool has_own = kind == MO_JOB_CAMPAIGN &&
+                       mo_own_score_is_set(&((const struct mo_campaign_record *)record)->own_score);
+  mo_fields_write_object(text, has_own ? &own_score_fields : &stored_fields[kind], record);
+}
+
+static int read_stored(const char *json, const struct mo_fields *fields, void *record)
+{
+  struct mo_message message;
+  const int error = mo_fields_parse(json, strlen(json), fields, record, &message);
+  return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
 }
 
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
 {
-  struct mo_message message;
   /* Settings that are not stored get their defaults: the parameters of other kinds of selection,
    * bisections with an exact time of impact, and settings newer than the row, which were the
    * paper's physics then. */
@@ -92,10 +110,14 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
     struct mo_training_settings *settings = &((struct mo_training_record *)record)->settings;
     *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
     settings->physics = mo_paper_physics();
-  } else {
-    ((struct mo_campaign_record *)record)->settings =
-        mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
+    return read_stored(json, &stored_fields[kind], record);
   }
-  int error = mo_fields_parse(json, strlen(json), &stored_fields[kind], record, &message);
-  return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
+  struct mo_campaign_record *campaign = record;
+  campaign->settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
+  campaign->own_score = (struct mo_own_score){.name = ""};
+  const int error = read_stored(json, &own_score_fields, campaign);
+  return error == MO_OK && mo_own_score_is_set(&campaign->own_score) &&
+                 mo_modes[campaign->settings.mode].makes_children
+             ? MO_ERR_CORRUPT
+             : error;
 }

@@ -45,16 +45,18 @@ static int64_t place_word(struct mo_connection *writer, int64_t id, int kind, co
 
 /* ---- the children of a batch as bytes ---- */
 
-/* The number of measures as 32 bits, then this and the measures of each child, then a checksum. */
+/* The number of measures as 32 bits, then this and the numbers of each child, then a checksum. The
+ * numbers are the measures and, if the top bit of their number is set, the client's own score. */
+#define HAS_SCORES (UINT32_C(1) << 31)
 struct told_row {
   uint8_t bits[MO_BITS_BYTES];
   uint8_t op;
   uint32_t parents[2], place;
 } __attribute__((packed));
 
-static size_t row_bytes(uint32_t n_measures)
+static size_t row_bytes(uint32_t n_numbers)
 {
-  return sizeof(struct told_row) + n_measures * sizeof(double);
+  return sizeof(struct told_row) + n_numbers * sizeof(double);
 }
 
 /* Indices of a batch's words among the study's words; n_measures: of the study. */
@@ -65,13 +67,15 @@ struct places {
 static uint8_t *encode(int64_t id, const struct mo_study_batch *batch, const struct places *places,
                        size_t *size)
 {
-  const uint32_t n = places->n_measures;
-  const size_t bytes = sizeof(n) + batch->n_children * row_bytes(n);
+  const bool has_scores = batch->scores != NULL;
+  const uint32_t n = places->n_measures + has_scores;
+  const uint32_t head = places->n_measures | (has_scores ? HAS_SCORES : 0);
+  const size_t bytes = sizeof(head) + batch->n_children * row_bytes(n);
   uint8_t *encoded = malloc(bytes + 8), *at = encoded;
   if (encoded == NULL)
     return NULL;
-  memcpy(at, &n, sizeof(n));
-  at += sizeof(n);
+  memcpy(at, &head, sizeof(head));
+  at += sizeof(head);
   for (uint32_t i = 0; i < batch->n_children; i++, at += row_bytes(n)) {
     const struct mo_study_child *child = &batch->children[i];
     const uint8_t op = child->descent.op;
@@ -80,14 +84,16 @@ static uint8_t *encode(int64_t id, const struct mo_study_batch *batch, const str
             op < MO_OPERATORS ? op : (uint8_t)(MO_OPERATORS + places->operators[op - MO_OPERATORS]),
         .parents = {child->descent.parents[0], child->descent.parents[1]},
         .place = child->place};
-    double measures[MO_STUDY_MEASURES_MAX];
-    for (uint32_t m = 0; m < n; m++)
-      measures[m] = NAN;
+    double numbers[MO_STUDY_MEASURES_MAX + 1];
+    for (uint32_t m = 0; m < places->n_measures; m++)
+      numbers[m] = NAN;
     for (uint32_t m = 0; m < batch->n_measures; m++)
-      measures[places->measures[m]] = batch->measures[(size_t)batch->n_measures * i + m];
+      numbers[places->measures[m]] = batch->measures[(size_t)batch->n_measures * i + m];
+    if (has_scores)
+      numbers[places->n_measures] = batch->scores[i];
     mo_encode_genotype(child->genotype.words, row.bits);
     memcpy(at, &row, sizeof(row));
-    memcpy(at + sizeof(row), measures, n * sizeof(*measures));
+    memcpy(at + sizeof(row), numbers, n * sizeof(*numbers));
   }
   uint64_t checksum = mo_row_checksum(&id, 1, encoded, bytes);
   memcpy(at, &checksum, sizeof(checksum));
@@ -107,26 +113,32 @@ static int decode_child(const uint8_t *at, struct mo_study_child *child)
 static int decode(int64_t id, const uint8_t *bytes, size_t size, struct mo_study_batch *batch)
 {
   uint64_t checksum;
-  uint32_t n;
+  uint32_t head;
   int error = MO_OK;
-  if (bytes == NULL || size < sizeof(n) + sizeof(checksum))
+  if (bytes == NULL || size < sizeof(head) + sizeof(checksum))
     return MO_ERR_CORRUPT;
   size -= sizeof(checksum);
   memcpy(&checksum, bytes + size, sizeof(checksum));
-  memcpy(&n, bytes, sizeof(n));
-  bytes += sizeof(n);
-  if (checksum != mo_row_checksum(&id, 1, bytes - sizeof(n), size) || n > MO_STUDY_MEASURES_MAX ||
-      (size - sizeof(n)) % row_bytes(n) != 0)
+  memcpy(&head, bytes, sizeof(head));
+  bytes += sizeof(head);
+  const bool has_scores = (head & HAS_SCORES) != 0;
+  const uint32_t n_measures = head & ~HAS_SCORES, n = n_measures + has_scores;
+  if (checksum != mo_row_checksum(&id, 1, bytes - sizeof(head), size) ||
+      n_measures > MO_STUDY_MEASURES_MAX || (size - sizeof(head)) % row_bytes(n) != 0)
     return MO_ERR_CORRUPT;
-  batch->n_measures = n;
-  batch->n_children = (uint32_t)((size - sizeof(n)) / row_bytes(n));
+  batch->n_measures = n_measures;
+  batch->n_children = (uint32_t)((size - sizeof(head)) / row_bytes(n));
   batch->children = calloc((size_t)batch->n_children + 1, sizeof(*batch->children));
-  batch->measures = calloc((size_t)batch->n_children * n + 1, sizeof(*batch->measures));
-  if (batch->children == NULL || batch->measures == NULL)
+  batch->measures = calloc((size_t)batch->n_children * n_measures + 1, sizeof(*batch->measures));
+  batch->scores = has_scores ? calloc((size_t)batch->n_children + 1, sizeof(*batch->scores)) : NULL;
+  if (batch->children == NULL || batch->measures == NULL || (has_scores && batch->scores == NULL))
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < batch->n_children && error == MO_OK; i++, bytes += row_bytes(n)) {
+    const uint8_t *numbers = bytes + sizeof(struct told_row);
     error = decode_child(bytes, &batch->children[i]);
-    memcpy(batch->measures + (size_t)n * i, bytes + sizeof(struct told_row), n * sizeof(double));
+    memcpy(batch->measures + (size_t)n_measures * i, numbers, n_measures * sizeof(double));
+    if (has_scores)
+      memcpy(&batch->scores[i], numbers + n_measures * sizeof(double), sizeof(double));
   }
   return error;
 }
@@ -140,6 +152,7 @@ void mo_study_batch_free(void *any)
     return;
   free(batch->children);
   free(batch->measures);
+  free(batch->scores);
   free(batch->survivors);
   free(batch);
 }
@@ -268,6 +281,65 @@ static int check_survivors(struct mo_connection *writer, struct tell_arguments *
   return error;
 }
 
+/* ---- own scores: one for each body ---- */
+
+struct told_score {
+  uint8_t bits[MO_BITS_BYTES];
+  uint32_t i; /* of the child */
+};
+
+static int by_bits(const void *a, const void *b)
+{
+  const struct told_score *x = a, *y = b;
+  const int order = memcmp(x->bits, y->bits, sizeof(x->bits));
+  return order != 0 ? order : by_number(&x->i, &y->i);
+}
+
+static int refuse_score(struct tell_arguments *call, uint32_t i, double score)
+{
+  call->reply->score = score;
+  return refuse(call, MO_TELLING_SCORE, call->telling->batch.children[i].place, MO_ERR_INVALID);
+}
+
+/* Finds the own score that an earlier batch told for a body. */
+static int find_score(struct mo_connection *writer, int64_t id, const uint8_t bits[MO_BITS_BYTES],
+                      double *score)
+{
+  static const char sql[] = "SELECT d.score FROM genotypes g CROSS JOIN campaign_designs d"
+                            " ON d.genotype=g.id WHERE g.bits=?1 AND d.job=?2 LIMIT 1";
+  sqlite3_stmt *row;
+  const int error = mo_sql_row(writer, &row, sql, mo_blob(bits, MO_BITS_BYTES), mo_int(id));
+  return error == MO_OK ? mo_column_double(row, 0, score) : error;
+}
+
+/* Checks that no body gets a second own score that differs from its first one. */
+static int check_scores(struct mo_connection *writer, struct tell_arguments *call)
+{
+  const struct mo_study_batch *batch = &call->telling->batch;
+  struct told_score *told = calloc((size_t)batch->n_children + 1, sizeof(*told));
+  int error = told == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  for (uint32_t i = 0; i < batch->n_children && error == MO_OK; i++) {
+    double before;
+    told[i].i = i;
+    mo_encode_genotype(batch->children[i].genotype.words, told[i].bits);
+    error = find_score(writer, call->checkpoint.id, told[i].bits, &before);
+    if (error == MO_OK && before != batch->scores[i])
+      error = refuse_score(call, i, before);
+    else if (error == MO_ERR_NOT_FOUND)
+      error = MO_OK;
+  }
+  if (error == MO_OK)
+    qsort(told, batch->n_children, sizeof(*told), by_bits);
+  for (uint32_t k = 1; k < batch->n_children && error == MO_OK; k++) {
+    const uint32_t first = told[k - 1].i, other = told[k].i;
+    if (memcmp(told[k - 1].bits, told[k].bits, sizeof(told->bits)) == 0 &&
+        batch->scores[first] != batch->scores[other])
+      error = refuse_score(call, other, batch->scores[first]);
+  }
+  free(told);
+  return error;
+}
+
 static int check_batch(struct mo_connection *writer, struct tell_arguments *call)
 {
   const struct mo_study_batch *batch = &call->telling->batch;
@@ -283,7 +355,8 @@ static int check_batch(struct mo_connection *writer, struct tell_arguments *call
       if (parent != MO_NO_PARENT && parent >= head->n_designs)
         return refuse(call, MO_TELLING_PARENT, batch->children[i].place, MO_ERR_RANGE);
     }
-  return batch->selects ? check_survivors(writer, call) : MO_OK;
+  const int error = batch->scores != NULL ? check_scores(writer, call) : MO_OK;
+  return error == MO_OK && batch->selects ? check_survivors(writer, call) : error;
 }
 
 /* Finds the indices of the batch's words, and adds new words. */

@@ -26,6 +26,7 @@ struct mo_study_batch {
   uint32_t n_children, n_measures, n_survivors;
   struct mo_study_child *children; /* (n_children) */
   double *measures;                /* (n_children, n_measures) NaN: not given */
+  double *scores;      /* (n_children) finite: the client's own; NULL: the service's are used */
   bool selects;        /* true: `survivors` of the population survive; false: the settings select */
   uint32_t *survivors; /* (n_survivors) numbers */
 };
@@ -50,16 +51,19 @@ enum mo_telling_fault {
   MO_TELLING_SURVIVOR, /* MO_ERR_INVALID: survivor `place` is not in the population, or is a
                         * duplicate */
   MO_TELLING_MANY,     /* MO_ERR_RANGE: more survivors and children than fit into the population */
+  MO_TELLING_SCORE,    /* MO_ERR_INVALID: child `place` has a body whose own score is `score` */
   MO_TELLING_WORDS,    /* MO_ERR_LIMIT: too many words */
   MO_TELLING_DESIGNS   /* MO_ERR_LIMIT: too many batches, or too many designs in all batches */
 };
 struct mo_telling_reply {
   enum mo_telling_fault fault;
   uint32_t place, next; /* next: the number of the next batch */
+  double score;
   bool is_new;          /* false: the same batch was told before */
 };
 /* Stores a batch, with the checkpoint of the sampler, in one transaction. Telling the same batch
- * again changes nothing. MO_ERR_NOT_FOUND: no such study; for other errors see reply->fault. */
+ * again changes nothing. A batch has scores if, and only if, the study has an own score; a body has
+ * one own score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see reply->fault. */
 int mo_store_study_tell(struct mo_store *store, int64_t id, const struct mo_study_telling *telling,
                         struct mo_telling_reply *reply);
 

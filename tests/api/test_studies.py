@@ -134,7 +134,7 @@ def test_a_study(service):
     assert first["mode"] == "study" and first["state"] == "queued" and first["phase"] == "waiting"
     assert "batch 0" in first["reason"] and first["newest"] is None
     assert first["study"] == {"next_batch": 0, "pending": False, "operators": [], "measures": [],
-                              "sampler": None}
+                              "own_score": None, "sampler": None}
     assert service.get(f"/v1/jobs/{id}")["reason"] == first["reason"]
     assert [one["id"] for one in service.pages("/v1/campaigns?label=told%20by%20hand")] == [id]
     service.refuses(path, "/batch", "/sampler", status=404)

@@ -58,6 +58,29 @@ static void encodes_every_setting(void)
   }
 }
 
+/* Only a study has an own score; the settings of other campaigns keep their form, as in bundles. */
+static void names_the_score_of_a_study(void)
+{
+  struct mo_campaign_record record = {.settings = mo_campaign_preset(MO_STUDY, MO_PRESET_DEMO)};
+  struct mo_campaign_record back = {.own_score = {"left", "over"}};
+  struct mo_text text;
+  write_settings(&record, &text);
+  CHECK(strstr(text.data, "own_score") == NULL);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+  CHECK(!mo_own_score_is_set(&back.own_score));
+  mo_text_free(&text);
+  record.own_score = (struct mo_own_score){"cost_of_transport", "J/(kg·m)"};
+  write_settings(&record, &text);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+  CHECK(mo_own_score_equal(&back.own_score, &record.own_score));
+  CHECK(same_as(&back.settings, &record.settings));
+  mo_text_free(&text);
+  record.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_DEMO);
+  write_settings(&record, &text);
+  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
+  mo_text_free(&text);
+}
+
 /* An older program stored no settings that it did not have. They were the paper's. */
 static void keeps_the_physics_of_older_jobs(void)
 {
@@ -436,6 +459,7 @@ static void parks_and_requeues(void)
 
 static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
+    {"names the score of a study", names_the_score_of_a_study},
     {"keeps the physics of older jobs", keeps_the_physics_of_older_jobs},
     {"refuses invalid requests", refuses_what_cannot_be},
     {"starts replicates", starts_replicates},
