@@ -98,9 +98,11 @@ static json_t *conditions_of(struct ctl *ctl, const json_t *campaign)
   json_array_foreach(items, i, one) json_array_append(worlds, json_object_get(one, "sha256"));
   json_object_del(settings, "seed");
   json_object_set_new(settings, "environments", worlds);
-  return keep(json_pack("{s:O, s:O, s:O?, s:O}", "mode", json_object_get(campaign, "mode"),
+  json_t *own = json_object_get(json_object_get(campaign, "study"), "own_score");
+  return keep(json_pack("{s:O, s:O, s:O?, s:O, s:O?}", "mode", json_object_get(campaign, "mode"),
                         "settings", settings, "controller", value_at(campaign, "controller.sha256"),
-                        "device", json_object_get(campaign, "device")));
+                        "device", json_object_get(campaign, "device"), "own_score",
+                        json_is_object(own) ? own : NULL));
 }
 
 static const char *short_text(const json_t *value)
@@ -124,6 +126,12 @@ static void add_differences(struct side *side, const json_t *first, const json_t
   json_array_foreach(found, i, one)
   {
     const char *setting = text_of(one, "setting");
+    if (strncmp(setting, "own_score", strlen("own_score")) == 0)
+      fail(STATUS_NEGATIVE,
+           "campaigns %s and %s differ in %s (%s, %s): their scores are not comparable. Score their "
+           "champions by one measure: campaign champions, eval",
+           a, b, setting, short_text(value_at(one, "values.0")),
+           short_text(value_at(one, "values.1")));
     if (strcmp(setting, "settings.environments") == 0)
       fail(STATUS_NEGATIVE,
            "campaigns %s and %s are in different environments: their scores are not comparable. "

@@ -285,6 +285,12 @@ static const struct option_spec campaign_start_options[] = {
      "Of a study: create another one (default), or return the one that has not ended and has "
      "exactly this label. It must have the settings given here.",
      "if_exists"},
+    {"own-score", 0, "NAME",
+     "Of a study: rank the designs by a score that study tell has for each child, lower is better; "
+     "NAME says what it is, e.g. cost_of_transport.",
+     "own_score.name"},
+    {"own-score-unit", 0, "UNIT", "Unit of that score, e.g. J/m (default: none).",
+     "own_score.unit"},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"no-exclusions", 0, NULL, "Allow bodies that the controller was pretrained on."},
     {"schedule", 0, "NAME",
@@ -558,8 +564,8 @@ const struct command commands[] = {
      run_study_tell,
      "FILE (default: standard input) has children as JSON, one after the other or in lists: "
      "{\"body\": {\"cells\": [[x,y,z], ...]}, \"parents\": [3, 17], \"operator\": \"mine\", "
-     "\"measures\": {\"reach\": 2}}, or only designs. Sending the same batch again changes "
-     "nothing.",
+     "\"measures\": {\"reach\": 2}}, or only designs. In a study with --own-score each child has "
+     "a \"score\". Sending the same batch again changes nothing.",
      study_tell_options},
     {"study sampler", "ID", "Fetch the state of a study's sampler.", run_study_sampler,
      "It came with the newest committed batch. Exit status 3 if that batch had none.",

@@ -69,6 +69,23 @@ def test_a_study(ctl, tmp_path):
     assert ctl(f"study sampler {id}")[0] == 3
 
 
+def test_a_study_with_an_own_score(ctl):
+    start = "campaign start study --population 2 -q"
+    status, out, err = ctl(f"{start} --own-score cost --own-score-unit J/m {SHORT}")
+    assert status == 0, err
+    id, plain = out.strip(), ctl(f"{start} {SHORT}")[1].strip()
+    scored = [{"body": DESIGN, "score": -1.5}, {"body": {"cells": [[2, 2, 0]]}, "score": 250}]
+    out = ctl(f"study tell {id}", input_text=json.dumps(scored))[1].splitlines()
+    assert [line.split()[-1] for line in out[1:]] == ["-1.5000", "250.0000"]
+    assert "cost in J/m, told by the study's client" in ctl(f"campaign show {id}")[1]
+    assert "told by" not in ctl(f"campaign show {plain}")[1]
+    status, _, err = ctl(f"study tell {id}", input_text=json.dumps(DESIGN))
+    assert status == 6 and "/children/0/score" in err, err
+    assert ctl(f"study tell {plain}", input_text=json.dumps(DESIGN))[0] == 0
+    status, _, err = ctl(f"campaign compare {id} {plain}")
+    assert status == 3 and "differ in own_score" in err, err
+
+
 def test_a_study_by_its_name(ctl):
     start = "campaign start study --label 'by name' --if-exists return -q"
     status, out, err = ctl(f"{start} --population 20 {SHORT}")

@@ -130,6 +130,41 @@ def test_objective_with_measures(m):
     assert study.phylogeny().measures["footprint"].tolist() == [36]
 
 
+def test_own_scores(m):
+    """The study ranks by what the client tells, and says so."""
+    own = {"name": "speed_lost", "unit": "m/s"}
+    with m.study("own", population=3, own_score=own, **SHORT) as study:
+        assert study.own_score == own
+        bars = [[[x, 2, 0] for x in range(1 + n)] for n in range(4)]
+        with pytest.raises(ValueError, match="score is inf: leave the body out"):
+            study.tell(bars, scores=[1, 2, float("inf"), 3])
+        with pytest.raises(ValueError, match="score: 1 for 4 children"):
+            study.tell(bars, scores=[1])
+        with pytest.raises(morphod.InvalidError, match="/children/0/score"):
+            study.tell(bars[:3])
+        bodies = [bars[0], [], *bars[1:3]]
+        batch = study.tell(bodies, scores=np.array([-1.5, np.nan, -0.5, -2.5]), on_fault="skip")
+        assert batch.scores[[0, 2, 3]].tolist() == [-1.5, -0.5, -2.5] and np.isnan(batch.scores[1])
+        assert (batch.losses[[0, 2, 3]] > 0).all()
+        study.tell(bars[3:], scores=[-2.0])
+        assert list(study.population()["score"]) == [-2.5, -2.0, -1.5]
+        with pytest.raises(morphod.InvalidError, match="told before with the score -2.5"):
+            study.tell(bars[2:3], scores=[-2.25])
+        with pytest.raises(ValueError, match="'speed_lost', which an objective does not know"):
+            study.objective()
+    assert m.study("plain", **SHORT).own_score is None
+    with pytest.raises(morphod.InvalidError, match="only a study whose settings have own_score"):
+        m.study("plain").tell(bars[:1], scores=[1.0])
+    with pytest.raises(morphod.ConflictError, match="/own_score: got"):
+        m.study("plain", own_score=own)
+    history = study.phylogeny()
+    assert history.score.tolist() == [-1.5, -0.5, -2.5, -2.0] and history.own_score == own
+    assert not history.lower_bound.any() and history.frame()["score"][2] == -2.5
+    m.study("plain").tell(bars)
+    with pytest.raises(morphod.MorphodError, match="differ in own_score .*not comparable"):
+        m.compare_campaigns(study, m.study("plain"))
+
+
 def test_for_asyncio(service):
     async def body():
         async with morphod.AsyncClient(f"http://{service.host}:{service.port}") as m:

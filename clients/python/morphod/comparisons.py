@@ -133,6 +133,11 @@ def require_comparable(a: str, b: str, differences: Sequence[Mapping[str, Any]])
             raise MorphodError(
                 f"campaigns {a} and {b} are in different environments: their scores are not "
                 "comparable. Score their champions in the same environments: champions, evaluate")
+        if setting.startswith("own_score"):
+            values = ", ".join(map(short, one["values"]))
+            raise MorphodError(
+                f"campaigns {a} and {b} differ in {setting} ({values}): their scores are not "
+                "comparable. Score their champions by one measure: champions, evaluate")
         if setting.startswith("settings.physics."):
             values = ", ".join(map(short, one["values"]))
             raise MorphodError(

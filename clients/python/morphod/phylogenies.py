@@ -24,7 +24,8 @@ class Phylogeny:
     `number`, `parent` and `other_parent` are uint32 (`NONE`: no parent). `born` and `died` are
     generations (`alive` marks the living). `operator` has indices into `operators`. `score` is
     float32, with NaN if a rollout diverged. `lower_bound` is bool: the design could not survive, so
-    it was cut short, and its score is at least this. `voxels` and `footprint` are uint8, and
+    it was cut short, and its score is at least this. `own_score` is None, or the name and unit of
+    the score that the client of a study told. `voxels` and `footprint` are uint8, and
     `measures` of a study float64, by name. A million designs are a few arrays of a few megabytes.
     """
 
@@ -38,8 +39,11 @@ class Phylogeny:
         self.died = columns["died"]
         self.operator = columns["operator"]
         self.operators: tuple[str, ...] = tuple(header["operators"])
-        self.lower_bound: NDArray[np.bool_] = columns["score"] < 0
-        self.score = np.abs(columns["score"])
+        # A lower bound comes with its sign changed; an own score of a study is never a bound.
+        own: dict[str, str] | None = header.get("own_score")
+        self.own_score = own
+        self.lower_bound: NDArray[np.bool_] = (columns["score"] < 0) & (own is None)
+        self.score = np.abs(columns["score"]) if own is None else columns["score"]
         self.voxels = columns["voxels"]
         self.footprint = columns["footprint"]
         self.measures = {name.partition(".")[2]: column for name, column in columns.items()

@@ -162,7 +162,8 @@ class Batch:
     @property
     @reading()
     def scores(self) -> NDArray[np.float64]:
-        """(children,): mean losses, lower is better; NaN if skipped, or if a rollout diverged."""
+        """(children,): mean losses, or the study's own score; lower is better. NaN if skipped, or
+        if a rollout diverged."""
         return np.array([None if row is None else row["score"] for row in self.rows],
                         dtype=np.float64)
 
@@ -210,7 +211,8 @@ class Asked:
 
 def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence[int]] | None,
                 operator: str | Sequence[str] | None,
-                measures: Mapping[str, Iterable[float]] | None) -> list[dict[str, Any]]:
+                measures: Mapping[str, Iterable[float]] | None,
+                scores: Iterable[float] | None = None) -> list[dict[str, Any]]:
     """Returns the children of a batch in the format of the service."""
     columns: dict[str, Sequence[Any]] = {"body": designs}
     if parents is not None:
@@ -218,21 +220,25 @@ def children_of(designs: Sequence[Mapping[str, str]], parents: Sequence[Sequence
     if operator is not None:
         columns["operator"] = [operator] * len(designs) if isinstance(operator, str) else operator
     if measures:
-        named = {name: [_measure(name, value) for value in values]
+        named = {name: [_finite(f"measure {name!r}", value, "numbers must be finite; NaN stands "
+                                "for no value") for value in values]
                  for name, values in measures.items()}
         if len(set(map(len, named.values()))) != 1:
             raise ValueError("measures have different numbers of children")
         columns["measures"] = [dict(zip(named, row)) for row in zip(*named.values())]
+    if scores is not None:
+        columns["score"] = [_finite("a score", score, "leave the body out, or give it a score "
+                                    "that is worse than all others") for score in scores]
     for name, column in columns.items():
         if len(column) != len(designs):
             raise ValueError(f"{name}: {len(column)} for {len(designs)} children")
     return [dict(zip(columns, row)) for row in zip(*columns.values())]
 
 
-def _measure(name: str, value: float) -> float | None:
+def _finite(what: str, value: float, advice: str) -> float | None:
+    """Returns a number to send. NaN becomes None: there is no number."""
     if math.isinf(value):
-        raise ValueError(f"measure {name!r} is {value}: numbers must be finite; NaN stands "
-                         "for no value")
+        raise ValueError(f"{what} is {value}: {advice}")
     return None if math.isnan(value) else float(value)
 
 

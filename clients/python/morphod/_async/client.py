@@ -374,19 +374,21 @@ class AsyncClient:
 
     async def study(self, name: str, *, population: int | None = None,
                     environments: Environments | None = None, controller: str | None = None,
-                    physics: Physics | None = None, **settings: Any) -> AsyncStudy:
+                    physics: Physics | None = None,
+                    own_score: Mapping[str, str] | None = None, **settings: Any) -> AsyncStudy:
         """Returns a study that your search drives: the one with this name that has not ended, or a
         new one. The service finds or creates it in one step, so processes that open the same name
         at the same time share one study.
 
         The name is the label of its campaign. `population` is the maximum number of living designs
-        (512). `settings` are those of the contract (docs/studies.md), such as `selection`,
-        `mutation`, `seed`. Raises `ConflictError`, which lists each setting that differs from the
+        (512). With `own_score`, such as `{"name": "cost_of_transport", "unit": "J/m"}`, the study
+        ranks by scores that you tell with its children. `settings` are those of the contract
+        (docs/studies.md), such as `selection`, `mutation`, `seed`. Raises `ConflictError`, which lists each setting that differs from the
         study's.
         """
         value = {"mode": "study", "label": name, "if_exists": "return", **settings,
                  **_given(population=population, environments=environments, controller=controller,
-                          physics=physics)}
+                          physics=physics, own_score=own_score)}
         return AsyncStudy(self._connection, await self._connection.json(
             Request.submit("/v1/campaigns", value)))
 

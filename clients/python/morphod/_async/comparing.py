@@ -67,7 +67,8 @@ async def _conditions(connection: AsyncConnection, campaign: dict[str, Any]) -> 
     settings["environments"] = [world["sha256"] for world in worlds["items"]]
     return {"mode": campaign["mode"], "settings": settings,
             "controller": (campaign["controller"] or {}).get("sha256"),
-            "device": campaign["device"]}
+            "device": campaign["device"],
+            "own_score": (campaign.get("study") or {}).get("own_score")}
 
 
 async def _members(connection: AsyncConnection, campaign: dict[str, Any], alone: bool

@@ -38,6 +38,13 @@ class AsyncStudy(AsyncCampaign):
             self.next_batch = int(data["study"]["next_batch"])
         """The number of the next batch."""
 
+    @property
+    @reading()
+    def own_score(self) -> dict[str, str] | None:
+        """Name and unit of the score that you tell; None if the service computes the scores."""
+        own: dict[str, str] | None = self.data["study"].get("own_score")
+        return own
+
     async def __aenter__(self) -> Self:
         return self
 
@@ -59,13 +66,16 @@ class AsyncStudy(AsyncCampaign):
                    parents: Sequence[Sequence[int]] | None = None,
                    operator: str | Sequence[str] | None = None,
                    measures: Mapping[str, Iterable[float]] | None = None,
+                   scores: Iterable[float] | None = None,
                    survivors: Iterable[int] | None = None, sampler_state: bytes | None = None,
                    on_fault: OnFault = "refuse", repair: Repair | None = None) -> Batch:
         """Sends the next batch, and returns its scores once they are committed.
 
         `children` are bodies, or the result of `ask`. `parents` are the numbers of each child's
         parents, up to two designs of earlier batches, and `operator` says how they were made, in
-        your own words. `measures` has arrays by name, with NaN where there is no value. `survivors`
+        your own words. `measures` has arrays by name, with NaN where there is no value. `scores` are
+        for a study with an `own_score`, and required there: a finite number for each child, lower
+        is better, by which the study then ranks; NaN is for a child that is skipped. `survivors`
         are the numbers of the designs in the population that survive, along with all children;
         without them, the study's selection decides. `restore` returns `sampler_state`; save the
         sampler's current state, before it knows these scores. A skipped body (`on_fault="skip"`)
@@ -77,7 +87,8 @@ class AsyncStudy(AsyncCampaign):
             children = children.bodies
         value: dict[str, Any] = {
             "batch": self.next_batch, "on_fault": on_fault,
-            "children": children_of(designs_of(children, on_fault), parents, operator, measures),
+            "children": children_of(designs_of(children, on_fault), parents, operator, measures,
+                                    scores),
             **given(repair=repair),
         }
         if survivors is not None:
@@ -157,6 +168,10 @@ class AsyncStudy(AsyncCampaign):
                   operator: str = "sampler") -> AsyncStudyObjective:
         """Returns a function that an optimizer calls with its solutions, like `Client.objective`;
         each call is a batch of this study."""
+        if self.own_score is not None:
+            raise ValueError(f"study {self.id} is ranked by its own score, "
+                             f"{self.own_score['name']!r}, which an objective does not know: use "
+                             "tell(…, scores=…)")
         plan = Plan(measures, decode, worst, measures is not None if maximize is None else maximize)
         if plan.needs_path:
             raise ValueError("a study records no paths, so path_length_m cannot be a measure")
