@@ -20,6 +20,16 @@ export function scoreOf(design) {
   return `${design.lower_bound ? '≥ ' : ''}${score(design.score)}`;
 }
 
+/** Formats an own score of a study, in its unit. @param {{name: string, unit: string}} own */
+export const inOwnUnit = (own, value) => `${number(value, 5)}${own.unit ? ` ${own.unit}` : ''}`;
+
+/**
+ * Formats a score of a campaign, by whoever computed it: the client of a study (own), or the service.
+ * @param {{name: string, unit: string}|null|undefined} own
+ */
+export const scoreBy = (own, design) => (own ? `${own.name} ${inOwnUnit(own, design.score)}`
+  : `score ${scoreOf(design)}`);
+
 /** Formats a difference of scores, with its sign. */
 export function signed(value) {
   return `${value < 0 ? '−' : '+'}${Math.abs(value).toFixed(4)}`;

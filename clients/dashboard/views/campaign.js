@@ -4,7 +4,7 @@ import { Curve, getJson, post, withQuery } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
 import { announce, button, fill, h, patch, patchRow, say, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
-import { ago, count, countOf, percent, score, voxels } from '../lib/format.js';
+import { ago, count, countOf, inOwnUnit, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
 import { rollOfCampaign, worldOfJob } from '../lib/rollouts.js';
@@ -136,9 +136,11 @@ async function mountOne(main, id, parameters, app) {
   const replicates = isGroup ? new Curve(`v1/campaigns/${campaign.group.id}/replicates`) : null;
   const compared = others.length ? new Comparison(ids, get) : null;
   const learns = campaign.settings.learning !== null;
-  const measure = others.length ? null
+  const own = campaign.study?.own_score ?? null; // the client of a study computes the scores
+  const measure = others.length || own ? null
     : measureOf((await worldOfJob('campaign', campaign)).environments);
-  const shown = (loss) => (measure ? meters(measure.valueOf(loss)) : score(loss));
+  const shown = (loss) => (own ? inOwnUnit(own, loss)
+    : measure ? meters(measure.valueOf(loss)) : score(loss));
 
   const head = h('div.title');
   const parts = new JobParts(() => refreshJob());
@@ -146,7 +148,10 @@ async function mountOne(main, id, parameters, app) {
     parts.remark, parts.row);
   const charts = {
     scores: new Chart({
-      ...(measure
+      ...(own
+        ? { title: own.unit ? `${own.name}, ${own.unit}` : own.name, yText: shown,
+          note: 'lower is better; from the client, not computed by the service' }
+        : measure
         ? { title: `Meters ${measure.verb}`, note: 'higher is better; from the mean loss',
           yText: meters }
         : { title: 'Score', note: 'lower is better', log: true }),
@@ -173,7 +178,7 @@ async function mountOne(main, id, parameters, app) {
   const breed = breedButton(app, 'Breed these', () =>
     genotypes().map((voxels) => ({ voxels })), { disabled: true });
   const player = new Player(app, { compact: true, height: 420 });
-  const scatter = new Scatter((numbers) => walk(numbers));
+  const scatter = new Scatter((numbers) => walk(numbers), own?.name);
 
   main.replaceChildren(head, status, ...(compared ? [compared.element] : []),
     h('div.grid', {}, Object.values(charts).map((chart) => chart.element)),
@@ -211,7 +216,8 @@ async function mountOne(main, id, parameters, app) {
     parts.update(campaign);
     say(title, titleOf(campaign));
     say(about, `${campaign.mode}, ${count(campaign.settings.population)} designs, ` +
-      `${count(campaign.progress.designs)} born${replicateOf(campaign)}${submitter(campaign)}`);
+      `${count(campaign.progress.designs)} born${replicateOf(campaign)}${submitter(campaign)}` +
+      (own ? `; ranked by ${own.name}, which its client computes` : ''));
     app.setTitle(`${titleOf(campaign)}, ${shortProgress(campaign)}`);
   }
 

@@ -6,7 +6,7 @@ import { button, fill, h, say, select, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { pythonOf } from '../lib/commands.js';
 import {
-  ago, bytes, count, countOf, score, scoreOf, shellWord, voxels as inVoxels,
+  ago, bytes, count, countOf, score, scoreBy, scoreOf, shellWord, voxels as inVoxels,
 } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
@@ -298,7 +298,7 @@ async function mountDesign(main, id, app) {
       ? h('ul', {}, design.campaigns.map((one) => h('li', {},
         h('a', { href: `#/campaigns/${one.campaign}` }, `campaign ${one.campaign}`),
         `: number ${one.number}, ${one.operator}, born in generation ${one.born}, ` +
-        `score ${scoreOf(one)}`)))
+        scoreBy(one.own_score, one))))
       : h('p.empty', {}, 'It was not born in a campaign.')));
   app.setTitle(`Design ${design.id.slice(0, 10)}`);
   const environments = await environmentSet('paper-test');

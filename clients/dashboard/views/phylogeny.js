@@ -2,7 +2,7 @@
 
 import { getJson, request, withQuery } from '../lib/api.js';
 import { button, fill, h, say, select } from '../lib/dom.js';
-import { count, countOf, score, scoreOf } from '../lib/format.js';
+import { count, countOf, inOwnUnit, score, scoreBy } from '../lib/format.js';
 import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
 import { picture } from '../lib/picture.js';
 import { rollOfCampaign } from '../lib/rollouts.js';
@@ -127,6 +127,13 @@ export class PhylogenyCanvas {
       if (scores[i] > worst && scores[i] <= 2) worst = scores[i];
     }
     const span = Math.log(worst / best) || 1;
+    let rank = (value) => (value > 0
+      ? 1 - Math.min(1, Math.max(0, Math.log(value / best) / span)) : 0);
+    if (columns.own_score) { // from the client of a study: any numbers, on a linear scale
+      [best, worst] = [Infinity, -Infinity];
+      for (const value of scores) [best, worst] = [Math.min(best, value), Math.max(worst, value)];
+      rank = (value) => (worst > best ? (worst - value) / (worst - best) : 1);
+    }
     this.scores = [best, worst];
     // Any other column, on a linear scale from its smallest to its largest value.
     const measure = columns[this.colorBy] && !['score', 'operator'].includes(this.colorBy)
@@ -151,8 +158,7 @@ export class PhylogenyCanvas {
         (end - born[i]) / Math.max(2, this.last * 0.5));
       else if (measure) value = most > least && measure[i] >= least
         ? (measure[i] - least) / (most - least) : 0;
-      else value = scores[i] > 0 ? 1 - Math.min(1, Math.max(0, Math.log(scores[i] / best) / span))
-        : 0;
+      else value = rank(scores[i]);
       looks[2 * k] = Math.round(value * 255);
       looks[2 * k + 1] = lineage[i] ? 255 : isBound[i] && this.colorBy === 'score' ? 64 : 0;
     }
@@ -254,8 +260,10 @@ export async function loadColumns(id, keep, signal) {
     .map(([name, where]) => [name, array(where)]));
   // If all designs are loaded, the position is the number.
   columns.operators = header.operators;
-  columns.lower_bound = Uint8Array.from(columns.score, (value) => (value < 0 ? 1 : 0));
-  columns.score = columns.score.map(Math.abs);
+  columns.own_score = header.own_score ?? null;
+  columns.lower_bound = Uint8Array.from(columns.score,
+    (value) => (value < 0 && !columns.own_score ? 1 : 0));
+  if (!columns.own_score) columns.score = columns.score.map(Math.abs);
   columns.number ??= new Uint32Array(columns.born.length).map((_, i) => i);
   return columns;
 }
@@ -278,7 +286,8 @@ export async function mount(main, id, parameters, app) {
   let newest = shownTo;
   const detail = h('div.stack', { 'aria-live': 'polite' });
   const ancestry = h('div.grid.small');
-  const colors = [...COLOR_BY,
+  const own = campaign.study?.own_score ?? null; // the client of a study computes the scores
+  const colors = [...COLOR_BY.map((by) => (own && by === 'score' ? [by, own.name] : by)),
     ...(campaign.study?.measures ?? []).map((name) => [`measures.${name}`, name])];
   const search = h('input',
     { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
@@ -363,7 +372,7 @@ export async function mount(main, id, parameters, app) {
       h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)),
       h('div.stack', {},
       h('h2', {}, `Design #${number}`),
-      h('div', {}, `score ${scoreOf(design)}, ${design.voxels} voxels, ${design.operator}`),
+      h('div', {}, `${scoreBy(own, design)}, ${design.voxels} voxels, ${design.operator}`),
       h('div.muted', {}, `born in generation ${design.born}, ` +
         `${design.died === null ? 'alive' : `died in ${design.died}`}`),
       design.lower_bound
@@ -378,7 +387,7 @@ export async function mount(main, id, parameters, app) {
     fill(ancestry,
       ancestors.items.map((one) => h('button.card',
       { type: 'button', onclick: () => find(String(one.number)) },
-      picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, score(one.score)),
+      picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, own ? inOwnUnit(own, one.score) : score(one.score)),
       h('span.muted', {}, `#${one.number}`))),
     ancestors.items.length ? null
       : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));

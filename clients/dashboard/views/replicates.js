@@ -4,7 +4,7 @@ import { Curve, getJson } from '../lib/api.js';
 import { Chart, column } from '../lib/chart.js';
 import { h, patch, patchRow, say, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
-import { score } from '../lib/format.js';
+import { inOwnUnit, score } from '../lib/format.js';
 import { progressBar, shortProgress, stateChip, titleOf } from './jobs.js';
 import { copyButton } from './share.js';
 
@@ -70,7 +70,8 @@ export async function mount(main, id, app) {
         h('td.right', { 'data-name': 'Seed' }, one.settings.seed),
         h('td', {}, stateChip(one)),
         h('td.wide', {}, progressBar(one)),
-        h('td.right', { 'data-name': 'Best score' }, Number.isFinite(best) ? score(best) : '–',
+        h('td.right', { 'data-name': 'Best score' }, Number.isFinite(best)
+          ? one.study?.own_score ? inOwnUnit(one.study.own_score, best) : score(best) : '–',
           bests.length > 1 && best === Math.min(...bests) ? ' ♛' : ''),
       ]);
     });

@@ -17,9 +17,11 @@ const MARGIN = { left: 56, right: 14, top: 28, bottom: 46 };
 export class Scatter {
   /**
    * @param {function(number[]): void} chosen called with the numbers of the designs in the brush
+   * @param {string} [score] the name of the score
    */
-  constructor(chosen) {
+  constructor(chosen, score = 'score') {
     this.chosen = chosen;
+    this.score = score;
     this.designs = [];
     this.axes = ['voxels', 'score'];
     this.brush = null;
@@ -28,7 +30,7 @@ export class Scatter {
     this.canvas.style.minHeight = '340px';
     this.walk = button('Watch here', () => this.#choose(), { disabled: true });
     this.legend = h('div.legend');
-    this.traits = TRAITS;
+    this.traits = { ...TRAITS, score };
     this.selects = h('span.row');
     this.element = h('section.panel.chart', {}, h('div.title', {}, h('h2', {}, 'Population'),
       h('span.muted', {}, 'drag over points to choose designs'), h('div.actions', {},
@@ -59,7 +61,7 @@ export class Scatter {
 
   /** Offers the traits, and the measures of a study. */
   #offer(measures = []) {
-    this.traits = { ...TRAITS,
+    this.traits = { ...TRAITS, score: this.score,
       ...Object.fromEntries(measures.map((name) => [`measures.${name}`, name])) };
     const traits = Object.entries(this.traits);
     fill(this.selects, select('Across', traits, this.axes[0], (key) => this.#axis(0, key)),
