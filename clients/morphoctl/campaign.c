@@ -204,7 +204,7 @@ static void print(struct live *live)
       {"mutation", "{settings.mutation.share:.1%} of the population, rate "
                    "{settings.mutation.rate:.4g}, growth {settings.mutation.growth:.4g}"},
       {"selection", "{settings.selection.kind}[{settings.racing=off}, racing off]"},
-      {"own score", "[{study.own_score.name}[ in {study.own_score.unit}], told by the study's "
+      {"own score", "[{study.own_score.name}[ in {study.own_score.unit}], from the study's "
                     "client, not computed by the service]"},
       {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
                    "generation, {settings.learning.schedule.kind} from "

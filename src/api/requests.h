@@ -124,10 +124,9 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 struct mo_parsed_telling {
   struct mo_study_telling telling;
   struct mo_parts parts;         /* genotypes: of the children */
-  struct mo_workspace workspace; /* which they must fit */
+  struct mo_workspace workspace; /* which they must fit; of the study, as has_scores */
   bool has_children, has_scores; /* has_scores: each child must have a score */
 };
-/* study: the settings of the study. */
 int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record *study,
                   struct mo_parsed_telling *parsed, struct mo_faults *faults);
 void mo_tell_free(struct mo_parsed_telling *parsed);

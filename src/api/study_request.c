@@ -129,8 +129,7 @@ static bool fit(struct mo_json *json, struct mo_parsed_telling *parsed, uint32_t
 
 /* Reads a child. *is_kept: it was not skipped. Returns false if memory runs out. */
 static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
-                       struct mo_study_child *child, double *measures, double *score,
-                       bool *is_kept)
+                       struct mo_study_child *child, double *measures, double *score, bool *is_kept)
 {
   struct mo_study_words *words = &parsed->telling.words;
   const unsigned depth = json->depth;
@@ -328,8 +327,7 @@ int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record
                                        .workspace = study->settings.workspace,
                                        .has_scores = mo_own_score_is_set(&study->own_score)};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
-  int error =
-      mo_read_body(text, size, &mo_tell_fields, parsed, &parsed->parts, check, faults);
+  int error = mo_read_body(text, size, &mo_tell_fields, parsed, &parsed->parts, check, faults);
   parsed->telling.notes = parsed->parts.notes;
   parsed->telling.n_notes = parsed->parts.n_notes;
   pack_measures(&parsed->telling.batch, parsed->telling.words.n_measures);

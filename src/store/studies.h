@@ -59,11 +59,12 @@ struct mo_telling_reply {
   enum mo_telling_fault fault;
   uint32_t place, next; /* next: the number of the next batch */
   double score;
-  bool is_new;          /* false: the same batch was told before */
+  bool is_new; /* false: the same batch was told before */
 };
 /* Stores a batch, with the checkpoint of the sampler, in one transaction. Telling the same batch
  * again changes nothing. A batch has scores if, and only if, the study has an own score; a body has
- * one own score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see reply->fault. */
+ * one own score in the whole study. MO_ERR_NOT_FOUND: no such study; for other errors see
+ * reply->fault. */
 int mo_store_study_tell(struct mo_store *store, int64_t id, const struct mo_study_telling *telling,
                         struct mo_telling_reply *reply);
 

@@ -77,8 +77,8 @@ def test_a_study_with_an_own_score(ctl):
     scored = [{"body": DESIGN, "score": -1.5}, {"body": {"cells": [[2, 2, 0]]}, "score": 250}]
     out = ctl(f"study tell {id}", input_text=json.dumps(scored))[1].splitlines()
     assert [line.split()[-1] for line in out[1:]] == ["-1.5000", "250.0000"]
-    assert "cost in J/m, told by the study's client" in ctl(f"campaign show {id}")[1]
-    assert "told by" not in ctl(f"campaign show {plain}")[1]
+    assert "cost in J/m, from the study's client" in ctl(f"campaign show {id}")[1]
+    assert "own score" not in ctl(f"campaign show {plain}")[1]
     status, _, err = ctl(f"study tell {id}", input_text=json.dumps(DESIGN))
     assert status == 6 and "/children/0/score" in err, err
     assert ctl(f"study tell {plain}", input_text=json.dumps(DESIGN))[0] == 0

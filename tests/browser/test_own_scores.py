@@ -1,4 +1,4 @@
-"""A study with an own score: its pages name that score and its unit, and never "score" or meters."""
+"""A study with an own score: its pages name that score and its unit, not meters or losses."""
 
 import pytest
 

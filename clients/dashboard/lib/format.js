@@ -24,7 +24,7 @@ export function scoreOf(design) {
 export const inOwnUnit = (own, value) => `${number(value, 5)}${own.unit ? ` ${own.unit}` : ''}`;
 
 /**
- * Formats a score of a campaign, by whoever computed it: the client of a study (own), or the service.
+ * Formats a score of a campaign: an own score of a study, or a score of the service.
  * @param {{name: string, unit: string}|null|undefined} own
  */
 export const scoreBy = (own, design) => (own ? `${own.name} ${inOwnUnit(own, design.score)}`

@@ -21,7 +21,7 @@ export const OPERATOR_HUES = ['--gray', '--gray', '--green', '--orange', '--blue
  * @property {Uint8Array} operator
  * @property {string[]} [operators] names by number
  * @property {Float32Array} score NaN if a rollout diverged
- * @property {{name: string, unit: string}|null} own_score of a study, whose client told the scores
+ * @property {{name: string, unit: string}|null} own_score of a study that has one
  * @property {Uint8Array} lower_bound 1 if the score is a lower bound, because the design could not
  * survive
  * @property {Uint8Array} voxels

@@ -387,7 +387,8 @@ export async function mount(main, id, parameters, app) {
     fill(ancestry,
       ancestors.items.map((one) => h('button.card',
       { type: 'button', onclick: () => find(String(one.number)) },
-      picture(one.genotype, `Ancestor ${one.number}`), h('strong.number', {}, own ? inOwnUnit(own, one.score) : score(one.score)),
+      picture(one.genotype, `Ancestor ${one.number}`),
+      h('strong.number', {}, own ? inOwnUnit(own, one.score) : score(one.score)),
       h('span.muted', {}, `#${one.number}`))),
     ancestors.items.length ? null
       : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));

@@ -36,7 +36,9 @@ export class PhylogenyMarks {
     const { colorBy, scores, ends, columns } = this.view;
     const ramp = (from, to) => [h('span', {}, from), h('i.ramp'), h('span', {}, to)];
     const legends = {
-      score: () => [...ramp(`${columns.own_score?.name ?? 'score'} ${number(scores[1])}`, `${number(scores[0])}, the best`),
+      score: () => [
+        ...ramp(`${columns.own_score?.name ?? 'score'} ${number(scores[1])}`,
+          `${number(scores[0])}, the best`),
         columns.lower_bound.includes(1)
           ? h('span', {}, 'faint: lower bounds (children that could not survive)') : null],
       age: () => ramp('short life', 'long life'),

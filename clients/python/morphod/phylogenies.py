@@ -25,7 +25,7 @@ class Phylogeny:
     generations (`alive` marks the living). `operator` has indices into `operators`. `score` is
     float32, with NaN if a rollout diverged. `lower_bound` is bool: the design could not survive, so
     it was cut short, and its score is at least this. `own_score` is None, or the name and unit of
-    the score that the client of a study told. `voxels` and `footprint` are uint8, and
+    the own score of a study. `voxels` and `footprint` are uint8, and
     `measures` of a study float64, by name. A million designs are a few arrays of a few megabytes.
     """
 

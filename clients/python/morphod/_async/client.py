@@ -382,9 +382,9 @@ class AsyncClient:
 
         The name is the label of its campaign. `population` is the maximum number of living designs
         (512). With `own_score`, such as `{"name": "cost_of_transport", "unit": "J/m"}`, the study
-        ranks by scores that you tell with its children. `settings` are those of the contract
-        (docs/studies.md), such as `selection`, `mutation`, `seed`. Raises `ConflictError`, which lists each setting that differs from the
-        study's.
+        ranks by the scores that you give to `AsyncStudy.tell`. `settings` are those of the contract
+        (docs/studies.md), such as `selection`, `mutation`, `seed`. Raises `ConflictError`, which
+        lists each setting that differs from the study's.
         """
         value = {"mode": "study", "label": name, "if_exists": "return", **settings,
                  **_given(population=population, environments=environments, controller=controller,

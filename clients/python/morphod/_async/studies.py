@@ -41,7 +41,7 @@ class AsyncStudy(AsyncCampaign):
     @property
     @reading()
     def own_score(self) -> dict[str, str] | None:
-        """Name and unit of the score that you tell; None if the service computes the scores."""
+        """Name and unit of the scores that you send; None if the service computes them."""
         own: dict[str, str] | None = self.data["study"].get("own_score")
         return own
 
@@ -73,10 +73,9 @@ class AsyncStudy(AsyncCampaign):
 
         `children` are bodies, or the result of `ask`. `parents` are the numbers of each child's
         parents, up to two designs of earlier batches, and `operator` says how they were made, in
-        your own words. `measures` has arrays by name, with NaN where there is no value. `scores` are
-        for a study with an `own_score`, and required there: a finite number for each child, lower
-        is better, by which the study then ranks; NaN is for a child that is skipped. `survivors`
-        are the numbers of the designs in the population that survive, along with all children;
+        your own words. `measures` has arrays by name, with NaN where there is no value. `scores`
+        are required in a study with an `own_score`, which ranks by them: a finite number for each
+        child, lower is better; NaN is for a child that is skipped. `survivors` are the numbers of the designs in the population that survive, along with all children;
         without them, the study's selection decides. `restore` returns `sampler_state`; save the
         sampler's current state, before it knows these scores. A skipped body (`on_fault="skip"`)
         has no number and the score NaN.
