@@ -29,6 +29,7 @@ from .scenes import Rollout, Scene
 from .scores import Entered
 from .tasks import Task
 from .weights import read_safetensors, write_safetensors
+from .worlds import World, read_world
 
 __version__ = "0.1.0"
 
@@ -40,6 +41,6 @@ __all__ = [
     "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
     "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
     "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Task", "Training",
-    "UnreachableError", "WaitError", "local", "read_bodies", "read_safetensors",
-    "write_safetensors",
+    "UnreachableError", "WaitError", "World", "local", "read_bodies", "read_safetensors",
+    "read_world", "write_safetensors",
 ]

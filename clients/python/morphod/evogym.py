@@ -14,7 +14,8 @@ from .errors import BodyError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_FIXED = 5  # the material of ground and walls
+ACTUATORS = (3, 4)  # materials
+FIXED = 5  # the material of ground and walls
 _SIDE_MAX = 1000  # maximum side of an object; a robot is smaller
 
 
@@ -41,12 +42,12 @@ def rows_of(body: Any) -> NDArray[Any]:
         raise BodyError(f"a robot of EvoGym has 2 dimensions [row, column], not {rows.ndim}")
     if rows.dtype.kind == "b":
         return rows
-    wrong = ~((rows >= 0) & (rows <= _FIXED))  # also for NaN
+    wrong = ~((rows >= 0) & (rows <= FIXED))  # also for NaN
     if rows.dtype.kind == "f":
         wrong |= rows != np.floor(rows)
     if wrong.any():
         raise BodyError(f"{first(rows, wrong)}: the materials of EvoGym are 0 (empty) to "
-                        f"{_FIXED} (fixed)")
+                        f"{FIXED} (fixed)")
     return rows.astype(np.int64)
 
 
@@ -113,6 +114,8 @@ class Thing:
         if indices.min() < 0 or len(np.unique(indices)) != len(indices):
             raise ValueError("an index is negative, or given twice")
         z, x = np.divmod(indices, width)
+        self.place = (int(x.min()), int(z.min()))
+        """Its first column, and its lowest row from the bottom."""
         z, x = z - z.min(), x - x.min()
         if max(z.max(), x.max()) >= _SIDE_MAX:
             raise ValueError("an object is too large")
@@ -120,8 +123,12 @@ class Thing:
         grid[z, x] = types
         self.rows = rows_of(grid[::-1])
         """Materials from the top, like EvoGym's arrays."""
-        self.is_fixed = set(types.tolist()) - {0} == {_FIXED}
+        self.is_fixed = set(types.tolist()) - {0} == {FIXED}
         self.lost = _apart(self._unjoined(indices, x, z, data))
+
+    def has(self, *kinds: int) -> bool:
+        """Returns whether it has one of these materials."""
+        return bool(np.isin(self.rows, kinds).any())
 
     def _unjoined(self, indices: NDArray[np.int64], x: NDArray[np.int64], z: NDArray[np.int64],
                   data: Mapping[str, Any]) -> int:

@@ -75,9 +75,10 @@ class AsyncStudy(AsyncCampaign):
         parents, up to two designs of earlier batches, and `operator` says how they were made, in
         your own words. `measures` has arrays by name, with NaN where there is no value. `scores`
         are required in a study with an `own_score`, which ranks by them: a finite number for each
-        child, lower is better; NaN is for a child that is skipped. `survivors` are the numbers of the designs in the population that survive, along with all children;
-        without them, the study's selection decides. `restore` returns `sampler_state`; save the
-        sampler's current state, before it knows these scores. A skipped body (`on_fault="skip"`)
+        child, lower is better; NaN is for a child that is skipped. `survivors` are the numbers of
+        the designs in the population that survive, along with all children; without them, the
+        study's selection decides. `restore` returns `sampler_state`; save the sampler's current
+        state, before it knows these scores. A skipped body (`on_fault="skip"`)
         has no number and the score NaN.
         """
         if isinstance(children, Asked):
