@@ -33,6 +33,7 @@ static void check_telling(const struct mo_study_telling *telling)
     FUZZ_PROMISE(i == 0 || child->place > batch->children[i - 1].place);
     for (uint32_t m = 0; m < batch->n_measures; m++)
       FUZZ_PROMISE(!isinf(batch->measures[(size_t)batch->n_measures * i + m]));
+    FUZZ_PROMISE(batch->scores == NULL || isfinite(batch->scores[i]));
   }
 }
 
@@ -46,7 +47,7 @@ static int parse(const char *text, size_t size, struct parsed *parsed, struct mo
 {
   struct mo_parsed_telling telling;
   struct mo_campaign_record study = {.settings.workspace = MO_DEFAULT_WORKSPACE};
-  if (size % 2 == 1) /* half of the inputs are told to a study with an own score */
+  if (memmem(text, size, "score", 5) != NULL)
     study.own_score = (struct mo_own_score){"cost", "J/m"};
   const int error = mo_tell_parse(text, size, &study, &telling, faults);
   if (error == MO_OK)
