@@ -79,7 +79,7 @@ static int64_t read_generations(struct curve *curve, void *rows, size_t limit)
 }
 
 /* Columns before the columns of a generation, in tables of several campaigns. */
-static const char member_columns[] = "campaign group replicate:u label mode state seed:l";
+static const char member_columns[] = "campaign group replicate:u label mode state seed:l own_score";
 
 /* Describes the campaign, once for all its rows. */
 static void describe(struct mo_text *about, const struct mo_campaign_status *status)
@@ -95,6 +95,8 @@ static void describe(struct mo_text *about, const struct mo_campaign_status *sta
   mo_text_member(about, "mode", mo_campaign_mode_words[record->settings.mode]);
   mo_text_member(about, "state", mo_job_state_name(job->state));
   mo_text_member_count(about, "seed", record->settings.seed);
+  mo_text_member(about, "own_score",
+                 mo_own_score_is_set(&record->own_score) ? record->own_score.name : NULL);
 }
 
 /* Reads rows of the next campaign that has any. */

@@ -48,6 +48,8 @@ def test_designs_are_ranked_by_the_own_score(service):
     curve = service.pages(path + "/generations")
     assert [row["score"]["quantiles"]["p0"] for row in curve] == [-3.25, -3.25]
     assert curve[1]["score"]["mean"] == -2.125 and curve[1]["children_cut"] == 0
+    exported = service.get(f"/v1/campaigns/generations?campaigns={id}")["items"]
+    assert [row["own_score"] for row in exported] == ["cost_of_transport"] * 2
     # Every list of its scores says whose they are, and no negative score is taken for a bound.
     history = service.get(path + "/phylogeny")
     assert population["own_score"] == champions["own_score"] == history["own_score"] == COST

@@ -116,8 +116,51 @@ SERVICE_CASE(waits_without_a_thread, 1)
   CHECK_INT(mo_jobs_finish_study(service.jobs, second), MO_ERR_NOT_FOUND);
 }
 
+/* The population is in the order of the client's scores, in every process; the losses of the fake
+ * back end are in another one. */
+SERVICE_CASE(ranks_by_own_scores, 1)
+{
+  const struct mo_campaign_request plain = campaign(MO_ZERO_SHOT);
+  struct mo_campaign_request request = study_of(&plain);
+  const struct mo_ask ask = {.n = 5, .is_random = true};
+  double scores[] = {0.5, -3, 2e9, -0.25, -3.5};
+  static const uint32_t order[] = {4, 1, 3, 0, 2};
+  struct mo_campaign_state *state = NULL;
+  struct mo_telling_reply reply;
+  struct mo_asked asked;
+  request.record.own_score = (struct mo_own_score){"cost", "J/m"};
+  const int64_t id = submit_campaign(&request);
+  REQUIRE_OK(mo_jobs_ask(service.jobs, id, &ask, &asked, &fixture.message));
+  REQUIRE(asked.n == 5);
+  struct mo_study_telling telling = {
+      .batch = {.n_children = 5, .children = asked.children, .scores = scores}};
+  telling.batch.scores = NULL;
+  CHECK_INT(mo_jobs_tell(service.jobs, id, &telling, &reply, &fixture.message), MO_ERR_UNSUPPORTED);
+  telling.batch.scores = scores;
+  CHECK_OK(mo_jobs_tell(service.jobs, id, &telling, &reply, &fixture.message));
+  disturb(id, 3);
+  REQUIRE(is_committed(id, 0));
+  CHECK_OK(service_reopen());
+  REQUIRE_OK(mo_store_campaign_state(store, id, &state));
+  for (uint32_t i = 0; i < 5; i++)
+    CHECK(state->numbers[i] == order[i] && state->scores[i] == scores[order[i]]);
+  mo_campaign_state_free(state);
+  CHECK(status_of(id).best_score == -3.5);
+  telling.batch.number = 1;
+  telling.sha256.bytes[0] = 1;
+  scores[3] = 0;
+  CHECK_INT(mo_jobs_tell(service.jobs, id, &telling, &reply, &fixture.message), MO_ERR_INVALID);
+  CHECK(reply.fault == MO_TELLING_SCORE && reply.place == 3 && reply.score == -0.25);
+  scores[3] = -0.25;
+  CHECK_OK(mo_jobs_tell(service.jobs, id, &telling, &reply, &fixture.message));
+  CHECK(is_committed(id, 1));
+  free(asked.children);
+  CHECK_OK(check_whole());
+}
+
 static const struct check_case cases[] = {
     {"equals a campaign if it tells what it asked", is_a_campaign},
     {"waits without a thread", waits_without_a_thread},
+    {"ranks by own scores", ranks_by_own_scores},
 };
 CHECK_MAIN(cases)
