@@ -39,6 +39,7 @@ static void print_job(const struct ctl *ctl, const json_t *job)
       {"designs", "{n_designs:,}[, the {best:,} best of them]"},
       {"errors", "[estimated with {displaced_starts} displaced starts]"},
       {"measures", "[{measured}]"},
+      {"tolerance", "[{tolerance:g}; physics and precision are those of the first rung]"},
       {"rollouts", "{rollouts_done:,} of {rollouts_total:,}[  {progress.rollouts_per_s:.0f} "
                    "rollouts/s][  {progress.seconds_left:duration} left]"},
       {"from store", "[{rollouts_cached>0:,}]"},

@@ -112,12 +112,13 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   const size_t n = json_array_size(results), shown = top != 0 && top < n ? top : n;
   struct ranked *order = rank_results(results, by_score);
   json_t *rows = keep(json_array());
-  bool named = false, verified = false, estimated = false, valued = false;
+  bool named = false, verified = false, estimated = false, valued = false, climbed = false;
   const char *measured = measure_columns(json_object_get(value_at(results, "0"), "measures"));
   for (size_t i = 0; i < n; i++) {
     named |= name_of(designs, place_of(results, i)) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;
     estimated |= json_object_get(json_array_get(results, i), "error") != NULL;
+    climbed |= json_object_get(json_array_get(results, i), "tolerance") != NULL;
     valued |= json_object_get(json_array_get(results, i), "value") != NULL;
   }
   for (size_t r = 0; r < shown; r++) {
@@ -128,13 +129,17 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   }
   const char *columns = keep(format_text(
       ">#={number}%s|design={robot}|>voxels={voxels}|>score=[{lower_bound=true}≥ "
-      "]{score:.4f}%s%s%s|>best={best:.4f}"
+      "]{score:.4f}%s%s%s%s|>best={best:.4f}"
       "|>worst={worst:.4f}|%s=[skipped: {fault.detail}|{note}|diverged in {diverged:#} of "
       "{losses:#} (environment {diverged.0.environment}, step {diverged.0.step})]",
       named ? "|name={name}" : "", valued ? "|>value=[{value:.4f} {unit}]" : "",
       estimated ? "|>limit=[{error.low:.4f} to {error.high:.4f}]|>bifurcates="
                   "[{error.low:-}{error.bifurcates:#} of {losses:#}]"
                 : "",
+      climbed ? "|>error={tolerance.estimated_error:.2g}|step=[{tolerance.dt_s:g} s "
+                "{tolerance.precision}]|tolerance=[{tolerance.bifurcates=true}bifurcates"
+                "|{tolerance.reached=true}reached|not reached]"
+              : "",
       measured, verified ? "bits" : "note"));
   print_table(stdout, ctl, rows, columns);
   say_orientations(ctl, results);

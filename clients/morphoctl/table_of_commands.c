@@ -120,6 +120,10 @@ static const struct option_spec eval_options[] = {
      "Numbers that describe the rollouts, as means in the table: all, or names separated by "
      "commas, "
      "such as displacement_m,air_share,work_j."},
+    {"tolerance", 0, "ERROR",
+     "Choose time step and precision for each design, so that the estimated error of its score is "
+     "at most ERROR, such as 0.01 (at up to 200 times the cost).",
+     "tolerance", FIELD_REAL},
     {KEY("evaluation")},
     {NULL}};
 static const struct option_spec verify_options[] = {

@@ -42,6 +42,7 @@ struct mo_score_error {
   double discretization; /* estimate of |score − limit| */
   double rounding;       /* largest change of the score by a displaced start */
   double standard_error; /* of the mean over the environments; NaN if there is only one */
+  double half_width;     /* of the interval around the score; the estimated error */
   double low, high;      /* contains the limit for at least 90 % of designs */
   uint64_t bifurcates;   /* environments, as bits */
 };

@@ -130,6 +130,9 @@ static const struct mo_field rows[] = {
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
     {"error", MO_FIELD_FLAG, 0, AT(parts.estimates_error)},
     {"measures", MO_FIELD_OWN, 0, AT(request.measures), .own = &measures_field},
+    {"tolerance", MO_FIELD_NUMBER, 0, AT(request.tolerance), .min = MO_TOLERANCE_MIN,
+     .max = MO_TOLERANCE_MAX, .unit = "",
+     .help = "estimated error of each score, in the unit of the loss, that the service may leave"},
     {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_LARGE_MAX, .unit = "designs",
      .help = "number of the best designs that get complete scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
@@ -170,7 +173,13 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
   const struct mo_random_bodies *random = &parsed->parts.random;
   const char *const place = random->count > 0 ? "/random" : "/designs";
   const uint32_t n = random->count > 0 ? random->count : parsed->parts.n_designs;
-  const uint64_t n_rollouts = n * n_environments * mo_error_runs(parsed->request.n_displaced);
+  const uint64_t n_rollouts =
+      n * n_environments * mo_ladder_runs(parsed->request.n_displaced, parsed->request.tolerance);
+  if (parsed->request.tolerance > 0 && n_rollouts > MO_LARGE_ROLLOUTS_MAX)
+    mo_json_fault_at(json, 0, "/tolerance",
+                     "the rungs of all designs have %llu rollouts, and at most %d are allowed; use "
+                     "fewer designs or fewer environments",
+                     (unsigned long long)n_rollouts, MO_LARGE_ROLLOUTS_MAX);
   if (random->count == 0 && n <= MO_DESIGNS_MAX)
     return;
   if (random->count > 0 && random->first + random->count > MO_RANDOM_BODIES_MAX)
@@ -178,7 +187,7 @@ static void check_large(struct mo_json *json, const struct mo_parsed_evaluation 
         json, 0, "/random/first",
         "bodies %u to %u are out of range; a seed has bodies 0 to %d, so use another seed",
         random->first, random->first + random->count - 1, MO_RANDOM_BODIES_MAX - 1);
-  if (n_rollouts > MO_LARGE_ROLLOUTS_MAX)
+  if (n_rollouts > MO_LARGE_ROLLOUTS_MAX && parsed->request.tolerance == 0)
     mo_json_fault_at(json, 0, random->count > 0 ? "/random/count" : place,
                      "the request has %llu rollouts, and at most %d are allowed; use fewer bodies "
                      "or fewer environments",
@@ -194,28 +203,37 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
                         double highest_m)
 {
   const struct mo_evaluation_request *request = &parsed->request;
+  const bool climbs = request->tolerance > 0;
+  const char *const place = climbs ? "/tolerance" : "/error";
+  const struct mo_setting first = {request->physics, request->precision};
+  const uint32_t n_runs = mo_ladder_runs(request->n_displaced, request->tolerance);
   struct mo_message message;
   int error = MO_OK;
   if (request->verify || request->record != 0 || request->best > 0)
-    mo_json_fault_at(json, 0, "/error", "cannot be combined with %s; give only one of them",
+    mo_json_fault_at(json, 0, place, "cannot be combined with %s; give only one of them",
                      request->verify        ? "verify"
                      : request->record != 0 ? "record"
                                             : "best");
   if (parsed->parts.job.back_end == MO_ON_DEVICE)
-    mo_json_fault_at(json, 0, "/error",
-                     "is estimated only for scores that processors compute; request \"cpu\" or "
-                     "\"auto\"");
+    mo_json_fault_at(json, 0, place,
+                     "%s only for scores that processors compute; request \"cpu\" or \"auto\"",
+                     climbs ? "is possible" : "is estimated");
   if (request->precision == MO_FLOAT32 &&
       request->physics.drop_height_m + highest_m > MO_ERROR_FLOAT32_MAX_M)
-    mo_json_fault_at(json, 0, "/error",
+    mo_json_fault_at(json, 0, place,
                      "displaces starts by %g m, which float32 loses in heights over %g m; request "
                      "\"precision\": \"float64\"",
                      MO_ERROR_DISPLACEMENT_M, MO_ERROR_FLOAT32_MAX_M);
-  for (uint32_t run = 1; run < mo_error_runs(request->n_displaced) && error == MO_OK; run++) {
-    const struct mo_physics physics = mo_error_physics(&request->physics, run);
-    error = mo_physics_check(&physics, &message);
+  for (uint32_t run = 1; run < n_runs && error == MO_OK; run++) {
+    const struct mo_setting setting = mo_ladder_run(&first, request->n_displaced, run);
+    error = mo_physics_check(&setting.physics, &message);
   }
-  if (error == MO_ERR_RANGE)
+  if (error == MO_ERR_RANGE && climbs)
+    mo_json_fault_at(json, 0, place,
+                     "may need time steps down to 1/%u of dt_s, and higher starts: %s; request a "
+                     "larger dt_s, or fewer steps",
+                     1U << MO_LADDER_RUNGS, message.text);
+  else if (error == MO_ERR_RANGE)
     mo_json_fault_at(json, 0, "/error",
                      "needs rollouts with half of the time step and with higher starts: %s",
                      message.text);
@@ -223,6 +241,10 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
 
 static void check_measures(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
 {
+  if (parsed->request.tolerance > 0)
+    mo_json_fault_at(json, 0, "/measures",
+                     "cannot be combined with tolerance; request measures with the time step and "
+                     "precision that it chose");
   if (parsed->request.verify)
     mo_json_fault_at(json, 0, "/measures",
                      "cannot be combined with verify, which only compares losses; give only one of "
@@ -249,10 +271,11 @@ static int check(struct mo_json *json, void *any)
                      MO_LARGE_MAX);
   if (parsed->parts.has_designs && parsed->parts.has_random)
     mo_json_fault_at(json, 0, "/random", "cannot be combined with designs; give only one of them");
-  request->n_displaced = parsed->parts.estimates_error ? MO_ERROR_DISPLACED : 0;
+  const bool estimates = parsed->parts.estimates_error || request->tolerance > 0;
   double highest_m;
+  request->n_displaced = estimates ? MO_ERROR_DISPLACED : 0;
   check_large(json, parsed, survey_worlds(json, &parsed->parts, &highest_m));
-  if (parsed->parts.estimates_error)
+  if (estimates)
     check_error(json, parsed, highest_m);
   if (request->measures != 0)
     check_measures(json, parsed);

@@ -29,6 +29,44 @@ static void write_error(struct mo_text *text, const struct mo_score_error *error
   mo_text_add(text, "]}");
 }
 
+static const char *precision_word(enum mo_precision precision)
+{
+  return precision == MO_FLOAT64 ? "float64" : "float32";
+}
+
+/* Writes the settings of a rung; NULL: of none. */
+static void write_setting(struct mo_text *text, const struct mo_setting *setting)
+{
+  mo_text_member_number(text, "dt_s", setting != NULL ? setting->physics.scheme.dt_s : NAN);
+  mo_text_member(text, "precision", setting != NULL ? precision_word(setting->precision) : NULL);
+}
+
+/* Writes how a design climbed to its tolerance. */
+static void write_climb(struct mo_text *text, const struct mo_evaluation_results *results,
+                        const struct mo_climbed *climbed)
+{
+  const uint32_t chosen = climbed->climb.rung;
+  const bool has_any = climbed->n > 0;
+  mo_text_open(text, "tolerance", "{");
+  mo_text_member_number(text, "asked", results->tolerance);
+  mo_text_member_bool(text, "reached", climbed->climb.reached);
+  mo_text_member_number(text, "estimated_error",
+                        has_any ? climbed->errors[chosen].half_width : NAN);
+  mo_text_member_bool(text, "bifurcates", climbed->climb.bifurcates);
+  write_setting(text, has_any ? &results->rungs[chosen] : NULL);
+  mo_text_open(text, "rungs", "[");
+  for (uint32_t rung = 0; rung < climbed->n; rung++) {
+    mo_text_object(text);
+    write_setting(text, &results->rungs[rung]);
+    mo_text_member_number(text, "score", climbed->scores[rung]);
+    mo_text_member_number(text, "estimated_error", climbed->errors[rung].half_width);
+    mo_text_member_number(text, "discretization", climbed->errors[rung].discretization);
+    mo_text_member_number(text, "rounding", climbed->errors[rung].rounding);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]}");
+}
+
 static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
                         const struct mo_evaluation_results *results,
                         const struct mo_environment *tasks, uint32_t d,
@@ -59,6 +97,8 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   mo_text_add(text, "]");
   if (results->errors != NULL)
     write_error(text, &results->errors[d]);
+  if (results->climbed != NULL)
+    write_climb(text, results, &results->climbed[d]);
   if (results->stored_losses != NULL) {
     const double *stored = &results->stored_losses[(size_t)d * columns];
     bool any = false;
@@ -112,7 +152,7 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_member_environments(text, job->environment_set, job->n_environments);
   mo_text_name(text, "physics");
   mo_fields_write_object(text, &mo_physics_fields, &job->physics);
-  mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_text_member(text, "precision", precision_word(job->precision));
   mo_text_open(text, "record", "[");
   for (unsigned i = 0; i < MO_CHANNELS; i++)
     if (job->record >> i & 1) {
@@ -126,6 +166,8 @@ static void write_job(struct mo_text *text, const struct mo_job *job, const stru
   mo_text_member_bool(text, "verify", job->verify);
   if (job->n_displaced > 0)
     mo_text_member_count(text, "displaced_starts", job->n_displaced);
+  if (job->tolerance > 0)
+    mo_text_member_number(text, "tolerance", job->tolerance);
   if (job->measures != 0)
     mo_member_measures(text, "measures", job->measures);
   mo_member_count_if(text, "best", job->best > 0, job->best);

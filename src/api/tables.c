@@ -459,7 +459,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define EVALUATIONS                                                                                \
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \
   " rollouts_total:n rollouts_done:n rollouts_cached:n rollouts_diverged:n record"                 \
-  " recorded_bytes:n verify:n best:n rollouts_cut:n displaced_starts:n"
+  " recorded_bytes:n verify:n best:n rollouts_cut:n displaced_starts:n tolerance:n"
 #define MEASURES                                                                                   \
   " measures.displacement_m:n measures.path_length_m:n measures.mean_speed_m_per_s:n"              \
   " measures.straightness:n measures.heading_error_rad:n measures.sideways_m:n"                    \
@@ -473,7 +473,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   "masses:n"                                                                                       \
   " springs:n path_length_m:n repaired fault orientation error.low:n error.high:n"                 \
   " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates value:n "      \
-  "unit" MEASURES
+  "unit" MEASURES                                                                                  \
+  " tolerance.asked:n tolerance.reached:n tolerance.estimated_error:n tolerance.bifurcates:n"      \
+  " tolerance.dt_s:n tolerance.precision tolerance.rungs"
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

@@ -5,7 +5,8 @@
 
 uint64_t mo_job_admitted(const struct mo_job *job)
 {
-  return job->rollouts_total / mo_error_runs(job->n_displaced) * mo_error_cost(job->n_displaced);
+  return job->rollouts_total / mo_ladder_runs(job->n_displaced, job->tolerance) *
+         mo_ladder_cost(job->n_displaced, job->tolerance);
 }
 
 int mo_jobs_admit(struct mo_jobs *jobs, uint32_t n_jobs, uint64_t rollouts,

@@ -27,6 +27,7 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
   mo_loaded_release(&all->jobs->controllers, active->controller);
   mo_work_free(active->work);
   mo_best_free(active->race);
+  mo_climbs_free(active->climbs);
   mo_grid_free(&active->grid);
   mo_share_close(all->jobs, active->id);
   free(active);
@@ -143,6 +144,8 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
   if (work->fingerprint == 0 && active->done < active->total)
     return MO_ERR_DEVICE; /* this process does not know its class */
   error = mo_active_race(active);
+  if (error == MO_OK)
+    error = mo_active_climb(active);
   if (error != MO_OK)
     return error;
   mo_active_open_window(active);
@@ -300,7 +303,7 @@ static bool fill(struct mo_evaluations *all, struct mo_active *active)
   if (active->detached || active->finishing)
     return false;
   active->window.most = mo_back_end_window(all->jobs, active->work->job.back_end);
-  while ((launched > 0 || (launched == 0 && mo_active_race_on(active))) &&
+  while ((launched > 0 || (launched == 0 && (mo_active_race_on(active) || mo_active_climb_on(active)))) &&
          !(active->work->job.record != 0 && mo_saver_is_full(all)))
     launched = mo_window_launch(&active->window, &budget);
   if (launched < 0)

@@ -10,6 +10,7 @@
 #define MORPHO_JOBS_EVALUATION_H
 
 #include <morpho/evolution.h>
+#include <morpho/score_ladder.h>
 
 #include "jobs/controllers.h"
 #include "jobs/pace.h"
@@ -28,7 +29,8 @@ struct mo_active {
   struct mo_window window; /* over the grid */
   struct mo_best *race;    /* NULL: all rollouts are computed */
   uint64_t n_asked;        /* rollouts of the current round of the race that are not done */
-  /* done has cut: rollouts that a race does not need. */
+  struct mo_climbs *climbs; /* NULL: no tolerance was requested */
+  /* done has cut: rollouts that a race or a climb does not need. */
   uint64_t total, done, cached, diverged, cut;
   /* Counts reported before this claim of a job that shares rollouts. The job finds its cells in the
    * store again, in any order. Until it has caught up, the reported counts must not decrease. */
@@ -134,6 +136,17 @@ bool mo_active_race_on(struct mo_active *active);
 /* Estimates the rollouts that a job still needs; `done` are done. < 0: unknown, because its race
  * has just begun. */
 double mo_active_left(const struct mo_active *active, uint64_t done);
+
+/* ---- evaluation_climb.c ---- */
+/* Begins the climbs of the designs of a loaded job that requested a tolerance: closes all rungs but
+ * the first. MO_ERR_NO_MEMORY. */
+int mo_active_climb(struct mo_active *active);
+void mo_climbs_free(struct mo_climbs *climbs); /* NULL-safe */
+/* Takes the loss of a cell of the grid. */
+void mo_active_climb_give(struct mo_active *active, uint32_t design, uint32_t k, double loss);
+/* Opens the next rungs of the designs whose rungs have all losses and miss the tolerance. Returns
+ * whether there are any. */
+bool mo_active_climb_on(struct mo_active *active);
 
 /* ---- evaluation_blocks.c ---- */
 /* Opens the window of a loaded job. Its blocks return through mo_active_take_back. */

@@ -60,7 +60,7 @@ static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo
   return &all->buckets[(size_t)(h >> 40) % MO_ROLLOUT_BUCKETS];
 }
 
-/* Returns which run of its design a row of the grid is (score_error.h); 0 without estimates. */
+/* Returns which run of its design a row of the grid is (score_ladder.h); 0 without estimates. */
 static uint32_t run_of(const struct mo_work *work, uint32_t design)
 {
   return design / (work->n_designs / work->n_runs);
@@ -77,11 +77,25 @@ static int64_t physics_of(const struct mo_work *work, uint32_t design)
   return work->physics_rows[run_of(work, design)];
 }
 
+static struct mo_setting setting_of(const struct mo_work *work, uint32_t design)
+{
+  const struct mo_setting first = {work->job.physics, work->job.precision};
+  return mo_ladder_run(&first, work->job.n_displaced, run_of(work, design));
+}
+
+/* Returns the class that stores the rollouts of a row: its own in the rungs in float64. */
+static int64_t class_of(const struct mo_work *work, uint32_t design)
+{
+  return work->job.tolerance > 0 && setting_of(work, design).precision == MO_FLOAT64
+             ? work->workers
+             : work->fingerprint;
+}
+
 static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uint32_t k)
 {
   return (struct mo_rollout){.key = {work->genotype_rows[design], work->environment_rows[k],
                                      work->controller, physics_of(work, design),
-                                     work->fingerprint}};
+                                     class_of(work, design)}};
 }
 
 /* Returns whether another block of the same class is computing the rollout of a cell. */
@@ -130,6 +144,8 @@ static void count_cell(struct mo_evaluations *all, struct mo_active *active, uin
     mo_best_give(active->race, design, k, loss);
     active->n_asked--;
   }
+  if (active->climbs != NULL)
+    mo_active_climb_give(active, design, k, loss);
   active->done++;
   active->diverged += diverged_step != 0;
   active->changed = true;
@@ -140,7 +156,7 @@ static struct mo_saved_design design_of(const struct mo_work *work, uint32_t des
 {
   return (struct mo_saved_design){work->genotype_rows[design], work->controller,
                                   physics_of(work, design),    work->environment_set,
-                                  work->fingerprint,           work->workers};
+                                  class_of(work, design),      work->workers};
 }
 
 /* Saves the mean of a design if its cells are done. The additional runs are not ranked. */
@@ -230,8 +246,11 @@ static int prepare(void *context, struct mo_flight *any)
   struct flight *flight = (struct flight *)any;
   struct mo_block *block = &flight->flight.block;
   const struct mo_job *job = &active->work->job;
-  if (active->work->n_runs > 1)
-    block->physics = mo_error_physics(&job->physics, run_of(active->work, any->design));
+  if (active->work->n_runs > 1) {
+    const struct mo_setting setting = setting_of(active->work, any->design);
+    block->physics = setting.physics;
+    block->precision = setting.precision;
+  }
   int error = job->record != 0
                   ? mo_body_create(active->all->jobs->lattice, block->genotype, &flight->body)
                   : MO_OK;

@@ -48,6 +48,8 @@ int mo_active_race(struct mo_active *active)
 double mo_active_left(const struct mo_active *active, uint64_t done)
 {
   const double left = (double)(active->total - done);
+  if (active->climbs != NULL && active->work->n_designs > 0 && left > 0)
+    return -1; /* depends on how far the designs climb */
   if (active->race == NULL)
     return left;
   const double later = mo_best_left(active->race);

@@ -47,7 +47,7 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                   struct mo_message *message)
 {
   struct mo_submission *job = &request->job;
-  const uint32_t cost = mo_error_cost(request->n_displaced);
+  const uint32_t cost = mo_ladder_cost(request->n_displaced, request->tolerance);
   const uint64_t n = (uint64_t)request->n_designs * request->n_environments * cost;
   const bool is_small = n <= INTERACTIVE_ROLLOUTS && job->back_end != MO_ON_DEVICE;
   bool is_interactive =
@@ -63,7 +63,8 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
     (void)mo_physics_complete(&physics, controller.control_period_s); /* submission checks it */
   is_interactive =
       is_interactive && mo_is_short(request->n_designs * cost, springs * cost,
-                                    request->n_environments, &physics, request->precision);
+                                    request->n_environments, &physics,
+                                    request->tolerance > 0 ? MO_FLOAT64 : request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   const bool suits = !is_interactive && request->precision == MO_FLOAT32 && request->record == 0 &&
                      request->n_displaced == 0 && request->measures == 0;
@@ -97,13 +98,16 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
                           request->n_designs, request->notes, request->n_notes, message);
 }
 
-/* Checks that the bytes of each design and rollout fit into memory (evaluation.h, best.c). */
+/* Checks that the bytes of each design and rollout fit into memory (evaluation.h, best.c,
+ * evaluation_climb.c). */
 static int check_large(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                        struct mo_message *message)
 {
-  const uint64_t rows = (uint64_t)request->n_designs * mo_error_runs(request->n_displaced);
+  const uint64_t rows =
+      (uint64_t)request->n_designs * mo_ladder_runs(request->n_displaced, request->tolerance);
+  const bool keeps_losses = request->best > 0 || request->tolerance > 0;
   const struct mo_need need = {
-      .own = (80 + (request->best > 0 ? 9 : 1) * (uint64_t)request->n_environments) * rows};
+      .own = (80 + (keeps_losses ? 9 : 1) * (uint64_t)request->n_environments) * rows};
   return mo_memory_check(jobs, &need, message);
 }
 
@@ -126,14 +130,15 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     request.genotypes = placed.genotypes;
   }
   request.forms = placed.forms;
-  if (error == MO_OK && waits)
+  if (error == MO_OK && (waits || request.tolerance > 0))
     error = check_large(jobs, &request, message);
   if (error == MO_OK)
     error = choose(jobs, &request, message);
   if (error == MO_OK && !waits)
     error = mo_evaluation_orient(jobs, &request, &placed, message);
   submitting.rollouts =
-      (uint64_t)request.n_designs * request.n_environments * mo_error_cost(request.n_displaced);
+      (uint64_t)request.n_designs * request.n_environments *
+      mo_ladder_cost(request.n_displaced, request.tolerance);
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, submitting.rollouts, message);
   if (error == MO_OK)

@@ -39,7 +39,7 @@ struct mo_physics mo_error_physics(const struct mo_physics *physics, uint32_t ru
 
 struct mo_score_error mo_score_error_unknown(void)
 {
-  return (struct mo_score_error){NAN, NAN, NAN, NAN, NAN, 0};
+  return (struct mo_score_error){NAN, NAN, NAN, NAN, NAN, NAN, 0};
 }
 
 /* Returns the half-width of the interval in units of the three errors, calibrated with tools/bench
@@ -93,10 +93,10 @@ struct mo_score_error mo_score_error_of(const double *losses, uint32_t n_displac
     error.rounding = fmax(error.rounding, fabs(mean_of(losses + (size_t)run * n, n) - score));
   error.standard_error = n > 1 ? sqrt(deviation / (n - 1) / n) : NAN;
   error.bifurcates = find_bifurcations(losses, n_displaced, n);
-  const double width =
+  error.half_width =
       factor_of(n) * sqrt(error.discretization * error.discretization +
                           whole * whole * scatter / n / n + error.rounding * error.rounding);
-  error.low = fmax(0, score - width);
-  error.high = score + width;
+  error.low = fmax(0, score - error.half_width);
+  error.high = score + error.half_width;
   return error;
 }

@@ -39,16 +39,15 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
   return content_row(writer, find_sql, insert_sql, bytes, size, row);
 }
 
-int mo_physics_runs(struct mo_connection *connection, const struct mo_physics *physics,
-                    enum mo_precision precision, enum mo_sensor sensor, uint32_t n_displaced,
-                    int64_t *rows)
+int mo_physics_runs(struct mo_connection *connection, const struct mo_setting *first,
+                    enum mo_sensor sensor, uint32_t n_displaced, double tolerance, int64_t *rows)
 {
   static const char sql[] = "SELECT id FROM physics WHERE sha256=?1";
   int error = MO_OK;
-  for (uint32_t run = 1; run < mo_error_runs(n_displaced) && error == MO_OK; run++) {
-    const struct mo_physics settings = mo_error_physics(physics, run);
+  for (uint32_t run = 1; run < mo_ladder_runs(n_displaced, tolerance) && error == MO_OK; run++) {
+    const struct mo_setting setting = mo_ladder_run(first, n_displaced, run);
     struct mo_sha256 hash;
-    mo_physics_hash(&settings, precision, sensor, &hash);
+    mo_physics_hash(&setting.physics, setting.precision, sensor, &hash);
     error = mo_sql_find(connection, &rows[run], sql, mo_hash(&hash));
   }
   return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;

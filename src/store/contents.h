@@ -10,11 +10,10 @@ int mo_environment_row(struct mo_connection *writer, const struct mo_environment
                        int64_t *row);
 int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,
                    enum mo_precision precision, enum mo_sensor sensor, int64_t *row);
-/* Finds the settings of the additional runs that estimate errors (score_error.h): rows
- * (mo_error_runs(n_displaced)); rows[0] does not change. MO_ERR_CORRUPT: not stored. */
-int mo_physics_runs(struct mo_connection *connection, const struct mo_physics *physics,
-                    enum mo_precision precision, enum mo_sensor sensor, uint32_t n_displaced,
-                    int64_t *rows);
+/* Finds the settings of the additional runs that estimate errors (score_ladder.h): rows
+ * (mo_ladder_runs(n_displaced, tolerance)); rows[0] does not change. MO_ERR_CORRUPT: not stored. */
+int mo_physics_runs(struct mo_connection *connection, const struct mo_setting *first,
+                    enum mo_sensor sensor, uint32_t n_displaced, double tolerance, int64_t *rows);
 /* A design and one of its orientations. */
 int mo_genotype_row(struct mo_connection *writer, const uint64_t *form, const uint64_t *genotype,
                     int64_t now_us, int64_t *row);

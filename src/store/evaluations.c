@@ -20,7 +20,7 @@ struct result_keys {
   bool verify, is_complete;      /* is_complete: the job has succeeded, so no loss may be missing */
   enum mo_integrator integrator;
   uint32_t n_displaced;
-  int64_t physics[MO_ERROR_RUNS_MAX]; /* rows of the settings of all runs */
+  int64_t physics[MO_LADDER_RUNS_MAX]; /* rows of the settings of all runs */
   int64_t environments[MO_ENVIRONMENTS_MAX];
 };
 
@@ -29,16 +29,15 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
-      "coalesce(workers,0),state=3,n_displaced,encoding,measures FROM evaluations JOIN jobs j ON "
-      "j.id=job"
+      "coalesce(workers,0),state=3,n_displaced,encoding,measures,tolerance FROM evaluations JOIN "
+      "jobs j ON j.id=job"
       " JOIN physics p ON p.id=physics WHERE job=?1 AND state<>6";
-  struct mo_physics physics;
-  enum mo_precision precision;
+  struct mo_setting first;
   enum mo_sensor sensor;
   sqlite3_stmt *row;
   int error = mo_sql_row(reader, &row, sql, mo_int(range->id));
   if (error == MO_OK)
-    error = mo_column_physics(row, 9, &physics, &precision, &sensor);
+    error = mo_column_physics(row, 9, &first.physics, &first.precision, &sensor);
   if (error != MO_OK)
     return error;
   *keys = (struct result_keys){.design = {.controller = sqlite3_column_int64(row, 0),
@@ -47,7 +46,7 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
                                           .workers = sqlite3_column_int64(row, 6)},
                                .verify = sqlite3_column_int(row, 2) != 0,
                                .is_complete = sqlite3_column_int(row, 7) != 0,
-                               .integrator = physics.scheme.integrator,
+                               .integrator = first.physics.scheme.integrator,
                                .n_displaced = mo_column_u32(row, 8),
                                .physics = {sqlite3_column_int64(row, 1)}};
   results->n_designs = mo_column_u32(row, 3);
@@ -56,6 +55,9 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
   results->n_measures = (uint32_t)__builtin_popcount(results->measure_set);
   if ((results->measure_set & ~MO_MEASURES_ALL) != 0)
     return MO_ERR_CORRUPT;
+  results->tolerance = sqlite3_column_double(row, 11);
+  for (uint32_t rung = 0; rung < MO_LADDER_RUNGS; rung++)
+    results->rungs[rung] = mo_ladder_rung(&first, rung);
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
       results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED)
     return MO_ERR_CORRUPT;
@@ -64,7 +66,8 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
   if (range->n == 0)
     range->n = results->n_designs;
   results->n_designs = range->n;
-  error = mo_physics_runs(reader, &physics, precision, sensor, keys->n_displaced, keys->physics);
+  error =
+      mo_physics_runs(reader, &first, sensor, keys->n_displaced, results->tolerance, keys->physics);
   if (error != MO_OK)
     return error;
   return mo_environments_read(reader, range->id, results->n_environments, NULL, keys->environments);
@@ -72,6 +75,7 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
 
 static int allocate_results(struct mo_evaluation_results *results, bool verify, bool has_errors)
 {
+  const bool climbs = results->tolerance > 0;
   size_t n = results->n_designs, cells = n * results->n_environments;
   results->forms = calloc(n, sizeof(*results->forms));
   results->genotypes = calloc(n, sizeof(*results->genotypes));
@@ -82,6 +86,8 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify, 
   results->diverged_steps = calloc(cells, sizeof(*results->diverged_steps));
   if (has_errors)
     results->errors = calloc(n, sizeof(*results->errors));
+  if (climbs)
+    results->climbed = calloc(n, sizeof(*results->climbed));
   if (verify) {
     results->stored_losses = calloc(cells, sizeof(*results->stored_losses));
     results->agrees = calloc(n, sizeof(*results->agrees));
@@ -95,6 +101,7 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify, 
   if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL ||
       results->is_bound == NULL || results->losses == NULL || results->diverged_steps == NULL ||
       results->paths_m == NULL || (has_errors && results->errors == NULL) ||
+      (climbs && results->climbed == NULL) ||
       (verify && (results->stored_losses == NULL || results->agrees == NULL)))
     return MO_ERR_NO_MEMORY;
   for (size_t i = 0; i < n; i++) {
@@ -132,32 +139,87 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
   return error;
 }
 
+static double mean_of(const double *losses, uint32_t n)
+{
+  double sum = 0;
+  for (uint32_t k = 0; k < n; k++)
+    sum += losses[k];
+  return sum / n;
+}
+
+static bool has_unknown(const double *losses, uint32_t n)
+{
+  bool any = false;
+  for (uint32_t i = 0; i < n; i++)
+    any |= isnan(losses[i]);
+  return any;
+}
+
+/* Reads the losses of the runs first … end − 1 for the key's genotype. losses: (end − first,
+ * columns) NaN: not stored. */
+static int load_runs(struct mo_connection *reader, const struct result_keys *keys, uint32_t columns,
+                     uint32_t first, uint32_t end, double *losses)
+{
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  struct mo_saved_design design = keys->design;
+  int error = MO_OK;
+  for (uint32_t run = first; run < end && error == MO_OK; run++) {
+    design.physics = keys->physics[run];
+    error = mo_losses_read(reader, &design, keys->environments, columns, scores);
+    for (uint32_t k = 0; k < columns && error == MO_OK; k++)
+      *losses++ = scores[k].known ? scores[k].loss : NAN;
+  }
+  return error;
+}
+
 /* Estimates the error of row `n` of the results, which has its losses, for the key's genotype. */
 static int estimate_error(struct mo_connection *reader, const struct result_keys *keys, size_t n,
                           struct mo_evaluation_results *results)
 {
   const uint32_t columns = results->n_environments;
   double losses[MO_ERROR_RUNS_MAX * MO_ENVIRONMENTS_MAX];
-  struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  struct mo_saved_design design = keys->design;
-  int error = MO_OK;
   memcpy(losses, &results->losses[n * columns], columns * sizeof(*losses));
   for (uint32_t k = 0; k < columns; k++)
     if (isnan(losses[k])) { /* nothing to estimate yet */
       results->errors[n] = mo_score_error_unknown();
       return MO_OK;
     }
-  for (uint32_t run = 1; run < mo_error_runs(keys->n_displaced) && error == MO_OK; run++) {
-    design.physics = keys->physics[run];
-    error = mo_losses_read(reader, &design, keys->environments, columns, scores);
-    for (uint32_t k = 0; k < columns && error == MO_OK; k++) {
-      losses[run * columns + k] = scores[k].known ? scores[k].loss : NAN;
-      if (!scores[k].known && keys->is_complete)
-        error = MO_ERR_CORRUPT;
-    }
+  const uint32_t n_runs = mo_error_runs(keys->n_displaced);
+  const int error = load_runs(reader, keys, columns, 1, n_runs, losses + columns);
+  if (error != MO_OK)
+    return error;
+  if (keys->is_complete && has_unknown(losses, n_runs * columns))
+    return MO_ERR_CORRUPT;
+  results->errors[n] = mo_score_error_of(losses, keys->n_displaced, columns, keys->integrator);
+  return MO_OK;
+}
+
+/* Climbs from the stored losses of the key's genotype. Row `n` of the results gets the losses and
+ * the error of the chosen rung. */
+static int climb(struct mo_connection *reader, struct result_keys *keys, size_t n,
+                 struct mo_evaluation_results *results)
+{
+  const uint32_t columns = results->n_environments, n_runs = mo_error_runs(keys->n_displaced);
+  struct mo_climbed *climbed = &results->climbed[n];
+  double losses[MO_ERROR_RUNS_MAX * MO_ENVIRONMENTS_MAX];
+  while (climbed->n < MO_LADDER_RUNGS && !climbed->climb.reached) {
+    const uint32_t rung = climbed->n, first = rung * n_runs;
+    const int error = load_runs(reader, keys, columns, first, first + n_runs, losses);
+    if (error != MO_OK)
+      return error;
+    if (has_unknown(losses, n_runs * columns)) /* the next rung was not computed yet */
+      break;
+    climbed->errors[rung] = mo_score_error_of(losses, keys->n_displaced, columns, keys->integrator);
+    climbed->scores[rung] = mean_of(losses, columns);
+    climbed->climb = mo_ladder_climb(climbed->errors, ++climbed->n, results->tolerance);
   }
-  if (error == MO_OK)
-    results->errors[n] = mo_score_error_of(losses, keys->n_displaced, columns, keys->integrator);
+  const bool has_ended = climbed->n == MO_LADDER_RUNGS || climbed->climb.reached;
+  if (!has_ended)
+    return keys->is_complete ? MO_ERR_CORRUPT : MO_OK;
+  results->errors[n] = climbed->errors[climbed->climb.rung];
+  keys->design.physics = keys->physics[climbed->climb.rung * n_runs];
+  const int error = load_losses(reader, keys, n, UINT64_MAX, results);
+  keys->design.physics = keys->physics[0];
   return error;
 }
 
@@ -208,9 +270,13 @@ static int load_designs(struct mo_connection *reader, const struct range *range,
       return MO_ERR_CORRUPT;
     error = mo_column_listed(row, 2, 3, &results->genotypes[n], &results->forms[n]);
     keys->design.genotype = sqlite3_column_int64(row, 1);
-    if (error == MO_OK && !keys->verify && keys->design.fingerprint != 0)
+    if (error != MO_OK || keys->design.fingerprint == 0)
+      continue;
+    if (results->climbed != NULL)
+      error = climb(reader, keys, n, results);
+    else if (!keys->verify)
       error = load_losses(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);
-    if (error == MO_OK && results->errors != NULL && keys->design.fingerprint != 0)
+    if (error == MO_OK && results->climbed == NULL && results->errors != NULL)
       error = estimate_error(reader, keys, n, results);
     if (error == MO_OK && results->measure_set != 0 && keys->design.fingerprint != 0)
       error = load_measures(reader, keys, n, (uint64_t)sqlite3_column_int64(row, 4), results);
@@ -277,6 +343,7 @@ static int load_paths(struct mo_connection *reader, const struct range *range,
   return error;
 }
 
+/* The mean of a row's losses, where unknown ones of a lower bound count as 0. */
 static void finish_score(struct mo_evaluation_results *results, uint32_t n)
 {
   const double *losses = &results->losses[(size_t)n * results->n_environments];
@@ -325,6 +392,7 @@ void mo_evaluation_results_free(void *any)
   free(results->errors);
   free(results->measures);
   free(results->flags);
+  free(results->climbed);
   free(results->paths_m);
   free(results);
 }

@@ -43,6 +43,8 @@ struct mo_evaluation_request {
   uint32_t n_displaced; /* displaced starts that estimate the errors of the scores; 0: no estimate.
                            The settings of all runs (score_error.h) are checked */
   uint32_t measures;    /* of the rollouts, as bits (morpho/measure.h) */
+  double tolerance; /* of the estimated errors, with n_displaced > 0; 0: none. The settings of all
+                       rungs (score_ladder.h) are checked */
   bool verify;
   unsigned record;        /* channels */
   uint32_t record_stride; /* 1 … n_steps; ignored if nothing is recorded */
@@ -54,6 +56,13 @@ int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *
 
 /* ---- results ---- */
 
+/* The climb of a design (score_ladder.h), and what its rungs gave. */
+struct mo_climbed {
+  struct mo_climb climb;
+  uint32_t n; /* rungs with complete losses; 0: none yet, or a skipped design */
+  struct mo_score_error errors[MO_LADDER_RUNGS];
+  double scores[MO_LADDER_RUNGS]; /* +infinity: a rollout diverged */
+};
 /* The results of an evaluation. Rows are designs, columns are environments, both in the order of
  * the request. A design that was skipped is empty; its losses and score are NaN. */
 struct mo_evaluation_results {
@@ -75,6 +84,10 @@ struct mo_evaluation_results {
   double *measures; /* (n_designs, n_environments, n_measures) those of the set, in its order; NaN:
                        without a value, diverged, or not computed */
   uint8_t *flags;   /* (n_designs, n_environments) bits of enum mo_measure_flag */
+  /* With a tolerance, else NULL: the scores and losses above are those of the chosen rungs. */
+  struct mo_climbed *climbed; /* (n_designs) */
+  double tolerance;
+  struct mo_setting rungs[MO_LADDER_RUNGS];
   double *paths_m; /* (n_designs) mean path length of the center of mass over the environments; NaN:
                       not recorded in all of them */
   struct mo_design_note *notes; /* (n_notes) on all designs of the request, ascending */

@@ -62,10 +62,11 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->recordings_removed_us = sqlite3_column_int64(row, MO_COLUMN_RECORDINGS_REMOVED_US);
   job->n_displaced = mo_column_u32(row, MO_COLUMN_N_DISPLACED);
   job->measures = mo_column_u32(row, MO_COLUMN_MEASURES);
+  job->tolerance = sqlite3_column_double(row, MO_COLUMN_TOLERANCE);
   if (job->n_displaced > MO_ERROR_DISPLACED || (job->measures & ~MO_MEASURES_ALL) != 0)
     return MO_ERR_CORRUPT;
   job->rollouts_total = (uint64_t)(job->n_designs - job->n_skipped) * job->n_environments *
-                        mo_error_runs(job->n_displaced);
+                        mo_ladder_runs(job->n_displaced, job->tolerance);
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DONE);
   job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_CACHED);
   job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, MO_COLUMN_DIVERGED);

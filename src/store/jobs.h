@@ -37,6 +37,7 @@
   X(BEST, "e.best")                                                                                \
   X(N_DISPLACED, "e.n_displaced")                                                                  \
   X(MEASURES, "e.measures")                                                                        \
+  X(TOLERANCE, "e.tolerance")                                                                      \
   X(RANDOM_SEED, "e.random_seed")                                                                  \
   X(RANDOM_FIRST, "e.random_first")                                                                \
   X(N_WAITING, "e.n_waiting")                                                                      \

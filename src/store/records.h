@@ -13,7 +13,7 @@
 #include <morpho/controller.h>
 #include <morpho/learning.h>
 #include <morpho/morphospace.h>
-#include <morpho/score_error.h>
+#include <morpho/score_ladder.h>
 #include <morpho/world.h>
 
 #include "store/design_notes.h"
@@ -120,6 +120,7 @@ struct mo_job {
   uint32_t random_first, n_waiting; /* n_waiting: how many of its last designs are not stored yet */
   uint32_t best, measures; /* best designs that get complete scores, 0: all; measures, as bits */
   uint32_t n_displaced;    /* displaced starts that estimate the errors of scores; 0: no estimate */
+  double tolerance;        /* of the scores' estimated errors; 0: none was requested */
   struct mo_physics physics;
   enum mo_precision precision;
   uint32_t record, record_stride; /* channels; steps between two frames */

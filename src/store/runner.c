@@ -224,10 +224,10 @@ int mo_store_origin(struct mo_store *store, const char *text, int64_t *id)
 
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)
 {
-  /* The factor is mo_error_cost. */
+  /* The factor is mo_ladder_cost: 31 for the rungs. */
   static const char sql[] =
       "SELECT count(*),coalesce(sum((e.n_designs-e.n_skipped)*e.n_environments"
-      "*iif(e.n_displaced>0,e.n_displaced+3,1)),0) FROM jobs j"
+      "*iif(e.n_displaced>0,e.n_displaced+3,1)*iif(e.tolerance>0,31,1)),0) FROM jobs j"
       " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=?1";
   int64_t found[2] = {0, 0};
   const int error = mo_read_integers(store, sql, MO_VALUES(mo_int(MO_JOB_PAUSED)), 2, found);
@@ -278,9 +278,10 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
   *before = sqlite3_column_int64(row, 3);
   work->n_designs = work->job.n_designs - work->job.n_skipped;
   work->n_environments = work->job.n_environments;
-  work->n_runs = mo_error_runs(work->job.n_displaced);
-  return mo_physics_runs(reader, &work->job.physics, work->job.precision, work->job.sensor,
-                         work->job.n_displaced, work->physics_rows);
+  const struct mo_setting first = {work->job.physics, work->job.precision};
+  work->n_runs = mo_ladder_runs(work->job.n_displaced, work->job.tolerance);
+  return mo_physics_runs(reader, &first, work->job.sensor, work->job.n_displaced,
+                         work->job.tolerance, work->physics_rows);
 }
 
 static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work *work)
@@ -348,8 +349,9 @@ static int load_work(struct mo_connection *reader, int64_t id, const struct mo_c
   int error = load_head(reader, id, work, &before);
   if (error != MO_OK)
     return error;
-  work->workers = classes->cpu[work->job.precision];
-  work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : work->workers;
+  const int64_t cpu = classes->cpu[work->job.precision];
+  work->workers = work->job.tolerance > 0 ? classes->cpu[MO_FLOAT64] : cpu;
+  work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : cpu;
   bool reruns = work->job.verify || work->job.record != 0;
   work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
   work->environments = calloc(work->n_environments, sizeof(*work->environments));

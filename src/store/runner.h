@@ -90,13 +90,14 @@ struct mo_classes {
 struct mo_work {
   struct mo_job job;
   int64_t controller, environment_set; /* rows; set 0: none */
-  int64_t fingerprint,
-      workers; /* its class; and the class of bodies that devices leave to the workers */
+  /* Its class; and the class of bodies that devices leave to the workers or, with a tolerance, of
+   * the rungs in float64. */
+  int64_t fingerprint, workers;
   /* n_designs: without designs that were skipped. If errors are estimated, each of these occurs
-   * once per run (score_error.h), run after run: design i belongs to run
+   * once per run (score_ladder.h), run after run: design i belongs to run
    * i / (n_designs / n_runs). */
   uint32_t n_designs, n_environments, n_runs;
-  int64_t physics_rows[MO_ERROR_RUNS_MAX]; /* (n_runs) */
+  int64_t physics_rows[MO_LADDER_RUNS_MAX]; /* (n_runs) */
   int64_t *environment_rows;               /* (n_environments) */
   struct mo_environment *environments;     /* (n_environments) */
   int64_t *genotype_rows;                  /* (n_designs) */

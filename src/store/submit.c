@@ -208,10 +208,12 @@ static int resolve(struct mo_connection *writer, const struct mo_evaluation_requ
   *warns = mo_warn_of_physics(&completed, warnings) > 0;
   if (error == MO_OK)
     error = mo_physics_row(writer, &completed, request->precision, sensor, physics);
-  for (uint32_t run = 1; run < mo_error_runs(request->n_displaced) && error == MO_OK; run++) {
-    const struct mo_physics settings = mo_error_physics(&completed, run);
+  const struct mo_setting first = {completed, request->precision};
+  const uint32_t n_runs = mo_ladder_runs(request->n_displaced, request->tolerance);
+  for (uint32_t run = 1; run < n_runs && error == MO_OK; run++) {
+    const struct mo_setting setting = mo_ladder_run(&first, request->n_displaced, run);
     int64_t row;
-    error = mo_physics_row(writer, &settings, request->precision, sensor, &row);
+    error = mo_physics_row(writer, &setting.physics, setting.precision, sensor, &row);
   }
   return error == MO_OK && request->environment_set != NULL
              ? mo_environment_set_find(writer, request->environment_set, set, n_environments)
@@ -224,9 +226,9 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
       "INSERT INTO evaluations(job,controller,controller_name,physics,"
       "environment_set,n_designs,n_environments,verify,record,record_stride,"
       "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting,n_displaced,"
-      "measures)"
+      "measures,tolerance)"
       " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
-      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17,?18)";
+      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17,?18,?19)";
   const struct mo_evaluation_request *request = any;
   const bool waits = request->forms == NULL;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
@@ -237,14 +239,14 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
-    error =
-        mo_sql_do(writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics),
-                  mo_int(set), mo_int((int64_t)request->n_designs + request->n_skipped),
-                  mo_int(n_environments), mo_int(request->verify), mo_int(request->record),
-                  mo_int(request->record_stride), mo_int(request->n_skipped), mo_int(request->best),
-                  mo_int((int64_t)request->random.seed), mo_int(request->random.count),
-                  mo_int(request->random.first), mo_int(waits ? request->n_designs : 0),
-                  mo_int(request->n_displaced), mo_int(request->measures));
+    error = mo_sql_do(
+        writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
+        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
+        mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
+        mo_int(request->n_skipped), mo_int(request->best), mo_int((int64_t)request->random.seed),
+        mo_int(request->random.count), mo_int(request->random.first),
+        mo_int(waits ? request->n_designs : 0), mo_int(request->n_displaced),
+        mo_int(request->measures), mo_real(request->tolerance));
   if (error == MO_OK)
     error =
         mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
@@ -261,7 +263,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             "\"rollouts_total\":%llu}",
                             (long long)*id,
                             (unsigned long long)request->n_designs * (uint64_t)n_environments *
-                                mo_error_runs(request->n_displaced));
+                                mo_ladder_runs(request->n_displaced, request->tolerance));
   /* Most submissions cannot have a warning, and need not be read back. */
   return error == MO_OK && (set == 0 || warns) ? mo_run_announce_warnings(store, *id, true) : error;
 }

@@ -46,7 +46,7 @@ PUBLIC = {
     "task.h": "world",
     "controller.h": "controller", "measure.h": "rollout", "rollout.h": "rollout",
     "gradient.h": "rollout",
-    "score_error.h": "rollout", "compute.h": "compute", "learning.h": "learning",
+    "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute", "learning.h": "learning",
     "evolution.h": "evolution"
 }
 SPEAKS = re.compile(
