@@ -132,6 +132,29 @@ def test_measures_of_rollouts(m, service):
         m.evaluate([BAR], measures="work_j")
 
 
+def test_tolerances(m, service):
+    scored = m.evaluate([DESIGN, np.ones((2, 1, 1), dtype=int)], tolerance=0.001, physics=SHORT)
+    shown = service.get(f"/v1/evaluations/{scored.id}")["results"]
+    for result, row in zip(scored, shown):
+        seen = result.tolerance
+        assert isinstance(seen, morphod.Climb) and seen.data == row["tolerance"]
+        assert seen.reached and seen.asked == 0.001 >= seen.estimated_error and not seen.bifurcates
+        assert (seen.dt_s, seen.precision) == (row["tolerance"]["dt_s"], "float32")
+        assert seen.rungs[-1]["score"] == result.score
+        assert result.error.data == row["error"]
+    table = scored.frame()
+    assert table["reached"].all() and table["dt_s"].tolist() == [0.002, 0.002]
+    drawn = m.evaluate_random(3, seed=3, environments=WORLD, physics=SHORT, tolerance=0.001)
+    assert drawn.table()["estimated_error"].max() <= 0.001
+    plain = m.evaluate([DESIGN], physics=SHORT, error=True)
+    assert plain[0].tolerance is None and "reached" not in plain.frame()
+    skipped = m.evaluate([DESIGN, {"cells": [[9, 0, 0]]}], tolerance=0.001, physics=SHORT,
+                         on_fault="skip")[1].tolerance
+    assert not skipped.reached and math.isnan(skipped.estimated_error) and skipped.dt_s is None
+    with pytest.raises(morphod.InvalidError, match="only for scores that processors"):
+        m.evaluate([DESIGN], tolerance=0.001, device="cuda")
+
+
 def test_diverged_rollouts_are_nan(m):
     wild = {"integrator": "paper", "n_steps": 200, "dt_s": 0.1, "control_period_s": 0.1}
     with pytest.warns(UserWarning, match="every rollout diverged"):

@@ -24,7 +24,7 @@ from .imports import read_bodies
 from .local import LocalClient, local
 from .phylogenies import Phylogeny
 from .player import Player
-from .results import Asked, Batch, Controller, Result, ScoreError
+from .results import Asked, Batch, Climb, Controller, Result, ScoreError
 from .scenes import Rollout, Scene
 from .scores import Entered
 from .tasks import Task
@@ -37,7 +37,7 @@ __all__ = [
     "WORKSPACE", "AccessError", "ApiError", "Asked", "AsyncCampaign", "AsyncCampaigns",
     "AsyncClient", "AsyncEvaluation", "AsyncFleet", "AsyncJob", "AsyncObjective", "AsyncStudy",
     "AsyncStudyObjective", "AsyncTraining", "Batch", "Body", "BodyError", "BusyError", "Campaign",
-    "CampaignComparison", "Campaigns", "Client", "ConflictError", "Controller",
+    "CampaignComparison", "Campaigns", "Client", "Climb", "ConflictError", "Controller",
     "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
     "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
     "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Task", "Training",

@@ -44,6 +44,33 @@ class ScoreError:
         return f"<ScoreError {self.low:.6g} to {self.high:.6g}>"
 
 
+class Climb:
+    """The settings that a tolerance chose for a design.
+
+    `reached` says whether `estimated_error` is at most the tolerance that was `asked`. If not, the
+    score is the one with the least estimated error. `bifurcates` says whether rounding alone
+    changes the score by more than the tolerance, whatever the time step. The score was computed
+    with steps of `dt_s` and numbers of `precision` (both None if there was no body).
+    `estimated_error` is NaN if there was no body, or if rollouts diverged with all settings.
+    `rungs` has what each of the settings that were tried gave, as in the reply.
+    """
+
+    @reading()
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        self.data = data
+        self.asked = float(data["asked"])
+        self.reached, self.bifurcates = bool(data["reached"]), bool(data["bifurcates"])
+        found = data["estimated_error"]
+        self.estimated_error = float("nan") if found is None else float(found)
+        self.dt_s: float | None = data["dt_s"]
+        self.precision: str | None = data["precision"]
+        self.rungs: tuple[Mapping[str, Any], ...] = tuple(data["rungs"])
+
+    def __repr__(self) -> str:
+        return (f"<Climb {'reached' if self.reached else 'missed'} {self.asked:.6g}: "
+                f"{self.estimated_error:.6g}>")
+
+
 def losses_of(rows: Sequence[Sequence[Any]]) -> NDArray[np.float64]:
     """(rows, environments): the losses of entries that are losses or, with tasks, objects."""
     return np.array([[entry["loss"] if isinstance(entry, dict) else entry for entry in row]
@@ -82,10 +109,11 @@ class Result:
     the conversion and the repair of the body left out. `fault` is None, or why there was no body to
     score: then `id`, `robot` and `genotype` are empty, and the score is NaN. `lower_bound` is true
     if the score is a lower bound, because the design cannot be among the `best` that were
-    requested. `error` is the estimated error of the score; None if it was not requested.
-    `measures` has the means of the requested measures over the environments, by name (NaN if a
-    rollout has none), and `flags` marks what real bodies cannot do: "overstrained" and "inverted"
-    if that happens in any of the rollouts.
+    requested. `error` is the estimated error of the score, and `tolerance` has the settings that
+    were chosen for it; both are None if they were not requested. `measures` has the means of the
+    requested measures over the environments, by name (NaN if a rollout has none), and `flags` marks
+    what real bodies cannot do: "overstrained" and "inverted" if that happens in any of the
+    rollouts.
     """
 
     @reading()
@@ -107,6 +135,8 @@ class Result:
         self.measures = {str(name): float("nan") if mean is None else float(mean)
                          for name, mean in data.get("measures", {}).items()}
         self.flags = tuple(str(flag) for flag in data.get("flags", ()))
+        climb = data.get("tolerance")
+        self.tolerance = None if climb is None else Climb(climb)
 
     @property
     @reading()

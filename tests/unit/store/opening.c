@@ -3,9 +3,10 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 18 /* schema */
-/* Takes back what version 18 added. */
-#define WITHOUT_18 "DROP TABLE measures; ALTER TABLE evaluations DROP COLUMN measures;"
+#define NEWEST 19 /* schema */
+/* Takes back what versions 18 and 19 added. */
+#define WITHOUT_19 "ALTER TABLE evaluations DROP COLUMN tolerance;"
+#define WITHOUT_18 "DROP TABLE measures; ALTER TABLE evaluations DROP COLUMN measures;" WITHOUT_19
 
 static void opens_and_locks(void)
 {
@@ -150,6 +151,25 @@ static void opens_version_17(void)
   CHECK_INT(outside_integer("SELECT count(*) FROM measures"), 0);
 }
 
+/* Those of version 18 have no tolerance. */
+static void opens_version_18(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
+  submission.n_displaced = MO_ERROR_DISPLACED;
+  const int64_t old = submit_evaluation(&submission);
+  REQUIRE(old > 0);
+  REQUIRE_OK(reopen_after(WITHOUT_19 "PRAGMA user_version=18"));
+  CHECK_NEAR(job_of(old).tolerance, 0, 0);
+  CHECK_INT(job_of(old).n_displaced, MO_ERROR_DISPLACED);
+  submission.tolerance = 0.01;
+  const int64_t next = submit_evaluation(&submission);
+  REQUIRE(next > 0);
+  CHECK_NEAR(job_of(next).tolerance, 0.01, 0);
+  CHECK_INT(job_of(next).rollouts_total, job_of(old).rollouts_total * MO_LADDER_RUNGS);
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
 /* Noise replaces the root page of a table or an index; the header and the schema stay. */
 static void names_damaged_pages(void)
 {
@@ -272,6 +292,7 @@ static const struct check_case cases[] = {
     {"opens a folder of version 15", opens_version_15},
     {"opens a folder of version 16", opens_version_16},
     {"opens a folder of version 17", opens_version_17},
+    {"opens a folder of version 18", opens_version_18},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)

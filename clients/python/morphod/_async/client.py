@@ -94,6 +94,7 @@ class AsyncClient:
                        label: str | None = None, experiment: str | None = None,
                        verify: bool = False, best: int | None = None, error: bool = False,
                        measures: Literal[True] | Sequence[str] | None = None,
+                       tolerance: float | None = None,
                        repair: Repair | None = None, on_fault: OnFault = "refuse",
                        wait: bool = True) -> AsyncEvaluation:
         """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). With
@@ -108,9 +109,11 @@ class AsyncClient:
         `on_fault="skip"` skips invalid bodies; their results have a `fault` and NaN. `best=10`
         computes complete scores only for the ten best; the others are cut short, and have lower
         bounds. `error=True` estimates the error of each score, at six times the cost: see
-        `Result.error`. `measures` requests numbers that describe each rollout, such as
-        `["displacement_m", "work_j"]`, or all with True: see `measures` of the evaluation and of
-        `Result`. An id without an orientation is scored in the orientation with the best
+        `Result.error`. `tolerance=0.01` chooses time step and precision for each design, so that
+        its score has at most that estimated error: see `Result.tolerance`. `measures` requests
+        numbers that describe each rollout, such as `["displacement_m", "work_j"]`, or all with
+        True: see `measures` of the evaluation and of `Result`. An id without an orientation is
+        scored in the orientation with the best
         stored score, or else in the canonical one; `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
@@ -125,7 +128,8 @@ class AsyncClient:
             "precision": precision, "weight": weight, "device": device, "verify": verify,
             "on_fault": on_fault,
             **_given(physics=physics, priority=priority, label=label, experiment=experiment,
-                     repair=repair, best=best, error=error or None, measures=_measures(measures)),
+                     repair=repair, best=best, error=error or None, tolerance=tolerance,
+                     measures=_measures(measures)),
         }
         if record:
             value.update(record=list(record), record_stride=record_stride)
@@ -189,10 +193,12 @@ class AsyncClient:
                               label: str | None = None, experiment: str | None = None,
                               best: int | None = None, error: bool = False,
                               measures: Literal[True] | Sequence[str] | None = None,
+                              tolerance: float | None = None,
                               wait: bool = True) -> AsyncEvaluation:
         """Scores the bodies of `random_bodies(count, seed, first=first)` without sending them: up
         to 1,000,000 in one evaluation, with one `best` for all. The service first draws and stores
-        them; until then the evaluation is queued. `error` and `measures` as in `evaluate`.
+        them; until then the evaluation is queued. `error`, `tolerance` and `measures` as in
+        `evaluate`.
 
         With more than 10,000 bodies, `table()` reads the results in pages; `table(whole=True)`
         reads only those that are not lower bounds.
@@ -202,7 +208,7 @@ class AsyncClient:
             "environments": environments, "controller": controller, "precision": precision,
             "weight": weight, "device": device,
             **_given(physics=physics, label=label, experiment=experiment, best=best,
-                     error=error or None, measures=_measures(measures)),
+                     error=error or None, tolerance=tolerance, measures=_measures(measures)),
         }
         request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
         try:

@@ -213,6 +213,7 @@ class AsyncJob:
         return reply
 
 
+_CLIMB = ("reached", "estimated_error", "dt_s", "precision")
 _ERRORS = ("low", "high", "discretization", "rounding", "standard_error", "bifurcates")
 
 
@@ -334,10 +335,11 @@ class AsyncEvaluation(AsyncJob):
         """Returns a table with a row per design: id, robot (the scored orientation), genotype,
         score, lower_bound (with `best`: whether the score is one), diverged (rollouts), voxels,
         masses, springs, footprint, repaired (dropped voxels), path_length_m (if com is recorded),
-        fault (None, or why there was no body), with `error` the numbers of `ScoreError`, and a
-        column loss_0, loss_1, … per environment. With `measures` also their means, as
-        measures_displacement_m and so on, and flags. With tasks or measures also value and unit (if
-        all values have the same unit), and value_0, value_1, … per environment."""
+        fault (None, or why there was no body), with `error` the numbers of `ScoreError`, with
+        `tolerance` reached, estimated_error, dt_s and precision of `Climb`, and a column loss_0,
+        loss_1, … per environment. With `measures` also their means, as measures_displacement_m and
+        so on, and flags. With tasks or measures also value and unit (if all values have the same
+        unit), and value_0, value_1, … per environment."""
         results = self._results
         losses = self.losses
         with reading():
@@ -345,6 +347,7 @@ class AsyncEvaluation(AsyncJob):
 
     def _table(self, results: list[dict[str, Any]], losses: NDArray[np.float64]) -> pd.DataFrame:
         errors = [result.error for result in self if result.error is not None]
+        climbs = [result.tolerance for result in self if result.tolerance is not None]
         table: pd.DataFrame = pandas().DataFrame({
             "id": [row["id"] for row in results],
             "robot": [row["robot"] for row in results],
@@ -358,6 +361,7 @@ class AsyncEvaluation(AsyncJob):
                             "path_length_m")},
             "fault": [result.fault for result in self],
             **{name: [getattr(error, name) for error in errors] for name in _ERRORS if errors},
+            **{name: [getattr(climb, name) for climb in climbs] for name in _CLIMB if climbs},
             **{f"loss_{place}": losses[:, place] for place in range(losses.shape[1])},
         })
         for name in self.measures:
