@@ -40,6 +40,11 @@ static void warn_of_rollouts(struct mo_job *job)
   if (diverged > 0 && diverged >= run && is_final)
     warn(job, "all_diverged", "every rollout diverged (%llu), so no robot has a score; %s",
          (unsigned long long)diverged, remedy);
+  else if (diverged > 0 && job->tolerance > 0)
+    warn(job, "diverged",
+         "%llu of %llu rollouts%s diverged; settings with which a rollout of a robot diverged have "
+         "no estimated error, and others are chosen if there are any; %s",
+         (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far", remedy);
   else if (diverged > 0)
     warn(job, "diverged",
          "%llu of %llu rollouts%s diverged, and a robot has no score if any of its rollouts "
