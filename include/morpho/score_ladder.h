@@ -49,8 +49,10 @@ struct mo_climb {
   uint32_t rung; /* the first one that reaches the tolerance; if none does, the one with the least
                     estimated error, or the last one if none has an estimate */
   bool reached;
-  bool bifurcates; /* in every rung, displaced starts change the score by more than the tolerance:
-                      a smaller step does not help */
+  /* The tolerance is missed, and a smaller step does not help: in every rung, displaced starts
+   * change the score by more than the tolerance, or the estimated error of the last rung is more
+   * than half of that two rungs before (a converging first-order error is a quarter). */
+  bool bifurcates;
 };
 /* Chooses the rung of a design from the errors of its first n ≥ 1 rungs. */
 struct mo_climb mo_ladder_climb(const struct mo_score_error *errors, uint32_t n, double tolerance);

@@ -9,7 +9,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "jobs/evaluation.h"
+#include "jobs/evaluation_climb.h"
 #include "jobs/submission.h"
 
 #define DESIGNS_A_ROUND 64 /* of each job */
@@ -303,7 +303,8 @@ static bool fill(struct mo_evaluations *all, struct mo_active *active)
   if (active->detached || active->finishing)
     return false;
   active->window.most = mo_back_end_window(all->jobs, active->work->job.back_end);
-  while ((launched > 0 || (launched == 0 && (mo_active_race_on(active) || mo_active_climb_on(active)))) &&
+  while ((launched > 0 ||
+          (launched == 0 && (mo_active_race_on(active) || mo_active_climb_on(active)))) &&
          !(active->work->job.record != 0 && mo_saver_is_full(all)))
     launched = mo_window_launch(&active->window, &budget);
   if (launched < 0)

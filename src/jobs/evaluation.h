@@ -10,7 +10,6 @@
 #define MORPHO_JOBS_EVALUATION_H
 
 #include <morpho/evolution.h>
-#include <morpho/score_ladder.h>
 
 #include "jobs/controllers.h"
 #include "jobs/pace.h"
@@ -26,10 +25,10 @@ struct mo_active {
   enum mo_urgency priority;
   struct mo_loaded *controller;
   struct mo_grid grid;
-  struct mo_window window; /* over the grid */
-  struct mo_best *race;    /* NULL: all rollouts are computed */
-  uint64_t n_asked;        /* rollouts of the current round of the race that are not done */
-  struct mo_climbs *climbs; /* NULL: no tolerance was requested */
+  struct mo_window window;  /* over the grid */
+  struct mo_best *race;     /* NULL: all rollouts are computed */
+  uint64_t n_asked;         /* rollouts of the current round of the race that are not done */
+  struct mo_climbs *climbs; /* evaluation_climb.c; NULL: no tolerance was requested */
   /* done has cut: rollouts that a race or a climb does not need. */
   uint64_t total, done, cached, diverged, cut;
   /* Counts reported before this claim of a job that shares rollouts. The job finds its cells in the
@@ -59,8 +58,7 @@ struct mo_rollout {
   struct mo_rollout *next_save; /* in pending or in the current save */
 };
 
-/* A growing array. */
-struct mo_rows {
+struct mo_rows { /* a growing array */
   void *rows;
   size_t n, room;
 };
@@ -136,17 +134,6 @@ bool mo_active_race_on(struct mo_active *active);
 /* Estimates the rollouts that a job still needs; `done` are done. < 0: unknown, because its race
  * has just begun. */
 double mo_active_left(const struct mo_active *active, uint64_t done);
-
-/* ---- evaluation_climb.c ---- */
-/* Begins the climbs of the designs of a loaded job that requested a tolerance: closes all rungs but
- * the first. MO_ERR_NO_MEMORY. */
-int mo_active_climb(struct mo_active *active);
-void mo_climbs_free(struct mo_climbs *climbs); /* NULL-safe */
-/* Takes the loss of a cell of the grid. */
-void mo_active_climb_give(struct mo_active *active, uint32_t design, uint32_t k, double loss);
-/* Opens the next rungs of the designs whose rungs have all losses and miss the tolerance. Returns
- * whether there are any. */
-bool mo_active_climb_on(struct mo_active *active);
 
 /* ---- evaluation_blocks.c ---- */
 /* Opens the window of a loaded job. Its blocks return through mo_active_take_back. */

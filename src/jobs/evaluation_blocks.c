@@ -10,8 +10,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <morpho/score_ladder.h>
+
 #include "base/clock.h"
-#include "jobs/evaluation.h"
+#include "jobs/evaluation_climb.h"
 
 /* A block of an evaluation. */
 struct flight {

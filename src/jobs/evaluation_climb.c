@@ -8,14 +8,16 @@
  * first rung and find the saved losses. */
 #include <stdlib.h>
 
-#include "jobs/evaluation.h"
+#include <morpho/score_ladder.h>
+
+#include "jobs/evaluation_climb.h"
 
 /* The climbs of n designs. */
 struct mo_climbs {
   uint32_t n, n_environments, n_runs; /* n_runs: of a rung */
   struct climb {
     uint32_t rung, n_left; /* n_left: losses of the rung that are missing */
-  } *climbs;               /* (n) */
+  } * climbs;              /* (n) */
   double *losses;          /* (n, n_runs, n_environments) of the current rungs */
   uint32_t *complete;      /* (n_complete) designs with all losses of their rungs */
   uint32_t n_complete;
@@ -80,9 +82,9 @@ static bool reaches(const struct mo_active *active, uint32_t design)
 {
   const struct mo_climbs *climbs = active->climbs;
   const struct mo_job *job = &active->work->job;
-  const struct mo_score_error error = mo_score_error_of(
-      &climbs->losses[(size_t)design * cells_of_rung(climbs)], job->n_displaced,
-      climbs->n_environments, job->physics.scheme.integrator);
+  const struct mo_score_error error =
+      mo_score_error_of(&climbs->losses[(size_t)design * cells_of_rung(climbs)], job->n_displaced,
+                        climbs->n_environments, job->physics.scheme.integrator);
   return mo_ladder_climb(&error, 1, job->tolerance).reached;
 }
 
@@ -111,8 +113,7 @@ bool mo_active_climb_on(struct mo_active *active)
       open_rung(active, design, ++climb->rung);
       any = true;
     } else {
-      const uint64_t cut =
-          (uint64_t)(MO_LADDER_RUNGS - 1 - climb->rung) * cells_of_rung(climbs);
+      const uint64_t cut = (uint64_t)(MO_LADDER_RUNGS - 1 - climb->rung) * cells_of_rung(climbs);
       active->cut += cut;
       active->done += cut;
     }

@@ -61,10 +61,9 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   struct mo_controller_record controller;
   if (is_interactive && mo_store_controller(jobs->store, request->controller, &controller) == MO_OK)
     (void)mo_physics_complete(&physics, controller.control_period_s); /* submission checks it */
-  is_interactive =
-      is_interactive && mo_is_short(request->n_designs * cost, springs * cost,
-                                    request->n_environments, &physics,
-                                    request->tolerance > 0 ? MO_FLOAT64 : request->precision);
+  is_interactive = is_interactive &&
+                   mo_is_short(request->n_designs * cost, springs * cost, request->n_environments,
+                               &physics, request->tolerance > 0 ? MO_FLOAT64 : request->precision);
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   const bool suits = !is_interactive && request->precision == MO_FLOAT32 && request->record == 0 &&
                      request->n_displaced == 0 && request->measures == 0;
@@ -136,9 +135,8 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     error = choose(jobs, &request, message);
   if (error == MO_OK && !waits)
     error = mo_evaluation_orient(jobs, &request, &placed, message);
-  submitting.rollouts =
-      (uint64_t)request.n_designs * request.n_environments *
-      mo_ladder_cost(request.n_displaced, request.tolerance);
+  submitting.rollouts = (uint64_t)request.n_designs * request.n_environments *
+                        mo_ladder_cost(request.n_displaced, request.tolerance);
   if (error == MO_OK)
     error = mo_jobs_admit(jobs, 1, submitting.rollouts, message);
   if (error == MO_OK)

@@ -36,6 +36,13 @@ struct mo_setting mo_ladder_run(const struct mo_setting *first, uint32_t n_displ
   return of_run;
 }
 
+/* Returns whether the error of the last rung has not fallen as the error of a step does; false if
+ * it is unknown. */
+static bool has_stalled(const struct mo_score_error *errors, uint32_t n)
+{
+  return n == MO_LADDER_RUNGS && errors[n - 1].half_width > 0.5 * errors[n - 3].half_width;
+}
+
 struct mo_climb mo_ladder_climb(const struct mo_score_error *errors, uint32_t n, double tolerance)
 {
   struct mo_climb climb = {.rung = n - 1, .bifurcates = true};
@@ -50,5 +57,6 @@ struct mo_climb mo_ladder_climb(const struct mo_score_error *errors, uint32_t n,
       climb.rung = rung;
     }
   }
+  climb.bifurcates = climb.bifurcates || has_stalled(errors, n);
   return climb;
 }

@@ -58,8 +58,7 @@ static inline bool mo_job_state_is_final(enum mo_job_state state)
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* Identifies a request that a client may repeat during idempotency_keep_s: the client's key and a
- * hash of the request. */
+/* Identifies a request that a client may repeat during idempotency_keep_s: its key and its hash. */
 struct mo_request_key {
   const char *text; /* ≤ MO_IDEMPOTENCY_BYTES_MAX; NULL: none */
   struct mo_sha256 sha256;

@@ -98,11 +98,11 @@ struct mo_work {
    * i / (n_designs / n_runs). */
   uint32_t n_designs, n_environments, n_runs;
   int64_t physics_rows[MO_LADDER_RUNS_MAX]; /* (n_runs) */
-  int64_t *environment_rows;               /* (n_environments) */
-  struct mo_environment *environments;     /* (n_environments) */
-  int64_t *genotype_rows;                  /* (n_designs) */
-  uint32_t *positions;                     /* (n_designs) ascending: places in the request */
-  struct mo_bits *genotypes;               /* (n_designs) */
+  int64_t *environment_rows;                /* (n_environments) */
+  struct mo_environment *environments;      /* (n_environments) */
+  int64_t *genotype_rows;                   /* (n_designs) */
+  uint32_t *positions;                      /* (n_designs) ascending: places in the request */
+  struct mo_bits *genotypes;                /* (n_designs) */
   uint8_t *finished; /* (n_designs, n_environments) 1: an earlier attempt of a verify or recording
                         job finished this rollout; NULL: other jobs */
   uint64_t n_finished, n_finished_diverged;

@@ -120,7 +120,8 @@ def test_a_tolerance_below_rounding(service):
     for one in missed:
         errors = [rung["estimated_error"] for rung in one["rungs"]]
         assert one["estimated_error"] == min(errors) > 1e-5
-        assert one["bifurcates"] == all(rung["rounding"] > 1e-5 for rung in one["rungs"])
+        rounding = all(rung["rounding"] > 1e-5 for rung in one["rungs"])
+        assert one["bifurcates"] == (rounding or errors[4] > errors[2] / 2)
     assert any(one["bifurcates"] for one in missed)
     assert not any(one["bifurcates"] for one in seen if one["reached"])
 
@@ -149,8 +150,8 @@ def test_diverging_rungs_are_passed(service):
 
 @pytest.mark.parametrize("more, words", [
     ({"tolerance": 0}, "1e-05"), ({"tolerance": -1}, "1e-05"), ({"tolerance": 1e-6}, "1e-05"),
-    ({"tolerance": "fine"}, "number"), ({"verify": True}, "verify"), ({"record": ["com"]}, "record"),
-    ({"best": 1}, "best"), ({"device": "cuda"}, 'request "cpu"'),
+    ({"tolerance": "fine"}, "number"), ({"verify": True}, "verify"),
+    ({"record": ["com"]}, "record"), ({"best": 1}, "best"), ({"device": "cuda"}, 'request "cpu"'),
     ({"physics": {"n_steps": 40000}}, "fewer steps"),
     ({"physics": {"drop_height_m": 1.5}}, '"precision": "float64"'),
     ({"designs": BODIES * 1100, "environments": PLACES * 32}, "fewer designs")
@@ -171,7 +172,8 @@ def test_work_counts(start):
     assert limited.request("POST", "/v1/evaluations", request).status == 503
     some = request | {"designs": BODIES[:5]}
     assert limited.request("POST", "/v1/evaluations", some).status == 202
-    assert limited.request("POST", "/v1/evaluations", request | {"designs": BODIES[:1]}).status == 503
+    one = request | {"designs": BODIES[:1]}
+    assert limited.request("POST", "/v1/evaluations", one).status == 503
     limited.act(held, "cancel")
 
 

@@ -46,8 +46,8 @@ PUBLIC = {
     "task.h": "world",
     "controller.h": "controller", "measure.h": "rollout", "rollout.h": "rollout",
     "gradient.h": "rollout",
-    "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute", "learning.h": "learning",
-    "evolution.h": "evolution"
+    "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute",
+    "learning.h": "learning", "evolution.h": "evolution"
 }
 SPEAKS = re.compile(
     r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")

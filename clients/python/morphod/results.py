@@ -48,9 +48,9 @@ class Climb:
     """The settings that a tolerance chose for a design.
 
     `reached` says whether `estimated_error` is at most the tolerance that was `asked`. If not, the
-    score is the one with the least estimated error. `bifurcates` says whether rounding alone
-    changes the score by more than the tolerance, whatever the time step. The score was computed
-    with steps of `dt_s` and numbers of `precision` (both None if there was no body).
+    score is the one with the least estimated error. `bifurcates` says whether smaller time steps
+    would not help either, because rounding decides or the error has stopped falling. The score was
+    computed with steps of `dt_s` and numbers of `precision` (both None if there was no body).
     `estimated_error` is NaN if there was no body, or if rollouts diverged with all settings.
     `rungs` has what each of the settings that were tried gave, as in the reply.
     """

@@ -79,8 +79,23 @@ static void reached(void)
   CHECK(!climb.reached && climb.rung == 3 && !climb.bifurcates);
 }
 
+/* If the error does not fall as the error of a step does, a smaller step does not help. */
+static void stalled(void)
+{
+  struct mo_score_error errors[MO_LADDER_RUNGS];
+  for (uint32_t rung = 0; rung < MO_LADDER_RUNGS; rung++)
+    errors[rung] = error_of(0.16 / (1 << rung), 0); /* first order */
+  CHECK(!mo_ladder_climb(errors, MO_LADDER_RUNGS, 0.001).bifurcates);
+  errors[4].half_width = 0.021; /* more than half of 0.04 */
+  CHECK(mo_ladder_climb(errors, MO_LADDER_RUNGS, 0.001).bifurcates);
+  CHECK(!mo_ladder_climb(errors, 4, 0.001).bifurcates); /* it has not ended */
+  CHECK(!mo_ladder_climb(errors, MO_LADDER_RUNGS, 0.03).bifurcates);
+  errors[2].half_width = NAN;
+  CHECK(!mo_ladder_climb(errors, MO_LADDER_RUNGS, 0.001).bifurcates);
+}
+
 /* Otherwise the rung with the least error is chosen; one with an unknown error only if there is no
- * other. A life bifurcates only if it does so in every rung. */
+ * other. Rounding alone must miss the tolerance in every rung to bifurcate. */
 static void missed(void)
 {
   const struct mo_score_error errors[] = {error_of(NAN, NAN), error_of(0.05, 0.04),
@@ -99,5 +114,6 @@ static void missed(void)
 static const struct check_case cases[] = {{"settings of the rungs", settings_of_the_rungs},
                                           {"runs of the rungs", runs_of_the_rungs},
                                           {"tolerances that are reached", reached},
-                                          {"tolerances that are missed", missed}};
+                                          {"tolerances that are missed", missed},
+                                          {"errors that stop falling", stalled}};
 CHECK_MAIN(cases)

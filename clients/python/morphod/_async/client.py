@@ -113,8 +113,8 @@ class AsyncClient:
         its score has at most that estimated error: see `Result.tolerance`. `measures` requests
         numbers that describe each rollout, such as `["displacement_m", "work_j"]`, or all with
         True: see `measures` of the evaluation and of `Result`. An id without an orientation is
-        scored in the orientation with the best
-        stored score, or else in the canonical one; `Result.orientation` says which.
+        scored in the orientation with the best stored score, or else in the canonical one;
+        `Result.orientation` says which.
         """
         designs, lost, faults = requests_of(bodies, on_fault)
         if not 0 < len(designs) <= _LARGE_MAX:
