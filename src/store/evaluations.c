@@ -59,7 +59,8 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
   for (uint32_t rung = 0; rung < MO_LADDER_RUNGS; rung++)
     results->rungs[rung] = mo_ladder_rung(&first, rung);
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
-      results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED)
+      results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED ||
+      (results->tolerance > 0 && keys->n_displaced == 0))
     return MO_ERR_CORRUPT;
   if (range->first + range->n > results->n_designs)
     return MO_ERR_NOT_FOUND;
@@ -201,7 +202,7 @@ static int climb(struct mo_connection *reader, struct result_keys *keys, size_t 
 {
   const uint32_t columns = results->n_environments, n_runs = mo_error_runs(keys->n_displaced);
   struct mo_climbed *climbed = &results->climbed[n];
-  double losses[MO_ERROR_RUNS_MAX * MO_ENVIRONMENTS_MAX];
+  double losses[MO_ERROR_RUNS_MAX * MO_ENVIRONMENTS_MAX] = {0};
   while (climbed->n < MO_LADDER_RUNGS && !climbed->climb.reached) {
     const uint32_t rung = climbed->n, first = rung * n_runs;
     const int error = load_runs(reader, keys, columns, first, first + n_runs, losses);
