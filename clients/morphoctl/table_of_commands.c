@@ -233,13 +233,17 @@ static const struct option_spec train_start_options[] = {
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
      "paper-finetune, paper-simultaneous; or restarts, cosine or constant, with the options "
      "below."},
+    {"environments", 'e', "SET|FILE",
+     "Learn in a set such as morpho-12-walk, or in a JSON file with a list of environments, also "
+     "with tasks; - is standard input (default: random terrains and lights)."},
     TRAINING_OPTIONS{PHYSICS},
     {"validate-every", 0, "STEPS",
      "Score the held-out set every STEPS steps; 0: never (default: 50).", "validation.every_steps",
      FIELD_WHOLE},
     {"validation-designs", 0, "N", "Designs of the held-out set (default: 64).",
      "validation.designs", FIELD_WHOLE},
-    {"validation-environments", 0, "N", "Environments of the held-out set (default: 8).",
+    {"validation-environments", 0, "N",
+     "Environments of the held-out set (default: 8; with --environments, all of them).",
      "validation.environments", FIELD_WHOLE},
     {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: only by time (default: 0).",
      "checkpoint.every_steps", FIELD_WHOLE},

@@ -32,6 +32,7 @@ extern "C" {
  * forms, takes 24 to 30 bytes per body: 7.5 GB at this limit. */
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
+#define MO_TRAINING_ENVIRONMENTS_MAX 64 /* of a training in its own environments */
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6
 
 /* ---- learning rate ---- */
@@ -97,8 +98,8 @@ struct mo_training_settings {
   enum mo_sensor sensor; /* for a controller with random initial weights; ignored with a parent */
   /* Validation scores these designs in these environments with the current controller. Pretraining:
    * the first mo_held_out_designs of the seed, which it never learns from. Finetuning: the first of
-   * the designs that it learns on, or all if there are fewer. The environments are always new to
-   * the controller. */
+   * the designs that it learns on, or all if there are fewer. The environments are new to the
+   * controller, unless the training has its own: then they are those. */
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
@@ -166,14 +167,25 @@ const struct mo_training_settings *mo_training_settings_of(const struct mo_train
 const struct mo_controller *
 mo_training_controller(const struct mo_training *training); /* current weights; borrowed */
 
+/* Gives a new training environments of its own (copied; n: 1 … MO_TRAINING_ENVIRONMENTS_MAX; each
+ * has passed mo_environment_check), for example with tasks. Robot i of step t then has one of them,
+ * all equally likely: stream (seed, TRAINING_WORLD, t, i). Checkpoints keep them. MO_ERR_RANGE: n;
+ * MO_ERR_CONFLICT: a step has been drawn already; MO_ERR_NO_MEMORY. */
+int mo_training_set_environments(struct mo_training *training,
+                                 const struct mo_environment *environments, uint32_t n);
+/* Returns the training's own environments: (*n), borrowed; NULL, 0: none. */
+const struct mo_environment *mo_training_environments(const struct mo_training *training,
+                                                      uint32_t *n);
+
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
- * step t has mo_environment_training(seed, t, i). A restored pretraining first replays its stream:
- * a non-zero `cancel` (nullable) stops that with MO_ERR_CANCELLED; `replayed` (nullable) counts the
- * bodies redrawn so far, out of step × batch. Drawing twice returns the same robots; after an
- * error, the next call continues where the failed call stopped. Memory: the bodies of the step (for
- * a finetuning, of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left;
- * MO_ERR_CORRUPT: the replay needed a different number of draws (the checkpoint is from other
- * code); MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
+ * step t has mo_environment_training(seed, t, i), or one of the training's own. A restored
+ * pretraining first replays its stream: a non-zero `cancel` (nullable) stops that with
+ * MO_ERR_CANCELLED; `replayed` (nullable) counts the bodies redrawn so far, out of step × batch.
+ * Drawing twice returns the same robots; after an error, the next call continues where the failed
+ * call stopped. Memory: the bodies of the step (for a finetuning, of all its designs), up to 25 kB
+ * each. MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay needed a different
+ * number of draws (the checkpoint is from other code); MO_ERR_CONFLICT: the training is finished;
+ * MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel,
                      volatile uint64_t *replayed, const struct mo_robot **robots);
 
@@ -202,7 +214,8 @@ int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
 /* The result of a step. */
 struct mo_training_report {
   uint32_t step;        /* from 1 */
-  double mean_loss;     /* over the robots that did not diverge; NaN if all diverged */
+  double mean_loss;     /* over the robots that did not diverge, whatever their tasks; NaN if all
+                           diverged */
   double rate;          /* learning rate */
   double gradient_norm; /* of the batch gradient before the norm clip; 0 if skipped */
   double clipped_share; /* of backward steps with an adjoint above the bound */
@@ -223,9 +236,9 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters,
 /* ---- checkpoints ---- */
 
 /* Encodes everything that the rest of the training depends on (malloc): settings, step, weights,
- * moments, counters, designs. Equal states encode to equal bytes, whether or not a step has been
- * drawn. The checksum detects any change within 8 consecutive bytes. Size: 12.4 MB and 24 bytes per
- * design. MO_ERR_NO_MEMORY. */
+ * moments, counters, designs, environments. Equal states encode to equal bytes, whether or not a
+ * step has been drawn. The checksum detects any change within 8 consecutive bytes. Size: 12.4 MB
+ * and 24 bytes per design, and at most 80 kB of environments. MO_ERR_NO_MEMORY. */
 #define MO_CHECKPOINT_BYTES_MAX (UINT64_C(16) << 20)
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size);
 /* MO_ERR_FORMAT (not a checkpoint, damaged, or an unknown version; message says which),
@@ -256,6 +269,7 @@ struct mo_training_lineage {
  *   ".version"       of the code, as passed
  *   ".code"          JSON: the entries of `lineage` (nullable) below this step
  *   ".designs_crc64" for a finetuning
+ *   ".environments_crc64" for a training in its own environments, whose number is in ".settings"
  * The file contains no time and no host name: equal trainings export equal files. The parent's own
  * metadata is not inherited. The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a
  * text that is not UTF-8). */

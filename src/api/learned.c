@@ -6,6 +6,7 @@
 #include "api/job_json.h"
 #include "jobs/trainings.h"
 #include "rollout/physics.h"
+#include "store/worlds.h"
 #include "world/environment.h"
 #include "world/task_json.h"
 
@@ -113,16 +114,10 @@ void mo_api_get_training_controller(struct mo_request *request)
 /* Replies with designs and environments as the body of an evaluation request. physics NULL: the
  * default. genotypes: (n_designs), placed. */
 static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes,
-                           uint32_t n_designs, uint64_t seed, uint32_t n_environments,
-                           const struct mo_physics *physics)
+                           uint32_t n_designs, const struct mo_environment *environments,
+                           uint32_t n_environments, const struct mo_physics *physics)
 {
-  struct mo_environment *environments = calloc(n_environments, sizeof(*environments));
   struct mo_text text = {0};
-  if (environments == NULL) {
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "set");
-    return;
-  }
-  mo_held_out_environments(seed, n_environments, environments);
   mo_text_add(&text, "{\"designs\":[");
   for (uint32_t i = 0; i < n_designs; i++) {
     const struct mo_genotype genotype =
@@ -143,7 +138,6 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
     mo_fields_write_object(&text, &mo_physics_fields, physics);
   }
   mo_text_add(&text, "}");
-  free(environments);
   mo_reply_text(request, MO_OK, &text, "set");
 }
 
@@ -155,12 +149,22 @@ static int draw(uint64_t seed, uint32_t n, struct mo_bits **genotypes)
   return *genotypes != NULL ? mo_held_out_designs(seed, n, (*genotypes)->words) : MO_ERR_NO_MEMORY;
 }
 
+static int draw_environments(uint64_t seed, uint32_t n, struct mo_environment **environments)
+{
+  *environments = calloc(n, sizeof(**environments));
+  if (*environments == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_held_out_environments(seed, n, *environments);
+  return MO_OK;
+}
+
 void mo_api_get_training_held_out(struct mo_request *request)
 {
   struct mo_store *store = mo_api_of(request)->store;
   struct mo_training_status status;
+  struct mo_environment *environments = NULL;
   struct mo_bits *genotypes = NULL;
-  uint32_t n = 0;
+  uint32_t n = 0, n_environments;
   int64_t id;
   if (!mo_path_id(request, 0, &id))
     return;
@@ -170,28 +174,37 @@ void mo_api_get_training_held_out(struct mo_request *request)
     code = mo_store_job_designs(store, id, &genotypes, &n);
   else if (code == MO_OK && (n = settings->held_out_designs) > 0)
     code = draw(settings->seed, n, &genotypes);
+  n_environments = settings->held_out_environments;
+  if (code == MO_OK && status.record.n_environments > 0)
+    code = mo_store_job_environments(store, id, MO_JOB_TRAINING, &environments, &n_environments);
+  else if (code == MO_OK)
+    code = draw_environments(settings->seed, n_environments, &environments);
   if (code != MO_OK)
     mo_reply_error(request, code, "training");
   else
     reply_held_out(request, genotypes,
-                   n < settings->held_out_designs ? n : settings->held_out_designs, settings->seed,
-                   settings->held_out_environments, &settings->physics);
+                   n < settings->held_out_designs ? n : settings->held_out_designs, environments,
+                   n_environments, &settings->physics);
+  free(environments);
   free(genotypes);
 }
 
 void mo_api_get_held_out(struct mo_request *request)
 {
   int64_t seed = 1, designs = 64, environments = 8;
+  struct mo_environment *places = NULL;
   struct mo_bits *genotypes = NULL;
   if (!mo_query_number(request, "seed", 0, MO_SEED_MAX, &seed) ||
       !mo_query_number(request, "designs", 1, HELD_OUT_DESIGNS_MAX, &designs) ||
       !mo_query_number(request, "environments", 1, HELD_OUT_PLACES_MAX, &environments))
     return;
   int code = draw((uint64_t)seed, (uint32_t)designs, &genotypes);
+  if (code == MO_OK)
+    code = draw_environments((uint64_t)seed, (uint32_t)environments, &places);
   if (code != MO_OK)
     mo_reply_error(request, code, "set");
   else
-    reply_held_out(request, genotypes, (uint32_t)designs, (uint64_t)seed, (uint32_t)environments,
-                   NULL);
+    reply_held_out(request, genotypes, (uint32_t)designs, places, (uint32_t)environments, NULL);
+  free(places);
   free(genotypes);
 }

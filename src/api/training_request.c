@@ -50,6 +50,7 @@ static const struct mo_field rows[] = {
     {"name", MO_FIELD_OWN, 0, AT(request.record.name), .own = &mo_name_field},
     {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
     {"population", MO_FIELD_OWN, 0, 0, .own = &population},
+    {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
     {NULL, MO_FIELD_INLINE, 0, AT(request.record), .group = &mo_training_record_fields},
 };
@@ -93,7 +94,8 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
         (unsigned long long)MO_TRAINING_BODIES_MAX);
 }
 
-/* Checks what depends on several fields. The sensor is negative unless it was given. */
+/* Checks what depends on several fields. Unless they were given, the sensor is negative, and the
+ * number of held-out environments is 0. */
 static int check(struct mo_json *json, void *any)
 {
   struct mo_parsed_training *parsed = any;
@@ -101,6 +103,10 @@ static int check(struct mo_json *json, void *any)
   const struct mo_parts *parts = &parsed->parts;
   bool finetune = settings->kind == MO_TRAINING_FINETUNE;
   bool has_sensor = (int)settings->sensor >= 0;
+  if (parts->has_environments && settings->held_out_environments > 0)
+    mo_json_fault_at(json, 0, "/validation/environments",
+                     "must be left out, because a training with environments of its own is "
+                     "validated in all of them");
   if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing; it must be \"pretrain\" or \"finetune\"");
   else if ((int)settings->kind < 0)
@@ -137,11 +143,15 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
                                   .checkpoints_kept = 3};
   const enum mo_sensor sensor = settings->sensor;
   settings->sensor = (enum mo_sensor) - 1;
+  const uint32_t held_out_environments = settings->held_out_environments;
+  settings->held_out_environments = 0;
   if (!known)
     settings->kind = (enum mo_training_kind) - 1;
   int error = mo_read_body(text, size, &mo_training_request_fields, parsed, parts, check, faults);
   if ((int)settings->sensor < 0)
     settings->sensor = sensor;
+  if (settings->held_out_environments == 0)
+    settings->held_out_environments = held_out_environments;
   if (kind == MO_TRAINING_FINETUNE && !parts->has_controller)
     memcpy(parts->controller, "default", sizeof("default"));
   if (error == MO_OK && mo_training_settings_check(settings, &message) != MO_OK) {
@@ -154,5 +164,10 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
   request->notes = parts->notes;
   request->n_notes = parts->n_notes;
   request->record.n_designs = parts->n_designs;
+  request->environments = parts->environments;
+  request->record.n_environments = parts->n_environments;
+  if (parts->environment_set != NULL)
+    snprintf(request->record.environment_set, sizeof(request->record.environment_set), "%s",
+             parts->environment_set);
   return error;
 }

@@ -33,6 +33,10 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
     shown.settings.sensor = (enum mo_sensor) - 1; /* null: the sensor of the parent */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_training_record_fields, &shown);
+  if (record->n_environments > 0)
+    mo_member_environments(text, record->environment_set, record->n_environments);
+  else
+    mo_text_add(text, ",\"environments\":null");
   mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,
                      record->n_designs);
   if (record->population > 0)

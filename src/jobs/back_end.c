@@ -131,30 +131,53 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                                                        : "the service has no devices");
 }
 
-static const char *unsuited(const struct mo_environment *environments, uint32_t n)
+static const char *unsuited(const struct mo_environment *environment)
 {
-  for (uint32_t i = 0; i < n; i++) {
-    if (environments[i].n_profile != 0)
-      return "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
-             "environments with terrain_heights_m";
-    if (environments[i].damage.cut != 0)
-      return "devices cannot compute damage yet; request \"cpu\" or \"auto\", or environments "
-             "without damage";
-  }
+  if (environment->n_profile != 0)
+    return "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
+           "environments with terrain_heights_m";
+  if (environment->damage.cut != 0)
+    return "devices cannot compute damage yet; request \"cpu\" or \"auto\", or environments "
+           "without damage";
   return NULL;
+}
+
+static const char *unsuited_to_learn(const struct mo_environment *environment)
+{
+  return mo_task_is_plain(&environment->task)
+             ? unsuited(environment)
+             : "devices cannot learn tasks yet; request \"cpu\" or \"auto\", or environments "
+               "whose task is \"photo\"";
+}
+
+/* Returns the first reason against one of the environments, or of the set if they are NULL. A set
+ * that cannot be read is refused by the submission. */
+static const char *first_reason(struct mo_jobs *jobs, const char *set,
+                                const struct mo_environment *environments, uint32_t n,
+                                const char *(*against)(const struct mo_environment *environment))
+{
+  struct mo_environment *of_set = NULL;
+  const char *reason = NULL;
+  /* The paper's worlds are grids, without tasks. */
+  if (environments == NULL && set != NULL && strcmp(set, mo_set_words[0]) != 0 &&
+      mo_store_environment_set(jobs->store, set, &of_set, &n) == MO_OK)
+    environments = of_set;
+  for (uint32_t i = 0; environments != NULL && i < n && reason == NULL; i++)
+    reason = against(&environments[i]);
+  free(of_set);
+  return reason;
 }
 
 const char *mo_back_end_unsuited(struct mo_jobs *jobs, const char *set,
                                  const struct mo_environment *environments, uint32_t n)
 {
-  struct mo_environment *of_set = NULL;
-  const char *reason = environments != NULL ? unsuited(environments, n) : NULL;
-  /* The paper's worlds are grids. A set that cannot be read is refused by the submission. */
-  if (environments == NULL && set != NULL && strcmp(set, mo_set_words[0]) != 0 &&
-      mo_store_environment_set(jobs->store, set, &of_set, &n) == MO_OK)
-    reason = unsuited(of_set, n);
-  free(of_set);
-  return reason;
+  return first_reason(jobs, set, environments, n, unsuited);
+}
+
+const char *mo_back_end_unsuited_to_learn(struct mo_jobs *jobs, const char *set,
+                                          const struct mo_environment *environments, uint32_t n)
+{
+  return first_reason(jobs, set, environments, n, unsuited_to_learn);
 }
 
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)

@@ -10,12 +10,29 @@
 #include <string.h>
 
 #include "jobs/scoring.h"
+#include "store/worlds.h"
 
 void mo_held_out_free(struct mo_held_out *held_out)
 {
   free(held_out->genotypes);
   free(held_out->environments);
   memset(held_out, 0, sizeof(*held_out));
+}
+
+/* Reads the environments of the training, or draws those that its learning never draws. */
+static int load_environments(struct mo_store *store, const struct mo_training_status *status,
+                             struct mo_held_out *held_out)
+{
+  if (status->record.n_environments > 0)
+    return mo_store_job_environments(store, status->job.id, MO_JOB_TRAINING,
+                                     &held_out->environments, &held_out->n_environments);
+  held_out->environments =
+      calloc((size_t)held_out->n_environments + 1, sizeof(*held_out->environments));
+  if (held_out->environments == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_held_out_environments(status->record.settings.seed, held_out->n_environments,
+                           held_out->environments);
+  return MO_OK;
 }
 
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status,
@@ -37,14 +54,8 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
                                         : mo_held_out_designs(settings->seed, held_out->n_designs,
                                                               held_out->genotypes[0].words);
   }
-  if (error == MO_OK) {
-    held_out->environments =
-        calloc((size_t)held_out->n_environments + 1, sizeof(*held_out->environments));
-    if (held_out->environments == NULL)
-      error = MO_ERR_NO_MEMORY;
-    else
-      mo_held_out_environments(settings->seed, held_out->n_environments, held_out->environments);
-  }
+  if (error == MO_OK)
+    error = load_environments(store, status, held_out);
   if (error != MO_OK)
     mo_held_out_free(held_out);
   return error;

@@ -8,7 +8,7 @@
 /* The designs and environments of validation: every design is scored in every environment, with the
  * physics of the settings, in float32. A pretraining uses bodies from the held-out stream of its
  * seed. A finetuning uses the first of its own designs, which it also learns on, but in other
- * environments. */
+ * environments. A training in its own environments is validated in all of these. */
 struct mo_held_out {
   struct mo_bits *genotypes; /* (n_designs) placed */
   uint32_t n_designs;

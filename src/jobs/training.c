@@ -15,6 +15,7 @@
 #include "jobs/held_out.h"
 #include "jobs/learner.h"
 #include "jobs/submission.h"
+#include "store/worlds.h"
 
 #define ROWS_MAX      256
 #define RATES         16 /* steps over which the speed is averaged */
@@ -157,6 +158,18 @@ static int load_checkpoint(struct run *run)
   return MO_ERR_NOT_FOUND;
 }
 
+static int set_environments(struct run *run)
+{
+  struct mo_environment *environments = NULL;
+  uint32_t n = 0;
+  int error =
+      mo_store_job_environments(run->jobs->store, run->id, MO_JOB_TRAINING, &environments, &n);
+  if (error == MO_OK)
+    error = mo_training_set_environments(run->learner.training, environments, n);
+  free(environments);
+  return error;
+}
+
 static int start_over(struct run *run)
 {
   const struct mo_training_record *record = &run->status.record;
@@ -172,6 +185,8 @@ static int start_over(struct run *run)
     error =
         mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL,
                            n, &run->learner.training);
+  if (error == MO_OK && record->n_environments > 0)
+    error = set_environments(run);
   free(genotypes);
   mo_controller_free(parent);
   return error;
@@ -480,15 +495,24 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
                     struct mo_placed *placed, struct mo_message *message)
 {
   struct mo_training_record *record = &request->record;
-  const struct mo_orienting under = {.controller = request->parent, /* the worlds of its robots are
-                                                                     * drawn */
-                                     .environment_set = "paper-test",
+  /* For drawn worlds, the scores of the test set say which orientation is best. */
+  const bool is_listed = request->environments != NULL;
+  const char *const set = record->environment_set[0] != '\0' ? record->environment_set
+                          : is_listed                        ? NULL
+                                                             : "paper-test";
+  const struct mo_orienting under = {.controller = request->parent,
+                                     .environment_set = set,
+                                     .environments = request->environments,
+                                     .n_environments = record->n_environments,
                                      .physics = &record->settings.physics,
                                      .precision = MO_FLOAT32,
                                      .workspace = jobs->lattice->workspace};
   struct mo_bits *population = NULL;
   struct mo_need need;
-  int error = mo_back_end_choose(jobs, &request->job, NULL, true, message);
+  int error = mo_back_end_choose(
+      jobs, &request->job,
+      mo_back_end_unsuited_to_learn(jobs, set, request->environments, record->n_environments), true,
+      message);
   if (error == MO_OK && record->population != 0)
     error = load_population(jobs, request, &population, &record->n_designs, message);
   if (error == MO_OK) {

@@ -1,7 +1,8 @@
 /* checkpoint.c: encodes and decodes a training.
  *
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the size of the
- * settings (uint32), struct counters, the settings as JSON by their table, then designs (24 bytes
+ * settings (uint32), struct counters, the settings as JSON by their table, in a version of its own
+ * the training's environments (struct worlds, then each in its packed form), then designs (24 bytes
  * each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything
  * before it. Decoding trusts nothing: sizes must match to the byte, settings must pass the checks
  * of a new training, and numbers must be finite. */
@@ -16,8 +17,9 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are little-endian");
 
-#define VERSION   3
-#define SUM_BYTES sizeof(uint64_t)
+#define VERSION     3 /* the training draws its environments */
+#define VERSION_OWN 4 /* it has its own */
+#define SUM_BYTES   sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
 
@@ -30,6 +32,11 @@ struct counters {
 };
 _Static_assert(sizeof(struct counters) == 64, "without padding");
 #define HEADER_BYTES (sizeof(magic) + sizeof(struct counters))
+
+/* The environments of a checkpoint in VERSION_OWN. */
+struct worlds {
+  uint32_t n, version; /* of the packed form */
+};
 
 /* ---- checksum: CRC-64 with the polynomial of ECMA-182, reflected, as in the XZ format ---- */
 
@@ -108,9 +115,13 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
                              .adam = training->adam,
                              .n_designs = training->n_designs,
                              .designs = training->designs};
+  struct worlds worlds = {training->n_environments, mo_training_environments_version(training)};
+  const bool is_own = worlds.n > 0;
+  const size_t worlds_bytes =
+      is_own ? sizeof(worlds) + mo_training_environments_bytes(training, worlds.version) : 0;
   struct mo_text text = {0};
   mo_fields_write_object(&text, &mo_recipe_fields, settings);
-  struct counters counters = {.version = VERSION,
+  struct counters counters = {.version = is_own ? VERSION_OWN : VERSION,
                               .settings_bytes = (uint32_t)text.size,
                               .kind = settings->kind,
                               .sensor = settings->sensor,
@@ -124,7 +135,7 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
                               .n_parameters = training->controller->n_parameters};
   struct codec codec = {.to = text.failed
                                   ? NULL
-                                  : malloc(HEADER_BYTES + text.size +
+                                  : malloc(HEADER_BYTES + text.size + worlds_bytes +
                                            body_bytes(counters.n_designs, counters.n_parameters) +
                                            SUM_BYTES)};
   if (codec.to == NULL) {
@@ -135,6 +146,11 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
   codec.at = sizeof(magic);
   field(&codec, &counters, sizeof(counters));
   field(&codec, text.data, text.size);
+  if (is_own) {
+    field(&codec, &worlds, sizeof(worlds));
+    mo_training_environments_pack(training, worlds.version, codec.to + codec.at);
+    codec.at += worlds_bytes - sizeof(worlds);
+  }
   body(&codec, &copy);
   uint64_t sum = mo_checksum(codec.to, codec.at);
   field(&codec, &sum, sizeof(sum));
@@ -201,6 +217,28 @@ static int check_values(const struct mo_training *training, struct mo_message *m
   return MO_OK;
 }
 
+/* Reads the training's own environments. size: of the checkpoint. */
+static int read_worlds(struct codec *codec, size_t size, struct mo_training *training,
+                       struct mo_message *message)
+{
+  static const char what[] = "its environments are invalid";
+  struct worlds worlds;
+  if (size < codec->at + sizeof(worlds) + SUM_BYTES)
+    return damaged(message, what);
+  field(codec, &worlds, sizeof(worlds));
+  if (worlds.n < 1 || worlds.n > MO_TRAINING_ENVIRONMENTS_MAX)
+    return damaged(message, what);
+  int r = mo_training_allocate_environments(training, worlds.n);
+  if (r < 0)
+    return mo_fail(message, r, "the training does not fit in memory");
+  const size_t bytes = mo_training_environments_bytes(training, worlds.version);
+  if (bytes > size - SUM_BYTES - codec->at)
+    return damaged(message, what);
+  r = mo_training_environments_unpack(training, worlds.version, codec->from + codec->at);
+  codec->at += bytes;
+  return r == MO_OK ? MO_OK : damaged(message, what);
+}
+
 static int read_arrays(struct codec *codec, const struct mo_training_settings *settings,
                        const struct counters *counters, size_t size, struct mo_training **training,
                        struct mo_message *message)
@@ -210,9 +248,11 @@ static int read_arrays(struct codec *codec, const struct mo_training_settings *s
   if (r < 0)
     return mo_fail(message, r, "the training does not fit in memory");
   const uint64_t n = made->controller->n_parameters;
-  if (counters->n_parameters != n)
+  if (counters->version == VERSION_OWN)
+    r = read_worlds(codec, size, made, message);
+  if (r == MO_OK && counters->n_parameters != n)
     r = damaged(message, "its number of parameters is wrong");
-  else if (size != codec->at + body_bytes(counters->n_designs, n) + SUM_BYTES)
+  else if (r == MO_OK && size != codec->at + body_bytes(counters->n_designs, n) + SUM_BYTES)
     r = damaged(message, "its size does not match its contents");
   if (r == MO_OK) {
     body(codec, made);
@@ -241,10 +281,10 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   struct mo_training_settings settings;
   struct counters counters;
   field(&codec, &counters, sizeof(counters));
-  if (counters.version != VERSION)
+  if (counters.version != VERSION && counters.version != VERSION_OWN)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the checkpoint has version %" PRIu32 "; this program reads version %d",
-                   counters.version, VERSION);
+                   "the checkpoint has version %" PRIu32 "; this program reads versions %d and %d",
+                   counters.version, VERSION, VERSION_OWN);
   uint64_t sum;
   memcpy(&sum, bytes + size - SUM_BYTES, SUM_BYTES);
   if (sum != mo_checksum(bytes, size - SUM_BYTES))

@@ -97,12 +97,13 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
     training->n_bodies = training->n_designs;
     training->bodies = calloc(training->n_bodies, sizeof(struct mo_body *));
   }
-  if (hand->environments == NULL)
+  const bool draws = training->environments == NULL;
+  if (draws && hand->environments == NULL)
     hand->environments = calloc(batch, sizeof(*hand->environments));
   if (hand->robots == NULL)
     hand->robots = calloc(batch, sizeof(*hand->robots));
   return (pretrain ? hand->drawn == NULL || hand->bodies == NULL : training->bodies == NULL) ||
-                 hand->environments == NULL || hand->robots == NULL
+                 (draws && hand->environments == NULL) || hand->robots == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
@@ -137,6 +138,15 @@ static void make_environments(void *context, size_t first, size_t end)
                             &making->hand->environments[i]);
 }
 
+/* Returns one of the training's own environments. */
+static const struct mo_environment *choose(const struct mo_training *training, uint32_t step,
+                                           uint32_t i)
+{
+  struct mo_random random;
+  mo_random_init(&random, training->settings.seed, MO_PURPOSE_TRAINING_WORLD, step, i);
+  return &training->environments[mo_random_below(&random, training->n_environments)];
+}
+
 static int make_robots(struct mo_training *training, struct mo_hand *hand)
 {
   const struct mo_training_settings *settings = &training->settings;
@@ -150,11 +160,15 @@ static int make_robots(struct mo_training *training, struct mo_hand *hand)
   const int r = atomic_load(&making.error);
   if (r < 0)
     return r;
-  mo_parallel(training->n_threads, settings->batch, make_environments, &making);
+  const bool draws = training->environments == NULL;
+  if (draws)
+    mo_parallel(training->n_threads, settings->batch, make_environments, &making);
   const uint64_t first = (uint64_t)hand->step * settings->batch;
   for (uint32_t i = 0; i < settings->batch; i++) {
     const size_t body = pretrain ? i : (first + i) % n_bodies;
-    hand->robots[i] = (struct mo_robot){making.bodies[body], &hand->environments[i],
+    const struct mo_environment *environment =
+        draws ? &hand->environments[i] : choose(training, hand->step, i);
+    hand->robots[i] = (struct mo_robot){making.bodies[body], environment,
                                         making.genotypes + MO_DEFAULT_WORDS * body};
   }
   hand->ready = true;

@@ -4,6 +4,7 @@
 
 #include <inttypes.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/text.h"
@@ -14,6 +15,8 @@ static void write_settings(const struct mo_training *training, struct mo_text *t
   mo_text_object(text);
   mo_fields_write(text, &mo_recipe_fields, &training->settings);
   mo_text_member_count(text, "designs", training->n_designs);
+  if (training->n_environments > 0)
+    mo_text_member_count(text, "environments", training->n_environments);
   mo_text_add(text, "}");
 }
 
@@ -32,6 +35,21 @@ static void write_code(const struct mo_training *training,
     mo_text_add(text, "}");
   }
   mo_text_add(text, "]");
+}
+
+/* Adds the checksum of the training's own environments to the metadata. */
+static int add_environments(const struct mo_training *training, struct mo_controller *controller)
+{
+  const unsigned version = mo_training_environments_version(training);
+  const size_t size = mo_training_environments_bytes(training, version);
+  char sum[MO_NUMBER_BYTES];
+  uint8_t *bytes = malloc(size);
+  if (bytes == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_training_environments_pack(training, version, bytes);
+  snprintf(sum, sizeof(sum), "%016" PRIx64, mo_checksum(bytes, size));
+  free(bytes);
+  return mo_controller_set_metadata(controller, "morphod.environments_crc64", sum);
 }
 
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
@@ -72,6 +90,8 @@ int mo_training_export(const struct mo_training *training, const char *parent_sh
     r = mo_controller_set_metadata(made, entries[i][0], entries[i][1]);
   if (lineage != NULL && r == MO_OK)
     r = mo_controller_set_metadata(made, "morphod.code", code.data);
+  if (training->n_environments > 0 && r == MO_OK)
+    r = add_environments(training, made);
   mo_text_free(&settings);
   mo_text_free(&code);
   if (r < 0) {

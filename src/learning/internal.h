@@ -14,7 +14,9 @@ struct mo_training {
   uint32_t step;    /* steps that were applied */
   uint32_t skipped; /* steps that changed no weight; the others are Adam's updates */
   uint32_t n_designs;
-  uint64_t *designs; /* finetune: (n_designs, MO_DEFAULT_WORDS) */
+  uint64_t *designs;                   /* finetune: (n_designs, MO_DEFAULT_WORDS) */
+  uint32_t n_environments;             /* 0: the training draws its environments */
+  struct mo_environment *environments; /* (n_environments) its own */
   uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must reach this
                      number */
 
@@ -31,7 +33,8 @@ struct mo_training {
     uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step */
     uint32_t n_drawn;        /* number of bodies drawn so far */
     struct mo_body **bodies; /* pretrain: (batch); NULL: not built yet */
-    struct mo_environment *environments; /* (batch) */
+    struct mo_environment *environments; /* (batch) drawn; NULL: the robots have the training's
+                                            own */
     struct mo_robot *robots;             /* (batch) */
     uint64_t draws;                      /* pretrain: draws of the stream up to the step's end */
     bool ready;                          /* `robots` is complete */
@@ -46,6 +49,8 @@ int mo_training_blank(const struct mo_training_settings *settings,
 /* training.c: allocates everything that a checkpoint holds, but fills in only the settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);
+/* training.c: allocates n environments of its own, to be filled in. */
+int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Returns 1 if a design is in one piece (and therefore not empty) and placed, else 0; or
  * MO_ERR_NO_MEMORY. */
 int mo_training_design_is_placed(const uint64_t *design);
@@ -68,6 +73,16 @@ double mo_gradient_norm(const double *gradient, size_t n);
 bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate,
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);
+
+/* environments.c: a training's own environments as bytes: in their packed form, all in the first
+ * version that has all their fields. They have at most sizeof(struct mo_environment) each. */
+unsigned mo_training_environments_version(const struct mo_training *training);
+size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version);
+void mo_training_environments_pack(const struct mo_training *training, unsigned version,
+                                   uint8_t *bytes);
+/* Fills in the allocated environments. MO_ERR_FORMAT: a value, or the version, is invalid. */
+int mo_training_environments_unpack(struct mo_training *training, unsigned version,
+                                    const uint8_t *bytes);
 
 /* checkpoint.c: CRC-64/XZ: detects every error within 64 bits in a row, and all but 1 in 2^64
  * others. */

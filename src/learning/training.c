@@ -113,6 +113,7 @@ void mo_training_free(struct mo_training *training)
   free(training->adam.first);
   free(training->adam.second);
   free(training->designs);
+  free(training->environments);
   free(training);
 }
 

@@ -45,6 +45,16 @@ static const struct mo_field stored_training_rows[] = {
      .help = ""},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_training_record_fields},
 };
+/* The same for a training in its own environments, which are rows of their own. */
+static const struct mo_field stored_own_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0,
+     .group = &(const struct mo_fields)MO_FIELDS(stored_training_rows)},
+    {"environment_set", MO_FIELD_TEXT, MO_FIELD_NULL, AT(environment_set), .min = 1,
+     .max = MO_NAME_BYTES_MAX, .unit = "", .help = ""},
+    {"n_environments", MO_FIELD_COUNT, 0, AT(n_environments), .min = 1,
+     .max = MO_TRAINING_ENVIRONMENTS_MAX, .unit = "", .help = ""},
+};
+static const struct mo_fields stored_own = MO_FIELDS(stored_own_rows);
 #undef AT
 
 /* ---- campaigns ---- */
@@ -89,9 +99,13 @@ static const struct mo_fields own_score_fields = MO_FIELDS(own_score_rows);
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
 {
-  const bool has_own = kind == MO_JOB_CAMPAIGN &&
-                       mo_own_score_is_set(&((const struct mo_campaign_record *)record)->own_score);
-  mo_fields_write_object(text, has_own ? &own_score_fields : &stored_fields[kind], record);
+  const struct mo_fields *fields = &stored_fields[kind];
+  if (kind == MO_JOB_CAMPAIGN &&
+      mo_own_score_is_set(&((const struct mo_campaign_record *)record)->own_score))
+    fields = &own_score_fields;
+  if (kind == MO_JOB_TRAINING && ((const struct mo_training_record *)record)->n_environments > 0)
+    fields = &stored_own;
+  mo_fields_write_object(text, fields, record);
 }
 
 static int read_stored(const char *json, const struct mo_fields *fields, void *record)
@@ -107,10 +121,13 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
    * bisections with an exact time of impact, and settings newer than the row, which were the
    * paper's physics then. */
   if (kind == MO_JOB_TRAINING) {
-    struct mo_training_settings *settings = &((struct mo_training_record *)record)->settings;
+    struct mo_training_record *training = record;
+    struct mo_training_settings *settings = &training->settings;
+    training->environment_set[0] = '\0';
+    training->n_environments = 0;
     *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
     settings->physics = mo_paper_physics();
-    return read_stored(json, &stored_fields[kind], record);
+    return read_stored(json, &stored_own, record);
   }
   struct mo_campaign_record *campaign = record;
   campaign->settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);

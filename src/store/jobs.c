@@ -93,6 +93,8 @@ static int read_training(sqlite3_stmt *row, struct mo_job *job, void *any)
   job->steps_total = record->settings.n_steps;
   job->steps_done = mo_column_u32(row, MO_COLUMN_STEP);
   mo_column_text(row, MO_COLUMN_NAME, record->name, sizeof(record->name));
+  memcpy(job->environment_set, record->environment_set, sizeof(job->environment_set));
+  job->n_environments = record->n_environments;
   record->n_designs = job->n_designs;
   record->population = sqlite3_column_int64(row, MO_COLUMN_POPULATION);
   return MO_OK;

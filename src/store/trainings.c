@@ -23,11 +23,16 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   const struct mo_training_request *request = any;
   struct mo_training_record record = request->record;
   struct mo_connection *writer = &store->writer;
-  int64_t parent = 0;
+  int64_t parent = 0, set = 0, n_environments = record.n_environments;
   int error = MO_OK;
   if (request->parent != NULL)
     error = mo_controller_find(writer, request->parent, &parent, &record.settings.sensor,
                                &record.settings.physics);
+  if (error == MO_OK && record.environment_set[0] != '\0')
+    error = mo_environment_set_find(writer, record.environment_set, &set, &n_environments);
+  record.n_environments = (uint32_t)n_environments;
+  if (record.n_environments > 0)
+    record.settings.held_out_environments = record.n_environments;
   if (error == MO_OK)
     error = mo_training_settings_check(&record.settings, NULL);
   if (error == MO_OK)
@@ -38,6 +43,8 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK)
     error =
         mo_sql_do(writer, sql, mo_int(*id), mo_int(record.n_designs), mo_int(record.population));
+  if (error == MO_OK)
+    error = mo_environments_insert(writer, *id, set, request->environments, record.n_environments);
   if (error == MO_OK)
     error = mo_notes_insert(writer, *id, request->notes, request->n_notes);
   if (error == MO_OK)

@@ -19,6 +19,11 @@ struct mo_training_record {
   struct mo_training_settings settings;
   char name[MO_NAME_BYTES_MAX + 1]; /* of the resulting controller; "": "training-<id>" */
   uint32_t n_designs;               /* finetune */
+  /* Its own environments: a named set, or "": listed in the request. n_environments 0: none, the
+   * training draws its environments. With its own, settings.held_out_environments has the same
+   * number. */
+  char environment_set[MO_NAME_BYTES_MAX + 1];
+  uint32_t n_environments;
   int64_t population; /* finetune: the job whose designs are used; 0: listed in the request */
   uint32_t validate_every_steps;   /* 0: never; else also before the first and after the last
                                       step */
@@ -65,6 +70,7 @@ struct mo_training_request {
   const struct mo_bits *forms;     /* (record.n_designs) canonical; as stored */
   struct mo_design_note *notes;    /* (n_notes) as in mo_evaluation_request */
   uint32_t n_notes;
+  const struct mo_environment *environments; /* (record.n_environments) without a set; checked */
   uint32_t population_best; /* how many of the best designs of record.population; 0: all */
 };
 /* Errors as in mo_store_submit. */

@@ -195,7 +195,8 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
   case MO_JOB_TRAINING: {
     const int error = warn_of_step(connection, job, record);
     warn_of_physics(job);
-    return error;
+    return error == MO_OK && job->n_environments > 0 ? warn_of_lights(connection, job, job->id)
+                                                     : error;
   }
   case MO_JOB_CAMPAIGN: {
     const struct mo_campaign_record *campaign = record;

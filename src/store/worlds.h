@@ -13,8 +13,9 @@ int mo_store_environment(struct mo_store *store, const struct mo_sha256 *sha256,
 int mo_store_physics(struct mo_store *store, const struct mo_sha256 *sha256,
                      struct mo_physics *physics, enum mo_precision *precision,
                      enum mo_sensor *sensor);
-/* Reads the environments of a named set, or of an evaluation or campaign, in order. *environments:
- * (n) malloc, owned by the caller. MO_ERR_NOT_FOUND. */
+/* Reads the environments of a named set, or of a job, in order. *environments:
+ * (n) malloc, owned by the caller. MO_ERR_NOT_FOUND: also a training that draws its environments.
+ */
 int mo_store_environment_set(struct mo_store *store, const char *name,
                              struct mo_environment **environments, uint32_t *n);
 int mo_store_job_environments(struct mo_store *store, int64_t id, enum mo_job_kind kind,

@@ -130,7 +130,7 @@ static void damaged(void)
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
     expect_refused(blob.bytes, blob.size,
                    i < 8    ? "not a checkpoint"
-                   : i < 12 ? "this program reads version 3"
+                   : i < 12 ? "this program reads versions 3 and 4"
                             : "checksum is wrong");
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
   }

@@ -507,21 +507,24 @@ class AsyncClient:
     # ---- trainings and controllers ----
 
     async def pretrain(self, *, preset: Literal["workstation", "phototaxis", "paper"] | None = None,
-                       name: str | None = None, label: str | None = None,
-                       **settings: Any) -> AsyncTraining:
-        """Starts the training of a controller on an endless stream of random bodies. `settings`
-        are those of the contract (docs/learning.md), such as `steps`, `batch`, `seed`."""
-        return await self._train("pretrain", settings, preset=preset, name=name, label=label)
+                       environments: Environments | None = None, name: str | None = None,
+                       label: str | None = None, **settings: Any) -> AsyncTraining:
+        """Starts the training of a controller on an endless stream of random bodies, in random
+        worlds or in these `environments`, of which each robot of a step gets one. `settings` are
+        those of the contract (docs/learning.md), such as `steps`, `batch`, `seed`."""
+        return await self._train("pretrain", settings, preset=preset, environments=environments,
+                                 name=name, label=label)
 
     async def finetune(self, bodies: Iterable[BodyLike] | NDArray[Any] | None = None, *,
                        preset: Literal["workstation", "paper"] | None = None,
-                       name: str | None = None, label: str | None = None,
-                       **settings: Any) -> AsyncTraining:
+                       environments: Environments | None = None, name: str | None = None,
+                       label: str | None = None, **settings: Any) -> AsyncTraining:
         """Starts the training of a controller on bodies, or on a `population` of the service such
-        as `{"campaign": "12"}`."""
+        as `{"campaign": "12"}`; `environments` as in `pretrain`."""
         if bodies is not None:
             settings["designs"] = designs_of(bodies)
-        return await self._train("finetune", settings, preset=preset, name=name, label=label)
+        return await self._train("finetune", settings, preset=preset, environments=environments,
+                                 name=name, label=label)
 
     async def _train(self, kind: str, settings: dict[str, Any], **given: Any) -> AsyncTraining:
         value = {"kind": kind, **_given(**given), **settings}
