@@ -104,9 +104,8 @@ struct mo_job {
                 MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
   /* An evaluation has all of these. A training has the controller that it starts from
-   * (has_controller false: random weights), sensor, physics, n_designs, and perhaps environments. A
-   * campaign has the same
-   * controller, and environments, sensor, physics; n_designs is the population. */
+   * (has_controller false: random weights), sensor, physics, n_designs, perhaps environments. A
+   * campaign has the same, always with environments; its n_designs is the population. */
   bool has_controller;
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested at submission; "": by hash */
   struct mo_sha256 controller_sha256;          /* the content of the name at submission */

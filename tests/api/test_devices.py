@@ -475,6 +475,28 @@ def test_a_gradient_that_devices_do_not_support(start):
     assert [step["mean_loss"] for step in steps[0]] == [step["mean_loss"] for step in steps[1]]
 
 
+def test_devices_do_not_learn_tasks(start):
+    """A training with tasks or profiles runs on the processors, or is refused; one in other
+    environments of its own runs on devices."""
+    service = start(*FLAGS, environment=fake())
+    light = {"light_xy_m": [4, 2.5], "terrain_sigma_m": 0.05, "seed": 1}
+    quiet = {**TRAINING, "validation": {"every_steps": 0}}
+    for worlds, words in (([light, {"task": "walk"}], "cannot learn tasks yet"),
+                          ("morpho-12-walk", "cannot learn tasks yet"),
+                          ([{"light_xy_m": [4, 2.5], "terrain": {"kind": "slope"}}],
+                           "cannot compute terrain profiles")):
+        reply = service.request("POST", "/v1/trainings",
+                                quiet | {"environments": worlds, "device": "cuda"})
+        assert reply.status == 422 and reply.pointers() == ["/device"], reply.body
+        assert words in reply.json()["errors"][0]["detail"]
+        assert 'request "cpu" or "auto"' in reply.json()["errors"][0]["detail"]
+    done = run(service, "trainings", quiet | {"environments": [light, {"task": "walk"}],
+                                              "device": "auto"})
+    assert done["state"] == "succeeded" and done["device"] == "cpu"
+    done = run(service, "trainings", quiet | {"environments": [light] * 3, "device": "auto"})
+    assert done["state"] == "succeeded" and done["device"] == "cuda"
+
+
 def test_stored_scores_say_who_computed_them(start):
     """This includes bodies of a campaign that its devices do not support."""
     service = start(*FLAGS, environment=fake(springs=300))
