@@ -41,6 +41,20 @@ static void fill_designs(struct ctl *ctl, bool finetune, json_t *request)
     json_object_set(request, "designs", given_designs(ctl, 1, random).list);
 }
 
+/* Adds the tasks of a list with commas; the service knows their names. */
+static void fill_tasks(const struct ctl *ctl, json_t *request)
+{
+  const char *word = option_text(ctl, "tasks", NULL);
+  if (word == NULL)
+    return;
+  json_t *tasks = json_array();
+  for (size_t size = strcspn(word, ","); size > 0; size = strcspn(word, ",")) {
+    json_array_append_new(tasks, json_stringn(word, size));
+    word += size + (word[size] == ',');
+  }
+  json_object_set_new(request, "tasks", tasks);
+}
+
 void run_train_start(struct ctl *ctl)
 {
   const char *kind = ctl->operands[0];
@@ -50,6 +64,7 @@ void run_train_start(struct ctl *ctl)
   json_t *request = keep(json_pack("{s:s}", "kind", kind));
   fill_designs(ctl, finetune, request);
   fill_schedule(ctl, request, "schedule");
+  fill_tasks(ctl, request);
   request_fill(ctl, request);
   live_start(ctl, request);
 }

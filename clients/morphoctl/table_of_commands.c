@@ -236,6 +236,9 @@ static const struct option_spec train_start_options[] = {
     {"environments", 'e', "SET|FILE",
      "Learn in a set such as morpho-12-walk, or in a JSON file with a list of environments, also "
      "with tasks; - is standard input (default: random terrains and lights)."},
+    {"tasks", 0, "TASK,...",
+     "Learn these tasks in random terrains: photo, photo-auc, walk, climb, circle, path, shuttle, "
+     "pursue (default: photo)."},
     TRAINING_OPTIONS{PHYSICS},
     {"validate-every", 0, "STEPS",
      "Score the held-out set every STEPS steps; 0: never (default: 50).", "validation.every_steps",

@@ -127,7 +127,8 @@ static void print(struct live *live)
       {"batch", "{settings.batch:,} robots, seed {settings.seed}"},
       {"designs", "[{settings.n_designs:,}[ of evaluation {settings.population.evaluation}"
                   "| of campaign {settings.population.campaign}]]"},
-      {"worlds", "[{settings.environments}|{settings.environments.count} of the request]"},
+      {"worlds", "[{settings.environments}|{settings.environments.count} of the request"
+                 "|{settings.tasks:#} tasks in random terrains]"},
       {"schedule", "{settings.schedule.kind}, {settings.schedule.peak:.4g} down to "
                    "{settings.schedule.floor:.4g}"},
       {"adam", "{settings.adam.beta1:.4g}, {settings.adam.beta2:.4g}, "

@@ -145,6 +145,10 @@ int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs);
 /* Fills in mo_environment_held_out of this seed, 0 … n − 1: the training distribution under keys
  * that no training uses. */
 void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *environments);
+/* The same with tasks, in turn: environment i has that of tasks[i mod n_tasks], and its light if
+ * the task moves the light. n_tasks 0: none. */
+void mo_held_out_tasks(uint64_t seed, uint32_t n, const struct mo_environment *tasks,
+                       uint32_t n_tasks, struct mo_environment *environments);
 
 /* ---- the state of one training ---- */
 
@@ -173,7 +177,11 @@ mo_training_controller(const struct mo_training *training); /* current weights; 
  * MO_ERR_CONFLICT: a step has been drawn already; MO_ERR_NO_MEMORY. */
 int mo_training_set_environments(struct mo_training *training,
                                  const struct mo_environment *environments, uint32_t n);
-/* Returns the training's own environments: (*n), borrowed; NULL, 0: none. */
+/* The same, but robots have drawn environments as usual, with the tasks of the given ones, and with
+ * their lights if the task moves the light. */
+int mo_training_set_tasks(struct mo_training *training, const struct mo_environment *tasks,
+                          uint32_t n);
+/* Returns the training's own environments, or its tasks: (*n), borrowed; NULL, 0: none. */
 const struct mo_environment *mo_training_environments(const struct mo_training *training,
                                                       uint32_t *n);
 

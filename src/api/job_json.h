@@ -46,9 +46,11 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
 void mo_links_write(struct mo_text *text, const struct mo_job *job, const char *const *below);
 
 /* Writes a training and leaves the object open. live: its current live state. population_kind: the
- * kind of the job record.population, if there is one. */
+ * kind of the job record.population, if there is one. tasks: (record.n_environments) of a training
+ * with tasks of its own; else NULL. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
-                            enum mo_job_kind population_kind, const struct mo_live *live);
+                            enum mo_job_kind population_kind, const struct mo_environment *tasks,
+                            const struct mo_live *live);
 /* Writes a training as an item of the list of jobs. status: struct mo_training_status. */
 void mo_training_json_job(struct mo_text *text, const void *status, const struct mo_live *live);
 

@@ -4,9 +4,9 @@
 
 #include "api/handlers.h"
 #include "api/job_json.h"
+#include "jobs/held_out.h"
 #include "jobs/trainings.h"
 #include "rollout/physics.h"
-#include "store/worlds.h"
 #include "world/environment.h"
 #include "world/task_json.h"
 
@@ -164,7 +164,7 @@ void mo_api_get_training_held_out(struct mo_request *request)
   struct mo_training_status status;
   struct mo_environment *environments = NULL;
   struct mo_bits *genotypes = NULL;
-  uint32_t n = 0, n_environments;
+  uint32_t n = 0, n_environments = 0;
   int64_t id;
   if (!mo_path_id(request, 0, &id))
     return;
@@ -174,11 +174,8 @@ void mo_api_get_training_held_out(struct mo_request *request)
     code = mo_store_job_designs(store, id, &genotypes, &n);
   else if (code == MO_OK && (n = settings->held_out_designs) > 0)
     code = draw(settings->seed, n, &genotypes);
-  n_environments = settings->held_out_environments;
-  if (code == MO_OK && status.record.n_environments > 0)
-    code = mo_store_job_environments(store, id, MO_JOB_TRAINING, &environments, &n_environments);
-  else if (code == MO_OK)
-    code = draw_environments(settings->seed, n_environments, &environments);
+  if (code == MO_OK)
+    code = mo_held_out_worlds(store, &status, &environments, &n_environments);
   if (code != MO_OK)
     mo_reply_error(request, code, "training");
   else

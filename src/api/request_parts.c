@@ -165,12 +165,42 @@ static void read_set(struct mo_json *json, struct mo_parts *parts)
                    "morpho-12-walk, morpho-12-walk-held-out and others");
 }
 
+/* Reads an array of 1 to MO_ENVIRONMENTS_MAX environments, each by `read`. Skips it if the request
+ * has given another one already, which a check reports. */
+static void read_list(struct mo_json *json, const char *what,
+                      void (*read)(struct mo_json *json, struct mo_environment *environment),
+                      struct mo_parts *parts)
+{
+  const unsigned depth = json->depth;
+  uint32_t n = 0;
+  if (parts->environments != NULL) {
+    mo_json_skip(json);
+    return;
+  }
+  parts->environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(*parts->environments));
+  if (parts->environments == NULL) {
+    parts->error = MO_ERR_NO_MEMORY;
+    json->stop = true;
+    return;
+  }
+  mo_json_array(json);
+  while (mo_json_item(json)) {
+    if (n < MO_ENVIRONMENTS_MAX)
+      read(json, &parts->environments[n]);
+    else
+      mo_json_skip(json);
+    n += n <= MO_ENVIRONMENTS_MAX;
+  }
+  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
+    mo_json_fault_at(json, depth, "", "must have 1 to %d %s, got %s", MO_ENVIRONMENTS_MAX, what,
+                     n == 0 ? "none" : "too many");
+  parts->n_environments = n;
+}
+
 static void read_environments(struct mo_json *json, void *value)
 {
   struct mo_parts *parts = value;
-  unsigned depth = json->depth;
   enum mo_json_kind kind = mo_json_peek(json);
-  uint32_t n = 0;
   parts->has_environments = true;
   if (kind == MO_JSON_STRING) {
     read_set(json, parts);
@@ -184,26 +214,35 @@ static void read_environments(struct mo_json *json, void *value)
     mo_json_skip(json);
     return;
   }
-  parts->environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(*parts->environments));
-  if (parts->environments == NULL) {
-    parts->error = MO_ERR_NO_MEMORY;
-    json->stop = true;
-    return;
-  }
-  mo_json_array(json);
-  while (mo_json_item(json)) {
-    if (n < MO_ENVIRONMENTS_MAX)
-      read_environment(json, &parts->environments[n]);
-    else
-      mo_json_skip(json);
-    n += n <= MO_ENVIRONMENTS_MAX;
-  }
-  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
-    mo_json_fault_at(json, depth, "", "must have 1 to %d environments, got %s", MO_ENVIRONMENTS_MAX,
-                     n == 0 ? "none" : "too many");
-  parts->n_environments = n;
+  read_list(json, "environments", read_environment, parts);
 }
 const struct mo_field_own mo_environments_field = {.read = read_environments};
+
+/* Reads a task into an environment that is otherwise empty. */
+static void read_task(struct mo_json *json, struct mo_environment *environment)
+{
+  const unsigned depth = json->depth, before = json->faults->n;
+  *environment = mo_environment_defaults;
+  mo_task_read(json, environment);
+  const struct mo_guide *guide = &environment->task.guide;
+  if (!json->stop && json->faults->n == before && guide->kind != MO_GUIDE_FIXED &&
+      mo_guide_has_light(guide))
+    check_light(json, depth, "/guide/light_xy_m", environment->light_xy_m);
+}
+
+static void read_tasks(struct mo_json *json, void *value)
+{
+  struct mo_parts *parts = value;
+  parts->has_tasks = true;
+  if (mo_json_peek(json) == MO_JSON_ARRAY) {
+    read_list(json, "tasks", read_task, parts);
+    return;
+  }
+  mo_json_fault(json, "must be an array of 1 to %d tasks, such as [\"walk\", \"path\"]",
+                MO_ENVIRONMENTS_MAX);
+  mo_json_skip(json);
+}
+const struct mo_field_own mo_tasks_field = {.read = read_tasks};
 
 /* ---- names, labels, ids ---- */
 

@@ -25,7 +25,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   struct mo_submission job; /* priority −1: not given */
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
-  bool has_random, estimates_error;
+  bool has_tasks, has_random, estimates_error;
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
@@ -33,7 +33,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   uint32_t n_designs, n_environments, most_designs; /* most: longest list; 0: MO_DESIGNS_MAX */
   struct mo_design_note *notes; /* (n_notes) ascending: skipped, repaired, or given by id */
   uint32_t n_notes, n_skipped;
-  struct mo_environment *environments; /* (n_environments); NULL: the set */
+  struct mo_environment *environments; /* (n_environments); NULL: the set. mo_tasks_field: tasks */
   const char *environment_set;         /* of mo_set_words; NULL: "paper-test" */
   struct mo_random_bodies random;      /* count 0: none */
 };
@@ -41,12 +41,12 @@ struct mo_parts {           /* everything that a submission of any kind may requ
 extern const struct mo_fields mo_parts_fields;
 extern const struct mo_fields mo_weight_fields; /* of one double */
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; a word of mo_set_words or 1 to
- * MO_ENVIRONMENTS_MAX environments. */
-extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_controller_field;
+ * MO_ENVIRONMENTS_MAX environments, or only their tasks, of which a request has one. */
+extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_tasks_field,
+    mo_controller_field;
 /* on_fault and repair, together and separately. Read them ahead of the designs. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
-/* A name for a controller, of MO_NAME_BYTES_MAX + 1 bytes. */
-extern const struct mo_field_own mo_name_field;
+extern const struct mo_field_own mo_name_field; /* of a controller: MO_NAME_BYTES_MAX + 1 bytes */
 
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
  * placed, unless it was skipped. Returns false if memory runs out. */

@@ -51,6 +51,7 @@ static const struct mo_field rows[] = {
     {"designs", MO_FIELD_OWN, 0, AT(parts), .own = &mo_designs_field},
     {"population", MO_FIELD_OWN, 0, 0, .own = &population},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
+    {"tasks", MO_FIELD_OWN, 0, AT(parts), .own = &mo_tasks_field},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
     {NULL, MO_FIELD_INLINE, 0, AT(request.record), .group = &mo_training_record_fields},
 };
@@ -103,6 +104,10 @@ static int check(struct mo_json *json, void *any)
   const struct mo_parts *parts = &parsed->parts;
   bool finetune = settings->kind == MO_TRAINING_FINETUNE;
   bool has_sensor = (int)settings->sensor >= 0;
+  if (parts->has_environments && parts->has_tasks)
+    mo_json_fault_at(json, 0, "/tasks",
+                     "cannot be combined with environments, which may have tasks themselves; give "
+                     "only one of them");
   if (parts->has_environments && settings->held_out_environments > 0)
     mo_json_fault_at(json, 0, "/validation/environments",
                      "must be left out, because a training with environments of its own is "
@@ -166,6 +171,7 @@ int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *
   request->record.n_designs = parts->n_designs;
   request->environments = parts->environments;
   request->record.n_environments = parts->n_environments;
+  request->record.draws_worlds = parts->has_tasks;
   if (parts->environment_set != NULL)
     snprintf(request->record.environment_set, sizeof(request->record.environment_set), "%s",
              parts->environment_set);

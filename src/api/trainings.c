@@ -7,6 +7,8 @@
 #include "api/submission.h"
 #include "exchange/columns.h"
 #include "store/fields.h"
+#include "store/worlds.h"
+#include "world/task_json.h"
 
 /* ---- as JSON ---- */
 
@@ -24,8 +26,24 @@ static uint32_t step_of(const struct mo_training_status *status, const struct mo
   return live->position > 0 ? live->position : status->checkpoint_step;
 }
 
+/* tasks: of a training with tasks of its own. */
+static void write_worlds(struct mo_text *text, const struct mo_training_record *record,
+                         const struct mo_environment *tasks)
+{
+  if (record->n_environments > 0 && !record->draws_worlds)
+    mo_member_environments(text, record->environment_set, record->n_environments);
+  else
+    mo_text_add(text, ",\"environments\":null");
+  mo_text_add(text, tasks != NULL ? ",\"tasks\":[" : ",\"tasks\":null");
+  for (uint32_t i = 0; tasks != NULL && i < record->n_environments; i++) {
+    mo_text_add(text, i > 0 ? "," : "");
+    mo_task_write(text, &tasks[i]);
+  }
+  mo_text_add(text, tasks != NULL ? "]" : "");
+}
+
 static void write_settings(struct mo_text *text, const struct mo_training_status *status,
-                           enum mo_job_kind population_kind)
+                           enum mo_job_kind population_kind, const struct mo_environment *tasks)
 {
   const struct mo_training_record *record = &status->record;
   struct mo_training_record shown = *record;
@@ -33,10 +51,7 @@ static void write_settings(struct mo_text *text, const struct mo_training_status
     shown.settings.sensor = (enum mo_sensor) - 1; /* null: the sensor of the parent */
   mo_text_add(text, ",\"settings\":{");
   mo_fields_write(text, &mo_training_record_fields, &shown);
-  if (record->n_environments > 0)
-    mo_member_environments(text, record->environment_set, record->n_environments);
-  else
-    mo_text_add(text, ",\"environments\":null");
+  write_worlds(text, record, tasks);
   mo_member_count_if(text, "n_designs", record->settings.kind == MO_TRAINING_FINETUNE,
                      record->n_designs);
   if (record->population > 0)
@@ -87,7 +102,8 @@ static void write_code(struct mo_text *text, const struct mo_training_lineage *l
 }
 
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
-                            enum mo_job_kind population_kind, const struct mo_live *live)
+                            enum mo_job_kind population_kind, const struct mo_environment *tasks,
+                            const struct mo_live *live)
 {
   static const char *const below[] = {"steps",       "steps",       "validations", "validations",
                                       "checkpoints", "checkpoints", "controller",  "controller",
@@ -103,7 +119,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   mo_text_member(text, "phase", mo_phase_name(live->phase));
   mo_member_controller(text, "parent", status->job.has_controller, status->job.controller_name,
                        &status->job.controller_sha256);
-  write_settings(text, status, population_kind);
+  write_settings(text, status, population_kind, tasks);
   write_progress(text, status, live);
   mo_text_name(text, "validation");
   mo_columns_json(text, &mo_validation_columns,
@@ -149,14 +165,18 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
                        const struct mo_live *live, bool is_listed)
 {
   struct mo_design_note *notes = NULL;
-  uint32_t n = 0;
+  struct mo_environment *tasks = NULL;
+  uint32_t n = 0, n_tasks;
   const struct mo_training_status *training = status;
-  const int error =
-      is_listed ? MO_OK : mo_store_design_notes(api->store, training->job.id, &notes, &n);
-  mo_training_json_write(text, training, population_kind(api->store, training), live);
+  const int64_t id = training->job.id;
+  int error = is_listed ? MO_OK : mo_store_design_notes(api->store, id, &notes, &n);
+  if (error == MO_OK && training->record.draws_worlds)
+    error = mo_store_job_environments(api->store, id, MO_JOB_TRAINING, &tasks, &n_tasks);
+  mo_training_json_write(text, training, population_kind(api->store, training), tasks, live);
   if (!is_listed)
     mo_member_notes(text, "notes", notes, n);
   mo_text_add(text, "}");
+  free(tasks);
   free(notes);
   return error;
 }

@@ -19,20 +19,28 @@ void mo_held_out_free(struct mo_held_out *held_out)
   memset(held_out, 0, sizeof(*held_out));
 }
 
-/* Reads the environments of the training, or draws those that its learning never draws. */
-static int load_environments(struct mo_store *store, const struct mo_training_status *status,
-                             struct mo_held_out *held_out)
+int mo_held_out_worlds(struct mo_store *store, const struct mo_training_status *status,
+                       struct mo_environment **environments, uint32_t *n)
 {
-  if (status->record.n_environments > 0)
-    return mo_store_job_environments(store, status->job.id, MO_JOB_TRAINING,
-                                     &held_out->environments, &held_out->n_environments);
-  held_out->environments =
-      calloc((size_t)held_out->n_environments + 1, sizeof(*held_out->environments));
-  if (held_out->environments == NULL)
-    return MO_ERR_NO_MEMORY;
-  mo_held_out_environments(status->record.settings.seed, held_out->n_environments,
-                           held_out->environments);
-  return MO_OK;
+  const struct mo_training_record *record = &status->record;
+  struct mo_environment *own = NULL;
+  uint32_t n_own = 0;
+  int error = record->n_environments > 0
+                  ? mo_store_job_environments(store, status->job.id, MO_JOB_TRAINING, &own, &n_own)
+                  : MO_OK;
+  if (error == MO_OK && record->n_environments > 0 && !record->draws_worlds) {
+    *environments = own;
+    *n = n_own;
+    return MO_OK;
+  }
+  *n = record->settings.held_out_environments;
+  *environments = calloc((size_t)*n + 1, sizeof(**environments));
+  if (error == MO_OK && *environments == NULL)
+    error = MO_ERR_NO_MEMORY;
+  if (error == MO_OK)
+    mo_held_out_tasks(record->settings.seed, *n, own, n_own, *environments);
+  free(own);
+  return error;
 }
 
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status,
@@ -43,7 +51,6 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
   int error = MO_OK;
   memset(held_out, 0, sizeof(*held_out));
   held_out->n_designs = settings->held_out_designs;
-  held_out->n_environments = settings->held_out_environments;
   if (settings->kind == MO_TRAINING_FINETUNE) {
     error = mo_store_job_designs(store, status->job.id, &held_out->genotypes, &n);
     if (n < held_out->n_designs)
@@ -55,7 +62,7 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
                                                               held_out->genotypes[0].words);
   }
   if (error == MO_OK)
-    error = load_environments(store, status, held_out);
+    error = mo_held_out_worlds(store, status, &held_out->environments, &held_out->n_environments);
   if (error != MO_OK)
     mo_held_out_free(held_out);
   return error;

@@ -8,7 +8,8 @@
 /* The designs and environments of validation: every design is scored in every environment, with the
  * physics of the settings, in float32. A pretraining uses bodies from the held-out stream of its
  * seed. A finetuning uses the first of its own designs, which it also learns on, but in other
- * environments. A training in its own environments is validated in all of these. */
+ * environments. A training in its own environments is validated in all of these; one with
+ * tasks of its own, in such environments with the tasks in turn. */
 struct mo_held_out {
   struct mo_bits *genotypes; /* (n_designs) placed */
   uint32_t n_designs;
@@ -18,6 +19,9 @@ struct mo_held_out {
 /* MO_ERR_NO_MEMORY, and errors of the store. Free the result with mo_held_out_free. */
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status,
                      struct mo_held_out *held_out);
+/* Only the environments. *environments: (n) malloc, owned by the caller, also after an error. */
+int mo_held_out_worlds(struct mo_store *store, const struct mo_training_status *status,
+                       struct mo_environment **environments, uint32_t *n);
 void mo_held_out_free(struct mo_held_out *held_out); /* frees the arrays */
 /* Scores the held-out designs with the current weights. MO_ERR_CANCELLED; MO_ERR_NO_MEMORY and
  * other errors of blocks. */

@@ -165,7 +165,9 @@ static int set_environments(struct run *run)
   int error =
       mo_store_job_environments(run->jobs->store, run->id, MO_JOB_TRAINING, &environments, &n);
   if (error == MO_OK)
-    error = mo_training_set_environments(run->learner.training, environments, n);
+    error = run->status.record.draws_worlds
+                ? mo_training_set_tasks(run->learner.training, environments, n)
+                : mo_training_set_environments(run->learner.training, environments, n);
   free(environments);
   return error;
 }
@@ -496,7 +498,7 @@ static int complete(struct mo_jobs *jobs, struct mo_training_request *request,
 {
   struct mo_training_record *record = &request->record;
   /* For drawn worlds, the scores of the test set say which orientation is best. */
-  const bool is_listed = request->environments != NULL;
+  const bool is_listed = request->environments != NULL && !record->draws_worlds;
   const char *const set = record->environment_set[0] != '\0' ? record->environment_set
                           : is_listed                        ? NULL
                                                              : "paper-test";

@@ -35,7 +35,8 @@ _Static_assert(sizeof(struct counters) == 64, "without padding");
 
 /* The environments of a checkpoint in VERSION_OWN. */
 struct worlds {
-  uint32_t n, version; /* of the packed form */
+  uint32_t n, version;   /* of the packed form */
+  uint32_t draws_worlds; /* 1: only their tasks are the training's own */
 };
 
 /* ---- checksum: CRC-64 with the polynomial of ECMA-182, reflected, as in the XZ format ---- */
@@ -115,7 +116,8 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
                              .adam = training->adam,
                              .n_designs = training->n_designs,
                              .designs = training->designs};
-  struct worlds worlds = {training->n_environments, mo_training_environments_version(training)};
+  struct worlds worlds = {training->n_environments, mo_training_environments_version(training),
+                          training->draws_worlds};
   const bool is_own = worlds.n > 0;
   const size_t worlds_bytes =
       is_own ? sizeof(worlds) + mo_training_environments_bytes(training, worlds.version) : 0;
@@ -226,7 +228,7 @@ static int read_worlds(struct codec *codec, size_t size, struct mo_training *tra
   if (size < codec->at + sizeof(worlds) + SUM_BYTES)
     return damaged(message, what);
   field(codec, &worlds, sizeof(worlds));
-  if (worlds.n < 1 || worlds.n > MO_TRAINING_ENVIRONMENTS_MAX)
+  if (worlds.n < 1 || worlds.n > MO_TRAINING_ENVIRONMENTS_MAX || worlds.draws_worlds > 1)
     return damaged(message, what);
   int r = mo_training_allocate_environments(training, worlds.n);
   if (r < 0)
@@ -236,6 +238,7 @@ static int read_worlds(struct codec *codec, size_t size, struct mo_training *tra
     return damaged(message, what);
   r = mo_training_environments_unpack(training, worlds.version, codec->from + codec->at);
   codec->at += bytes;
+  training->draws_worlds = worlds.draws_worlds == 1;
   return r == MO_OK ? MO_OK : damaged(message, what);
 }
 

@@ -97,7 +97,7 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
     training->n_bodies = training->n_designs;
     training->bodies = calloc(training->n_bodies, sizeof(struct mo_body *));
   }
-  const bool draws = training->environments == NULL;
+  const bool draws = training->draws_worlds;
   if (draws && hand->environments == NULL)
     hand->environments = calloc(batch, sizeof(*hand->environments));
   if (hand->robots == NULL)
@@ -130,14 +130,6 @@ static void make_bodies(void *context, size_t first, size_t end)
   }
 }
 
-static void make_environments(void *context, size_t first, size_t end)
-{
-  const struct making *making = context;
-  for (size_t i = first; i < end; i++)
-    mo_environment_training(making->training->settings.seed, making->hand->step, i,
-                            &making->hand->environments[i]);
-}
-
 /* Returns one of the training's own environments. */
 static const struct mo_environment *choose(const struct mo_training *training, uint32_t step,
                                            uint32_t i)
@@ -145,6 +137,18 @@ static const struct mo_environment *choose(const struct mo_training *training, u
   struct mo_random random;
   mo_random_init(&random, training->settings.seed, MO_PURPOSE_TRAINING_WORLD, step, i);
   return &training->environments[mo_random_below(&random, training->n_environments)];
+}
+
+static void make_environments(void *context, size_t first, size_t end)
+{
+  const struct making *making = context;
+  const struct mo_training *training = making->training;
+  for (size_t i = first; i < end; i++) {
+    struct mo_environment *environment = &making->hand->environments[i];
+    mo_environment_training(training->settings.seed, making->hand->step, i, environment);
+    if (training->n_environments > 0)
+      mo_training_give_task(choose(training, making->hand->step, (uint32_t)i), environment);
+  }
 }
 
 static int make_robots(struct mo_training *training, struct mo_hand *hand)
@@ -160,7 +164,7 @@ static int make_robots(struct mo_training *training, struct mo_hand *hand)
   const int r = atomic_load(&making.error);
   if (r < 0)
     return r;
-  const bool draws = training->environments == NULL;
+  const bool draws = training->draws_worlds;
   if (draws)
     mo_parallel(training->n_threads, settings->batch, make_environments, &making);
   const uint64_t first = (uint64_t)hand->step * settings->batch;

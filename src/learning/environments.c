@@ -18,8 +18,8 @@ int mo_training_allocate_environments(struct mo_training *training, uint32_t n)
   return MO_OK;
 }
 
-int mo_training_set_environments(struct mo_training *training,
-                                 const struct mo_environment *environments, uint32_t n)
+static int set(struct mo_training *training, const struct mo_environment *environments, uint32_t n,
+               bool draws_worlds)
 {
   if (n < 1 || n > MO_TRAINING_ENVIRONMENTS_MAX)
     return MO_ERR_RANGE;
@@ -28,7 +28,36 @@ int mo_training_set_environments(struct mo_training *training,
   const int r = mo_training_allocate_environments(training, n);
   if (r == MO_OK)
     memcpy(training->environments, environments, n * sizeof(*environments));
+  if (r == MO_OK)
+    training->draws_worlds = draws_worlds;
   return r;
+}
+
+int mo_training_set_environments(struct mo_training *training,
+                                 const struct mo_environment *environments, uint32_t n)
+{
+  return set(training, environments, n, false);
+}
+
+int mo_training_set_tasks(struct mo_training *training, const struct mo_environment *tasks,
+                          uint32_t n)
+{
+  return set(training, tasks, n, true);
+}
+
+void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment)
+{
+  environment->task = tasked->task;
+  if (tasked->task.guide.kind != MO_GUIDE_FIXED)
+    memcpy(environment->light_xy_m, tasked->light_xy_m, sizeof(environment->light_xy_m));
+}
+
+void mo_held_out_tasks(uint64_t seed, uint32_t n, const struct mo_environment *tasks,
+                       uint32_t n_tasks, struct mo_environment *environments)
+{
+  mo_held_out_environments(seed, n, environments);
+  for (uint32_t i = 0; i < n && n_tasks > 0; i++)
+    mo_training_give_task(&tasks[i % n_tasks], &environments[i]);
 }
 
 const struct mo_environment *mo_training_environments(const struct mo_training *training,

@@ -16,7 +16,8 @@ static void write_settings(const struct mo_training *training, struct mo_text *t
   mo_fields_write(text, &mo_recipe_fields, &training->settings);
   mo_text_member_count(text, "designs", training->n_designs);
   if (training->n_environments > 0)
-    mo_text_member_count(text, "environments", training->n_environments);
+    mo_text_member_count(text, training->draws_worlds ? "tasks" : "environments",
+                         training->n_environments);
   mo_text_add(text, "}");
 }
 

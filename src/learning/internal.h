@@ -17,6 +17,7 @@ struct mo_training {
   uint64_t *designs;                   /* finetune: (n_designs, MO_DEFAULT_WORDS) */
   uint32_t n_environments;             /* 0: the training draws its environments */
   struct mo_environment *environments; /* (n_environments) its own */
+  bool draws_worlds;                   /* only the tasks are its own; or it has no environments */
   uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must reach this
                      number */
 
@@ -76,6 +77,8 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
 
 /* environments.c: a training's own environments as bytes: in their packed form, all in the first
  * version that has all their fields. They have at most sizeof(struct mo_environment) each. */
+/* Gives a drawn environment another's task, and its light if the task moves the light. */
+void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);
 unsigned mo_training_environments_version(const struct mo_training *training);
 size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version);
 void mo_training_environments_pack(const struct mo_training *training, unsigned version,

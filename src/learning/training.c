@@ -36,6 +36,7 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
   made->settings = *settings;
   made->n_designs = n_designs;
   made->n_threads = 1;
+  made->draws_worlds = true;
   int r = mo_training_blank(settings, &made->controller);
   if (r == MO_OK) {
     made->adam.first = calloc(made->controller->n_parameters, sizeof(double));

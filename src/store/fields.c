@@ -53,6 +53,7 @@ static const struct mo_field stored_own_rows[] = {
      .max = MO_NAME_BYTES_MAX, .unit = "", .help = ""},
     {"n_environments", MO_FIELD_COUNT, 0, AT(n_environments), .min = 1,
      .max = MO_TRAINING_ENVIRONMENTS_MAX, .unit = "", .help = ""},
+    {"draws_worlds", MO_FIELD_FLAG, 0, AT(draws_worlds), .unit = "", .help = ""},
 };
 static const struct mo_fields stored_own = MO_FIELDS(stored_own_rows);
 #undef AT
@@ -125,6 +126,7 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
     struct mo_training_settings *settings = &training->settings;
     training->environment_set[0] = '\0';
     training->n_environments = 0;
+    training->draws_worlds = false;
     *settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_WORKSTATION);
     settings->physics = mo_paper_physics();
     return read_stored(json, &stored_own, record);

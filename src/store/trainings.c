@@ -31,7 +31,7 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
   if (error == MO_OK && record.environment_set[0] != '\0')
     error = mo_environment_set_find(writer, record.environment_set, &set, &n_environments);
   record.n_environments = (uint32_t)n_environments;
-  if (record.n_environments > 0)
+  if (record.n_environments > 0 && !record.draws_worlds)
     record.settings.held_out_environments = record.n_environments;
   if (error == MO_OK)
     error = mo_training_settings_check(&record.settings, NULL);

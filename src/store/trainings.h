@@ -21,9 +21,10 @@ struct mo_training_record {
   uint32_t n_designs;               /* finetune */
   /* Its own environments: a named set, or "": listed in the request. n_environments 0: none, the
    * training draws its environments. With its own, settings.held_out_environments has the same
-   * number. */
+   * number. draws_worlds: only their tasks are its own, in drawn environments. */
   char environment_set[MO_NAME_BYTES_MAX + 1];
   uint32_t n_environments;
+  bool draws_worlds;
   int64_t population; /* finetune: the job whose designs are used; 0: listed in the request */
   uint32_t validate_every_steps;   /* 0: never; else also before the first and after the last
                                       step */

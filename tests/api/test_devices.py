@@ -490,6 +490,9 @@ def test_devices_do_not_learn_tasks(start):
         assert reply.status == 422 and reply.pointers() == ["/device"], reply.body
         assert words in reply.json()["errors"][0]["detail"]
         assert 'request "cpu" or "auto"' in reply.json()["errors"][0]["detail"]
+    refused(service, "trainings", quiet | {"tasks": ["photo", "climb"], "device": "cuda"})
+    done = run(service, "trainings", quiet | {"tasks": ["photo"], "device": "cuda"})
+    assert done["state"] == "succeeded" and done["device"] == "cuda"
     done = run(service, "trainings", quiet | {"environments": [light, {"task": "walk"}],
                                               "device": "auto"})
     assert done["state"] == "succeeded" and done["device"] == "cpu"

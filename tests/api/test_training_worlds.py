@@ -101,9 +101,44 @@ def test_pretraining_with_other_seeds(service):
     assert losses(service, weights) == losses(service, single)  # one world, listed twice
 
 
-def test_a_restart_changes_nothing(start, tmp_path):
+TASKS = ["walk", "photo", {"guide": {"kind": "moving", "light_xy_m": [4, 2.5]}}]
+
+
+def test_tasks_in_random_terrains(service):
+    value = {"kind": "pretrain", "tasks": TASKS, **SMALL, "name": "tasks"}
+    done = train(service, value | {"validation": {"every_steps": 3, "designs": 2,
+                                                  "environments": 4}})
+    settings = done["settings"]
+    assert settings["environments"] is None and settings["validation"]["environments"] == 4
+    assert [task["objective"] for task in settings["tasks"]] == ["travel", "reach", "pursue"]
+    assert service.get("/v1/trainings?limit=1")["items"][0]["settings"] == settings
+    set_ = service.get(done["links"]["held_out"])
+    tasks = [world.get("task", {"objective": "reach"}) for world in set_["environments"]]
+    assert [task["objective"] for task in tasks] == ["travel", "reach", "pursue", "travel"]
+    plain = service.get("/v1/held-out?seed=1&designs=2&environments=4")["environments"]
+    assert [world["terrain_heights_m"] for world in plain] == [
+        world["terrain_heights_m"] for world in set_["environments"]]
+    assert plain[1] == set_["environments"][1]  # its light stands still
+    value_ = service.evaluate(set_ | {"controller": "tasks"}).json()
+    scores = [result["score"] for result in value_["results"]]
+    assert abs(sum(scores) / 2 - done["validation"]["mean_score"]) < 1e-12
+    described = metadata(file_of(service, done))
+    assert json.loads(described["morphod.settings"])["tasks"] == 3
+    # Only reaching lights is what a training does without tasks.
+    bare = {"kind": "pretrain", **SMALL}
+    assert losses(service, train(service, bare | {"tasks": ["photo"]})) == losses(
+        service, train(service, bare)) != losses(service, done)
+    again = train(service, {"kind": "pretrain", **SMALL, "tasks": settings["tasks"]})
+    assert losses(service, again) == losses(service, done)
+    shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "train",
+                            "show", done["id"]], check=True, capture_output=True, text=True)
+    assert "3 tasks in random terrains" in shown.stdout
+
+
+@pytest.mark.parametrize("own", [{"environments": WORLDS}, {"tasks": TASKS}])
+def test_a_restart_changes_nothing(start, tmp_path, own):
     """Stopped and started several times, a training ends with the same file as without."""
-    value = {"kind": "pretrain", "environments": WORLDS, "steps": 40, "batch": 3, "seed": 9,
+    value = {"kind": "pretrain", **own, "steps": 40, "batch": 3, "seed": 9,
              "name": "own", "physics": {"n_steps": 300},
              "validation": {"every_steps": 20, "designs": 1},
              "checkpoint": {"every_steps": 7, "every_s": 0, "keep": 2}}
@@ -132,6 +167,13 @@ def test_refusals(service):
     refuse(TUNE | {"validation": {"environments": 5}}, "/validation/environments",
            "validated in all of them")
     refuse(TUNE | {"environments": []}, "/environments", "1 to 64")
+    refuse(TUNE | {"tasks": ["walk"]}, "/tasks", "cannot be combined with environments")
+    bare = {"kind": "pretrain", **SMALL}
+    refuse(bare | {"tasks": []}, "/tasks", "1 to 64 tasks")
+    refuse(bare | {"tasks": "walk"}, "/tasks", "must be an array")
+    refuse(bare | {"tasks": ["photo", "fly"]}, "/tasks/1", "walk")
+    refuse(bare | {"tasks": [{"guide": {"kind": "moving", "light_xy_m": [2.5, 2.5]}}]},
+           "/tasks/0/guide/light_xy_m", "from (2.5, 2.5)")
     refuse(TUNE | {"environments": WORLDS[:1] * 65}, "/environments", "1 to 64")
     refuse(TUNE | {"environments": [{"task": "fly"}]}, "/environments/0/task", "walk")
     refuse(TUNE | {"environments": "morpho-12-fly"}, "/environments", "GET /v1/environment-sets")
@@ -149,6 +191,13 @@ def test_a_light_near_the_start_is_warned_of(service):
 def test_morphoctl_starts_one(service, tmp_path):
     server = ["-s", f"http://{service.host}:{service.port}"]
     (tmp_path / "worlds.json").write_text(json.dumps(WORLDS), encoding="utf-8")
+    made = subprocess.run(
+        [MORPHOCTL, *server, "train", "start", "pretrain", "--tasks", "walk,photo", "--steps", "1",
+         "--batch", "2", "--validate-every", "0", "-p", "n_steps=20", "--json"],
+        check=True, capture_output=True, text=True)
+    tasks = service.get(f"/v1/trainings/{json.loads(made.stdout.splitlines()[-1])['id']}"
+                        )["settings"]["tasks"]
+    assert [task["objective"] for task in tasks] == ["travel", "reach"]
     for given, shown in (("morpho-12-walk", "morpho-12-walk"),
                          (tmp_path / "worlds.json", {"count": 5})):
         made = subprocess.run(

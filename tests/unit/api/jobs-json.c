@@ -50,7 +50,7 @@ static void write_training(bool as_job)
   if (as_job) {
     mo_training_json_job(&text, &training, &live);
   } else {
-    mo_training_json_write(&text, &training, MO_JOB_EVALUATION, &live);
+    mo_training_json_write(&text, &training, MO_JOB_EVALUATION, NULL, &live);
     mo_text_add(&text, "}"); /* the notes of its designs follow */
   }
   parse(&text);

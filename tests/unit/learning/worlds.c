@@ -101,6 +101,52 @@ static void same_again(void)
   }
 }
 
+/* With tasks only, terrains and the lights that stand still are the usual ones, and the tasks are
+ * those of the stream; also after a checkpoint, on several threads. Held-out environments take the
+ * tasks in turn. */
+static void tasks_in_drawn_worlds(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  settings.batch = 300;
+  struct mo_environment tasks[N];
+  memcpy(tasks, own(), sizeof(tasks));
+  mo_task_named(mo_word_index(mo_task_words, "pursue"), &tasks[0]);
+  mo_task_named(mo_word_index(mo_task_words, "photo-auc"), &tasks[1]);
+  struct mo_training *training = finetuning(&settings, 3, 1.0F);
+  make_check(mo_training_set_tasks(training, tasks, N), "tasks");
+  training = decoded(encoded(training));
+  mo_training_set_threads(training, 3);
+  const struct mo_robot *robots = draw(training);
+  uint32_t wrong = 0, lights = 0;
+  for (uint32_t i = 0; i < 300; i++) {
+    struct mo_environment expected;
+    struct mo_random random;
+    mo_random_init(&random, settings.seed, MO_PURPOSE_TRAINING_WORLD, 0, i);
+    const struct mo_environment *tasked = &tasks[mo_random_below(&random, N)];
+    mo_environment_training(settings.seed, 0, i, &expected);
+    expected.task = tasked->task;
+    if (tasked != &tasks[1])
+      memcpy(expected.light_xy_m, tasked->light_xy_m, sizeof(expected.light_xy_m));
+    wrong += !same_environment(&expected, robots[i].environment) ||
+             mo_environment_check(robots[i].environment, NULL) != MO_OK;
+    lights += tasked == &tasks[1];
+  }
+  CHECK_INT(wrong, 0);
+  CHECK(lights > 30);
+  struct mo_environment held_out[7], plain[7];
+  mo_held_out_tasks(4, 7, tasks, N, held_out);
+  mo_held_out_environments(4, 7, plain);
+  for (uint32_t i = 0; i < 7; i++) {
+    mo_training_give_task(&tasks[i % N], &plain[i]);
+    CHECK(same_environment(&held_out[i], &plain[i]));
+  }
+  struct mo_controller *exported = NULL;
+  REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
+  CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
+               "\"designs\":3,\"tasks\":5}") != NULL);
+  mo_controller_free(exported);
+}
+
 static void bodies_stay(void)
 {
   struct mo_training *training = in_own(MO_TRAINING_PRETRAIN, 8, 50);
@@ -133,9 +179,8 @@ static void checkpoints(void)
   const struct {
     size_t at;
     uint32_t value;
-  } faults[] = {{at, 0},     {at, 65},    {at, 64},
-                {at, 4},     {at + 4, 0}, {at + 4, 1},
-                {at + 4, 2}, {at + 4, 4}, {at + 12, 0x7ff00000}};
+  } faults[] = {{at, 0},     {at, 65},    {at, 64},    {at, 4},     {at + 4, 0},
+                {at + 4, 1}, {at + 4, 2}, {at + 4, 4}, {at + 8, 2}, {at + 16, 0x7ff00000}};
   for (size_t i = 0; i < COUNT(faults); i++) {
     struct blob wrong = encoded(training);
     struct mo_training *read = NULL;
@@ -201,6 +246,7 @@ static void refused(void)
 static const struct check_case cases[] = {
     {"robots have the environments of the stream", drawn_by_the_stream},
     {"the same robots on several threads and after a checkpoint", same_again},
+    {"tasks in drawn environments", tasks_in_drawn_worlds},
     {"the bodies are those of the seed", bodies_stay},
     {"environments in checkpoints", checkpoints},
     {"environments in the lineage", lineage},

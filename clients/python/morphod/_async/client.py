@@ -511,7 +511,7 @@ class AsyncClient:
                        label: str | None = None, **settings: Any) -> AsyncTraining:
         """Starts the training of a controller on an endless stream of random bodies, in random
         worlds or in these `environments`, of which each robot of a step gets one. `settings` are
-        those of the contract (docs/learning.md), such as `steps`, `batch`, `seed`."""
+        those of the contract (docs/learning.md), such as `steps`, `batch`, `tasks=["walk"]`."""
         return await self._train("pretrain", settings, preset=preset, environments=environments,
                                  name=name, label=label)
 
