@@ -24,6 +24,12 @@ static void check_accepted(const struct mo_training_request *request)
   FUZZ_PROMISE(request->parent == NULL || strlen(request->parent) <= MO_NAME_BYTES_MAX + 7);
   FUZZ_PROMISE(request->job.label == NULL || strlen(request->job.label) <= MO_LABEL_BYTES_MAX);
   FUZZ_PROMISE(record->n_designs <= MO_TRAINING_DESIGNS_MAX);
+  FUZZ_PROMISE(record->n_environments <= MO_TRAINING_ENVIRONMENTS_MAX);
+  FUZZ_PROMISE((record->n_environments > 0) == (request->environments != NULL));
+  FUZZ_PROMISE(request->environments == NULL || record->environment_set[0] == '\0');
+  FUZZ_PROMISE(!record->draws_worlds || request->environments != NULL);
+  for (uint32_t i = 0; i < record->n_environments; i++)
+    FUZZ_PROMISE(mo_environment_check(&request->environments[i], NULL) == MO_OK);
   for (uint32_t i = 0; i < record->n_designs; i++)
     FUZZ_PROMISE(mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, request->genotypes[i].words) == 1);
 }
