@@ -72,25 +72,30 @@ static num parameter(const struct second_parameters *theta, size_t at, int lane)
   return r;
 }
 
-/* Σ_j weights[j] · in[j]: values in order, and for each lane Σ_j weights[j] · in[j].t. The compiler
- * picks the widest vectors of this machine at run time; lanes never mix, so the result is the
- * same. */
+/* For each of two rows of weights: Σ_j weights[j] · in[j]: values in order, and for each lane
+ * Σ_j weights[j] · in[j].t. Two rows at a time hide the latency of the sums. The compiler picks the
+ * widest vectors of this machine at run time; lanes never mix, so the result is the same. */
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) &&                             \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 __attribute__((target_clones("avx512f", "avx2", "default")))
 #endif
 static void
-weigh(const double *weights, const num *in, uint32_t width, num *sum)
+weigh(const double *const weights[2], const num *in, uint32_t width, num sum[2])
 {
-  double v = 0, t[SECOND_LANES] = {0};
+  const double *const w0 = weights[0], *const w1 = weights[1];
+  double v0 = 0, v1 = 0, t0[SECOND_LANES] = {0}, t1[SECOND_LANES] = {0};
   for (uint32_t j = 0; j < width; j++) {
-    v += weights[j] * in[j].v;
-    for (int k = 0; k < SECOND_LANES; k++)
-      t[k] += weights[j] * in[j].t[k];
+    v0 += w0[j] * in[j].v;
+    v1 += w1[j] * in[j].v;
+    for (int k = 0; k < SECOND_LANES; k++) {
+      t0[k] += w0[j] * in[j].t[k];
+      t1[k] += w1[j] * in[j].t[k];
+    }
   }
-  sum->v = v;
-  for (int k = 0; k < SECOND_LANES; k++)
-    sum->t[k] = t[k];
+  sum[0].v = v0;
+  sum[1].v = v1;
+  memcpy(sum[0].t, t0, sizeof(t0));
+  memcpy(sum[1].t, t1, sizeof(t1));
 }
 
 /* The matrix starts at parameter `at` and has `height` rows, followed by its biases. Only the n
@@ -99,11 +104,16 @@ static void dense(const struct second_parameters *theta, size_t at, int lane, ui
                   const uint32_t *rows, uint32_t n, uint32_t width, const num *in, num *out)
 {
   const size_t biases = at + (size_t)height * width;
+  num sums[2];
   for (uint32_t i = 0; i < n; i++) {
     const uint32_t row = rows != NULL ? rows[i] : i;
+    const uint32_t next = i + 1 == n ? row : rows != NULL ? rows[i + 1] : i + 1;
     const size_t begin = at + (size_t)row * width;
-    num sum;
-    weigh(theta->value + begin, in, width, &sum);
+    if (i % 2 == 0)
+      weigh(
+          (const double *const[2]){theta->value + begin, theta->value + at + (size_t)next * width},
+          in, width, sums);
+    num sum = sums[i % 2];
     double alone = 0, whole[SECOND_WHOLES] = {0};
     for (uint32_t j = 0; j < width; j++) {
       alone += theta->alone[begin + j] * in[j].v;

@@ -168,14 +168,14 @@ static void split_runs(void)
   run_cases(MO_INTEGRATOR_SPLIT, at + 3, 1, held, 4);
 }
 
-/* Every guide with every objective. */
+/* Every guide with every objective. Outputs of every step differ from held ones early on. */
 static void task_runs(void)
 {
   static const uint32_t at[] = {10, 50, 200}, held[] = {4, 1, 3, 8, 1, 16, 5, 1, 2, 64, 4, 7, 1};
   _Static_assert(COUNT(held) == TASK_CASES && TASK_CASES <= GRADIENT_CASES, "one period each");
   run_scenes(MO_INTEGRATOR_PAPER, at, COUNT(at), held, TASK_CASES, TASKS);
   run_scenes(MO_INTEGRATOR_SPLIT, at, COUNT(at), held, TASK_CASES, TASKS);
-  run_scenes(MO_INTEGRATOR_PAPER, at, COUNT(at), NULL, TASK_CASES, TASKS);
+  run_scenes(MO_INTEGRATOR_PAPER, at, 2, NULL, TASK_CASES, TASKS);
 }
 
 /* Also with a light that moves over them. */
