@@ -216,10 +216,10 @@ def is_quiet(sock):
 
 def test_idle_connections_give_way_oldest_first(start):
     service = start("--max-connections=64", "--header-timeout=60s")  # 8 of them are kept
-    time.sleep(0.5)  # the readiness checks have closed their connections
-    used = service.connection(
-    )  # first, but not idle the longest
+    used = service.connection()  # first, but not idle the longest
     used.connect()
+    # The readiness checks have closed their connections.
+    until(lambda: service.metric("morphod_http_connections", connection=used) == 1)
     working = streams(service, 20)
     waiting = service.connection()
     waiting.request("GET", f"/v1/jobs/{endless(service)}", headers={"Prefer": "wait=60"})

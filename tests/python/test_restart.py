@@ -6,7 +6,7 @@ import time
 
 import morphod
 import numpy as np
-from service import BINARY, BOOTSTRAP
+from service import BINARY, BOOTSTRAP, until
 
 
 def all_succeeded(client, seconds=300):
@@ -53,8 +53,7 @@ def test_kill_and_restart_under_a_client(start, tmp_path):
         campaign = m.campaign("zero-shot", preset="demo", population=8, generations=6,
                               physics={"n_steps": 200})
         campaign.live()
-        while len(kills) < 2:
-            time.sleep(0.1)
+        until(lambda: len(kills) >= 2)
         stop.set()
         thread.join()
         jobs = all_succeeded(m)
