@@ -6,7 +6,7 @@
 #include "fixture.h"
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) /* slow there */
-enum { ROBOT_STEPS = 2 };
+enum { ROBOT_STEPS = 1 };
 #else
 enum { ROBOT_STEPS = 4 };
 #endif
