@@ -168,7 +168,7 @@ static void requests(void)
   begin();
   check_object("PhysicsRequest", &mo_physics_fields, 0, true);
   CHECK(has_words(schema("EnvironmentSet"), mo_set_words));
-  check_object("EnvironmentRequest", &mo_place_fields, 4, true);
+  check_object("EnvironmentRequest", &mo_place_fields, 5, true);
   check_object("EvaluationRequest", &mo_evaluation_request_fields, 0, true);
   check_object("TrainingRequest", &mo_training_request_fields, 0, true);
   check_object("CampaignRequest", &mo_campaign_request_fields, 0, true);
