@@ -42,7 +42,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=18; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=19; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -58,13 +58,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 18");
+                                    : "of an unreleased program; this version reads 14 to 19");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=18"));
+  CHECK_OK(reopen_after("PRAGMA user_version=19"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
@@ -228,10 +228,10 @@ static void checks_rows_after_an_unclean_stop(void)
 static void makes_each_set_once(void)
 {
   static const char members[] = "SELECT count(*) FROM environment_set_members";
-  const int64_t n = MO_PAPER_TEST_COUNT + 11 * (10 + 64);
+  const int64_t n = MO_PAPER_TEST_COUNT + 12 * (10 + 64);
   CHECK_OK(reopen_after("DELETE FROM environment_set_members WHERE position=1"));
-  CHECK_INT(outside_integer("SELECT count(*) FROM environment_sets"), 23);
-  CHECK_INT(outside_integer(members), n - 23);
+  CHECK_INT(outside_integer("SELECT count(*) FROM environment_sets"), 25);
+  CHECK_INT(outside_integer(members), n - 25);
   CHECK_OK(reopen_after("DELETE FROM environment_set_members; DELETE FROM environment_sets"));
   CHECK_INT(outside_integer(members), n);
   CHECK_INT(outside_integer("SELECT count(*) FROM environments"), n);
