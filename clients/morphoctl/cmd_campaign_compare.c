@@ -127,12 +127,12 @@ static void add_differences(struct side *side, const json_t *first, const json_t
   {
     const char *setting = text_of(one, "setting");
     if (strncmp(setting, "own_score", strlen("own_score")) == 0)
-      fail(
-          STATUS_NEGATIVE,
-          "campaigns %s and %s differ in %s (%s, %s): their scores are not comparable. Score their "
-          "champions by one measure: campaign champions, eval",
-          a, b, setting, short_text(value_at(one, "values.0")),
-          short_text(value_at(one, "values.1")));
+      fail(STATUS_NEGATIVE,
+           "campaigns %s and %s have different settings for %s (%s, %s), so their scores are not "
+           "comparable. Evaluate the champions of both instead: morphoctl campaign champions, then "
+           "morphoctl eval",
+           a, b, setting, short_text(value_at(one, "values.0")),
+           short_text(value_at(one, "values.1")));
     if (strcmp(setting, "settings.environments") == 0)
       fail(STATUS_NEGATIVE,
            "campaigns %s and %s are in different environments: their scores are not comparable. "

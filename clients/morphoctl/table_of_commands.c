@@ -122,7 +122,7 @@ static const struct option_spec eval_options[] = {
      "such as displacement_m,air_share,work_j."},
     {"tolerance", 0, "ERROR",
      "Choose time step and precision for each design, so that the estimated error of its score is "
-     "at most ERROR, such as 0.01 (at up to 200 times the cost).",
+     "at most ERROR, such as 0.01 (takes 6 to 186 times as many steps).",
      "tolerance", FIELD_REAL},
     {KEY("evaluation")},
     {NULL}};
@@ -246,7 +246,8 @@ static const struct option_spec train_start_options[] = {
     {"validation-designs", 0, "N", "Designs of the held-out set (default: 64).",
      "validation.designs", FIELD_WHOLE},
     {"validation-environments", 0, "N",
-     "Environments of the held-out set (default: 8; with --environments, all of them).",
+     "Environments of the held-out set (default: 8). Not with --environments: validation then uses "
+     "all of them.",
      "validation.environments", FIELD_WHOLE},
     {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: only by time (default: 0).",
      "checkpoint.every_steps", FIELD_WHOLE},
@@ -297,8 +298,9 @@ static const struct option_spec campaign_start_options[] = {
      "exactly this label. It must have the settings given here.",
      "if_exists"},
     {"own-score", 0, "NAME",
-     "Of a study: rank the designs by a score that study tell has for each child, lower is better; "
-     "NAME says what it is, e.g. cost_of_transport.",
+     "For a study: rank the designs by a score that you send with study tell; lower is better. "
+     "NAME "
+     "is its name, e.g. work_per_meter.",
      "own_score.name"},
     {"own-score-unit", 0, "UNIT", "Unit of that score, e.g. J/m (default: none).",
      "own_score.unit"},

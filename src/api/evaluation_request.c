@@ -132,7 +132,7 @@ static const struct mo_field rows[] = {
     {"measures", MO_FIELD_OWN, 0, AT(request.measures), .own = &measures_field},
     {"tolerance", MO_FIELD_NUMBER, 0, AT(request.tolerance), .min = MO_TOLERANCE_MIN,
      .max = MO_TOLERANCE_MAX, .unit = "",
-     .help = "estimated error of each score, in the unit of the loss, that the service may leave"},
+     .help = "largest estimated error of each score, in the unit of the loss"},
     {"best", MO_FIELD_COUNT, 0, AT(request.best), .min = 1, .max = MO_LARGE_MAX, .unit = "designs",
      .help = "number of the best designs that get complete scores"},
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_parts_fields},
@@ -215,9 +215,7 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
                      : request->record != 0 ? "record"
                                             : "best");
   if (parsed->parts.job.back_end == MO_ON_DEVICE)
-    mo_json_fault_at(json, 0, place,
-                     "%s only for scores that processors compute; request \"cpu\" or \"auto\"",
-                     climbs ? "is possible" : "is estimated");
+    mo_json_fault_at(json, 0, place, "is supported only on CPUs; request \"cpu\" or \"auto\"");
   if (request->precision == MO_FLOAT32 &&
       request->physics.drop_height_m + highest_m > MO_ERROR_FLOAT32_MAX_M)
     mo_json_fault_at(json, 0, place,
@@ -229,10 +227,11 @@ static void check_error(struct mo_json *json, const struct mo_parsed_evaluation 
     error = mo_physics_check(&setting.physics, &message);
   }
   if (error == MO_ERR_RANGE && climbs)
-    mo_json_fault_at(json, 0, place,
-                     "may need time steps down to 1/%u of dt_s, and higher starts: %s; request a "
-                     "larger dt_s, or fewer steps",
-                     1U << MO_LADDER_RUNGS, message.text);
+    mo_json_fault_at(
+        json, 0, place,
+        "may need time steps down to 1/%u of dt_s, and starts from a greater height: %s; "
+        "request a larger dt_s or fewer steps",
+        1U << MO_LADDER_RUNGS, message.text);
   else if (error == MO_ERR_RANGE)
     mo_json_fault_at(json, 0, "/error",
                      "needs rollouts with half of the time step and with higher starts: %s",
@@ -251,7 +250,7 @@ static void check_measures(struct mo_json *json, const struct mo_parsed_evaluati
                      "them");
   if (parsed->parts.job.back_end == MO_ON_DEVICE)
     mo_json_fault_at(json, 0, "/measures",
-                     "are computed only by processors; request \"cpu\" or \"auto\"");
+                     "measures are computed only on CPUs; request \"cpu\" or \"auto\"");
 }
 
 static int check(struct mo_json *json, void *any)

@@ -87,8 +87,7 @@ static void read_score(struct mo_json *json, bool has_scores, double *score)
 {
   double number = 0; /* stays if there is a fault, which is not reported twice */
   if (!has_scores) {
-    mo_json_fault(json, "this study ranks by the service's scores: only a study whose settings "
-                        "have own_score takes a score");
+    mo_json_fault(json, "this study has no own_score, so children cannot have a score");
     mo_json_skip(json);
   } else if (mo_json_peek(json) == MO_JSON_NULL)
     mo_json_skip(json);
@@ -161,7 +160,8 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
   *is_kept = parsed->parts.n_designs > before;
   if (!json->stop && parsed->has_scores && *is_kept && isnan(*score))
     mo_json_fault_at(json, depth, "/score",
-                     "score is missing; this study ranks by its own score, so it must be a number");
+                     "score is missing; this study ranks by its own_score, so each child needs a "
+                     "number");
   if (*is_kept)
     child->genotype = mo_genotype_of(MO_STORE_WORKSPACE, &parsed->parts.genotypes[before]);
   return memory;

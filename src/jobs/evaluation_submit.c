@@ -71,9 +71,9 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
                              suits ? mo_back_end_unsuited(jobs, request->environment_set,
                                                           request->environments,
                                                           request->n_environments)
-                                   : "devices can only compute batches in float32 that record "
-                                     "nothing, estimate no errors and have no measures; request "
-                                     "\"cpu\" or \"auto\", or such a batch",
+                                   : "devices compute only float32 batches without record, "
+                                     "error, tolerance or measures; request \"cpu\" or "
+                                     "\"auto\", or leave those out",
                              n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,

@@ -93,8 +93,8 @@ static int explain(int error, const struct mo_telling_reply *reply,
                    (unsigned)reply->place);
   case MO_TELLING_SCORE:
     return mo_fail(message, error,
-                   "this body was told before with the score %s; a body has one score in a study, "
-                   "so tell the same one, or leave the body out",
+                   "this body already has the score %s in this study, and a body can have only "
+                   "one; send that score, or leave the body out",
                    MO_NUMBER(reply->score));
   case MO_TELLING_WORDS:
     return mo_fail(message, error, "a study may define at most %d operators and %d measures",
@@ -114,8 +114,9 @@ int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *tell
     return mo_fail(message, error, "the study does not exist");
   if ((telling->batch.scores != NULL) != mo_own_score_is_set(&status.record.own_score))
     return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   telling->batch.scores != NULL ? "the study has no score of its own"
-                                                 : "the study needs a score for each child");
+                   telling->batch.scores != NULL
+                       ? "this study has no own_score, so it does not accept scores"
+                       : "this study has an own_score, so each child needs a score");
   error = place_bodies(status.record.settings.workspace, telling);
   if (error != MO_OK)
     return mo_fail(message, error, "a child does not fit the study's workspace");

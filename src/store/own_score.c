@@ -37,10 +37,12 @@ static void read_own_score(struct mo_json *json, void *value)
   if (json->stop || json->faults->n > before)
     return;
   if (!mo_own_score_is_set(&own))
-    mo_json_fault_at(json, depth, "", "name is missing; it must name the score that you will tell");
+    mo_json_fault_at(
+        json, depth, "",
+        "name is missing; name the score that you will send, such as \"work_per_meter\"");
   else if (own.name[strspn(own.name, letters)] != '\0')
     mo_json_fault_at(json, depth, "/name",
-                     "must be a word of 1 to %d of A-Z, a-z, 0-9, '_', '.' and '-'",
+                     "must be 1 to %d characters: A-Z, a-z, 0-9, '_', '.' or '-'",
                      MO_OWN_SCORE_NAME_MAX);
   else
     *(struct mo_own_score *)value = own;

@@ -42,8 +42,8 @@ static void warn_of_rollouts(struct mo_job *job)
          (unsigned long long)diverged, remedy);
   else if (diverged > 0 && job->tolerance > 0)
     warn(job, "diverged",
-         "%llu of %llu rollouts%s diverged; settings with which a rollout of a robot diverged have "
-         "no estimated error, and others are chosen if there are any; %s",
+         "%llu of %llu rollouts%s diverged; a rung with a diverged rollout has no estimated error "
+         "and is chosen only if there is no other; %s",
          (unsigned long long)diverged, (unsigned long long)run, is_final ? "" : " so far", remedy);
   else if (diverged > 0)
     warn(job, "diverged",

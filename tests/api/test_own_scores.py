@@ -88,7 +88,7 @@ def test_a_body_has_one_score(service):
     id = new(service, population=8)
     reply = send(service, id, 0, [(ONE, 1.0), (BAR, 2.0), (ONE, 1.5)])
     assert reply.status == 422 and reply.pointers() == ["/children/2/score"]
-    assert "told before with the score 1;" in reply.json()["errors"][0]["detail"]
+    assert "already has the score 1 in this study" in reply.json()["errors"][0]["detail"]
     assert service.get(f"/v1/campaigns/{id}")["study"]["next_batch"] == 0
     first = tell(service, id, 0, [(ONE, 1.0), (BAR, 0.0), (ONE, 1.0)])
     assert tell(service, id, 0, [(ONE, 1.0), (BAR, 0.0), (ONE, 1.0)]) == first

@@ -94,7 +94,7 @@ def test_unknown_errors(service):
 
 @pytest.mark.parametrize("more, words", [
     ({"verify": True}, "verify"), ({"record": ["com"]}, "record"), ({"best": 1}, "best"),
-    ({"device": "cuda"}, "only for scores that processors compute"),
+    ({"device": "cuda"}, "is supported only on CPUs"),
     ({"physics": {"n_steps": 600000}}, "n_steps must be"),
     ({"physics": {"drop_height_m": 1.5}}, '"precision": "float64"'), ({"error": 1}, "true or false")
 ])

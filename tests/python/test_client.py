@@ -102,7 +102,7 @@ def test_errors_of_scores(m, service):
     assert (drawn.table()["high"] >= drawn.scores).all()
     plain = m.evaluate([DESIGN], physics=SHORT)
     assert plain[0].error is None and "low" not in plain.frame()
-    with pytest.raises(morphod.InvalidError, match="only for scores that processors"):
+    with pytest.raises(morphod.InvalidError, match="is supported only on CPUs"):
         m.evaluate([DESIGN], error=True, device="cuda")
 
 
@@ -151,7 +151,7 @@ def test_tolerances(m, service):
     skipped = m.evaluate([DESIGN, {"cells": [[9, 0, 0]]}], tolerance=0.001, physics=SHORT,
                          on_fault="skip")[1].tolerance
     assert not skipped.reached and math.isnan(skipped.estimated_error) and skipped.dt_s is None
-    with pytest.raises(morphod.InvalidError, match="only for scores that processors"):
+    with pytest.raises(morphod.InvalidError, match="is supported only on CPUs"):
         m.evaluate([DESIGN], tolerance=0.001, device="cuda")
 
 

@@ -136,8 +136,9 @@ def require_comparable(a: str, b: str, differences: Sequence[Mapping[str, Any]])
         if setting.startswith("own_score"):
             values = ", ".join(map(short, one["values"]))
             raise MorphodError(
-                f"campaigns {a} and {b} differ in {setting} ({values}): their scores are not "
-                "comparable. Score their champions by one measure: champions, evaluate")
+                f"campaigns {a} and {b} have different settings for {setting} ({values}), so their "
+                "scores are not comparable. Evaluate the champions of both instead: champions(), "
+                "evaluate()")
         if setting.startswith("settings.physics."):
             values = ", ".join(map(short, one["values"]))
             raise MorphodError(

@@ -23,7 +23,7 @@ class ScoreError:
     """The estimated error of a score, from additional rollouts.
 
     The limit is the score that the same robot has in the same environments with vanishing time
-    steps and without rounding. With the default settings, it is between `low` and `high` for at
+    steps and without rounding. With the paper's settings, it is between `low` and `high` for at
     least 90 % of designs.
     `discretization` is the estimated distance between the score and the limit. `rounding` is the
     largest change of the score if the robot starts 1e-7, 2e-7 or 3e-7 m higher. `standard_error` is

@@ -169,9 +169,8 @@ class AsyncStudy(AsyncCampaign):
         """Returns a function that an optimizer calls with its solutions, like `Client.objective`;
         each call is a batch of this study."""
         if self.own_score is not None:
-            raise ValueError(f"study {self.id} is ranked by its own score, "
-                             f"{self.own_score['name']!r}, which an objective does not know: use "
-                             "tell(…, scores=…)")
+            raise ValueError(f"study {self.id} ranks by its own score {self.own_score['name']!r}, "
+                             "which objective() cannot compute; use tell(…, scores=…)")
         plan = Plan(measures, decode, worst, measures is not None if maximize is None else maximize)
         if plan.needs_path:
             raise ValueError("a study records no paths, so path_length_m cannot be a measure")
