@@ -192,6 +192,14 @@ static void add_evaluation(struct ctl *ctl, struct designs *designs, json_t *req
   const json_t *evaluation = get_json(ctl, "/v1/evaluations/%s", job_id(id));
   const bool named = json_is_string(json_object_get(evaluation, "environments"));
   expect_success("job", evaluation);
+  if (json_object_get(evaluation, "tolerance") != NULL)
+    fail(STATUS_USAGE,
+         "evaluation %s has a tolerance, so its scores have different settings; verify each design "
+         "with the step and precision that its result names: verify ROBOT -p dt_s=… --precision …",
+         id);
+  if (json_object_get(evaluation, "results") == NULL)
+    fail(STATUS_USAGE,
+         "evaluation %s is too long for one reply; verify some of its designs: verify ROBOT…", id);
   if (!named && !option_is_set(ctl, "environments"))
     fail(STATUS_USAGE, "evaluation %s has custom environments: give them again with --environments",
          id);

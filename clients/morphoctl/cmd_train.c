@@ -48,9 +48,11 @@ static void fill_tasks(const struct ctl *ctl, json_t *request)
   if (word == NULL)
     return;
   json_t *tasks = json_array();
-  for (size_t size = strcspn(word, ","); size > 0; size = strcspn(word, ",")) {
+  for (bool is_last = false; !is_last;) {
+    const size_t size = strcspn(word, ",");
     json_array_append_new(tasks, json_stringn(word, size));
-    word += size + (word[size] == ',');
+    is_last = word[size] == '\0';
+    word += size + 1;
   }
   json_object_set_new(request, "tasks", tasks);
 }

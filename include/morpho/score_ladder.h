@@ -27,6 +27,9 @@ extern "C" {
 #define MO_TOLERANCE_MIN 1e-5
 #define MO_TOLERANCE_MAX 1e3
 
+/* Returns whether a tolerance is 0, for none, or within the bounds and with displaced starts. */
+bool mo_tolerance_is_sound(double tolerance, uint32_t n_displaced);
+
 /* Settings of a rollout. */
 struct mo_setting {
   struct mo_physics physics;

@@ -82,10 +82,11 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   mo_text_member_number(text, "path_length_m", results->paths_m[d]);
   mo_text_member_number(text, "score", results->scores[d]);
   mo_text_member_bool(text, "lower_bound", results->is_bound[d]);
-  const struct mo_measured measured = {
-      .set = results->measure_set,
-      .values = &results->measures[(size_t)d * columns * results->n_measures],
-      .flags = &results->flags[(size_t)d * columns]};
+  struct mo_measured measured = {.set = results->measure_set};
+  if (results->measure_set != 0) {
+    measured.values = &results->measures[(size_t)d * columns * results->n_measures];
+    measured.flags = &results->flags[(size_t)d * columns];
+  }
   mo_members_losses(text, &results->losses[(size_t)d * columns], columns, tasks,
                     results->measure_set != 0 ? &measured : NULL);
   mo_text_add(text, ",\"diverged\":[");

@@ -92,7 +92,7 @@ static void read_score(struct mo_json *json, bool has_scores, double *score)
   } else if (mo_json_peek(json) == MO_JSON_NULL)
     mo_json_skip(json);
   else {
-    mo_json_number(json, &number);
+    mo_json_bounded(json, -MO_OWN_SCORE_MAX, MO_OWN_SCORE_MAX, &number);
     *score = number + 0.0; /* not −0, so that equal scores have equal bits */
   }
 }

@@ -60,7 +60,7 @@ static struct mo_climbs *create(const struct mo_work *work)
 
 int mo_active_climb(struct mo_active *active)
 {
-  if (active->work->job.tolerance == 0 || active->work->n_designs == 0)
+  if (!(active->work->job.tolerance > 0) || active->work->n_designs == 0)
     return MO_OK;
   active->climbs = create(active->work);
   return active->climbs == NULL

@@ -64,10 +64,10 @@ struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_ac
     update.n_designs = active->work->n_designs;
     update.n_environments = active->work->n_environments;
   }
-  if (active->race != NULL && step == MO_STEP_SUCCEED) {
+  if (active->race != NULL && step == MO_STEP_SUCCEED)
     update.counted = active->race->asked;
+  if ((active->race != NULL || active->climbs != NULL) && step == MO_STEP_SUCCEED)
     update.cut = active->cut; /* in another class, there may have been more */
-  }
   if (text != NULL)
     snprintf(update.error_text, sizeof(update.error_text), "%s", text);
   added = mo_pending_add(all, &all->pending.updates, &update, sizeof(update));

@@ -3,6 +3,12 @@
 
 #include <math.h>
 
+bool mo_tolerance_is_sound(double tolerance, uint32_t n_displaced)
+{
+  return tolerance == 0 ||
+         (n_displaced > 0 && tolerance >= MO_TOLERANCE_MIN && tolerance <= MO_TOLERANCE_MAX);
+}
+
 uint32_t mo_ladder_runs(uint32_t n_displaced, double tolerance)
 {
   return mo_error_runs(n_displaced) * (tolerance > 0 ? MO_LADDER_RUNGS : 1);

@@ -24,7 +24,8 @@ int mo_decode_environment(const uint8_t *bytes, size_t size, struct mo_environme
   *environment = mo_environment_defaults;
   return bytes != NULL && mo_fields_packed_bytes(&mo_environment_fields, version) == size &&
                  mo_fields_unpack(&mo_environment_fields, version, bytes, environment) &&
-                 mo_environment_version(environment) == version
+                 mo_environment_version(environment) == version &&
+                 mo_environment_check(environment, NULL) == MO_OK
              ? MO_OK
              : MO_ERR_CORRUPT;
 }

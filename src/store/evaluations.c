@@ -13,6 +13,7 @@
 struct range {
   int64_t id;
   uint32_t first, n; /* n 0: all */
+  bool no_measures;  /* they are not read */
 };
 
 struct result_keys {
@@ -51,7 +52,7 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
                                .physics = {sqlite3_column_int64(row, 1)}};
   results->n_designs = mo_column_u32(row, 3);
   results->n_environments = mo_column_u32(row, 4);
-  results->measure_set = mo_column_u32(row, 10);
+  results->measure_set = range->no_measures ? 0 : mo_column_u32(row, 10);
   results->n_measures = (uint32_t)__builtin_popcount(results->measure_set);
   if ((results->measure_set & ~MO_MEASURES_ALL) != 0)
     return MO_ERR_CORRUPT;
@@ -60,7 +61,7 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
     results->rungs[rung] = mo_ladder_rung(&first, rung);
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
       results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED ||
-      (results->tolerance > 0 && keys->n_displaced == 0))
+      !mo_tolerance_is_sound(results->tolerance, keys->n_displaced))
     return MO_ERR_CORRUPT;
   if (range->first + range->n > results->n_designs)
     return MO_ERR_NOT_FOUND;
@@ -214,7 +215,10 @@ static int climb(struct mo_connection *reader, struct result_keys *keys, size_t 
     climbed->scores[rung] = mean_of(losses, columns);
     climbed->climb = mo_ladder_climb(climbed->errors, ++climbed->n, results->tolerance);
   }
-  const bool has_ended = climbed->n == MO_LADDER_RUNGS || climbed->climb.reached;
+  /* A repair of wrong losses can move a design that ended here to a rung that was never computed:
+   * then the computed ones count, as if there were no others. */
+  const bool has_ended = climbed->n == MO_LADDER_RUNGS || climbed->climb.reached ||
+                         (keys->is_complete && climbed->n > 0);
   if (!has_ended)
     return keys->is_complete ? MO_ERR_CORRUPT : MO_OK;
   results->errors[n] = climbed->errors[climbed->climb.rung];
@@ -432,10 +436,16 @@ int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_re
   return read_results(store, (struct range){.id = id}, ret);
 }
 
+int mo_store_results_unmeasured(struct mo_store *store, int64_t id,
+                                struct mo_evaluation_results **ret)
+{
+  return read_results(store, (struct range){.id = id, .no_measures = true}, ret);
+}
+
 int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
                     struct mo_evaluation_results **ret)
 {
-  return read_results(store, (struct range){id, n, 1}, ret);
+  return read_results(store, (struct range){.id = id, .first = n, .n = 1}, ret);
 }
 
 /* ---- trajectories ---- */

@@ -105,6 +105,9 @@ void mo_trajectory_free(void *trajectory); /* NULL-safe */
 /* Reads the results of an evaluation. If it is unfinished, reads the results so far.
  * MO_ERR_NOT_FOUND. */
 int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **results);
+/* Reads them without the measures. */
+int mo_store_results_unmeasured(struct mo_store *store, int64_t id,
+                                struct mo_evaluation_results **results);
 /* Reads the results of design n only, as results of one design. */
 int mo_store_result(struct mo_store *store, int64_t id, uint32_t n,
                     struct mo_evaluation_results **results);

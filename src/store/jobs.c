@@ -63,7 +63,8 @@ static int read_evaluation(sqlite3_stmt *row, struct mo_job *job, void *record)
   job->n_displaced = mo_column_u32(row, MO_COLUMN_N_DISPLACED);
   job->measures = mo_column_u32(row, MO_COLUMN_MEASURES);
   job->tolerance = sqlite3_column_double(row, MO_COLUMN_TOLERANCE);
-  if (job->n_displaced > MO_ERROR_DISPLACED || (job->tolerance > 0 && job->n_displaced == 0) ||
+  if (job->n_displaced > MO_ERROR_DISPLACED ||
+      !mo_tolerance_is_sound(job->tolerance, job->n_displaced) ||
       (job->measures & ~MO_MEASURES_ALL) != 0)
     return MO_ERR_CORRUPT;
   job->rollouts_total = (uint64_t)(job->n_designs - job->n_skipped) * job->n_environments *

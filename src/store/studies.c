@@ -137,8 +137,11 @@ static int decode(int64_t id, const uint8_t *bytes, size_t size, struct mo_study
     const uint8_t *numbers = bytes + sizeof(struct told_row);
     error = decode_child(bytes, &batch->children[i]);
     memcpy(batch->measures + (size_t)n_measures * i, numbers, n_measures * sizeof(double));
-    if (has_scores)
+    if (has_scores) {
       memcpy(&batch->scores[i], numbers + n_measures * sizeof(double), sizeof(double));
+      if (!(fabs(batch->scores[i]) <= MO_OWN_SCORE_MAX))
+        error = MO_ERR_CORRUPT;
+    }
   }
   return error;
 }

@@ -161,7 +161,7 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struc
   if (error == MO_OK && job.state != MO_JOB_SUCCEEDED)
     error = MO_ERR_CONFLICT;
   if (error == MO_OK)
-    error = mo_store_results(store, id, &results);
+    error = mo_store_results_unmeasured(store, id, &results);
   if (error != MO_OK)
     return error;
   ranked = calloc(results->n_designs, sizeof(*ranked));

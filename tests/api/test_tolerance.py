@@ -145,7 +145,7 @@ def test_diverging_rungs_are_passed(service):
     assert other["reached"] and other["dt_s"] < 0.02
     assert value["results"][1]["score"] is not None and value["results"][1]["diverged"] == []
     assert [one["code"] for one in value["warnings"]].count("diverged") == 1
-    assert any("settings" in one["detail"] for one in value["warnings"])
+    assert any("a rung with a diverged rollout" in one["detail"] for one in value["warnings"])
 
 
 @pytest.mark.parametrize("more, words", [
@@ -180,7 +180,7 @@ def test_work_counts(start):
 def test_climbs_survive_a_restart(start, tmp_path):
     """Stored rungs are not recomputed, and the results are the same."""
     request = REQUEST | {"designs": BODIES[3:], "priority": "batch",
-                         "physics": {"n_steps": 1500, "dt_s": 0.004}}
+                         "physics": {"n_steps": 6000, "dt_s": 0.004}}
     first = start(state=tmp_path)
     id = first.post("/v1/evaluations", request)["id"]
     path = f"/v1/evaluations/{id}"
@@ -205,6 +205,12 @@ def test_columns(service, climbed):
     assert float(row["tolerance_dt_s"]) == seen["tolerance"]["dt_s"]
     assert row["tolerance_precision"] == seen["tolerance"]["precision"]
     assert json.loads(row["tolerance_rungs"]) == seen["tolerance"]["rungs"]
+
+
+def test_verify_takes_no_tolerance(ctl, climbed):  # noqa: F811
+    """Its scores have other settings than the evaluation."""
+    status, _, err = ctl(f"verify --evaluation {climbed['id']}")
+    assert status != 0 and "has a tolerance" in err
 
 
 def test_morphoctl(service, ctl, tmp_path):  # noqa: F811

@@ -198,6 +198,9 @@ def test_morphoctl_starts_one(service, tmp_path):
     tasks = service.get(f"/v1/trainings/{json.loads(made.stdout.splitlines()[-1])['id']}"
                         )["settings"]["tasks"]
     assert [task["objective"] for task in tasks] == ["travel", "reach"]
+    holey = subprocess.run([MORPHOCTL, *server, "train", "start", "pretrain", "--tasks",
+                            "walk,,circle"], capture_output=True, text=True, check=False)
+    assert holey.returncode != 0 and "/tasks/1" in holey.stderr
     for given, shown in (("morpho-12-walk", "morpho-12-walk"),
                          (tmp_path / "worlds.json", {"count": 5})):
         made = subprocess.run(

@@ -173,3 +173,12 @@ def test_robots_walk_in_it(m, service, draw):
                         physics={"n_steps": 40})
     known, = service.get(f"/v1/evaluations/{stored.id}/environments")["items"]
     assert known["terrain"] == dict(world)
+
+
+def test_a_huge_world_is_refused(tmp_path):
+    """A small file must not take a lot of memory."""
+    path = tmp_path / "huge.json"
+    path.write_text('{"grid_width": 1000, "grid_height": 10000001, "objects": {"ground": '
+                    '{"indices": [10000000000], "types": [5], "neighbors": {"10000000000": []}}}}')
+    with pytest.raises(morphod.BodyError, match="cells; at most 4096"):
+        morphod.read_world(path)

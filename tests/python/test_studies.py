@@ -153,7 +153,7 @@ def test_own_scores(m):
         with pytest.raises(ValueError, match="'speed_lost', which objective\\(\\) cannot compute"):
             study.objective()
     assert m.study("plain", **SHORT).own_score is None
-    with pytest.raises(morphod.InvalidError, match="only a study whose settings have own_score"):
+    with pytest.raises(morphod.InvalidError, match="this study has no own_score"):
         m.study("plain").tell(bars[:1], scores=[1.0])
     with pytest.raises(morphod.ConflictError, match="/own_score: got"):
         m.study("plain", own_score=own)

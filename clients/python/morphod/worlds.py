@@ -22,6 +22,7 @@ CELL_M = 0.1  # of EvoGym's grid; a voxel of morphod has the same size
 START_M = 2.5  # x at which a rollout starts
 START_CELL = 3.5  # most tasks of EvoGym put robots of 5 cells on the cells 1 to 5
 HEIGHTS_MAX = 64
+_SIDE_MAX = 4096  # cells of a world that is read
 _NAMES_MAX = 3  # in a sentence about what was left out
 _Room = tuple[float, float]  # free cells of a column: from the floor, to the ceiling
 
@@ -108,6 +109,9 @@ def _solid(world: Mapping[str, Any], things: Mapping[str, evogym.Thing]) -> NDAr
     if isinstance(given, bool) or not isinstance(given, (int, float)) or given < height:
         raise BodyError(f"this JSON is not an EvoGym world: grid_height is {given!r}, but its "
                         f"objects have {height} rows")
+    if width > _SIDE_MAX or height > _SIDE_MAX:
+        raise BodyError(f"this world has {width} × {height} cells; at most {_SIDE_MAX} in each "
+                        "direction are read")
     solid = np.zeros((height, width), dtype=np.bool_)
     for thing in things.values():
         if thing.has(evogym.FIXED):

@@ -144,6 +144,9 @@ static void encodes_damage(void)
   mo_environment_hash(&environment, &hash);
   CHECK_TEXT(MO_SHA256_HEX(&hash),
              "eead583ca1cb462189629e307ee6b969b43114c8d320de3905e48758f43c3352");
+  environment.damage.time_s = -5; /* a row that somebody wrote */
+  CHECK_INT(mo_decode_environment(bytes, mo_encode_environment(&environment, bytes), &found),
+            MO_ERR_CORRUPT);
   environment.damage.cut = 1 + MO_OCTANTS;
   CHECK_INT(mo_environment_check(&environment, NULL), MO_ERR_RANGE);
   environment.damage = (struct mo_damage){0, 1};
