@@ -102,7 +102,8 @@ def test_a_body_has_one_score(service):
 def test_scores_are_finite_and_wanted(service):
     id = new(service)
     path = f"/v1/campaigns/{id}/tell"
-    for score, words in (("1e999", "finite"), ("-1e39", "-1e+30"), ("null", "missing"), ('"low"', "number")):
+    for score, words in (("1e999", "finite"), ("-1e39", "-1e+30"), ("null", "missing"),
+                         ('"low"', "number")):
         body = '{"batch": 0, "children": [{"body": {"cells": [[2,2,0]]}, "score": %s}]}' % score
         reply = service.request("POST", path, body=body)
         assert reply.status == 422 and reply.pointers() == ["/children/0/score"], reply.body

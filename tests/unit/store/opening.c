@@ -117,9 +117,10 @@ static void opens_version_16(void)
                             " LIKE '%length(data) = 528%'";
   close_store();
   CHECK_INT(outside_integer(old), 0);
+  REQUIRE(outside(WITHOUT_18) == SQLITE_OK);
   REQUIRE(outside("PRAGMA writable_schema=ON;"
                   "UPDATE sqlite_schema SET sql=replace(sql,'>= 528','= 528') WHERE"
-                  " name='environments';" WITHOUT_18 "PRAGMA user_version=16") == SQLITE_OK);
+                  " name='environments'; PRAGMA user_version=16") == SQLITE_OK);
   CHECK_INT(outside_integer(old), 1);
   REQUIRE_OK(reopen());
   struct mo_evaluation_request submission = draw_evaluation(2, 3);
