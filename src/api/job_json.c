@@ -139,8 +139,12 @@ void mo_job_write_head(struct mo_text *text, const struct mo_job *job, const str
   mo_text_member(text, "experiment", job->experiment[0] != '\0' ? job->experiment : NULL);
   mo_text_member(text, "note", job->note[0] != '\0' ? job->note : NULL);
   mo_text_member_time(text, "archived_at", job->archived_us);
-  mo_text_member_number(text, "core_seconds", fmax(job->worker_s, live->worker_s));
-  mo_text_member_number(text, "device_seconds", fmax(job->device_s, live->device_s));
+  /* The share of a job that has ended can stay for a moment, and still count. */
+  const bool runs = !mo_job_state_is_final(job->state);
+  mo_text_member_number(text, "core_seconds",
+                        runs ? fmax(job->worker_s, live->worker_s) : job->worker_s);
+  mo_text_member_number(text, "device_seconds",
+                        runs ? fmax(job->device_s, live->device_s) : job->device_s);
   mo_text_member(text, "submitted_by", job->submitted_by[0] != '\0' ? job->submitted_by : NULL);
   mo_text_member_time(text, "created_at", job->created_us);
   mo_text_member_time(text, "started_at", job->started_us);

@@ -157,10 +157,21 @@ static void live(uint64_t seed, unsigned lies, struct outcome *outcome)
              life.first);
 }
 
+static bool has_all_acts(const struct outcome *outcome)
+{
+  for (int i = 0; i < ACT_KINDS; i++)
+    if (outcome->acts[i] == 0)
+      return false;
+  return true;
+}
+
+/* Honest disks get more cuts, at most twice as many, until every kind of act has been done. */
 static void live_many(uint64_t seed, unsigned lies, unsigned cuts, struct outcome *outcome)
 {
   *outcome = (struct outcome){0};
-  while (outcome->cuts < cuts && (lies == DISK_HONEST || outcome->findings == 0))
+  while (lies == DISK_HONEST
+             ? outcome->cuts < cuts || (outcome->cuts < 2 * cuts && !has_all_acts(outcome))
+             : outcome->cuts < cuts && outcome->findings == 0)
     live(seed++, lies, outcome);
 }
 
