@@ -83,7 +83,7 @@ def test_a_study_with_an_own_score(ctl):
     assert status == 6 and "/children/0/score" in err, err
     assert ctl(f"study tell {plain}", input_text=json.dumps(DESIGN))[0] == 0
     status, _, err = ctl(f"campaign compare {id} {plain}")
-    assert status == 3 and "differ in own_score" in err, err
+    assert status == 3 and "have different settings for own_score" in err, err
 
 
 def test_a_study_by_its_name(ctl):

@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from service import CONTRACT, DESIGN, PATIENCE_S, SHORT, SOON_S
+from service import CONTRACT, DESIGN, PATIENCE_S, SHORT, SOON_S, until
 
 TOKEN = "a-token-of-more-than-16-characters"
 
@@ -123,8 +123,10 @@ def test_metrics(service):
     before, kinds = metrics(service)
     for _ in range(5):
         service.request("GET", "/v1/jobs/123456789")
-    after, _ = metrics(service)
     key = ("morphod_http_requests_total", '{route="/v1/jobs/{id}",code="404"}')
+    # A request is counted once its reply has been sent.
+    until(lambda: metrics(service)[0].get(key, 0) - before.get(key, 0) >= 5)
+    after, _ = metrics(service)
     assert after[key] - before.get(key, 0) == 5
     for (name, labels), value in before.items():
         if kinds.get(name) == "counter" or name.endswith(("_bucket", "_count")):

@@ -161,7 +161,7 @@ def test_own_scores(m):
     assert history.score.tolist() == [-1.5, -0.5, -2.5, -2.0] and history.own_score == own
     assert not history.lower_bound.any() and history.frame()["score"][2] == -2.5
     m.study("plain").tell(bars)
-    with pytest.raises(morphod.MorphodError, match="differ in own_score .*not comparable"):
+    with pytest.raises(morphod.MorphodError, match="settings for own_score .*not comparable"):
         m.compare_campaigns(study, m.study("plain"))
 
 

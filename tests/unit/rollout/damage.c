@@ -1,12 +1,12 @@
 /* damage.c: springs that break: which, when, and in the kernels as in the reference.
  * gradient-dual.c compares the reference's derivative with dual numbers. */
 #include "rollout/damage.h"
-#include "../make.h"
+#include "lane-cases.h"
 
 static struct mo_lattice *lattice;
 static struct mo_controller *controller;
 static struct mo_robot *robots;
-enum { BODIES = 6, LANES = MO_BLOCK_LANES };
+enum { BODIES = 6 };
 
 static void setup(void)
 {
@@ -31,26 +31,6 @@ static void make_environments(struct mo_environment environments[LANES])
     if (k % 3 != 2)
       environments[k].damage = (struct mo_damage){1 + k % MO_OCTANTS, k < 13 ? 0.02 * k : 1000};
   }
-}
-
-static void block_of(const struct mo_pack *pack, const struct mo_body *body,
-                     const struct mo_environment *environments, uint32_t n,
-                     const struct mo_physics *physics, struct mo_outcome *outcomes)
-{
-  const struct mo_environment *list[LANES];
-  for (uint32_t l = 0; l < n; l++)
-    list[l] = environments + l;
-  make_check(mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL,
-                              NULL, outcomes),
-             "block");
-}
-
-static double apart(const struct mo_outcome *a, const struct mo_outcome *b)
-{
-  double most = fabs(a->loss - b->loss);
-  for (int axis = 0; axis < 3; axis++)
-    most = fmax(most, fabs(a->com_end_m[axis] - b->com_end_m[axis]));
-  return most;
 }
 
 /* Each spring is in one octant; mirrored octants of a full body have as many springs, but for those
@@ -98,6 +78,7 @@ static void times(void)
  * break later, have the bits that they have without damage beside them. */
 static void kernels(void)
 {
+  static const uint32_t alone[LANES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   struct mo_environment environments[LANES], whole;
   make_environments(environments);
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
@@ -111,16 +92,16 @@ static void kernels(void)
         const struct mo_body *body = robots[variant].body;
         const struct mo_physics physics = physics_number(variant, 60);
         struct mo_outcome outcomes[LANES], one, other, exact;
-        block_of(pack, body, environments, LANES, &physics, outcomes);
+        block_of(pack, body, environments, alone, LANES, &physics, outcomes);
         for (uint32_t k = 0; k < LANES; k++) {
-          block_of(pack, body, environments + k, 1, &physics, &one);
+          block_of(pack, body, environments, alone + k, 1, &physics, &one);
           CHECK(SAME(&one, &outcomes[k], 1));
           REQUIRE_OK(mo_rollout_reference(body, controller, &environments[k], &physics, NULL, NULL,
                                           &exact));
           worst = fmax(worst, apart(&exact, &one));
           whole = environments[k];
           whole.damage = (struct mo_damage){0, 0};
-          block_of(pack, body, &whole, 1, &physics, &other);
+          block_of(pack, body, &whole, alone, 1, &physics, &other);
           if (k % 3 == 2 || k >= 13)
             CHECK(SAME(&one, &other, 1));
           else
@@ -167,45 +148,12 @@ static void measures(void)
 
 static void gradients(void)
 {
-  const struct mo_gradient_options options = {.weight = 1};
-  const size_t n = controller->n_parameters;
   struct mo_environment environments[LANES];
   struct mo_robot own[LANES];
   make_environments(environments);
   for (uint32_t k = 0; k < LANES; k++)
     own[k] = (struct mo_robot){robots[k % BODIES].body, &environments[k], NULL};
-  double *exact = make_zeros(n, sizeof(double));
-  float *fast = make_zeros(n, sizeof(float));
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (uint32_t variant = 0; variant < 4; variant++) {
-      const size_t kept = check_n_kept;
-      const struct mo_pack *pack = make_gradient_pack(controller, (enum mo_isa)isa);
-      struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
-      const struct mo_physics physics = physics_number(variant, 24);
-      struct mo_outcome outcomes[LANES], expected, one;
-      double worst = 0;
-      REQUIRE_OK(mo_gradient_block(memory, pack, own, LANES, &physics, &options, NULL, outcomes,
-                                   fast, NULL));
-      for (uint32_t k = 0; k < LANES; k++) {
-        double error = 0, size = 0;
-        memset(exact, 0, n * sizeof(double));
-        REQUIRE_OK(mo_gradient_reference(own[k].body, controller, own[k].environment, &physics,
-                                         &options, &expected, exact, NULL));
-        REQUIRE_OK(mo_gradient_block(memory, pack, &own[k], 1, &physics, &options, NULL, &one, fast,
-                                     NULL));
-        for (size_t i = 0; i < n; i++) {
-          error += (fast[i] - exact[i]) * (fast[i] - exact[i]);
-          size += exact[i] * exact[i];
-        }
-        CHECK(SAME(&one, &outcomes[k], 1));
-        CHECK_NEAR(one.loss, expected.loss, 2e-4);
-        worst = fmax(worst, sqrt(error / size));
-      }
-      printf("# %s, variant %u: worst relative error of a gradient %.1e\n",
-             mo_isa_name((enum mo_isa)isa), variant, worst);
-      CHECK(worst <= 1e-3);
-      check_drop_to(kept);
-    }
+  follow_gradients(controller, own, physics_number, 1e-3);
 }
 
 static const struct check_case cases[] = {

@@ -1,7 +1,7 @@
 /* profiles.c: rollouts on terrain profiles: in the reference compared with a grid of the same
  * shape, in the kernels with the reference. gradient-dual.c compares the reference's derivative
  * with dual numbers, contact.c its times of impact with a search. */
-#include "../make.h"
+#include "lane-cases.h"
 #include "task-cases.h"
 
 static struct mo_lattice *lattice;
@@ -26,18 +26,6 @@ static struct mo_physics physics_number(uint32_t k, uint32_t n_steps)
   return physics;
 }
 
-static void block_of(const struct mo_pack *pack, const struct mo_body *body,
-                     const struct mo_environment *environments, const uint32_t *lanes, uint32_t n,
-                     const struct mo_physics *physics, struct mo_outcome *outcomes)
-{
-  const struct mo_environment *list[MO_BLOCK_LANES];
-  for (uint32_t l = 0; l < n; l++)
-    list[l] = environments + lanes[l];
-  make_check(mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL,
-                              NULL, outcomes),
-             "block");
-}
-
 /* ---- the same plane twice ---- */
 
 /* h = 0.5 + slope · x for 0 ≤ x ≤ 5 m, as a grid and as a profile. */
@@ -52,14 +40,6 @@ static void make_plane(double slope, struct mo_environment *grid, struct mo_envi
         0.5 + slope * (k % MO_TERRAIN_SIDE * MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1));
     profile->terrain_heights_m[k] = 0.5 + slope * k * profile->profile_spacing_m;
   }
-}
-
-static double apart(const struct mo_outcome *a, const struct mo_outcome *b)
-{
-  double most = fabs(a->loss - b->loss);
-  for (int axis = 0; axis < 3; axis++)
-    most = fmax(most, fabs(a->com_end_m[axis] - b->com_end_m[axis]));
-  return most;
 }
 
 static void planes(void)
@@ -105,8 +85,6 @@ static void planes(void)
 }
 
 /* ---- kernels ---- */
-
-enum { LANES = MO_BLOCK_LANES };
 
 /* Profiles, families and grids, some with tasks. */
 static void make_environments(struct mo_environment environments[LANES])
@@ -234,45 +212,12 @@ static void divergence(void)
 
 static void gradients(void)
 {
-  const struct mo_gradient_options options = {.weight = 1};
-  const size_t n = controller->n_parameters;
   struct mo_environment environments[LANES];
   struct mo_robot own[LANES];
   make_environments(environments);
   for (uint32_t k = 0; k < LANES; k++)
     own[k] = (struct mo_robot){robots[k % BODIES].body, &environments[k], NULL};
-  double *exact = make_zeros(n, sizeof(double));
-  float *fast = make_zeros(n, sizeof(float));
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (uint32_t variant = 0; variant < 4; variant++) {
-      const size_t kept = check_n_kept;
-      const struct mo_pack *pack = make_gradient_pack(controller, (enum mo_isa)isa);
-      struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
-      const struct mo_physics physics = physics_number(variant, 24);
-      struct mo_outcome outcomes[LANES], expected, one;
-      double worst = 0;
-      REQUIRE_OK(mo_gradient_block(memory, pack, own, LANES, &physics, &options, NULL, outcomes,
-                                   fast, NULL));
-      for (uint32_t k = 0; k < LANES; k++) {
-        double error = 0, size = 0;
-        memset(exact, 0, n * sizeof(double));
-        REQUIRE_OK(mo_gradient_reference(own[k].body, controller, own[k].environment, &physics,
-                                         &options, &expected, exact, NULL));
-        REQUIRE_OK(mo_gradient_block(memory, pack, &own[k], 1, &physics, &options, NULL, &one, fast,
-                                     NULL));
-        for (size_t i = 0; i < n; i++) {
-          error += (fast[i] - exact[i]) * (fast[i] - exact[i]);
-          size += exact[i] * exact[i];
-        }
-        CHECK(SAME(&one, &outcomes[k], 1));
-        CHECK_NEAR(one.loss, expected.loss, 2e-4);
-        worst = fmax(worst, sqrt(error / size));
-      }
-      printf("# %s, variant %u: worst relative error of a gradient %.1e\n",
-             mo_isa_name((enum mo_isa)isa), variant, worst);
-      CHECK(worst <= (physics.scheme.impact == MO_IMPACT_EXACT ? 1e-3 : 2e-3));
-      check_drop_to(kept);
-    }
+  follow_gradients(controller, own, physics_number, 1e-3);
 }
 
 /* ---- behavior ---- */

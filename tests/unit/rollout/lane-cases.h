@@ -1,0 +1,75 @@
+/* lane-cases.h: checks of environments that share a block: outcomes and gradients of the kernels
+ * compared with the reference, and with those of each lane by itself. */
+#ifndef MORPHO_TESTS_LANE_CASES_H
+#define MORPHO_TESTS_LANE_CASES_H
+
+#include "../make.h"
+
+#define LANES MO_BLOCK_LANES
+
+/* Rolls out environment lanes[l] in lane l. */
+static inline void block_of(const struct mo_pack *pack, const struct mo_body *body,
+                            const struct mo_environment *environments, const uint32_t *lanes,
+                            uint32_t n, const struct mo_physics *physics,
+                            struct mo_outcome *outcomes)
+{
+  const struct mo_environment *list[LANES];
+  for (uint32_t l = 0; l < n; l++)
+    list[l] = environments + lanes[l];
+  make_check(mo_rollout_block(make_workspace_memory(), pack, body, list, n, physics, NULL, NULL,
+                              NULL, outcomes),
+             "block");
+}
+
+static inline double apart(const struct mo_outcome *a, const struct mo_outcome *b)
+{
+  double most = fabs(a->loss - b->loss);
+  for (int axis = 0; axis < 3; axis++)
+    most = fmax(most, fabs(a->com_end_m[axis] - b->com_end_m[axis]));
+  return most;
+}
+
+/* Checks the gradients of LANES robots on every instruction set, with four settings of physics: at
+ * most `most` from the reference, twice that where impacts are bisected. */
+static inline void
+follow_gradients(const struct mo_controller *controller, const struct mo_robot own[LANES],
+                 struct mo_physics (*physics_of_variant)(uint32_t variant, uint32_t n_steps),
+                 double most)
+{
+  const struct mo_gradient_options options = {.weight = 1};
+  const size_t n = controller->n_parameters;
+  double *exact = make_zeros(n, sizeof(double));
+  float *fast = make_zeros(n, sizeof(float));
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    for (uint32_t variant = 0; variant < 4; variant++) {
+      const size_t kept = check_n_kept;
+      const struct mo_pack *pack = make_gradient_pack(controller, (enum mo_isa)isa);
+      struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
+      const struct mo_physics physics = physics_of_variant(variant, 24);
+      struct mo_outcome outcomes[LANES], expected, one;
+      double worst = 0;
+      REQUIRE_OK(mo_gradient_block(memory, pack, own, LANES, &physics, &options, NULL, outcomes,
+                                   fast, NULL));
+      for (uint32_t k = 0; k < LANES; k++) {
+        double error = 0, size = 0;
+        memset(exact, 0, n * sizeof(double));
+        REQUIRE_OK(mo_gradient_reference(own[k].body, controller, own[k].environment, &physics,
+                                         &options, &expected, exact, NULL));
+        REQUIRE_OK(mo_gradient_block(memory, pack, &own[k], 1, &physics, &options, NULL, &one, fast,
+                                     NULL));
+        for (size_t i = 0; i < n; i++) {
+          error += (fast[i] - exact[i]) * (fast[i] - exact[i]);
+          size += exact[i] * exact[i];
+        }
+        CHECK(SAME(&one, &outcomes[k], 1));
+        CHECK_NEAR(one.loss, expected.loss, 2e-4);
+        worst = fmax(worst, sqrt(error / size));
+      }
+      printf("# %s, variant %u: worst relative error of a gradient %.1e\n",
+             mo_isa_name((enum mo_isa)isa), variant, worst);
+      CHECK(worst <= (physics.scheme.impact == MO_IMPACT_EXACT ? most : 2 * most));
+      check_drop_to(kept);
+    }
+}
+
+#endif
