@@ -124,8 +124,10 @@ static void opens_version_16(void)
   CHECK_INT(outside_integer(old), 1);
   REQUIRE_OK(reopen());
   struct mo_evaluation_request submission = draw_evaluation(2, 3);
-  struct mo_environment tasked = submission.environments[0];
+  struct mo_environment tasked;
+  mo_environment_training(1, 0, 0, &tasked);
   tasked.task.objective = MO_OBJECTIVE_APPROACH;
+  submission.environment_set = NULL;
   submission.environments = &tasked;
   submission.n_environments = 1;
   CHECK(submit_evaluation(&submission) > 0);
