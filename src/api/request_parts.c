@@ -194,7 +194,7 @@ static void read_list(struct mo_json *json, const char *what,
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
     mo_json_fault_at(json, depth, "", "must have 1 to %d %s, got %s", MO_ENVIRONMENTS_MAX, what,
                      n == 0 ? "none" : "too many");
-  parts->n_environments = n;
+  parts->n_environments = n < MO_ENVIRONMENTS_MAX ? n : MO_ENVIRONMENTS_MAX;
 }
 
 static void read_environments(struct mo_json *json, void *value)
