@@ -150,7 +150,7 @@ def test_devices_compute_leases_of_their_own(daemon, launch, known, start):
 
 def test_sigterm_ends_a_worker_within_a_block(daemon, launch, known):
     worker = launch(Worker, daemon.url)
-    daemon.give(lease(known, 0), long_lease(known, 1), long_lease(known, 2))
+    daemon.give(lease(known, 0), *(long_lease(known, number, n_steps=16_000) for number in (1, 2)))
     running(daemon, (1, 1), (1, 2))
     with soon():
         assert worker.stop() == 0, worker.log_text()
