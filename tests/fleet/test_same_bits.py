@@ -44,7 +44,7 @@ def test_same_bits(daemon, worker, seed, mode):
         assert needed <= status["rollouts_done"] <= needed + value["population"] * steps
         assert status["audits_failed"] == 0
         assert status["lost"] == 0, events(one, "fleet.lost")
-        assert sum(session["rollouts_done"] > 0 for session in status["sessions"]) > 2
+        assert sum(session["rollouts_done"] > 0 for session in status["sessions"]) >= 2
         one.end()
 
 
