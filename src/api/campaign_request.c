@@ -226,7 +226,7 @@ static const struct mo_field rows[] = {
      .help = "create another study, or return the open one of this label"},
     {"own_score", MO_FIELD_OWN, 0, AT(request.record.own_score), .group = &mo_own_score_fields,
      .own = &mo_own_score_field, .unit = "",
-     .help = "name and unit of the score that the study's client tells"},
+     .help = "name and unit of the score that the study's client sends"},
     {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
     {"initial", MO_FIELD_OWN, 0, 0, .own = &initial},
     {"learning", MO_FIELD_OWN, 0, 0, .own = &learning},

@@ -271,9 +271,12 @@ static int check(struct mo_json *json, void *any)
   if (parsed->parts.has_designs && parsed->parts.has_random)
     mo_json_fault_at(json, 0, "/random", "cannot be combined with designs; give only one of them");
   const bool estimates = parsed->parts.estimates_error || request->tolerance > 0;
-  double highest_m;
+  const bool is_large = random->count > 0 || parsed->parts.n_designs > MO_DESIGNS_MAX;
+  double highest_m = 0;
   request->n_displaced = estimates ? MO_ERROR_DISPLACED : 0;
-  check_large(json, parsed, survey_worlds(json, &parsed->parts, &highest_m));
+  /* The worlds of a set are drawn for this: only where they count. */
+  check_large(json, parsed,
+              estimates || is_large ? survey_worlds(json, &parsed->parts, &highest_m) : 0);
   if (estimates)
     check_error(json, parsed, highest_m);
   if (request->measures != 0)

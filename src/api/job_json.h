@@ -15,7 +15,7 @@ void mo_member_orientation(struct mo_text *text, enum mo_orientation orientation
 int mo_members_design(struct mo_text *text, const struct mo_lattice *lattice,
                       const struct mo_genotype *form, const struct mo_genotype *genotype,
                       const struct mo_design_note *note);
-/* Writes the member "own_score" of a list with scores that the client of a study told; nothing if
+/* Writes the member "own_score" of a list with scores that the client of a study sent; nothing if
  * the service computed them. */
 void mo_member_own_score(struct mo_text *text, const struct mo_own_score *own);
 /* Writes notes with their places, as a member. */

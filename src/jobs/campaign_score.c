@@ -249,7 +249,7 @@ static int compute(struct mo_campaign_run *run)
 
 /* Computes each score as the mean over the environments, or infinity if a rollout diverged. For a
  * child that was cut short, the score is a lower bound. A study may have an own score: its client
- * has told it, and the losses are only stored. */
+ * has sent it, and the losses are only stored. */
 static void read_scores(struct mo_campaign_run *run)
 {
   const struct mo_campaign_scores *scores = &run->scores;

@@ -6,7 +6,7 @@
 #define AT(member) offsetof(struct mo_own_score, member)
 static const struct mo_field rows[] = {
     {"name", MO_FIELD_TEXT, 0, AT(name), .min = 1, .max = MO_OWN_SCORE_NAME_MAX, .unit = "",
-     .help = "name of the score that the client tells"},
+     .help = "name of the score that the client sends"},
     {"unit", MO_FIELD_TEXT, MO_FIELD_UTF8, AT(unit), .min = 0, .max = MO_OWN_SCORE_UNIT_MAX,
      .unit = "", .help = "its unit; empty: a pure number"},
 };

@@ -8,7 +8,7 @@
 #define MO_OWN_SCORE_NAME_MAX 32   /* letters of A-Z, a-z, 0-9, '_', '.' and '-' */
 #define MO_OWN_SCORE_UNIT_MAX 16   /* characters, in UTF-8 */
 
-/* The designs of such a study are ranked by what the client tells; the service stores its own
+/* The designs of such a study are ranked by what the client sends; the service stores its own
  * losses beside that, and never ranks by them. Lower is better, as for every score. */
 struct mo_own_score {
   char name[MO_OWN_SCORE_NAME_MAX + 1];     /* "": the service computes the scores */
