@@ -8,7 +8,7 @@ from daemon import CONTROLLER, bodies, stored_scores
 
 PHYSICS = {"n_steps": 150}
 N_BATCHES = 3
-N_DESIGNS = 120
+N_DESIGNS = 80
 N_ENVIRONMENTS = 4
 ROUND = N_BATCHES * N_DESIGNS * N_ENVIRONMENTS  # rollouts of the work that is added every few kills
 

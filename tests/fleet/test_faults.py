@@ -15,7 +15,7 @@ from network import HUB, Network
 from surroundings import fill
 
 PORT = 8766
-VALUE = request("zero-shot", 22, 7) | {"population": 48, "physics": {"n_steps": 300}}
+VALUE = request("zero-shot", 22, 7) | {"population": 48, "physics": {"n_steps": 150}}
 FAULTS = 8  # the maximum of a round
 
 

@@ -12,7 +12,7 @@ NUMBERS = (1, 7, 2, 1)  # number of workers, one after the other
 @pytest.mark.parametrize("mode", MODES)
 def test_same_bits(daemon, worker, seed, mode):
     is_quick = mode == "zero-shot"  # it does not learn
-    value = request(mode, seed, 16 if is_quick else 4)
+    value = request(mode, seed, 12 if is_quick else 4)
     value |= {"population": 32, "physics": {"n_steps": 80}}
     if is_quick:
         value |= {"physics": RACE["physics"], "environments": RACE["environments"]}
@@ -67,8 +67,8 @@ def scored_elsewhere(daemon, worker, value):
 def test_errors_of_scores(daemon, worker, seed):
     """Other machines compute the additional rollouts that estimate errors, with the same bits."""
     _, rollouts = scored_elsewhere(daemon, worker, {
-        "designs": bodies(seed, 20), "physics": "paper", "error": True, "priority": "batch"})
-    assert rollouts > 20 * 10
+        "designs": bodies(seed, 10), "physics": "paper", "error": True, "priority": "batch"})
+    assert rollouts > 10 * 10
 
 
 def test_tasks(daemon, worker, seed):
@@ -87,7 +87,7 @@ def test_tasks(daemon, worker, seed):
 def test_measures(daemon, worker, seed):
     """Losses that other machines computed get measures with the bits that one machine gives them;
     the losses stay."""
-    value = {"designs": bodies(seed, 20), "priority": "batch"}
+    value = {"designs": bodies(seed, 12), "priority": "batch"}
     with daemon("alone", workers=2) as one:
         expected = one.score(value | {"measures": True})
         one.end()

@@ -44,7 +44,7 @@ def drain(daemon, *flags):
 
 
 def test_a_campaign_outlives_upgrades(daemon, worker, seed):
-    value = request("zero-shot", seed, 30) | {"population": 48, "physics": {"n_steps": 300}}
+    value = request("zero-shot", seed, 30) | {"population": 48, "physics": {"n_steps": 200}}
     expected, *_ = undisturbed(daemon, "alone", value)
     old, new = version_of(OLDER), version_of(MORPHOD)
     with socket.create_server(("127.0.0.1", 0)) as free:

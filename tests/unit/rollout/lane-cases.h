@@ -29,6 +29,23 @@ static inline double apart(const struct mo_outcome *a, const struct mo_outcome *
   return most;
 }
 
+/* Rolls every environment out by the reference, with four settings of physics: robot k's body with
+ * setting k. */
+static inline void
+reference_lives(const struct mo_controller *controller, const struct mo_robot *robots,
+                const struct mo_environment *environments,
+                struct mo_physics (*physics_of_variant)(uint32_t variant, uint32_t n_steps),
+                uint32_t n_steps, struct mo_outcome outcomes[4][LANES])
+{
+  for (uint32_t variant = 0; variant < 4; variant++) {
+    const struct mo_physics physics = physics_of_variant(variant, n_steps);
+    for (uint32_t k = 0; k < LANES; k++)
+      make_check(mo_rollout_reference(robots[variant].body, controller, &environments[k], &physics,
+                                      NULL, NULL, &outcomes[variant][k]),
+                 "reference");
+  }
+}
+
 /* Checks the gradients of LANES robots on every instruction set, with four settings of physics: at
  * most `most` from the reference, twice that where impacts are bisected. */
 static inline void
@@ -38,31 +55,34 @@ follow_gradients(const struct mo_controller *controller, const struct mo_robot o
 {
   const struct mo_gradient_options options = {.weight = 1};
   const size_t n = controller->n_parameters;
-  double *exact = make_zeros(n, sizeof(double));
+  double *exact = make_zeros(LANES * n, sizeof(double));
   float *fast = make_zeros(n, sizeof(float));
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
-    for (uint32_t variant = 0; variant < 4; variant++) {
+  struct mo_outcome expected[LANES];
+  for (uint32_t variant = 0; variant < 4; variant++) {
+    const struct mo_physics physics = physics_of_variant(variant, 24);
+    memset(exact, 0, LANES * n * sizeof(double));
+    for (uint32_t k = 0; k < LANES; k++)
+      REQUIRE_OK(mo_gradient_reference(own[k].body, controller, own[k].environment, &physics,
+                                       &options, &expected[k], exact + k * n, NULL));
+    for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
       const size_t kept = check_n_kept;
       const struct mo_pack *pack = make_gradient_pack(controller, (enum mo_isa)isa);
       struct mo_gradient_memory *memory = make_gradient_memory(MO_GRADIENT_DEFAULT_BYTES);
-      const struct mo_physics physics = physics_of_variant(variant, 24);
-      struct mo_outcome outcomes[LANES], expected, one;
+      struct mo_outcome outcomes[LANES], one;
       double worst = 0;
       REQUIRE_OK(mo_gradient_block(memory, pack, own, LANES, &physics, &options, NULL, outcomes,
                                    fast, NULL));
       for (uint32_t k = 0; k < LANES; k++) {
+        const double *true_one = exact + k * n;
         double error = 0, size = 0;
-        memset(exact, 0, n * sizeof(double));
-        REQUIRE_OK(mo_gradient_reference(own[k].body, controller, own[k].environment, &physics,
-                                         &options, &expected, exact, NULL));
         REQUIRE_OK(mo_gradient_block(memory, pack, &own[k], 1, &physics, &options, NULL, &one, fast,
                                      NULL));
         for (size_t i = 0; i < n; i++) {
-          error += (fast[i] - exact[i]) * (fast[i] - exact[i]);
-          size += exact[i] * exact[i];
+          error += (fast[i] - true_one[i]) * (fast[i] - true_one[i]);
+          size += true_one[i] * true_one[i];
         }
         CHECK(SAME(&one, &outcomes[k], 1));
-        CHECK_NEAR(one.loss, expected.loss, 2e-4);
+        CHECK_NEAR(one.loss, expected[k].loss, 2e-4);
         worst = fmax(worst, sqrt(error / size));
       }
       printf("# %s, variant %u: worst relative error of a gradient %.1e\n",
@@ -70,6 +90,7 @@ follow_gradients(const struct mo_controller *controller, const struct mo_robot o
       CHECK(worst <= (physics.scheme.impact == MO_IMPACT_EXACT ? most : 2 * most));
       check_drop_to(kept);
     }
+  }
 }
 
 #endif

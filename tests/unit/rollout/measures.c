@@ -4,7 +4,7 @@
 #include "rollout/measuring.h"
 #include "task-cases.h"
 
-enum { STEPS = 400, ROBOTS = 6, LANES = 10 };
+enum { STEPS = CHECK_SANITIZED ? 120 : 400, ROBOTS = 6, LANES = 10 };
 static struct mo_lattice *lattice;
 static struct mo_controller *controller;
 static struct mo_environment paper_test[MO_PAPER_TEST_COUNT];
@@ -369,6 +369,15 @@ static void kernels(void)
   for (uint32_t l = 0; l < LANES; l++)
     lanes[l] = l;
   const struct mo_robot *robots = make_robots(lattice, 32, 32, ROBOTS);
+  static double expected[ROBOTS][LANES][MO_MEASURES];
+  for (uint32_t k = 0; k < ROBOTS; k++)
+    for (uint32_t l = 0; l < LANES; l++) {
+      const struct mo_physics physics = physics_case(k % PHYSICS_CASES, 100);
+      const struct mo_measuring measuring = {MO_MEASURES_ALL, &expected[k][l]};
+      struct mo_outcome outcome;
+      REQUIRE(mo_rollout_reference(robots[k].body, controller, environments + l, &physics, NULL,
+                                   &measuring, &outcome) == MO_OK);
+    }
   EACH_KERNEL(isa, precision)
   {
     const struct mo_pack *pack =
@@ -376,22 +385,17 @@ static void kernels(void)
     double worst[MO_MEASURES] = {0};
     for (uint32_t k = 0; k < ROBOTS; k++) {
       const struct mo_physics physics = physics_case(k % PHYSICS_CASES, 100);
-      double values[LANES][MO_MEASURES], expected[1][MO_MEASURES];
+      double values[LANES][MO_MEASURES];
       struct mo_outcome outcomes[LANES];
-      const struct mo_measuring measuring = {MO_MEASURES_ALL, expected};
       run_block(pack, robots[k].body, environments, lanes, LANES, &physics, MO_MEASURES_ALL, values,
                 outcomes);
-      for (uint32_t l = 0; l < LANES; l++) {
-        struct mo_outcome outcome;
-        REQUIRE(mo_rollout_reference(robots[k].body, controller, environments + l, &physics, NULL,
-                                     &measuring, &outcome) == MO_OK);
+      for (uint32_t l = 0; l < LANES; l++)
         for (int i = 0; i < MO_MEASURES; i++) {
-          CHECK(isnan(values[l][i]) == isnan(expected[0][i]));
-          if (!isnan(expected[0][i]))
-            worst[i] =
-                fmax(worst[i], fabs(values[l][i] - expected[0][i]) / scale_of(i, expected[0][i]));
+          const double should = expected[k][l][i];
+          CHECK(isnan(values[l][i]) == isnan(should));
+          if (!isnan(should))
+            worst[i] = fmax(worst[i], fabs(values[l][i] - should) / scale_of(i, should));
         }
-      }
     }
     printf("# %s, precision %d, differences:", mo_isa_name((enum mo_isa)isa), precision);
     for (int i = 0; i < MO_MEASURES; i++) {
@@ -564,7 +568,7 @@ static void names(void)
 
 /* ---- ordinary rollouts ---- */
 
-enum { BODIES = 20 };
+enum { BODIES = CHECK_SANITIZED ? 4 : 20 };
 
 /* Random bodies in the paper's test set, of the default length: the bound of strains is far from
  * them, and few turn voxels inside out. */

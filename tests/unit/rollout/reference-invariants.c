@@ -6,7 +6,7 @@
 #include "rollout/reference.h"
 #include "rollout/scene.h"
 
-#define BODIES 60
+enum { BODIES = CHECK_SANITIZED ? 12 : 60 };
 
 static struct mo_lattice *lattice;
 static struct mo_controller *bootstrap;

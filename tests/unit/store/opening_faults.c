@@ -86,7 +86,7 @@ static void check_contents(struct life *life)
 }
 
 #ifdef __SANITIZE_ADDRESS__ /* slow there: test fewer calls */
-enum { SPARSE = 2, DENSE = 4, LAST_STRIDE = 4 };
+enum { SPARSE = 4, DENSE = 2, LAST_STRIDE = 8 };
 #else
 enum { SPARSE = 1, DENSE = 16, LAST_STRIDE = 1 };
 #endif
