@@ -6,12 +6,13 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|accuracy|score-error|stability|space|store|stream|"
-    "evolution "
+    "rollout|gradient|gradient-accuracy|gradient-order|accuracy|score-error|stability|space|"
+    "store|stream|evolution "
     "[OPTION…]\n\n  rollout   speed of one core on 200 distinct random bodies × the paper test "
     "set, against its best sgemm rate\n  gradient  speed of one core differentiating 256 rollouts, "
     "against its best sgemm rate; memory; the back end\n  gradient-accuracy  float32 against "
-    "float64 gradient of 256 rollouts\n  accuracy  run time against error for integrators, control "
+    "float64 gradient of 256 rollouts\n  gradient-order  gradients at smaller and smaller time "
+    "steps against their limit\n  accuracy  run time against error for integrators, control "
     "periods, precisions, impact modes and time steps, as CSV\n  score-error  estimated errors of "
     "scores against the real ones, as CSV and a summary\n  stability  physics that rollouts "
     "survive, with the linear bound, as CSV and tables\n  space     speed of drawing, naming and "
@@ -21,7 +22,8 @@ static const char usage[] =
     "memory\n  evolution  a campaign's bookkeeping without its rollouts; `morpho-bench evolution "
     "--help`\n\n  --bodies N         another number of bodies\n  --seed N           seed of the "
     "bodies' stream (default 1)\n  --workers N        threads of `accuracy`, `gradient-accuracy`, "
-    "`stability` (default: one per processor)\n  --isa NAME         x86-64, avx2 or avx512 "
+    "`gradient-order`, `stability` (default: one per processor)\n  --isa NAME         x86-64, avx2 "
+    "or avx512 "
     "(default: the best that runs here)\n  --controller PATH  safetensors file (default "
     "data/controllers/bootstrap.safetensors)\n  --dt MS            time step of `rollout`, "
     "`gradient` and `score-error` (default 4)\n  "
@@ -33,12 +35,17 @@ static const struct {
   const char *name;
   int (*run)(const struct bench_options *options);
   int (*run_with)(int argc, char **argv); /* or this one, which gets the arguments after the name */
-} benchmarks[] = {
-    {"rollout", bench_rollout, NULL},     {"fleet-model", NULL, bench_fleet_model},
-    {"gradient", bench_gradient, NULL},   {"gradient-accuracy", bench_gradient_accuracy, NULL},
-    {"accuracy", bench_accuracy, NULL},   {"score-error", bench_score_error, NULL},
-    {"stability", bench_stability, NULL}, {"space", NULL, bench_space},
-    {"store", NULL, bench_store},         {"stream", NULL, bench_stream}};
+} benchmarks[] = {{"rollout", bench_rollout, NULL},
+                  {"fleet-model", NULL, bench_fleet_model},
+                  {"gradient", bench_gradient, NULL},
+                  {"gradient-accuracy", bench_gradient_accuracy, NULL},
+                  {"accuracy", bench_accuracy, NULL},
+                  {"score-error", bench_score_error, NULL},
+                  {"gradient-order", bench_gradient_order, NULL},
+                  {"stability", bench_stability, NULL},
+                  {"space", NULL, bench_space},
+                  {"store", NULL, bench_store},
+                  {"stream", NULL, bench_stream}};
 
 int main(int argc, char **argv)
 {
