@@ -279,6 +279,23 @@ static void check_study(struct mo_json *json, const struct mo_parsed_campaign *p
     mo_json_fault_at(json, 0, "/exclude_pretraining", "%s", words);
 }
 
+/* Checks the measures, and the one to select by. The racing is negative unless it was given. */
+static void check_measures(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+{
+  const struct mo_campaign_record *record = &parsed->request.record;
+  const bool selects = record->select_by.is_set;
+  if ((record->measures != 0 || selects) && parsed->parts.job.back_end == MO_ON_DEVICE)
+    mo_json_fault_at(json, 0, selects ? "/select_by" : "/measures",
+                     "measures are computed only on CPUs; request \"cpu\" or \"auto\"");
+  if (selects && mo_own_score_is_set(&record->own_score))
+    mo_json_fault_at(json, 0, "/select_by",
+                     "cannot be combined with own_score; give only one of them");
+  if (selects && (int)record->settings.racing == MO_RACING_LOSSLESS)
+    mo_json_fault_at(json, 0, "/racing",
+                     "a race stops rollouts by their loss, so a campaign with select_by cannot "
+                     "race; request \"off\", or leave it out");
+}
+
 /* Checks that if_exists is for a study, and that there is a label to find it by. */
 static void check_if_exists(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
@@ -330,6 +347,7 @@ static int check(struct mo_json *json, void *any)
                      "only studies support this: the service scores the designs of a %s campaign",
                      mo_campaign_mode_words[settings->mode]);
   check_if_exists(json, parsed);
+  check_measures(json, parsed);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
                      "%u designs in each of %u generations and in the initial population make "
@@ -370,9 +388,17 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   snprintf(record->preset, sizeof(record->preset), "%s", mo_preset_words[preset]);
   const enum mo_sensor sensor = record->settings.sensor;
   record->settings.sensor = (enum mo_sensor) - 1;
+  const enum mo_racing racing = record->settings.racing;
+  record->settings.racing = (enum mo_racing) - 1;
   int error = mo_read_body(text, size, &mo_campaign_request_fields, parsed, parts, check, faults);
   if ((int)record->settings.sensor < 0)
     record->settings.sensor = sensor;
+  if ((int)record->settings.racing < 0)
+    record->settings.racing = record->select_by.is_set ? MO_RACING_OFF : racing;
+  if (record->select_by.is_set) {
+    record->measures |= UINT32_C(1) << record->select_by.measure;
+    mo_select_by_name(&record->select_by, &record->own_score);
+  }
   if (!mo_modes[mode].starts_untrained && !parts->has_controller)
     memcpy(parts->controller, "default", sizeof("default"));
   if (error == MO_OK && mo_campaign_settings_check(&record->settings, &message) != MO_OK) {

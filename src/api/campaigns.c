@@ -109,7 +109,9 @@ static void write_study(struct mo_text *text, const struct mo_campaign_status *s
   write_words(text, "operators", status->words.operators, status->words.n_operators);
   write_words(text, "measures", status->words.measures, status->words.n_measures);
   mo_text_name(text, "own_score");
-  mo_own_score_field.write(text, &status->record.own_score);
+  mo_own_score_field.write(text, mo_campaign_takes_scores(&status->record)
+                                     ? &status->record.own_score
+                                     : &(const struct mo_own_score){.name = ""});
   if (status->sampler_bytes > 0) {
     mo_text_add(text, ",\"sampler\":{");
     mo_member_hash(text, "sha256", &status->sampler_sha256);
@@ -161,6 +163,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   write_group(text, record);
   write_progress(text, status, live);
   mo_text_member(text, "end", ends[status->end]);
+  mo_member_own_score(text, &record->own_score);
   if (!mo_modes[record->settings.mode].makes_children)
     write_study(text, status);
   else

@@ -4,8 +4,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include <morpho/measure.h>
-
 #include "api/requests.h"
 #include "base/words.h"
 #include "rollout/physics.h"
@@ -34,51 +32,6 @@ static void read_channels(struct mo_json *json, void *value)
 }
 
 const struct mo_field_own mo_channels_field = {.read = read_channels};
-
-/* Reads true, for all measures, or their names. */
-static void read_measures(struct mo_json *json, void *value)
-{
-  const char *names[MO_MEASURES + 1] = {NULL};
-  char list[MO_WORDS_BYTES];
-  struct mo_json_slice name;
-  uint32_t *set = value;
-  const enum mo_json_kind kind = mo_json_peek(json);
-  bool all = false;
-  *set = 0;
-  if (kind == MO_JSON_TRUE || kind == MO_JSON_FALSE) {
-    if (mo_json_bool(json, &all) && all)
-      *set = MO_MEASURES_ALL;
-    return;
-  }
-  for (unsigned m = 0; m < MO_MEASURES; m++)
-    names[m] = mo_measure_info[m].name;
-  const unsigned depth = json->depth, before = json->faults->n;
-  if (kind != MO_JSON_ARRAY) {
-    mo_json_skip(json);
-    mo_json_fault_at(json, depth, "", "must be true, for all measures, or an array of names: %s",
-                     mo_words_list(names, list));
-    return;
-  }
-  if (!mo_json_array(json))
-    return;
-  while (mo_json_item(json)) {
-    unsigned m = 0;
-    if (!mo_json_string(json, &name))
-      continue;
-    while (m < MO_MEASURES && !mo_json_is(name, names[m]))
-      m++;
-    if (m == MO_MEASURES)
-      mo_json_fault(json, "must be %s", mo_words_list(names, list));
-    else if (*set >> m & 1)
-      mo_json_fault(json, "duplicate measure; list it once");
-    else
-      *set |= UINT32_C(1) << m;
-  }
-  if (*set == 0 && json->faults->n == before)
-    mo_json_fault_at(json, depth, "", "must name at least one measure; leave it out for none");
-}
-
-static const struct mo_field_own measures_field = {.read = read_measures};
 
 #define AT(member) offsetof(struct mo_random_bodies, member)
 static const struct mo_field random_rows[] = {
@@ -129,7 +82,7 @@ static const struct mo_field rows[] = {
     {"random", MO_FIELD_OWN, 0, AT(parts), .own = &random_field},
     {"verify", MO_FIELD_FLAG, 0, AT(request.verify)},
     {"error", MO_FIELD_FLAG, 0, AT(parts.estimates_error)},
-    {"measures", MO_FIELD_OWN, 0, AT(request.measures), .own = &measures_field},
+    {"measures", MO_FIELD_OWN, 0, AT(request.measures), .own = &mo_measures_field},
     {"tolerance", MO_FIELD_NUMBER, 0, AT(request.tolerance), .min = MO_TOLERANCE_MIN,
      .max = MO_TOLERANCE_MAX, .unit = "",
      .help = "largest estimated error of each score, in the unit of the loss"},

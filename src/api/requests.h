@@ -123,6 +123,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 /* The bodies of POST …/tell and …/ask of a study. The caller frees `parents` in every case. */
 struct mo_parsed_telling {
   struct mo_study_telling telling;
+  uint32_t measures; /* as bits: those that the service computes, whose names are taken */
   struct mo_parts parts;         /* genotypes: of the children */
   struct mo_workspace workspace; /* which they must fit; of the study, as has_scores */
   bool has_children, has_scores; /* has_scores: each child must have a score */

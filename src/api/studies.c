@@ -30,6 +30,7 @@ struct told {
   struct mo_campaign_design *designs; /* (n) */
   struct mo_bits *genotypes;          /* (n) */
   struct mo_campaign_loss *losses;    /* (n) */
+  double (*measures)[MO_MEASURES];    /* (n, n_environments) room; NULL: the study names none */
   uint8_t *known;                     /* (n) */
   struct mo_environment *tasks;       /* nullable */
   struct mo_design_note *notes;       /* (n_notes) */
@@ -42,6 +43,7 @@ static void free_told(struct told *told)
   free(told->designs);
   free(told->genotypes);
   free(told->losses);
+  free(told->measures);
   free(told->known);
   free(told->tasks);
   free(told->notes);
@@ -50,14 +52,18 @@ static void free_told(struct told *told)
 static int read_designs(struct mo_api *api, struct told *told)
 {
   const int64_t id = told->status.job.id;
+  const struct mo_campaign_record *record = &told->status.record;
   const uint32_t n = told->batch->n_children;
   int error = MO_OK;
   told->designs = calloc((size_t)n + 1, sizeof(*told->designs));
   told->genotypes = calloc((size_t)n + 1, sizeof(*told->genotypes));
   told->losses = calloc((size_t)n + 1, sizeof(*told->losses));
   told->known = calloc((size_t)n + 1, 1);
+  if (record->measures != 0)
+    told->measures =
+        calloc((size_t)n * record->n_environments + 1, sizeof(*told->measures));
   if (told->designs == NULL || told->genotypes == NULL || told->losses == NULL ||
-      told->known == NULL)
+      told->known == NULL || (record->measures != 0 && told->measures == NULL))
     return MO_ERR_NO_MEMORY;
   while (told->n < n && error == MO_OK) {
     const uint32_t left = n - told->n;
@@ -73,8 +79,28 @@ static int read_designs(struct mo_api *api, struct told *told)
     error = mo_tasks_read(api->store, id, MO_JOB_CAMPAIGN, told->status.record.environment_set,
                           &told->tasks);
   return error == MO_OK ? mo_jobs_study_losses(api->jobs, id, told->genotypes, told->n,
-                                               told->losses, told->known)
+                                               told->losses, told->measures, told->known)
                         : error;
+}
+
+/* Writes the losses of a child with the measures that the study names. Their means are among the
+ * measures of the design. */
+static void write_measured(struct mo_text *text, const struct told *told,
+                           const struct mo_campaign_loss *loss)
+{
+  const uint32_t n = told->status.record.n_environments, set = told->status.record.measures;
+  double values[MO_ENVIRONMENTS_MAX * MO_MEASURES];
+  uint8_t flags[MO_ENVIRONMENTS_MAX];
+  uint32_t place = 0;
+  for (uint32_t k = 0; k < n; k++) {
+    flags[k] = (uint8_t)mo_measures_flags(loss->measures[k]);
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      if (set >> m & 1)
+        values[place++] = loss->measures[k][m];
+  }
+  const struct mo_measured measured = {
+      .set = set, .values = values, .flags = flags, .has_means = true};
+  mo_members_losses(text, loss->losses, n, told->tasks, &measured);
 }
 
 static void write_child(struct mo_text *text, const struct told *told, uint32_t i)
@@ -83,7 +109,9 @@ static void write_child(struct mo_text *text, const struct told *told, uint32_t 
   mo_text_object(text);
   mo_text_member_count(text, "child", told->batch->children[i].place);
   mo_campaign_json_design(text, &told->designs[i], &told->status.words);
-  if (told->known[i])
+  if (told->known[i] && told->measures != NULL)
+    write_measured(text, told, loss);
+  else if (told->known[i])
     mo_members_losses(text, loss->losses, told->status.record.n_environments, told->tasks, NULL);
   else
     mo_text_member(text, "losses", NULL);

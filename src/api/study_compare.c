@@ -265,6 +265,8 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
   struct mo_campaign_record given, known = in_numbers(&status->record);
   comparison.error =
       mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
+  if (parsed.request.record.select_by.is_set) /* it is among the measures, named there or not */
+    parsed.request.record.measures |= UINT32_C(1) << parsed.request.record.select_by.measure;
   given = in_numbers(&parsed.request.record);
   given.settings.generations = known.settings.generations; /* the client can send any number of
                                                             * them */

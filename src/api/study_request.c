@@ -66,13 +66,29 @@ static void read_parents(struct mo_json *json, uint32_t parents[2])
     mo_json_fault_at(json, depth, "", "must be at most 2 parents, got %u", n);
 }
 
-/* measures: (MO_STUDY_MEASURES_MAX) */
-static void read_measures(struct mo_json *json, struct mo_study_words *words, double *measures)
+/* Returns whether a measure of the set has this name. */
+static bool is_taken(struct mo_json_slice name, uint32_t set)
+{
+  for (unsigned m = 0; m < MO_MEASURES; m++)
+    if ((set >> m & 1) != 0 && mo_json_is(name, mo_measure_info[m].name))
+      return true;
+  return false;
+}
+
+/* taken: the measures that the service computes. measures: (MO_STUDY_MEASURES_MAX) */
+static void read_measures(struct mo_json *json, uint32_t taken, struct mo_study_words *words,
+                          double *measures)
 {
   struct mo_json_slice key;
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
+    if (is_taken(key, taken)) {
+      mo_json_fault(json, "the service computes this measure in this study; leave it out, or give "
+                          "your number another name");
+      mo_json_skip(json);
+      continue;
+    }
     const int place = place_word(json, key, json->depth, words->measures, &words->n_measures,
                                  MO_STUDY_MEASURES_MAX);
     if (place < 0 || mo_json_peek(json) == MO_JSON_NULL)
@@ -149,7 +165,7 @@ static bool read_child(struct mo_json *json, struct mo_parsed_telling *parsed,
     else if (mo_json_is(key, "operator"))
       read_operator(json, words, &child->descent.op);
     else if (mo_json_is(key, "measures"))
-      read_measures(json, words, measures);
+      read_measures(json, parsed->measures, words, measures);
     else if (mo_json_is(key, "score"))
       read_score(json, parsed->has_scores, score);
     else
@@ -325,7 +341,8 @@ int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record
 {
   *parsed = (struct mo_parsed_telling){.telling.batch.number = UINT32_MAX,
                                        .workspace = study->settings.workspace,
-                                       .has_scores = mo_own_score_is_set(&study->own_score)};
+                                       .measures = study->measures,
+                                       .has_scores = mo_campaign_takes_scores(study)};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
   int error = mo_read_body(text, size, &mo_tell_fields, parsed, &parsed->parts, check, faults);
   parsed->telling.notes = parsed->parts.notes;

@@ -161,7 +161,10 @@ static void write_means(struct mo_text *text, const struct mo_measured *measured
   }
   for (size_t i = 0; i < each; i++)
     means[i] /= (double)n;
-  write_measures(text, measured->set, means, flags);
+  if (measured->has_means)
+    write_flags(text, flags);
+  else
+    write_measures(text, measured->set, means, flags);
 }
 
 /* ---- losses ---- */

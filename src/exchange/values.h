@@ -34,6 +34,7 @@ struct mo_measured {
   uint32_t set;         /* as bits: the measures that were requested */
   const double *values; /* (n, measures of the set); NaN: null */
   const uint8_t *flags; /* (n) bits of enum mo_measure_flag */
+  bool has_means;       /* the means are written elsewhere */
 };
 /* Writes losses as the member "losses". environments (nullable): if one of them has a task that is
  * not plain, or with measures, each loss becomes an object with its value and unit; and if all

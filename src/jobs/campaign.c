@@ -223,7 +223,7 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   const int error = mo_store_campaign(jobs->store, id, &status);
   return error != MO_OK
              ? error
-             : mo_campaign_need(jobs, &status.record.settings,
+             : mo_campaign_need(jobs, &status.record,
                                 status.job.has_controller ? &status.job.controller_sha256 : NULL,
                                 status.job.back_end, need, NULL);
 }

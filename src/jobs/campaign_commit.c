@@ -18,6 +18,8 @@ struct mo_campaign_writing {
   int64_t id;
   struct mo_campaign_commit commit; /* points to rows of the run, and to the members below */
   struct mo_campaign_loss *losses;  /* moved here from the run */
+  double (*measures)[MO_MEASURES];  /* the losses' measures, moved too */
+  double *means, *parent_means;     /* of the measures, and the measures of a study */
   struct mo_campaign_step *steps;
   uint8_t *checkpoint;
   char generation_data[480], collapse_data[256];
@@ -128,9 +130,14 @@ static void format_generation(const struct mo_campaign_run *run,
 static void drop(struct mo_campaign_writing *writing)
 {
   free(writing->losses);
+  free(writing->measures);
+  free(writing->means);
+  free(writing->parent_means);
   free(writing->steps);
   free(writing->checkpoint);
   writing->losses = NULL;
+  writing->measures = NULL;
+  writing->means = writing->parent_means = NULL;
   writing->steps = NULL;
   writing->checkpoint = NULL;
   writing->is_pending = false;
@@ -164,6 +171,44 @@ static int take_learning(const struct mo_campaign_run *run, struct mo_campaign_w
   return error;
 }
 
+/* Returns a copy of `n` rows of `width` numbers. NULL: no memory. */
+static double *copy_rows(const double *from, uint32_t n, uint32_t width)
+{
+  const size_t bytes = (size_t)n * width * sizeof(*from);
+  double *rows = malloc(bytes + 1);
+  return rows != NULL ? memcpy(rows, from, bytes) : NULL;
+}
+
+/* Copies the means of the measures that the campaign names, followed by the measures that a study's
+ * client sent. */
+static int take_measures(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
+{
+  const struct mo_study_batch *batch = run->batch;
+  const uint32_t n_means = mo_campaign_n_means(run), n_sent = batch != NULL ? batch->n_measures : 0;
+  const uint32_t n = n_means + n_sent;
+  writing->commit.n_measures = n;
+  writing->commit.measures = n_sent > 0 ? batch->measures : NULL;
+  if (n_means == 0)
+    return MO_OK;
+  const double *means =
+      run->scores.means + (size_t)n_means * (run->n_parents - run->scores.first);
+  writing->means = malloc(((size_t)run->n_children * n + 1) * sizeof(double));
+  if (writing->means == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (size_t i = 0; i < run->n_children; i++) {
+    memcpy(writing->means + n * i, means + n_means * i, n_means * sizeof(double));
+    if (n_sent > 0)
+      memcpy(writing->means + n * i + n_means, batch->measures + n_sent * i,
+             n_sent * sizeof(double));
+  }
+  writing->commit.measures = writing->means;
+  if (run->scores.first > 0 || run->n_parents == 0)
+    return MO_OK; /* the parents keep theirs */
+  writing->parent_means = copy_rows(run->scores.means, run->n_parents, n_means);
+  writing->commit.parent_measures = writing->parent_means;
+  return writing->parent_means != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
 /* Describes the generation for the store. Only the losses are taken from the run. */
 static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
@@ -176,8 +221,6 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .sizes = rows->sizes + run->n_parents,
       .child_scores = rows->scores + run->n_parents,
       .children_cut = rows->cut + run->n_parents,
-      .measures = run->batch != NULL ? run->batch->measures : NULL,
-      .n_measures = run->batch != NULL ? run->batch->n_measures : 0,
       .is_study = run->batch != NULL,
       .parent_numbers = rows->numbers,
       .parent_scores = rows->scores,
@@ -190,6 +233,8 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
       .event_data = writing->generation_data,
   };
   int error = describe_generation(run, &writing->commit.row);
+  if (error == MO_OK)
+    error = take_measures(run, writing);
   if (error == MO_OK && learns)
     error = take_learning(run, writing);
   if (error != MO_OK)
@@ -210,7 +255,9 @@ static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing
     writing->losses = run->scores.losses;
     writing->commit.losses = writing->losses;
     writing->commit.n_losses = run->scores.n;
+    writing->measures = run->scores.measures;
     run->scores.losses = NULL;
+    run->scores.measures = NULL;
   }
   return MO_OK;
 }

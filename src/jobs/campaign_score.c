@@ -23,11 +23,40 @@ void mo_campaign_free_scores(struct mo_campaign_scores *scores)
 {
   mo_grid_free(&scores->scoring.grid);
   free(scores->losses);
+  free(scores->measures);
+  free(scores->means);
   free(scores->unsaved);
   scores->losses = NULL;
+  scores->measures = NULL;
+  scores->means = NULL;
   scores->unsaved = NULL;
   scores->n = scores->n_unsaved = scores->n_done = 0;
   scores->n_cached = 0;
+}
+
+/* The measures of rollouts that are not computed stay NaN. */
+static int allocate_measures(struct mo_campaign_run *run)
+{
+  struct mo_campaign_scores *scores = &run->scores;
+  const size_t cells = (size_t)scores->n * run->n_environments;
+  if (run->status.record.measures == 0)
+    return MO_OK;
+  scores->measures = malloc((cells + 1) * sizeof(*scores->measures));
+  scores->means =
+      calloc((size_t)scores->n + 1, (size_t)mo_campaign_n_means(run) * sizeof(*scores->means));
+  if (scores->measures == NULL || scores->means == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (size_t i = 0; i < cells; i++)
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      scores->measures[i][m] = NAN;
+  for (uint32_t i = 0; i < scores->n; i++)
+    scores->losses[i].measures = scores->measures + (size_t)i * run->n_environments;
+  return MO_OK;
+}
+
+uint32_t mo_campaign_n_means(const struct mo_campaign_run *run)
+{
+  return (uint32_t)__builtin_popcount(run->status.record.measures);
 }
 
 static int allocate(struct mo_campaign_run *run)
@@ -53,7 +82,8 @@ static int allocate(struct mo_campaign_run *run)
     for (uint32_t k = 0; k < run->n_environments; k++)
       scores->losses[i].losses[k] = NAN;
   }
-  return mo_race_close(run);
+  const int error = allocate_measures(run);
+  return error == MO_OK ? mo_race_close(run) : error;
 }
 
 /* Takes the saved losses of a candidate, including losses that an earlier process found stored. */
@@ -62,8 +92,13 @@ static void take_saved(struct mo_campaign_scores *scores, uint32_t place,
 {
   if (place >= scores->n || scores->scoring.grid.left[place] == 0)
     return;
+  double(*measures)[MO_MEASURES] = scores->losses[place].measures;
+  if (measures != NULL)
+    memcpy(measures, loss->measures,
+           scores->scoring.grid.n_environments * sizeof(*measures));
   scores->losses[place] = *loss;
   scores->losses[place].place = place;
+  scores->losses[place].measures = measures;
   scores->n_cached += (uint64_t)__builtin_popcountll(loss->stored);
   mo_grid_finish_design(&scores->scoring.grid, place);
   scores->n_done++;
@@ -79,6 +114,8 @@ static void take_stored(struct mo_campaign_scores *scores, uint32_t place,
     if (known->stored >> k & 1) {
       loss->losses[k] = known->losses[k];
       loss->diverged_steps[k] = known->diverged_steps[k];
+      if (loss->measures != NULL)
+        memcpy(loss->measures[k], known->measures[k], sizeof(loss->measures[k]));
       scores->n_cached++;
       scores->n_done += mo_grid_finish(&scores->scoring.grid, place, k);
     }
@@ -109,7 +146,11 @@ static void look_up(void *context, size_t first, size_t end)
 {
   struct looking *looking = context;
   struct mo_campaign_run *run = looking->run;
-  struct mo_campaign_loss *known = calloc(end - first, sizeof(*known));
+  const size_t measured = run->scores.measures != NULL ? run->n_environments : 0;
+  struct mo_campaign_loss *known =
+      calloc(end - first, sizeof(*known) + measured * sizeof(*known->measures));
+  for (size_t i = 0; known != NULL && measured > 0 && i < end - first; i++)
+    known[i].measures = (double(*)[MO_MEASURES])(known + (end - first)) + i * measured;
   const int64_t found =
       known == NULL
           ? MO_ERR_NO_MEMORY
@@ -207,6 +248,8 @@ static void take(void *context, const struct mo_flight *flight, bool is_done)
     loss->losses[k] = block->outcomes[i].loss;
     loss->diverged_steps[k] = block->outcomes[i].diverged_step;
     loss->origins[k] = block->origin;
+    if (loss->measures != NULL)
+      memcpy(loss->measures[k], block->measuring->values[i], sizeof(loss->measures[k]));
     if (block->computed_on != block->back_end)
       loss->by_workers |= UINT64_C(1) << k;
   }
@@ -240,11 +283,31 @@ static int compute(struct mo_campaign_run *run)
   scores->scoring.save = mo_campaign_save_losses;
   scores->scoring.n_unsaved = &scores->n_unsaved;
   scores->scoring.show = show;
+  scores->scoring.measures = run->status.record.measures != 0;
   scores->scoring.grid.block.controller = learns ? own : scores->frozen;
   if (error == MO_OK)
     error = mo_score(&scores->scoring);
   mo_compute_controller_free(own);
   return error;
+}
+
+/* Computes the means of the measures, which are the scores if the campaign selects by one. */
+static void read_measures(struct mo_campaign_run *run)
+{
+  const struct mo_campaign_scores *scores = &run->scores;
+  const struct mo_campaign_record *record = &run->status.record;
+  const struct mo_select_by *by = &record->select_by;
+  const uint32_t n = mo_campaign_n_means(run);
+  const uint32_t before = (UINT32_C(1) << by->measure) - 1; /* the measures before this one */
+  for (uint32_t i = 0; i < scores->n; i++) {
+    double *means = scores->means + (size_t)n * i;
+    (void)mo_measures_mean(record->measures,
+                           (const double(*)[MO_MEASURES])scores->losses[i].measures,
+                           run->n_environments, means);
+    if (by->is_set)
+      run->rows->scores[scores->first + i] =
+          mo_select_by_score(by, means[__builtin_popcount(record->measures & before)]);
+  }
 }
 
 /* Computes each score as the mean over the environments, or infinity if a rollout diverged. For a
@@ -253,6 +316,12 @@ static int compute(struct mo_campaign_run *run)
 static void read_scores(struct mo_campaign_run *run)
 {
   const struct mo_campaign_scores *scores = &run->scores;
+  if (scores->measures != NULL)
+    read_measures(run);
+  if (run->status.record.select_by.is_set) {
+    memset(run->rows->cut + scores->first, 0, scores->n * sizeof(*run->rows->cut));
+    return;
+  }
   if (run->batch != NULL && run->batch->scores != NULL) {
     memcpy(run->rows->scores + scores->first, run->batch->scores,
            scores->n * sizeof(*run->rows->scores));

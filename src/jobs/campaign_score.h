@@ -18,6 +18,10 @@ struct mo_campaign_scores {
   struct mo_compute_controller *frozen; /* in modes that do not learn: ready for the back end; NULL
                                          * at first */
   struct mo_campaign_loss *losses;      /* (n) */
+  /* Of a campaign that names measures: those of each rollout, (n, n_environments), and the means of
+   * each candidate, (n, means). */
+  double (*measures)[MO_MEASURES];
+  double *means;
   uint32_t *unsaved;                    /* (n) candidates with unsaved losses */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n */

@@ -42,11 +42,15 @@ static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *li
   need->shared_key = key;
 }
 
-int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
+int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *record,
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
                      struct mo_need *need, struct mo_message *message)
 {
+  const struct mo_campaign_settings *settings = &record->settings;
   const uint64_t n = settings->population;
+  /* Of a candidate: those that are computed, and those that are found or committed. */
+  const uint64_t measures_bytes =
+      record->measures != 0 ? 2 * sizeof(double[MO_MEASURES]) * record->n_environments : 0;
   struct mo_lineage lineage = {.n_parts = 0};
   int error = MO_OK;
   if (controller != NULL && settings->exclude_pretraining)
@@ -58,11 +62,11 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
     need->own +=
         mo_form_set_estimate(settings->workspace, n * (settings->generations + UINT64_C(1)));
   if (!mo_modes[settings->mode].learns) {
-    need->own += n * SCORED_BYTES;
+    need->own += n * (SCORED_BYTES + measures_bytes);
   } else {
     const uint32_t batch = mo_campaign_training(settings, 0).batch;
     mo_memory_add_learning(jobs, batch, &settings->physics, back_end, need);
-    need->own += 2 * n * SCORED_BYTES + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
+    need->own += 2 * n * (SCORED_BYTES + measures_bytes) + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
   }
   add_excluded(jobs, &lineage, settings->workspace, need);
   return MO_OK;
@@ -70,15 +74,16 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_settings *se
 
 /* ---- checks ---- */
 
-/* Checks that the environment set and the initial campaign of the record exist. */
-static int check_references(struct mo_jobs *jobs, const struct mo_campaign_record *record,
+/* Checks that the environment set and the initial campaign of the record exist, and counts the
+ * environments of the set. */
+static int check_references(struct mo_jobs *jobs, struct mo_campaign_record *record,
                             struct mo_message *message)
 {
   struct mo_campaign_status status;
-  uint32_t n = 0;
-  int error = record->environment_set[0] != '\0'
-                  ? mo_environments_count(jobs, record->environment_set, &n, message)
-                  : MO_OK;
+  int error =
+      record->environment_set[0] != '\0'
+          ? mo_environments_count(jobs, record->environment_set, &record->n_environments, message)
+          : MO_OK;
   if (error != MO_OK)
     return error;
   if (record->initial_campaign != 0)
@@ -93,7 +98,7 @@ static int check_references(struct mo_jobs *jobs, const struct mo_campaign_recor
 
 /* Checks whether the campaign can ever run, before it is stored. A missing or unreadable controller
  * is reported by a later check. */
-static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
+static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_record *campaign,
                         const char *controller, enum mo_back_end back_end,
                         struct mo_message *message)
 {
@@ -101,7 +106,7 @@ static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings 
   struct mo_need need;
   bool has_controller =
       controller != NULL && mo_store_controller(jobs->store, controller, &record) == MO_OK;
-  int error = mo_campaign_need(jobs, settings, has_controller ? &record.sha256 : NULL, back_end,
+  int error = mo_campaign_need(jobs, campaign, has_controller ? &record.sha256 : NULL, back_end,
                                &need, message);
   if (error != MO_OK)
     return error == MO_ERR_LIMIT || error == MO_ERR_NO_MEMORY ? error : MO_OK;
@@ -145,13 +150,17 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   if (error != MO_OK || *replayed)
     return error;
   error = mo_back_end_choose(jobs, &request.job,
-                             mo_back_end_unsuited(jobs, record->environment_set,
-                                                  asked->environments, record->n_environments),
+                             record->measures != 0
+                                 ? "devices do not compute measures; request \"cpu\" or \"auto\", or "
+                                   "leave out measures and select_by"
+                                 : mo_back_end_unsuited(jobs, record->environment_set,
+                                                        asked->environments,
+                                                        record->n_environments),
                              true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);
   if (error == MO_OK)
-    error = check_memory(jobs, &record->settings, request.controller,
+    error = check_memory(jobs, record, request.controller,
                          (enum mo_back_end)request.job.back_end, message);
   if (error == MO_OK)
     error = mo_placed_create(jobs->lattice->workspace, asked->genotypes, record->n_listed, &placed);
@@ -215,7 +224,7 @@ static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generation
     return MO_OK; /* rejected elsewhere, with another message */
   settings->generations += generations;
   mo_sha256_to_hex(&status.job.controller_sha256, digits + strlen(digits));
-  return check_memory(jobs, settings, status.job.has_controller ? digits : NULL,
+  return check_memory(jobs, &status.record, status.job.has_controller ? digits : NULL,
                       status.job.back_end, message);
 }
 

@@ -104,7 +104,7 @@ static int read_batch(struct mo_campaign_run *run, uint32_t *n)
     return mo_runner_fail_unreadable(run->runner, error);
   const struct mo_study_batch *batch = run->batch;
   if (batch->number != run->generation || batch->n_children > run->settings->population ||
-      (batch->scores != NULL) != mo_own_score_is_set(&run->status.record.own_score))
+      (batch->scores != NULL) != mo_campaign_takes_scores(&run->status.record))
     return MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < batch->n_children && error == MO_OK; i++) {
     const struct mo_descent *descent = &batch->children[i].descent;

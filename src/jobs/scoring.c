@@ -243,6 +243,23 @@ struct run {
   struct mo_inbox inbox;
 };
 
+/* A flight whose rollouts are measured. All measures are computed, as for evaluations. */
+struct measured_flight {
+  struct mo_flight flight;
+  struct mo_measuring measuring;
+  double values[MO_BLOCK_LANES][MO_MEASURES];
+};
+
+static int prepare_measures(void *context, struct mo_flight *flight)
+{
+  struct measured_flight *measured = (struct measured_flight *)flight;
+  (void)context;
+  measured->measuring =
+      (struct mo_measuring){.set = MO_MEASURES_ALL, .values = measured->values};
+  flight->block.measuring = &measured->measuring;
+  return MO_OK;
+}
+
 static int fill(struct run *run)
 {
   struct mo_compute *compute = run->window.compute;
@@ -366,5 +383,9 @@ int mo_score(struct mo_scoring *scoring)
                     .mutex = PTHREAD_MUTEX_INITIALIZER,
                     .news = PTHREAD_COND_INITIALIZER,
                     .inbox = {.mutex = &run.mutex, .news = &run.news}};
+  if (scoring->measures) {
+    run.window.flight_bytes = sizeof(struct measured_flight);
+    run.window.prepare = prepare_measures;
+  }
   return compute(&run);
 }

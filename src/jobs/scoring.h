@@ -103,6 +103,7 @@ struct mo_scoring {
    * at the end. */
   int (*save)(void *context);
   const uint32_t *n_unsaved;
+  bool measures; /* all rollouts are measured: block.measuring->values of each flight */
   void (*show)(void *context, double rollouts_per_s); /* nullable; 0: unknown */
 };
 /* When it returns, no block is in flight, even after an error, whose text the runner then has.

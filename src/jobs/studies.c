@@ -112,7 +112,7 @@ int mo_jobs_tell(struct mo_jobs *jobs, int64_t id, struct mo_study_telling *tell
   int error = read_study(jobs, id, &status);
   if (error != MO_OK)
     return mo_fail(message, error, "the study does not exist");
-  if ((telling->batch.scores != NULL) != mo_own_score_is_set(&status.record.own_score))
+  if ((telling->batch.scores != NULL) != mo_campaign_takes_scores(&status.record))
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    telling->batch.scores != NULL
                        ? "this study has no own_score, so it does not accept scores"
@@ -285,12 +285,15 @@ int mo_jobs_finish_study(struct mo_jobs *jobs, int64_t id)
 }
 
 int mo_jobs_study_losses(struct mo_jobs *jobs, int64_t id, const struct mo_bits *genotypes,
-                         uint32_t n, struct mo_campaign_loss *losses, uint8_t *known)
+                         uint32_t n, struct mo_campaign_loss *losses,
+                         double (*measures)[MO_MEASURES], uint8_t *known)
 {
   struct mo_job job;
   struct mo_campaign_loss *found = calloc((size_t)n + 1, sizeof(*found));
   int error = found == NULL ? MO_ERR_NO_MEMORY : mo_store_job(jobs->store, id, &job);
   int64_t n_found = 0;
+  for (uint32_t i = 0; i < n && error == MO_OK && measures != NULL; i++)
+    found[i].measures = measures + (size_t)i * job.n_environments;
   if (error == MO_OK)
     n_found = mo_store_campaign_known(jobs->store, id, mo_back_end_fingerprint(jobs, job.back_end),
                                       0, genotypes, n, found);

@@ -4,12 +4,14 @@
  * written before it. A generation out of order is a conflict. */
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "store/campaign_rows.h"
 #include "store/scores.h"
 
 #include "base/clock.h"
 #include "store/contents.h"
+#include "store/measures.h"
 #include "store/rows.h"
 
 struct commit_arguments {
@@ -132,11 +134,11 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   return error;
 }
 
-/* Updates parents that died or, if the controller learns, have a new score. */
+/* Updates parents that died or, if the controller learns, have a new score and new measures. */
 static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
 {
-  static const char sql[] =
-      "UPDATE campaign_designs SET died=?3,score=?4 WHERE job=?1 AND number=?2";
+  static const char sql[] = "UPDATE campaign_designs SET died=?3,score=?4,"
+                            "measures=coalesce(?5,measures) WHERE job=?1 AND number=?2";
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
@@ -144,7 +146,11 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
       continue;
     error = mo_sql_change(writer, sql, mo_int(call->id), mo_int(commit->parent_numbers[i]),
                           call->lives[i] ? mo_null() : mo_int(commit->row.generation),
-                          mo_blob(&commit->parent_scores[i], 8));
+                          mo_blob(&commit->parent_scores[i], 8),
+                          commit->parent_measures != NULL
+                              ? mo_blob(commit->parent_measures + (size_t)commit->n_measures * i,
+                                        commit->n_measures * sizeof(double))
+                              : mo_null());
     if (error == MO_ERR_CONFLICT)
       error = MO_ERR_CORRUPT;
   }
@@ -167,6 +173,7 @@ struct part {
   double losses[MO_BLOCK_LANES];
   uint32_t diverged_steps[MO_BLOCK_LANES];
   int64_t origin;
+  double measures[MO_BLOCK_LANES][MO_MEASURES]; /* of a campaign that names some */
 };
 
 /* Collects the losses of a block with the same origin and class as the loss of environment `first`,
@@ -187,8 +194,42 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
     part->condition.environments[n] = conditions->environments[k];
     part->losses[n] = loss->losses[k];
     part->diverged_steps[n] = (uint32_t)loss->diverged_steps[k];
+    if (loss->measures != NULL)
+      memcpy(part->measures[n], loss->measures[k], sizeof(part->measures[n]));
     *taken |= UINT64_C(1) << k;
   }
+}
+
+/* Returns whether all losses of a part are stored. */
+static int are_stored(struct mo_connection *writer, const struct part *part, int64_t genotype,
+                      bool *ret)
+{
+  const struct mo_saved_design design = mo_design_under(&part->condition, genotype, 0);
+  struct mo_score scores[MO_BLOCK_LANES];
+  const int error =
+      mo_losses_read(writer, &design, part->condition.environments, part->condition.n, scores);
+  *ret = true;
+  for (uint32_t k = 0; k < part->condition.n; k++)
+    *ret = *ret && scores[k].known;
+  return error;
+}
+
+/* Stores a part of a child's losses, and its measures. last: its block's newest condition. */
+static int insert_part(struct mo_store *store, struct part *part, int64_t genotype,
+                       bool has_measures, struct mo_condition *last, int64_t now_us, bool *is_new)
+{
+  bool is_stored = false; /* the rollouts were perhaps computed only for their measures */
+  int error = mo_condition_row_after(&store->writer, &part->condition, last);
+  if (error == MO_OK && has_measures)
+    error = are_stored(&store->writer, part, genotype, &is_stored);
+  *is_new = false;
+  if (error == MO_OK && !is_stored)
+    error = mo_losses_insert(store, &part->condition, genotype, part->origin, part->losses,
+                             part->diverged_steps, now_us, is_new);
+  return error == MO_OK && has_measures
+             ? mo_measures_insert_row(store, &part->condition, genotype,
+                                      (const double(*)[MO_MEASURES])part->measures, now_us)
+             : error;
 }
 
 /* Stores the losses of a child like the losses of an evaluation: a row for each block of
@@ -219,11 +260,8 @@ static int insert_child_scores(struct mo_store *store, const struct commit_argum
       continue;
     take_part(conditions, loss, k, end, &taken, &part);
     const bool is_full = part.condition.n == end - block * MO_BLOCK_LANES;
-    error =
-        mo_condition_row_after(&store->writer, &part.condition, &conditions->last[block][is_full]);
-    if (error == MO_OK)
-      error = mo_losses_insert(store, &part.condition, genotype, part.origin, part.losses,
-                               part.diverged_steps, now_us, &is_new);
+    error = insert_part(store, &part, genotype, loss->measures != NULL,
+                        &conditions->last[block][is_full], now_us, &is_new);
     all_new = all_new && is_new;
   }
   if (error != MO_OK || head->environment_set == 0 || !is_whole)

@@ -18,8 +18,8 @@ struct mo_campaign_design {
   struct mo_design_size size;
   /* Of a study. */ char
       own_operator[MO_STUDY_WORD_MAX + 1]; /* "": descent.op is one of enum mo_operator */
-  uint32_t n_measures;
-  double measures[MO_STUDY_MEASURES_MAX]; /* (n_measures) NaN: not given */
+  uint32_t n_measures;                     /* also of a campaign that names measures */
+  double measures[MO_DESIGN_MEASURES_MAX]; /* (n_measures) NaN: not given, or no mean */
 };
 /* Returns the name of the operator that created a design. */
 static inline const char *mo_campaign_operator(const struct mo_campaign_design *design)
@@ -55,7 +55,7 @@ struct mo_campaign_columns {
   float *scores; /* (n) last scores; NaN: a rollout diverged; below 0: a lower bound, negated */
   uint8_t *voxels, *footprints; /* (n) each */
   struct mo_study_words words;
-  double *measures[MO_STUDY_MEASURES_MAX]; /* (words.n_measures, n) NaN: not given */
+  double *measures[MO_DESIGN_MEASURES_MAX]; /* (words.n_measures, n) NaN: not given */
 };
 #define MO_ALIVE       UINT32_MAX
 #define MO_COLUMNS_MAX (INT64_C(1) << 22) /* they are held in memory, about 100 bytes each */

@@ -6,6 +6,7 @@
 
 #include "store/campaign_rows.h"
 #include "store/contents.h"
+#include "store/measures.h"
 #include "store/scores.h"
 
 /* ---- losses of the current generation ---- */
@@ -31,7 +32,8 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
 
 /* Words that a row's checksum covers in addition to the losses. Returns their number: origins are
  * stored only if this host did not compute everything. */
-#define KEY_WORDS (2 + MO_ENVIRONMENTS_MAX)
+#define KEY_WORDS          (2 + MO_ENVIRONMENTS_MAX)
+#define MEASURES_KEY_WORDS 2 /* the checksum of measures covers these: job and place */
 static size_t key_of(int64_t id, const struct mo_campaign_loss *loss, int64_t key[KEY_WORDS])
 {
   bool is_remote = false;
@@ -48,17 +50,24 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
                      uint32_t n, int64_t *added)
 {
   static const char sql[] =
-      "INSERT OR IGNORE INTO campaign_losses(job,place,losses,origins) VALUES(?1,?2,?3,?4)";
+      "INSERT OR IGNORE INTO campaign_losses(job,place,losses,origins,measures)"
+      " VALUES(?1,?2,?3,?4,?5)";
   int64_t key[KEY_WORDS];
   uint8_t bytes[MO_PACKED_BYTES(MO_ENVIRONMENTS_MAX)];
+  uint8_t measures[MO_PACKED_MEASURES_BYTES(MO_ENVIRONMENTS_MAX)];
   uint32_t steps[MO_ENVIRONMENTS_MAX];
+  size_t measures_size = 0;
   for (uint32_t k = 0; k < n; k++)
     steps[k] = (uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0) |
                (loss->stored >> k & 1 ? STORED : 0);
   const size_t n_key = key_of(id, loss, key);
   const size_t size = mo_pack_losses(key, n_key, loss->losses, steps, n, bytes);
+  if (loss->measures != NULL)
+    measures_size = mo_pack_measures(key, MEASURES_KEY_WORDS,
+                                     (const double(*)[MO_MEASURES])loss->measures, n, measures);
   int error = mo_sql_change(writer, sql, mo_int(id), mo_int(loss->place), mo_blob(bytes, size),
-                            n_key > 2 ? mo_blob(loss->origins, sizeof(loss->origins)) : mo_null());
+                            n_key > 2 ? mo_blob(loss->origins, sizeof(loss->origins)) : mo_null(),
+                            measures_size > 0 ? mo_blob(measures, measures_size) : mo_null());
   *added += error == MO_OK;
   return error == MO_ERR_CONFLICT ? MO_OK : error; /* they are saved already */
 }
@@ -96,10 +105,11 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
   return mo_write(store, save_losses, &call);
 }
 
+/* loss->measures: NULL: the campaign names none. */
 static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_campaign_loss *loss)
 {
   int64_t key[KEY_WORDS];
-  uint32_t steps[MO_ENVIRONMENTS_MAX];
+  uint32_t steps[MO_ENVIRONMENTS_MAX], n_measures = 0;
   loss->place = (uint32_t)sqlite3_column_int64(row, 0);
   if (sqlite3_column_bytes(row, 2) == sizeof(loss->origins))
     memcpy(loss->origins, sqlite3_column_blob(row, 2), sizeof(loss->origins));
@@ -111,26 +121,35 @@ static int loss_from_row(sqlite3_stmt *row, int64_t id, uint32_t n, struct mo_ca
     loss->by_workers |= (uint64_t)((steps[k] & BY_WORKERS) != 0) << k;
     loss->stored |= (uint64_t)((steps[k] & STORED) != 0) << k;
   }
-  return error;
+  return error == MO_OK && loss->measures != NULL
+             ? mo_unpack_measures(key, MEASURES_KEY_WORDS, sqlite3_column_blob(row, 3),
+                                  (size_t)sqlite3_column_bytes(row, 3), n, loss->measures,
+                                  &n_measures)
+             : error;
 }
 
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **ret, size_t *ret_n)
 {
   static const char sql[] =
-      "SELECT place,losses,origins FROM campaign_losses WHERE job=?1 ORDER BY place";
+      "SELECT place,losses,origins,measures FROM campaign_losses WHERE job=?1 ORDER BY place";
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_head head = {0};
   int error = mo_campaign_head_get(reader, id, &head);
   const bool is_current = head.scored_generation == generation && head.generation + 1 == generation;
   const size_t most = is_current ? (size_t)head.scored : 0;
-  struct mo_campaign_loss *losses = calloc(most + 1, sizeof(*losses));
+  const size_t measured = head.measures != 0 ? head.n_environments : 0; /* rows of each */
+  struct mo_campaign_loss *losses =
+      calloc(most + 1, sizeof(*losses) + measured * sizeof(*losses->measures));
   size_t n = 0;
   if (error == MO_OK && losses == NULL)
     error = MO_ERR_NO_MEMORY;
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id));
-  while (losses != NULL && n < most && mo_sql_next(reader, row, &error))
+  while (losses != NULL && n < most && mo_sql_next(reader, row, &error)) {
+    if (measured > 0)
+      losses[n].measures = (double(*)[MO_MEASURES])(losses + most + 1) + n * measured;
     error = loss_from_row(row, id, head.n_environments, &losses[n++]);
+  }
   if (error != MO_OK || n != most) {
     free(losses);
     return error != MO_OK ? error : MO_ERR_CORRUPT;
@@ -143,24 +162,30 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 /* ---- losses stored as scores ---- */
 
 /* Returns 1 if a loss of a genotype in n environments is known. */
-static int find_known(struct mo_connection *reader, struct mo_saved_design *design,
-                      const int64_t *environments, uint32_t n, const struct mo_bits *genotype,
-                      struct mo_campaign_loss *loss)
+static int find_known(struct mo_connection *reader, const struct mo_campaign_head *head,
+                      struct mo_saved_design *design, const int64_t *environments,
+                      const struct mo_bits *genotype, struct mo_campaign_loss *loss)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
+  const uint32_t n = head->n_environments;
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   uint8_t bits[MO_BITS_BYTES];
+  uint64_t measured = UINT64_MAX;
   mo_encode_genotype(genotype->words, bits);
   int error = mo_sql_find(reader, &design->genotype, find_sql, mo_blob(bits, sizeof(bits)));
   if (error == MO_OK)
     error = mo_losses_read(reader, design, environments, n, scores);
+  if (error == MO_OK && loss->measures != NULL)
+    error = mo_measures_read(reader, design, environments, n, head->measures, loss->measures,
+                             &measured);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? 0 : error;
   loss->by_workers = loss->stored = 0;
   for (uint32_t k = 0; k < n; k++) {
-    loss->losses[k] = scores[k].known ? scores[k].loss : (double)NAN;
-    loss->diverged_steps[k] = scores[k].diverged_step;
-    loss->stored |= (uint64_t)scores[k].known << k;
+    const bool known = scores[k].known && (measured >> k & 1) != 0;
+    loss->losses[k] = known ? scores[k].loss : (double)NAN;
+    loss->diverged_steps[k] = known ? scores[k].diverged_step : 0;
+    loss->stored |= (uint64_t)known << k;
   }
   return loss->stored != 0;
 }
@@ -181,8 +206,8 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
   design.controller = head.controller;
   design.physics = head.physics;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    const int known = find_known(reader, &design, environments, head.n_environments, &genotypes[i],
-                                 &losses[n_known]);
+    const int known =
+        find_known(reader, &head, &design, environments, &genotypes[i], &losses[n_known]);
     if (known < 0)
       error = known;
     else if (known > 0)

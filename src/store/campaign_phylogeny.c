@@ -40,13 +40,13 @@ static uint32_t column_parent(sqlite3_stmt *row, int column)
                                                          : mo_column_u32(row, column);
 }
 
-static int column_measures(sqlite3_stmt *row, int column, double measures[MO_STUDY_MEASURES_MAX],
+static int column_measures(sqlite3_stmt *row, int column, double measures[MO_DESIGN_MEASURES_MAX],
                            uint32_t *n)
 {
   const void *bytes = sqlite3_column_blob(row, column);
   const size_t size = (size_t)sqlite3_column_bytes(row, column);
   *n = (uint32_t)(size / sizeof(*measures));
-  if (size % sizeof(*measures) != 0 || *n > MO_STUDY_MEASURES_MAX)
+  if (size % sizeof(*measures) != 0 || *n > MO_DESIGN_MEASURES_MAX)
     return MO_ERR_CORRUPT;
   if (size > 0 && bytes == NULL)
     return mo_column_missing(row);
@@ -218,7 +218,7 @@ static struct mo_campaign_columns *make_columns(size_t n, const struct mo_study_
  * it. */
 static int read_measures(sqlite3_stmt *row, int column, struct mo_campaign_columns *columns)
 {
-  double measures[MO_STUDY_MEASURES_MAX] = {0};
+  double measures[MO_DESIGN_MEASURES_MAX] = {0};
   uint32_t n = 0;
   const int error = column_measures(row, column, measures, &n);
   for (uint32_t m = 0; m < columns->words.n_measures; m++)
@@ -268,7 +268,7 @@ int mo_store_campaign_columns(struct mo_store *store, int64_t id, struct mo_camp
   int64_t n = 0;
   int error = mo_sql_find(reader, &n, sql, mo_int(id));
   if (error == MO_OK)
-    error = mo_study_words_get(reader, id, &words);
+    error = mo_campaign_words_get(reader, id, &words);
   if (error == MO_OK && n > MO_COLUMNS_MAX)
     error = MO_ERR_LIMIT;
   if (error == MO_OK && (columns = make_columns((size_t)n + 1, &words)) == NULL)

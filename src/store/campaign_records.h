@@ -6,6 +6,7 @@
 
 #include "store/checkpoints.h"
 #include "store/own_score.h"
+#include "store/select_by.h"
 
 #define MO_REPLICATES_MAX 100
 
@@ -15,10 +16,12 @@
 #define MO_STUDY_OPERATORS_MAX 32
 #define MO_STUDY_MEASURES_MAX  16
 #define MO_SAMPLER_BYTES_MAX   ((size_t)16 << 20)
+/* The measures of a design: the service's, if the campaign names some, then the study's own. */
+#define MO_DESIGN_MEASURES_MAX (MO_MEASURES + MO_STUDY_MEASURES_MAX)
 struct mo_study_words {
   uint32_t n_operators, n_measures;
   char operators[MO_STUDY_OPERATORS_MAX][MO_STUDY_WORD_MAX + 1];
-  char measures[MO_STUDY_MEASURES_MAX][MO_STUDY_WORD_MAX + 1];
+  char measures[MO_DESIGN_MEASURES_MAX][MO_STUDY_WORD_MAX + 1];
 };
 
 /* The settings of a campaign. */
@@ -35,8 +38,17 @@ struct mo_campaign_record {
   int64_t group;            /* id of the first replicate, set in the first one as well */
   uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
   uint32_t checkpoint_every_s;    /* while a generation learns; 0: only at its end */
-  struct mo_own_score own_score;  /* only a study may have one */
+  uint32_t measures; /* as bits: the measures of each design; all rollouts are then measured */
+  struct mo_select_by select_by; /* by one of them */
+  /* The score, if it is not the mean loss: the client of a study sends it, or it follows from
+   * select_by. */
+  struct mo_own_score own_score;
 };
+/* Returns whether the client of a study sends the scores. */
+static inline bool mo_campaign_takes_scores(const struct mo_campaign_record *record)
+{
+  return mo_own_score_is_set(&record->own_score) && !record->select_by.is_set;
+}
 
 /* A generation, as in lists. It depends only on settings and seed, except for `seconds`,
  * `stored_us`, and `rollouts_cached`, which depends on the scores already stored. */
@@ -84,9 +96,9 @@ struct mo_campaign_status {
   double diversity_max;               /* so far */
   enum mo_campaign_end end;           /* of a succeeded campaign */
   uint32_t scored;                    /* designs of the current generation whose losses are saved */
+  struct mo_study_words words; /* of a study, and the names of the service's measures */
   /* Of a study. */
   int64_t told; /* newest batch; pending if it is greater than `generation` */
-  struct mo_study_words words;
   uint64_t sampler_bytes; /* size of the sampler's state in the newest generation; 0: none */
   struct mo_sha256 sampler_sha256;
   /* The source of an imported campaign: the id of its store, and its own id there; 0: not

@@ -22,6 +22,7 @@ struct mo_member_row {
 struct mo_campaign_head {
   enum mo_campaign_mode mode;
   uint32_t population, generations, n_environments;
+  uint32_t measures; /* as bits */
   int64_t group, physics;
   int64_t controller, environment_set; /* 0: none */
   int64_t generation;                  /* −1: none */
@@ -44,7 +45,11 @@ int mo_campaign_members_get(struct mo_connection *connection, int64_t id, int64_
 
 /* Like mo_store_study_find, inside an operation. */
 int mo_study_find(struct mo_connection *connection, const char *label, int64_t *id);
-/* Reads the words that a study defines. */
+/* Reads the words of the designs: the names of the service's measures, then the words that a study
+ * defines. */
+int mo_campaign_words_get(struct mo_connection *connection, int64_t id,
+                          struct mo_study_words *words);
+/* Reads only the words that a study defines. */
 int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_study_words *words);
 /* Inserts a design; its genotype has a row already. measures: (n), of a study. */
 int mo_campaign_design_row(struct mo_connection *writer, int64_t id, int64_t genotype,

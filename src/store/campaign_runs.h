@@ -47,6 +47,9 @@ struct mo_campaign_loss {
   /* Bit k is for environment k. by_workers: workers computed the loss, though the job runs on
    * devices; stored: it is in `scores` already. */
   uint64_t by_workers, stored;
+  /* (n_environments) of a campaign that names measures: all measures of each rollout; NaN: no value,
+   * or not computed. NULL: none. */
+  double (*measures)[MO_MEASURES];
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the
  * commit. Deletes rows of other generations; a place that is saved already keeps its losses.
@@ -54,13 +57,15 @@ struct mo_campaign_loss {
 int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
                                   const struct mo_campaign_loss *losses, size_t n,
                                   const char *event_data);
-/* Reads the saved losses of a generation, by place (malloc). */
+/* Reads the saved losses of a generation, by place. One block of memory with their measures: free
+ * frees all of it. */
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
                              struct mo_campaign_loss **losses, size_t *n);
 /* Finds genotypes with stored losses in environments of the campaign, under its controller and
  * physics (zero-shot). Uses losses computed by the code with this fingerprint or, where there are
  * none, by the code of `workers` (0: none). losses: room for n; place: index in `genotypes`; NaN:
- * not stored. Returns the number found. */
+ * not stored. Where its `measures` are not NULL, they are room for the measures, and a loss without
+ * stored measures is not found. Returns the number found. */
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
                                 int64_t workers, const struct mo_bits *genotypes, uint32_t n,
                                 struct mo_campaign_loss *losses);
@@ -89,7 +94,10 @@ struct mo_campaign_commit {
   const double *child_scores;              /* (row.n_children) */
   const uint8_t *children_cut; /* (row.n_children) 1: the score is a lower bound; NULL: no score is
                                 * a lower bound */
-  const double *measures;      /* (row.n_children, n_measures) of a study */
+  /* (row.n_children, n_measures) the means of the measures that the campaign names, then the
+   * measures of a study. parent_measures: (n_parents, n_measures) new means of parents that were
+   * scored again, because the controller learns; else NULL. */
+  const double *measures, *parent_measures;
   uint32_t n_measures;
   bool is_study;                  /* the job is requeued after the commit */
   const uint32_t *parent_numbers; /* (n_parents) the previous population, in its order */

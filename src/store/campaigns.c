@@ -1,6 +1,7 @@
 /* campaigns.c: reads campaigns: settings, progress, data shared by replicates. */
 #include "store/campaigns.h"
 
+#include <stdio.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
@@ -31,10 +32,34 @@ int mo_study_words_get(struct mo_connection *connection, int64_t id, struct mo_s
   return error;
 }
 
+/* Puts the names of the service's measures in front of a study's own. */
+static void prepend_measures(uint32_t set, struct mo_study_words *words)
+{
+  const uint32_t n = (uint32_t)__builtin_popcount(set);
+  uint32_t place = 0;
+  memmove(words->measures[n], words->measures[0], words->n_measures * sizeof(words->measures[0]));
+  for (unsigned m = 0; m < MO_MEASURES; m++)
+    if (set >> m & 1)
+      snprintf(words->measures[place++], sizeof(words->measures[0]), "%s", mo_measure_info[m].name);
+  words->n_measures += n;
+}
+
+int mo_campaign_words_get(struct mo_connection *connection, int64_t id,
+                          struct mo_study_words *words)
+{
+  struct mo_campaign_head head;
+  int error = mo_campaign_head_get(connection, id, &head);
+  if (error == MO_OK)
+    error = mo_study_words_get(connection, id, words);
+  if (error == MO_OK)
+    prepend_measures(head.measures, words);
+  return error;
+}
+
 int mo_store_study_words(struct mo_store *store, int64_t id, struct mo_study_words *words)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  return mo_study_words_get(reader, id, words);
+  return mo_campaign_words_get(reader, id, words);
 }
 
 /* Reads the parts that only a study has: its newest batch, its words, and its sampler state. */
@@ -79,6 +104,7 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                                     .population = record.settings.population,
                                     .generations = mo_column_u32(row, 1),
                                     .n_environments = mo_column_u32(row, 2),
+                                    .measures = record.measures,
                                     .group = sqlite3_column_int64(row, 3),
                                     .physics = sqlite3_column_int64(row, 4),
                                     .controller = sqlite3_column_int64(row, 5),
@@ -126,6 +152,8 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
     error = mo_job_warn(reader, &status->job, &status->record);
   if (error == MO_OK && !mo_modes[status->record.settings.mode].makes_children)
     error = get_study(reader, id, status);
+  if (error == MO_OK)
+    prepend_measures(status->record.measures, &status->words);
   if (error == MO_OK)
     error = load_source(reader, id, status);
   if (error == MO_OK && status->generation >= 0)

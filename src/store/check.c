@@ -74,14 +74,28 @@ static int check_member(sqlite3_stmt *row)
 
 static int check_campaign_losses(sqlite3_stmt *row)
 {
-  const int64_t key[] = {sqlite3_column_int64(row, 0), sqlite3_column_int64(row, 1)};
+  int64_t key[2 + MO_ENVIRONMENTS_MAX] = {sqlite3_column_int64(row, 0),
+                                          sqlite3_column_int64(row, 1)};
   const int64_t n = sqlite3_column_int64(row, 3);
+  const int origins_size = sqlite3_column_bytes(row, 5); /* 0: this host computed them */
+  size_t n_key = 2;
   double losses[MO_ENVIRONMENTS_MAX];
-  uint32_t steps[MO_ENVIRONMENTS_MAX];
-  return n >= 1 && n <= MO_ENVIRONMENTS_MAX
-             ? mo_unpack_losses(key, 2, sqlite3_column_blob(row, 2),
-                                (size_t)sqlite3_column_bytes(row, 2), (uint32_t)n, losses, steps)
-             : MO_ERR_CORRUPT;
+  double measures[MO_ENVIRONMENTS_MAX][MO_MEASURES];
+  uint32_t steps[MO_ENVIRONMENTS_MAX], n_measures;
+  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
+    return MO_ERR_CORRUPT;
+  if (origins_size == (int)(MO_ENVIRONMENTS_MAX * sizeof(*key))) {
+    memcpy(key + 2, sqlite3_column_blob(row, 5), (size_t)origins_size);
+    n_key += MO_ENVIRONMENTS_MAX;
+  }
+  const int error = mo_unpack_losses(key, n_key, sqlite3_column_blob(row, 2),
+                                     (size_t)sqlite3_column_bytes(row, 2), (uint32_t)n, losses,
+                                     steps);
+  return error == MO_OK && sqlite3_column_type(row, 4) != SQLITE_NULL
+             ? mo_unpack_measures(key, 2, sqlite3_column_blob(row, 4),
+                                  (size_t)sqlite3_column_bytes(row, 4), (uint32_t)n, measures,
+                                  &n_measures)
+             : error;
 }
 
 static int check_mean(sqlite3_stmt *row)
@@ -177,8 +191,8 @@ static const struct part {
      " FROM measures x JOIN conditions c ON c.id=x.condition",
      check_measures},
     {"losses of a generation are damaged: campaign",
-     "SELECT l.job,l.place,l.losses,c.n_environments FROM campaign_losses l JOIN campaigns c ON"
-     " c.job=l.job",
+     "SELECT l.job,l.place,l.losses,c.n_environments,l.measures,l.origins FROM campaign_losses l"
+     " JOIN campaigns c ON c.job=l.job",
      check_campaign_losses},
     {"a mean loss is damaged: set_scores, genotype",
      "SELECT genotype,ranking,score,checksum FROM set_scores", check_mean},

@@ -63,6 +63,10 @@ static const struct mo_fields stored_own = MO_FIELDS(stored_own_rows);
 #define AT(member) offsetof(struct mo_campaign_record, member)
 static const struct mo_field campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
+    {"measures", MO_FIELD_OWN, 0, AT(measures), .own = &mo_measures_field, .unit = "",
+     .help = "measures of each design, besides its score"},
+    {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
+     .own = &mo_select_by_field, .unit = "", .help = "the measure to select by; null: the loss"},
 };
 const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
 static const struct mo_field learning_rows[] = {
@@ -75,7 +79,7 @@ const struct mo_fields mo_campaign_record_learning_fields = MO_FIELDS(learning_r
 static const struct mo_field stored_campaign_rows[] = {
     {"mode", MO_FIELD_WORD, 0, AT(settings.mode), .words = mo_campaign_mode_words, .unit = "",
      .help = ""},
-    {NULL, MO_FIELD_INLINE, 0, 0, .group = &mo_campaign_record_fields},
+    {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
     {"learning", MO_FIELD_GROUP, 0, 0, .group = &mo_campaign_record_learning_fields, .unit = "",
      .help = ""},
 };
@@ -84,6 +88,12 @@ static const struct mo_field own_score_rows[] = {
      .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
     {"own_score", MO_FIELD_OWN, 0, AT(own_score), .group = &mo_own_score_fields,
      .own = &mo_own_score_field, .unit = "", .help = ""},
+};
+static const struct mo_field measured_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(own_score_rows)},
+    {"measures", MO_FIELD_OWN, 0, AT(measures), .own = &mo_measures_field, .unit = "", .help = ""},
+    {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
+     .own = &mo_select_by_field, .unit = "", .help = ""},
 };
 #undef AT
 
@@ -94,16 +104,23 @@ static const struct mo_fields stored_fields[MO_JOB_KINDS] = {
     [MO_JOB_TRAINING] = MO_FIELDS(stored_training_rows),
     [MO_JOB_CAMPAIGN] = MO_FIELDS(stored_campaign_rows)};
 
-/* Of a study whose client computes the scores. The settings of all others keep the form that they
- * always had, in which bundles have them, too. */
+/* Of a study whose client computes the scores, and of campaigns with measures. The settings of all
+ * others keep the form that they always had, in which bundles have them, too. */
 static const struct mo_fields own_score_fields = MO_FIELDS(own_score_rows);
+static const struct mo_fields measured_fields = MO_FIELDS(measured_rows);
+
+static const struct mo_fields *fields_of(const struct mo_campaign_record *record)
+{
+  return record->measures != 0                      ? &measured_fields
+         : mo_own_score_is_set(&record->own_score) ? &own_score_fields
+                                                    : &stored_fields[MO_JOB_CAMPAIGN];
+}
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)
 {
   const struct mo_fields *fields = &stored_fields[kind];
-  if (kind == MO_JOB_CAMPAIGN &&
-      mo_own_score_is_set(&((const struct mo_campaign_record *)record)->own_score))
-    fields = &own_score_fields;
+  if (kind == MO_JOB_CAMPAIGN)
+    fields = fields_of(record);
   if (kind == MO_JOB_TRAINING && ((const struct mo_training_record *)record)->n_environments > 0)
     fields = &stored_own;
   mo_fields_write_object(text, fields, record);
@@ -114,6 +131,20 @@ static int read_stored(const char *json, const struct mo_fields *fields, void *r
   struct mo_message message;
   const int error = mo_fields_parse(json, strlen(json), fields, record, &message);
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
+}
+
+/* Only a study has an own score, unless it follows from the measure to select by, which is among
+ * the measures. */
+static bool is_consistent(const struct mo_campaign_record *record)
+{
+  struct mo_own_score own;
+  if (!record->select_by.is_set)
+    return !mo_own_score_is_set(&record->own_score) ||
+           !mo_modes[record->settings.mode].makes_children;
+  mo_select_by_name(&record->select_by, &own);
+  return mo_own_score_equal(&own, &record->own_score) &&
+         (record->measures >> record->select_by.measure & 1) != 0 &&
+         record->settings.racing == MO_RACING_OFF;
 }
 
 int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
@@ -134,9 +165,8 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
   struct mo_campaign_record *campaign = record;
   campaign->settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER);
   campaign->own_score = (struct mo_own_score){.name = ""};
-  const int error = read_stored(json, &own_score_fields, campaign);
-  return error == MO_OK && mo_own_score_is_set(&campaign->own_score) &&
-                 mo_modes[campaign->settings.mode].makes_children
-             ? MO_ERR_CORRUPT
-             : error;
+  campaign->measures = 0;
+  campaign->select_by = (struct mo_select_by){.is_set = false};
+  const int error = read_stored(json, &measured_fields, campaign);
+  return error == MO_OK && !is_consistent(campaign) ? MO_ERR_CORRUPT : error;
 }

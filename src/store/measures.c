@@ -112,8 +112,9 @@ static size_t key_of(const struct mo_condition *condition, int64_t genotype, int
   return 5 + condition->n;
 }
 
-static int insert_block(struct mo_store *store, const struct mo_saved_block *block,
-                        const struct mo_condition *condition, int64_t computed_us)
+int mo_measures_insert_row(struct mo_store *store, const struct mo_condition *condition,
+                           int64_t genotype, const double (*values)[MO_MEASURES],
+                           int64_t computed_us)
 {
   /* A row of an earlier version may lack measures. */
   static const char sql[] = "INSERT OR REPLACE INTO measures(genotype,condition,computed_us,packed)"
@@ -121,9 +122,9 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
   uint8_t bytes[MO_PACKED_MEASURES_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
   const size_t size =
-      mo_pack_measures(key, key_of(condition, block->genotype, computed_us, key),
-                       (const double(*)[MO_MEASURES])block->measures, condition->n, bytes);
-  return mo_sql_do(&store->writer, sql, mo_int(block->genotype), mo_int(condition->id),
+      mo_pack_measures(key, key_of(condition, genotype, computed_us, key), values, condition->n,
+                       bytes);
+  return mo_sql_do(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
                    mo_int(computed_us), mo_blob(bytes, size));
 }
 
@@ -138,7 +139,8 @@ int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *bloc
       continue;
     error = mo_condition_row_after(&store->writer, &condition, &last);
     if (error == MO_OK)
-      error = insert_block(store, &blocks[i], &condition, now_us);
+      error = mo_measures_insert_row(store, &condition, blocks[i].genotype,
+                                     (const double(*)[MO_MEASURES])blocks[i].measures, now_us);
   }
   return error;
 }

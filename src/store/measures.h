@@ -19,6 +19,10 @@ int mo_unpack_measures(const int64_t *key, size_t n_key, const uint8_t *bytes, s
 /* Inserts the measures of those blocks that have them. */
 int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                        int64_t now_us);
+/* Inserts the measures of one genotype under a condition, whose id is known, as one row. */
+int mo_measures_insert_row(struct mo_store *store, const struct mo_condition *condition,
+                           int64_t genotype, const double (*values)[MO_MEASURES],
+                           int64_t computed_us);
 /* Decodes a row of MO_MEASURE_COLUMNS, starting at column `first`; values (MO_BLOCK_LANES). */
 #define MO_MEASURE_COLUMNS                                                                         \
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.packed"

@@ -1,4 +1,5 @@
-/* own_score.h: the score that the client of a study computes, as the study's settings name it. */
+/* own_score.h: a score that is not the mean loss, as the settings name it: the client of a study
+ * computes it, or it is a measure (select_by.h). */
 #ifndef MORPHO_STORE_OWN_SCORE_H
 #define MORPHO_STORE_OWN_SCORE_H
 

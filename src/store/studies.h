@@ -70,7 +70,8 @@ int mo_store_study_tell(struct mo_store *store, int64_t id, const struct mo_stud
 
 /* Reads the newest batch told, pending or not. MO_ERR_NOT_FOUND: no batch was told yet. */
 int mo_store_study_batch(struct mo_store *store, int64_t id, struct mo_study_batch **batch);
-/* Reads the words that a study defines; other campaigns have none. */
+/* Reads the words of the designs: the names of the service's measures that the campaign names, then
+ * the words that a study defines. */
 int mo_store_study_words(struct mo_store *store, int64_t id, struct mo_study_words *words);
 
 /* queued, paused → succeeded, if no batch is pending. A study that has succeeded stays unchanged

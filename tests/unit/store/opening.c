@@ -3,9 +3,10 @@
 #include "one_store.h"
 #include "store/internal.h"
 
-#define NEWEST 19 /* schema */
-/* Takes back what versions 18 and 19 added. */
-#define WITHOUT_19 "ALTER TABLE evaluations DROP COLUMN tolerance;"
+#define NEWEST 20 /* schema */
+/* Takes back what versions 18 to 20 added. */
+#define WITHOUT_20 "ALTER TABLE campaign_losses DROP COLUMN measures;"
+#define WITHOUT_19 "ALTER TABLE evaluations DROP COLUMN tolerance;" WITHOUT_20
 #define WITHOUT_18 "DROP TABLE measures; ALTER TABLE evaluations DROP COLUMN measures;" WITHOUT_19
 
 static void opens_and_locks(void)
@@ -42,7 +43,7 @@ static void refuses_what_is_not_ours(void)
 {
   CHECK_INT(reopen_after("PRAGMA user_version=99"), MO_ERR_UNSUPPORTED);
   CHECK_SAYS(fixture.message, "99"); /* written by a newer program */
-  CHECK_INT(reopen_after("PRAGMA user_version=19; PRAGMA application_id=7"), MO_ERR_FORMAT);
+  CHECK_INT(reopen_after("PRAGMA user_version=20; PRAGMA application_id=7"), MO_ERR_FORMAT);
   CHECK_OK(reopen_after("PRAGMA application_id=1836216424"));
   close_store();
   scribble(0, 8192); /* not a database, despite its name */
@@ -58,13 +59,13 @@ static void refuses_older_versions(void)
     CHECK_INT(reopen_after(sql), MO_ERR_UNSUPPORTED);
     CHECK_SAYS(fixture.message, version <= 8
                                     ? "was written by morphod 0.1"
-                                    : "of an unreleased program; this version reads 14 to 19");
+                                    : "of an unreleased program; this version reads 14 to 20");
     CHECK_SAYS(fixture.message, "an empty folder");
     CHECK_SAYS(fixture.message, fixture.path);
     CHECK_INT(outside_integer("PRAGMA user_version"), version);
     CHECK_INT(outside_integer("SELECT value FROM meta WHERE key='epoch'"), 1);
   }
-  CHECK_OK(reopen_after("PRAGMA user_version=19"));
+  CHECK_OK(reopen_after("PRAGMA user_version=20"));
 }
 
 /* Jobs of version 14 are read as before; tables that are no longer used are dropped. */
@@ -171,6 +172,18 @@ static void opens_version_18(void)
   CHECK_INT(job_of(next).rollouts_total, job_of(old).rollouts_total * MO_LADDER_RUNGS);
   close_store();
   CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+}
+
+/* Saved losses of version 19 have no measures. */
+static void opens_version_19(void)
+{
+  static const char column[] =
+      "SELECT count(*) FROM pragma_table_info('campaign_losses') WHERE name='measures'";
+  REQUIRE_OK(reopen_after(WITHOUT_20 "PRAGMA user_version=19"));
+  CHECK_OK(check_whole());
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+  CHECK_INT(outside_integer(column), 1);
 }
 
 /* Noise replaces the root page of a table or an index; the header and the schema stay. */
@@ -296,6 +309,7 @@ static const struct check_case cases[] = {
     {"opens a folder of version 16", opens_version_16},
     {"opens a folder of version 17", opens_version_17},
     {"opens a folder of version 18", opens_version_18},
+    {"opens a folder of version 19", opens_version_19},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
