@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "commands.h"
+#include "results.h"
 
 #define ASK_S         5
 #define LINES_BESIDES 13
@@ -206,6 +207,8 @@ static void print(struct live *live)
       {"selection", "{settings.selection.kind}[{settings.racing=off}, racing off]"},
       {"own score", "[{study.own_score.name}[ in {study.own_score.unit}], from the study's "
                     "client, not computed by the service]"},
+      {"selects by", "[{settings.select_by.measure}, {settings.select_by.direction}]"},
+      {"measures", "[{measured}]"},
       {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
                    "generation, {settings.learning.schedule.kind} from "
                    "{settings.learning.schedule.peak:.4g} down to "
@@ -219,6 +222,8 @@ static void print(struct live *live)
   const struct campaign *campaign = (const struct campaign *)live;
   json_t *group = json_object_get(live->job, "group");
   json_object_set_new(group, "number", json_integer(number_of(group, "replicate") + 1));
+  json_object_set_new(live->job, "measured",
+                      json_string(words_of(value_at(live->job, "settings.measures"))));
   print_facts(live->ctl, live->job, facts);
   if (campaign->n == 0)
     return;

@@ -5,6 +5,7 @@
 
 #include "commands.h"
 #include "live.h"
+#include "results.h"
 
 /* ---- start ---- */
 
@@ -34,6 +35,21 @@ static void fill_initial(struct ctl *ctl, json_t *request)
                         json_pack("{s:O}", "designs", given_designs(ctl, 1, NULL).list));
 }
 
+/* Adds the measure to select by, as MEASURE,max or MEASURE,min. */
+static void fill_select_by(const struct ctl *ctl, json_t *request)
+{
+  const char *text = option_text(ctl, "select-by", NULL);
+  const char *comma = text != NULL ? strchr(text, ',') : NULL;
+  if (text == NULL)
+    return;
+  if (comma == NULL || (strcmp(comma, ",max") != 0 && strcmp(comma, ",min") != 0))
+    fail(STATUS_USAGE,
+         "--select-by: \"%s\" is not a measure with ,max or ,min, e.g. displacement_m,max", text);
+  json_object_set_new(request, "select_by",
+                      json_pack("{s:s%, s:s}", "measure", text, (size_t)(comma - text),
+                                "direction", comma + 1));
+}
+
 void run_campaign_start(struct ctl *ctl)
 {
   json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]);
@@ -43,6 +59,8 @@ void run_campaign_start(struct ctl *ctl)
   fill_workspace(ctl, keep(request));
   fill_schedule(ctl, request, "learning.schedule");
   fill_initial(ctl, request);
+  request_fill_measures(ctl, request);
+  fill_select_by(ctl, request);
   request_fill(ctl, request);
   if (controller != NULL && strcmp(controller, "random") == 0)
     json_object_set_new(request, "controller", json_null());
@@ -95,12 +113,15 @@ void run_campaign_champions(struct ctl *ctl)
     fail(STATUS_USAGE, "--output and --film record the newest generation, so they go "
                        "without --generation");
   film_check(ctl);
-  print_items(ctl,
-              get_json(ctl, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
-                       generation >= 0 ? path_to("&generation=%" PRId64, generation) : ""),
-              ">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
-              "|>score={score:.4f}|>distinctness={distinctiveness:.4f}|born={operator}"
-              "|>generation={born:,}");
+  const json_t *champions =
+      get_json(ctl, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
+               generation >= 0 ? path_to("&generation=%" PRId64, generation) : "");
+  print_items(ctl, champions,
+              keep(format_text(
+                  ">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
+                  "|>score={score:.4f}%s|>distinctness={distinctiveness:.4f}|born={operator}"
+                  "|>generation={born:,}",
+                  measure_columns(value_at(champions, "items.0.measures")))));
   if (records)
     record_champions(ctl, id, count, folder);
 }

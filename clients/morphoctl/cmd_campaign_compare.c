@@ -98,7 +98,7 @@ static json_t *conditions_of(struct ctl *ctl, const json_t *campaign)
   json_array_foreach(items, i, one) json_array_append(worlds, json_object_get(one, "sha256"));
   json_object_del(settings, "seed");
   json_object_set_new(settings, "environments", worlds);
-  json_t *own = json_object_get(json_object_get(campaign, "study"), "own_score");
+  json_t *own = json_object_get(campaign, "own_score");
   return keep(json_pack("{s:O, s:O, s:O?, s:O, s:O?}", "mode", json_object_get(campaign, "mode"),
                         "settings", settings, "controller", value_at(campaign, "controller.sha256"),
                         "device", json_object_get(campaign, "device"), "own_score",

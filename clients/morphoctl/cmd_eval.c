@@ -18,23 +18,6 @@ static void fill_record(const struct ctl *ctl, json_t *request)
     json_object_set_new(request, "record_stride", json_integer(stride));
 }
 
-/* Adds the measures that --measures requests; the service refuses unknown names. */
-static void fill_measures(const struct ctl *ctl, json_t *request)
-{
-  const char *measures = option_text(ctl, "measures", NULL);
-  if (measures == NULL)
-    return;
-  if (strcmp(measures, "all") == 0) {
-    json_object_set_new(request, "measures", json_true());
-    return;
-  }
-  json_t *list = json_array();
-  json_object_set_new(request, "measures", list);
-  char *rest = keep(strdup(measures)), *word;
-  while ((word = strsep(&rest, ",")) != NULL)
-    json_array_append_new(list, json_string(word));
-}
-
 /* Writes the header of a NumPy .npy file, version 1: magic, version, length of the header, header
  * padded to 64 bytes. The numbers follow. */
 static size_t npy_head(const char *array, const char *shape, char head[256])
@@ -146,7 +129,7 @@ void run_eval(struct ctl *ctl)
   fill_record(ctl, request);
   if (option_is_set(ctl, "error"))
     json_object_set_new(request, "error", json_true());
-  fill_measures(ctl, request);
+  request_fill_measures(ctl, request);
   if (is_drawn)
     json_object_set(request, "random", (json_t *)random);
   else

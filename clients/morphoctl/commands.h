@@ -22,6 +22,8 @@ void fill_schedule(const struct ctl *ctl, json_t *request, const char *place);
 void request_fill(const struct ctl *ctl, json_t *request);
 /* Adds as "record" the channels of --record, else `usual` (nullable), and the masses for --film. */
 void request_fill_record(const struct ctl *ctl, json_t *request, const char *usual);
+/* Adds the measures of --measures; the service refuses unknown names. */
+void request_fill_measures(const struct ctl *ctl, json_t *request);
 /* Adds the --physics options, "key=value" each, to a request as "physics". */
 void request_fill_physics(const struct ctl *ctl, json_t *request);
 /* Makes a request with a JSON body, or without a body if NULL. */

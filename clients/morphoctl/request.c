@@ -101,6 +101,22 @@ void request_fill_record(const struct ctl *ctl, json_t *request, const char *usu
 }
 
 /* Adds one "key=value" of --physics. */
+void request_fill_measures(const struct ctl *ctl, json_t *request)
+{
+  const char *measures = option_text(ctl, "measures", NULL);
+  if (measures == NULL)
+    return;
+  if (strcmp(measures, "all") == 0) {
+    json_object_set_new(request, "measures", json_true());
+    return;
+  }
+  json_t *list = json_array();
+  json_object_set_new(request, "measures", list);
+  char *rest = keep(strdup(measures)), *word;
+  while ((word = strsep(&rest, ",")) != NULL)
+    json_array_append_new(list, json_string(word));
+}
+
 static void fill_setting(json_t *physics, const char *text)
 {
   static const struct {

@@ -42,21 +42,17 @@ const char *words_of(const json_t *list)
   return words;
 }
 
-/* Returns the columns of the measures, and of their flags. A server may send any names, so others
- * than those of measures have no column. */
-static const char *measure_columns(const json_t *measures)
+const char *measure_columns(const json_t *measures)
 {
   const char *columns = "", *name;
   const json_t *mean;
   size_t n = 0;
-  if (measures == NULL)
-    return columns;
   json_object_foreach((json_t *)measures, name,
                       mean) if (name[strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_")] ==
                                     '\0' &&
                                 strlen(name) <= 48 && n++ < MEASURES_MAX) columns =
       keep(format_text("%s|>%s=[{measures.%s:.4g}]", columns, name, name));
-  return keep(format_text("%s|flags=[{flag}]", columns));
+  return columns;
 }
 
 /* Returns a copy of a result with the other columns of the table: number, name, note and, unless
@@ -113,7 +109,9 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, const struct
   struct ranked *order = rank_results(results, by_score);
   json_t *rows = keep(json_array());
   bool named = false, verified = false, estimated = false, valued = false, climbed = false;
-  const char *measured = measure_columns(json_object_get(value_at(results, "0"), "measures"));
+  const json_t *measures = json_object_get(value_at(results, "0"), "measures");
+  const char *measured =
+      measures != NULL ? keep(format_text("%s|flags=[{flag}]", measure_columns(measures))) : "";
   for (size_t i = 0; i < n; i++) {
     named |= name_of(designs, place_of(results, i)) != NULL;
     verified |= json_object_get(json_array_get(results, i), "agrees") != NULL;

@@ -304,6 +304,11 @@ static const struct option_spec campaign_start_options[] = {
      "own_score.name"},
     {"own-score-unit", 0, "UNIT", "Unit of that score, e.g. J/m (default: none).",
      "own_score.unit"},
+    {"measures", 0, "LIST",
+     "Measure the rollouts of each design: all, or names separated by commas, such as "
+     "displacement_m,air_share,work_j. Tables of designs have the means."},
+    {"select-by", 0, "MEASURE,max|min",
+     "Select by the mean of a measure, such as displacement_m,max, not by the loss."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
     {"no-exclusions", 0, NULL, "Allow bodies that the controller was pretrained on."},
     {"schedule", 0, "NAME",

@@ -44,6 +44,7 @@ static bool fits(const struct mo_block *block, void *context)
 {
   const struct room *room = context;
   return mo_block_suits_remote(block) && block->controller == room->like->controller &&
+         (block->measuring != NULL) == (room->like->measuring != NULL) &&
          mo_fair_units(block) <= room->steps &&
          mo_physics_equal(&block->physics, &room->like->physics);
 }
@@ -249,8 +250,11 @@ static void end_block(struct mo_block *block, enum mo_back_end back_end,
   block->status = mo_block_is_cancelled(block) ? MO_ERR_CANCELLED : result->status;
   block->computed_on = back_end;
   block->origin = result->origin;
-  for (uint32_t i = 0; i < block->n_environments && block->status == MO_OK; i++)
+  for (uint32_t i = 0; i < block->n_environments && block->status == MO_OK; i++) {
     block->outcomes[i] = outcome_of(result, row + i);
+    if (block->measuring != NULL)
+      memcpy(block->measuring->values[i], result->measures[row + i], sizeof(*result->measures));
+  }
   block->done(block, block->context); /* the block may have been freed now */
 }
 

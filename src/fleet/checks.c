@@ -2,6 +2,7 @@
 #include "fleet/checks.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -33,6 +34,7 @@ static struct mo_vote vote_of(const struct mo_session *session, const struct mo_
   struct mo_vote vote = {.session = session->id,
                          .losses = result->losses,
                          .diverged_steps = result->diverged_steps,
+                         .measures = result->measures,
                          .sum = sum_of(result)};
   memcpy(vote.name, session->offer.name, sizeof(vote.name));
   memcpy(vote.host, session->offer.host, sizeof(vote.host));
@@ -46,16 +48,33 @@ static bool add_vote(struct mo_lease *lease, const struct mo_vote *vote)
   struct mo_vote *copy = &lease->votes[lease->n_votes];
   double *losses = malloc(n * sizeof(*losses));
   uint32_t *diverged_steps = malloc(n * sizeof(*diverged_steps));
-  if (losses == NULL || diverged_steps == NULL) {
+  double(*measures)[MO_MEASURES] =
+      vote->measures != NULL ? malloc(n * sizeof(*measures)) : NULL;
+  if (losses == NULL || diverged_steps == NULL || (vote->measures != NULL && measures == NULL)) {
     free(losses);
     free(diverged_steps);
+    free(measures);
     return false;
   }
   *copy = *vote;
   copy->losses = memcpy(losses, vote->losses, n * sizeof(*losses));
   copy->diverged_steps = memcpy(diverged_steps, vote->diverged_steps, n * sizeof(*diverged_steps));
+  copy->measures = measures;
+  if (measures != NULL)
+    memcpy(measures, vote->measures, n * sizeof(*measures));
   lease->n_votes++;
   return true;
+}
+
+/* Returns the first measure of a row that differs, or MO_MEASURES. */
+static unsigned different_measure(const struct mo_vote *a, const struct mo_vote *b, uint32_t row)
+{
+  unsigned m = 0;
+  while (a->measures != NULL && m < MO_MEASURES &&
+         ((isnan(a->measures[row][m]) && isnan(b->measures[row][m])) ||
+          mo_same_bits(a->measures[row][m], b->measures[row][m])))
+    m++;
+  return a->measures != NULL ? m : MO_MEASURES;
 }
 
 /* Returns the first row that differs, or n. Returns 0 for gradients that differ only in their
@@ -64,7 +83,8 @@ static uint32_t first_difference(const struct mo_vote *a, const struct mo_vote *
 {
   uint32_t row = 0;
   while (row < n && mo_same_bits(a->losses[row], b->losses[row]) &&
-         a->diverged_steps[row] == b->diverged_steps[row])
+         a->diverged_steps[row] == b->diverged_steps[row] &&
+         different_measure(a, b, row) == MO_MEASURES)
     row++;
   return row == n && !mo_sha256_equal(&a->sum, &b->sum) ? 0 : row;
 }
@@ -78,6 +98,8 @@ static void cut(struct mo_lease *lease, uint32_t first, uint32_t n)
     struct mo_vote *vote = &lease->votes[i];
     memmove(vote->losses, vote->losses + row, rows * sizeof(*vote->losses));
     memmove(vote->diverged_steps, vote->diverged_steps + row, rows * sizeof(*vote->diverged_steps));
+    if (vote->measures != NULL)
+      memmove(vote->measures, vote->measures + row, rows * sizeof(*vote->measures));
   }
 }
 
@@ -151,11 +173,14 @@ static void count(struct mo_fleet *fleet, uint64_t id, bool has_failed)
   session->audits_failed += has_failed;
 }
 
-static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row)
+/* m: a measure that differs; MO_MEASURES: none. */
+static void describe(struct mo_text *text, const struct mo_vote *vote, uint32_t row, unsigned m)
 {
   mo_event_session(text, vote->name, vote->host, "");
   mo_text_member_number(text, "loss", vote->losses[row]);
   mo_text_member_count(text, "diverged_step", vote->diverged_steps[row]);
+  if (m < MO_MEASURES)
+    mo_text_member_number(text, mo_measure_info[m].name, vote->measures[row][m]);
   mo_text_add(text, "}");
 }
 
@@ -168,8 +193,9 @@ static void note_difference(const struct mo_fleet *fleet, const struct mo_lease 
                   MO_EVENT_NAME_BYTES);
   mo_text_name(&text, "results");
   mo_text_add(&text, "[");
-  describe(&text, &lease->votes[0], row);
-  describe(&text, second, row);
+  const unsigned m = different_measure(&lease->votes[0], second, row);
+  describe(&text, &lease->votes[0], row, m);
+  describe(&text, second, row, m);
   mo_text_add(&text, "]");
   mo_after_event(after, "fleet.differs", &text);
 }
@@ -179,6 +205,7 @@ static bool judge(struct mo_fleet *fleet, const struct mo_lease *lease, const st
                   const struct mo_vote *other, uint64_t now_ns, struct mo_after *after)
 {
   const uint32_t rows = lease->content.n_rows, row = first_difference(vote, other, rows);
+  unsigned m;
   char why[128];
   count(fleet, vote->session, row < rows);
   if (row == rows)
@@ -186,6 +213,12 @@ static bool judge(struct mo_fleet *fleet, const struct mo_lease *lease, const st
   if (lease->content.n_parameters > 0)
     snprintf(why, sizeof(why),
              "returned a different gradient of %" PRIu32 " robots than another worker", rows);
+  else if ((m = different_measure(vote, other, row)) < MO_MEASURES &&
+           mo_same_bits(vote->losses[row], other->losses[row]))
+    snprintf(why, sizeof(why), "returned a %s of %.17g where %s %.17g", mo_measure_info[m].name,
+             vote->measures[row][m],
+             other->session == 0 ? "this machine computed" : "another worker gave",
+             other->measures[row][m]);
   else
     snprintf(why, sizeof(why),
              "returned a loss of %.17g (divergence step %" PRIu32 ") where %s %.17g (%" PRIu32 ")",
@@ -222,9 +255,12 @@ static void dispute(struct mo_fleet *fleet, struct mo_lease *lease, uint32_t row
 }
 
 void mo_check_decide(struct mo_fleet *fleet, struct mo_lease *lease, double *losses,
-                     uint32_t *diverged_steps, uint64_t now_ns, struct mo_after *after)
+                     uint32_t *diverged_steps, double (*measures)[MO_MEASURES], uint64_t now_ns,
+                     struct mo_after *after)
 {
-  const struct mo_vote ours = {.losses = losses, .diverged_steps = diverged_steps};
+  const struct mo_vote ours = {.losses = losses,
+                               .diverged_steps = diverged_steps,
+                               .measures = lease->content.has_measures ? measures : NULL};
   fleet->counts.rows_twice += lease->content.n_rows;
   fleet->counts.audits++;
   for (uint32_t i = 0; i < lease->n_votes; i++)

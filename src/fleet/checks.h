@@ -22,7 +22,8 @@ void mo_check_result(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_s
 /* Takes rows that this process computed, refuses the sessions that returned other rows for a
  * disputed lease, and frees the lease. */
 void mo_check_decide(struct mo_fleet *fleet, struct mo_lease *lease, double *losses,
-                     uint32_t *diverged_steps, uint64_t now_ns, struct mo_after *after);
+                     uint32_t *diverged_steps, double (*measures)[MO_MEASURES], uint64_t now_ns,
+                     struct mo_after *after);
 /* Returns whether a session may compute a waiting audit. It must not have delivered the lease, and
  * its name and host must differ from the delivering session's, unless no other session has been
  * available for some seconds. */

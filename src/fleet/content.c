@@ -81,9 +81,10 @@ int mo_content_of(const struct mo_taken *taken, struct mo_wire_lease *content)
   *content =
       (struct mo_wire_lease){.physics = shard != NULL ? shard->physics : taken->blocks[0]->physics,
                              .back_end = taken->back_end,
+                             .has_measures = shard == NULL && taken->blocks[0]->measuring != NULL,
                              .n_blocks = shard != NULL ? rows : taken->n_blocks,
                              .n_rows = rows};
-  if (rows > MO_WIRE_ROWS_MAX)
+  if (rows > (content->has_measures ? MO_WIRE_MEASURED_MAX : MO_WIRE_ROWS_MAX))
     return MO_ERR_LIMIT;
   while (numbers.mask < 2 * most)
     numbers.mask = 2 * numbers.mask + 1;

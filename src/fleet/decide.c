@@ -13,7 +13,7 @@ static void *compute(void *context)
   decision->error = source->recompute(
       source->compute, fleet->config.workspace, &decision->lease->content,
       weights != NULL ? weights->file.bytes : NULL, weights != NULL ? weights->file.size : 0,
-      &decision->cancel, decision->losses, decision->diverged_steps);
+      &decision->cancel, decision->losses, decision->diverged_steps, decision->measures);
   atomic_store(&decision->is_done, true);
   return NULL;
 }
@@ -38,7 +38,8 @@ static void end(struct mo_fleet *fleet, int error, uint64_t now_ns, struct mo_af
   decision->lease = NULL;
   lease->is_deciding = false;
   if (error == MO_OK) {
-    mo_check_decide(fleet, lease, decision->losses, decision->diverged_steps, now_ns, after);
+    mo_check_decide(fleet, lease, decision->losses, decision->diverged_steps, decision->measures,
+                    now_ns, after);
     return;
   }
   decision->retry_ns = now_ns + RETRY_NS;

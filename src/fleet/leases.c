@@ -197,6 +197,7 @@ static void free_lease(struct mo_fleet *fleet, struct mo_lease *lease)
   for (uint32_t i = 0; i < lease->n_votes; i++) {
     free(lease->votes[i].losses);
     free(lease->votes[i].diverged_steps);
+    free(lease->votes[i].measures);
   }
   mo_weights_release(fleet, lease->weights);
   mo_wire_free_lease(&lease->content);

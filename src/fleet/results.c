@@ -39,6 +39,9 @@ static int check(struct mo_fleet *fleet, const struct mo_session *session,
     if (result->n_parameters != lease->content.n_parameters)
       return mo_fail(message, MO_ERR_FORMAT, "result %u: the sum has %u parameters, got %u", i,
                      lease->content.n_parameters, result->n_parameters);
+    if ((result->measures != NULL) != lease->content.has_measures)
+      return mo_fail(message, MO_ERR_FORMAT, "result %u: the lease %s measures", i,
+                     lease->content.has_measures ? "requires" : "has no");
     for (uint32_t row = 0; row < result->n_rows; row++)
       if (result->diverged_steps[row] > lease->content.physics.scheme.n_steps)
         return mo_fail(message, MO_ERR_FORMAT,
@@ -81,6 +84,8 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
                    &(struct mo_remote_result){.status = MO_OK,
                                               .losses = result->losses,
                                               .diverged = result->diverged_steps,
+                                              .measures =
+                                                  (const double(*)[MO_MEASURES])result->measures,
                                               .origin = session->origin,
                                               .busy_s = busy_s,
                                               .d_parameters = result->d_parameters,

@@ -4,8 +4,10 @@
 /* Marked like an urgent block: remote takers do not get it. */
 static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                const struct mo_lattice *lattice, struct mo_compute_controller *controller,
-               const volatile int *cancel, double *losses, uint32_t *diverged_steps)
+               const volatile int *cancel, double *losses, uint32_t *diverged_steps,
+               double (*measures)[MO_MEASURES])
 {
+  const struct mo_measuring measuring = {.set = MO_MEASURES_ALL, .values = measures};
   const struct mo_wire_block *from = &lease->blocks[0];
   struct mo_block block = {.lattice = lattice,
                            .genotype = from->genotype,
@@ -15,6 +17,7 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
                            .precision = MO_FLOAT32,
                            .urgency = MO_INTERACTIVE,
                            .back_end = lease->back_end,
+                           .measuring = lease->has_measures ? &measuring : NULL,
                            .cancel = cancel};
   for (uint32_t k = 0; k < from->n_environments; k++)
     block.environments[k] = &lease->environments[from->environments[k]];
@@ -31,7 +34,7 @@ static int run(struct mo_compute *compute, const struct mo_wire_lease *lease,
 static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
                      const struct mo_wire_lease *lease, const uint8_t *weights,
                      size_t weights_bytes, const volatile int *cancel, double *losses,
-                     uint32_t *diverged_steps)
+                     uint32_t *diverged_steps, double (*measures)[MO_MEASURES])
 {
   struct mo_lattice *lattice = NULL;
   struct mo_controller *controller = NULL;
@@ -42,7 +45,7 @@ static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
   if (error == MO_OK)
     error = mo_compute_controller_create(compute, controller, &prepared);
   if (error == MO_OK)
-    error = run(compute, lease, lattice, prepared, cancel, losses, diverged_steps);
+    error = run(compute, lease, lattice, prepared, cancel, losses, diverged_steps, measures);
   mo_compute_controller_free(prepared);
   mo_controller_free(controller);
   mo_lattice_free(lattice);

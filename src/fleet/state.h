@@ -50,6 +50,7 @@ struct mo_vote {
   char name[MO_FLEET_NAME_BYTES + 1], host[MO_FLEET_NAME_BYTES + 1];
   double *losses;
   uint32_t *diverged_steps;
+  double (*measures)[MO_MEASURES]; /* NULL: none */
   struct mo_sha256 sum; /* of a gradient: hash of its sum and counts; otherwise zeros */
 };
 
@@ -140,6 +141,7 @@ struct mo_fleet {
     uint64_t retry_ns; /* no new attempt before this time */
     double losses[MO_BLOCK_LANES];
     uint32_t diverged_steps[MO_BLOCK_LANES];
+    double measures[MO_BLOCK_LANES][MO_MEASURES];
   } decision;
   uint32_t n_sessions, n_ended, n_checks; /* n_checks: audits */
   LIST_HEAD(, mo_weights) weights;

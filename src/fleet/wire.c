@@ -36,10 +36,12 @@ _Static_assert(sizeof(struct header) == 24 && sizeof(struct lease) == 64 &&
 
 #define ON_DEVICE          1u /* flags */
 #define GRADIENT           2u
+#define MEASURES           4u
 #define PHYSICS_SHIFT      8  /* version of the packed physics, minus 1, in one byte */
 #define GRADIENT_SHIFT     16 /* version of the packed options, minus 1 */
 #define ENVIRONMENT_SHIFT  24 /* version of the packed environments, minus 1 */
-#define DONE_WITH_GRADIENT 3u /* state */
+#define DONE_WITH_GRADIENT 3u /* states */
+#define DONE_WITH_MEASURES 5u
 
 static const char magics[2][9] = {"MOFLEETL", "MOFLEETR"};
 
@@ -144,6 +146,13 @@ static bool counts_fit(uint32_t n_environments, uint32_t n_blocks, uint32_t n_ro
          n_rows <= (uint64_t)n_blocks * MO_BLOCK_LANES;
 }
 
+/* Limits of a lease with measures, also for both. */
+static bool measures_fit(const struct mo_wire_lease *lease)
+{
+  return !lease->has_measures || (lease->n_rows <= MO_WIRE_MEASURED_MAX &&
+                                  lease->n_parameters == 0 && lease->back_end == MO_ON_CPU);
+}
+
 /* Limits of a gradient, also for both. Robots are blocks of one environment. */
 static bool gradient_fits(const struct mo_wire_lease *lease)
 {
@@ -193,6 +202,7 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
       .id = lease->id,
       .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) | (physics - 1) << PHYSICS_SHIFT |
                (lease->n_parameters > 0 ? GRADIENT | (gradient - 1) << GRADIENT_SHIFT : 0) |
+               (lease->has_measures ? MEASURES : 0) |
                (environment - 1) << ENVIRONMENT_SHIFT,
       .n_environments = lease->n_environments,
       .n_blocks = lease->n_blocks,
@@ -232,6 +242,7 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
         return MO_ERR_LIMIT;
     }
     if (rows != lease->n_rows || (lease->n_parameters > 0 && !gradient_fits(lease)) ||
+        !measures_fit(lease) ||
         !counts_fit(lease->n_environments, lease->n_blocks, lease->n_rows))
       return MO_ERR_LIMIT;
     codec.size += lease_bytes(lease, workspace);
@@ -352,13 +363,15 @@ static int get_head(struct codec *codec, struct mo_wire_lease *lease, unsigned *
   lease->n_environments = head.n_environments;
   lease->n_blocks = head.n_blocks;
   lease->n_rows = head.n_rows;
-  if ((head.flags & UINT8_MAX) > (ON_DEVICE | GRADIENT) || zero != 0 ||
+  lease->has_measures = (head.flags & MEASURES) != 0;
+  if ((head.flags & UINT8_MAX) > (ON_DEVICE | GRADIENT | MEASURES) || zero != 0 ||
+      (lease->has_measures && (head.flags & (ON_DEVICE | GRADIENT)) != 0) ||
       (gradient != 1 && (head.flags & GRADIENT) == 0) ||
       mo_physics_version(&lease->physics) != physics)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: unknown flags", i);
   if (mo_physics_check(&lease->physics, &why) != MO_OK)
     return mo_fail(message, MO_ERR_FORMAT, "lease %u: %s", i, why.text);
-  if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows))
+  if (!counts_fit(head.n_environments, head.n_blocks, head.n_rows) || !measures_fit(lease))
     return mo_fail(message, MO_ERR_FORMAT,
                    "lease %u: %u environments, %u blocks, %u rows are out of range", i,
                    head.n_environments, head.n_blocks, head.n_rows);
@@ -456,13 +469,32 @@ void mo_wire_free_leases(struct mo_wire_leases *leases)
 
 #define ROW_BYTES (sizeof(double) + sizeof(uint32_t))
 
+/* Before the measures of a result. */
+struct measures {
+  uint32_t n, zero;
+};
+
 /* MO_RESULT_DONE needs at least one row; other states have none. */
-static bool rows_fit(enum mo_wire_state state, uint32_t n_rows, uint32_t n_parameters)
+static bool rows_fit(enum mo_wire_state state, uint32_t n_rows, uint32_t n_parameters,
+                     bool has_measures)
 {
+  if (has_measures && (state != MO_RESULT_DONE || n_rows > MO_WIRE_MEASURED_MAX ||
+                       n_parameters > 0))
+    return false;
   if (n_parameters > 0)
     return state == MO_RESULT_DONE && n_rows >= 1 && n_rows <= MO_GRADIENT_SHARD &&
            n_parameters <= MO_WIRE_PARAMETERS_MAX;
   return state == MO_RESULT_DONE ? n_rows >= 1 && n_rows <= MO_WIRE_ROWS_MAX : n_rows == 0;
+}
+
+/* All measures without a value have the same bits. */
+static void put_measures(struct codec *codec, const struct mo_wire_result *result)
+{
+  for (uint32_t row = 0; row < result->n_rows; row++)
+    for (unsigned m = 0; m < MO_MEASURES; m++) {
+      const double value = result->measures[row][m], none = NAN;
+      put(codec, isnan(value) ? &none : &value, sizeof(value));
+    }
 }
 
 int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, size_t *size)
@@ -472,20 +504,26 @@ int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, 
     return MO_ERR_LIMIT;
   for (uint32_t i = 0; i < results->n; i++) {
     const struct mo_wire_result *result = &results->items[i];
-    if (!rows_fit(result->state, result->n_rows, result->n_parameters))
+    const bool has_measures = result->n_rows > 0 && result->measures != NULL;
+    if (!rows_fit(result->state, result->n_rows, result->n_parameters, has_measures))
       return MO_ERR_LIMIT;
     codec.size += sizeof(struct result) + result->n_rows * ROW_BYTES;
     if (result->n_parameters > 0)
       codec.size += sizeof(uint64_t) + sizeof(result->counts) +
                     result->n_parameters * sizeof(*result->d_parameters);
+    if (has_measures)
+      codec.size += sizeof(struct measures) + result->n_rows * sizeof(*result->measures);
   }
   int error = open_message(1, results->n, &codec);
   if (error != MO_OK)
     return error;
   for (uint32_t i = 0; i < results->n; i++) {
     const struct mo_wire_result *result = &results->items[i];
+    const bool has_measures = result->n_rows > 0 && result->measures != NULL;
+    const struct measures measures = {.n = MO_MEASURES};
     const struct result head = {.id = result->id,
                                 .state = result->n_parameters > 0 ? DONE_WITH_GRADIENT
+                                         : has_measures           ? DONE_WITH_MEASURES
                                                                   : (uint32_t)result->state,
                                 .n_rows = result->n_rows,
                                 .busy_s = result->busy_s,
@@ -500,6 +538,10 @@ int mo_wire_put_results(const struct mo_wire_results *results, uint8_t **bytes, 
       put(&codec, &n, sizeof(n));
       put(&codec, &result->counts, sizeof(result->counts));
       put(&codec, result->d_parameters, n * sizeof(double));
+    }
+    if (has_measures) {
+      put(&codec, &measures, sizeof(measures));
+      put_measures(&codec, result);
     }
   }
   *bytes = codec.to;
@@ -550,6 +592,42 @@ static int get_sum(struct codec *codec, struct mo_wire_result *result, uint32_t 
   return MO_OK;
 }
 
+/* Returns whether a measure is a whole number of its steps, as the store keeps it, or has no
+ * value. */
+static bool is_measure(unsigned m, double value)
+{
+  const double steps = rint(value * mo_measure_info[m].steps_in_one), none = NAN;
+  return isnan(value) ? memcmp(&value, &none, sizeof(value)) == 0
+                      : isfinite(steps) && steps / mo_measure_info[m].steps_in_one == value;
+}
+
+static int get_measures(struct codec *codec, struct mo_wire_result *result, uint32_t i,
+                        struct mo_message *message)
+{
+  struct measures head;
+  if (!get(codec, &head, sizeof(head)))
+    return cut_off(message, "result", i);
+  if (head.n != MO_MEASURES || head.zero != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "result %u: must have %d measures for each row, got %u",
+                   i, MO_MEASURES, head.n);
+  result->measures = malloc(result->n_rows * sizeof(*result->measures));
+  if (result->measures == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (!get(codec, result->measures, result->n_rows * sizeof(*result->measures)))
+    return cut_off(message, "result", i);
+  for (uint32_t row = 0; row < result->n_rows; row++)
+    for (unsigned m = 0; m < MO_MEASURES; m++) {
+      const double value = result->measures[row][m];
+      if (!is_measure(m, value))
+        return mo_fail(message, MO_ERR_FORMAT, "result %u, row %u: %s is %g, which is not rounded",
+                       i, row, mo_measure_info[m].name, value);
+      if (!isnan(value) && result->diverged_steps[row] > 0)
+        return mo_fail(message, MO_ERR_FORMAT,
+                       "result %u, row %u: a rollout that diverged has no measures", i, row);
+    }
+  return MO_OK;
+}
+
 static int get_result(struct codec *codec, struct mo_wire_result *result, uint32_t i,
                       struct mo_message *message)
 {
@@ -557,11 +635,12 @@ static int get_result(struct codec *codec, struct mo_wire_result *result, uint32
   if (!get(codec, &head, sizeof(head)))
     return cut_off(message, "result", i);
   const bool has_gradient = head.state == DONE_WITH_GRADIENT;
-  if (has_gradient)
+  const bool has_measures = head.state == DONE_WITH_MEASURES;
+  if (has_gradient || has_measures)
     head.state = MO_RESULT_DONE;
   if (head.state > MO_RESULT_UNSUPPORTED)
     return mo_fail(message, MO_ERR_FORMAT, "result %u: unknown state %u", i, head.state);
-  if (!rows_fit((enum mo_wire_state)head.state, head.n_rows, 0))
+  if (!rows_fit((enum mo_wire_state)head.state, head.n_rows, 0, has_measures))
     return mo_fail(message, MO_ERR_FORMAT, "result %u: state %u cannot have %u rows", i, head.state,
                    head.n_rows);
   if (!is_time(head.busy_s) || !is_time(head.wall_s))
@@ -585,7 +664,9 @@ static int get_result(struct codec *codec, struct mo_wire_result *result, uint32
       return mo_fail(message, MO_ERR_FORMAT,
                      "result %u, row %u: loss %g contradicts divergence step %u", i, row,
                      result->losses[row], result->diverged_steps[row]);
-  return has_gradient ? get_sum(codec, result, i, message) : MO_OK;
+  return has_gradient   ? get_sum(codec, result, i, message)
+         : has_measures ? get_measures(codec, result, i, message)
+                        : MO_OK;
 }
 
 int mo_wire_get_results(const uint8_t *bytes, size_t size, struct mo_wire_results *results,
@@ -611,6 +692,7 @@ void mo_wire_free_results(struct mo_wire_results *results)
   for (uint32_t i = 0; i < results->n; i++) {
     free(results->items[i].losses);
     free(results->items[i].diverged_steps);
+    free(results->items[i].measures);
     free(results->items[i].d_parameters);
   }
   memset(results, 0, sizeof(*results));

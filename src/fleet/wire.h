@@ -11,14 +11,15 @@
  *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
  *              SHA-256 of the weights (zeros: passive bodies); physics; u32 0; for a gradient its
  *              options; environments (66 f64 each); blocks
- *   flags      1: on a device; 2: a gradient; second, third and fourth byte: the versions of the
+ *   flags      1: on a device; 2: a gradient; 4: with measures; second, third and fourth byte: the versions of the
  *              packed physics, options and environments, minus 1
  *   physics    packed; in version 1: 9 f64; u32 steps, impact, bisections
  *   options    f64 bound of the adjoint, weight, weight of restarts; u32 rule, parameters
  *   block      genotype (⌈voxels / 8⌉ bytes); u8 n; n × u16 environment
  *   result     u64 epoch; u64 number; u32 state; u32 rows; f64 processor seconds; f64 elapsed
  *              seconds; rows × f64 loss; rows × u32 step of divergence; in state 3 (done with a
- *              gradient): u64 parameters; counts (6 u64, f64); parameters × f64 sum
+ *              gradient): u64 parameters; counts (6 u64, f64); parameters × f64 sum; in state 5
+ *              (done with measures): u32 measures; u32 0; rows × measures × f64 (NaN: no value)
  *
  * Physics, options and environments are packed by their rows (base/fields.h); version 1 is shown.
  *
@@ -35,6 +36,8 @@
 #define MO_WIRE_LEASES_MAX       4         /* in a message */
 #define MO_WIRE_RESULTS_MAX      8         /* in a message */
 #define MO_WIRE_ROWS_MAX         131072    /* in a lease */
+#define MO_WIRE_MEASURED_MAX     16384     /* in a lease with measures, whose rows are 15 times as
+                                              long */
 #define MO_WIRE_ENVIRONMENTS_MAX 4096      /* in a lease */
 #define MO_WIRE_WORDS_MAX        16        /* in a genotype: 1024 voxels */
 #define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* in a gradient */
@@ -58,6 +61,7 @@ struct mo_wire_lease {
   enum mo_back_end back_end; /* flag 1: on a device */
   uint32_t n_parameters;     /* flag 2: a gradient; 0: scores */
   struct mo_gradient_options gradient;
+  bool has_measures; /* flag 4: all measures of each row are computed, too */
   uint32_t n_environments, n_blocks, n_rows;
   struct mo_environment *environments; /* (n_environments) */
   struct mo_wire_block *blocks;        /* (n_blocks) */
@@ -77,6 +81,7 @@ struct mo_wire_result {
   double wall_s;
   double *losses;           /* (n_rows) +infinity: diverged */
   uint32_t *diverged_steps; /* (n_rows) 0: did not diverge */
+  double (*measures)[MO_MEASURES]; /* (n_rows) NULL: none */
   uint32_t n_parameters;    /* of a gradient; 0: scores */
   double *d_parameters;     /* (n_parameters) */
   struct mo_gradient_counts counts;

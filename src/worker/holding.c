@@ -12,6 +12,7 @@
 
 #define SLOTS_PER_WORKER 2
 #define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* per message: 8 MB, which the daemon accepts */
+#define MEASURED_ROWS    15                     /* as long as a row with measures */
 #define SLOTS_OF_DEVICES 16384                  /* about two chunks */
 
 enum lease_state {
@@ -42,6 +43,7 @@ struct slot {
   struct lease *lease; /* NULL: free */
   uint32_t first_row;
   struct mo_block block;
+  struct mo_measuring measuring;
   struct slot *next; /* next free slot */
 };
 
@@ -93,6 +95,12 @@ static struct slot *next_block(struct mo_holding *holding, enum mo_back_end back
     slot->block.environments[k] = &lease->wire.environments[from->environments[k]];
   slot->block.physics = lease->wire.physics;
   slot->block.cancel = &lease->cancel;
+  slot->block.measuring = NULL;
+  if (lease->wire.has_measures) {
+    slot->measuring = (struct mo_measuring){
+        .set = MO_MEASURES_ALL, .values = lease->result.measures + slot->first_row};
+    slot->block.measuring = &slot->measuring;
+  }
   return slot;
 }
 
@@ -275,6 +283,7 @@ static void free_lease(struct mo_holding *holding, struct lease *lease)
   mo_wire_free_lease(&lease->wire);
   free(lease->result.losses);
   free(lease->result.diverged_steps);
+  free(lease->result.measures);
   free(lease->result.d_parameters);
   free(lease);
 }
@@ -291,7 +300,10 @@ int mo_holding_add(struct mo_holding *holding, struct mo_wire_lease *wire)
                               .n_parameters = wire->n_parameters,
                               .losses = malloc(wire->n_rows * sizeof(double)),
                               .diverged_steps = malloc(wire->n_rows * sizeof(uint32_t))};
-  int error = lease->result.losses != NULL && lease->result.diverged_steps != NULL
+  if (wire->has_measures)
+    lease->result.measures = malloc(wire->n_rows * sizeof(*lease->result.measures));
+  int error = lease->result.losses != NULL && lease->result.diverged_steps != NULL &&
+                      (!wire->has_measures || lease->result.measures != NULL)
                   ? mo_compute_share_create(holding->config.compute, 1, &lease->share)
                   : MO_ERR_NO_MEMORY;
   pthread_mutex_lock(&holding->mutex);
@@ -411,7 +423,9 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
   MO_GUARD(&holding->mutex);
   for (struct lease **at = &holding->leases; *at != NULL;) {
     struct lease *lease = *at;
-    const uint32_t n = lease->wire.n_parameters > 0 ? RESULT_ROWS_MAX : lease->wire.n_rows;
+    const uint32_t n = lease->wire.n_parameters > 0 ? RESULT_ROWS_MAX
+                       : lease->wire.has_measures   ? MEASURED_ROWS * lease->wire.n_rows
+                                                    : lease->wire.n_rows;
     if (!has_ended(lease) ||
         (!lease->is_dropped && (results->n == MO_WIRE_RESULTS_MAX || rows + n > RESULT_ROWS_MAX))) {
       at = &lease->next;

@@ -217,3 +217,111 @@ def test_measures_survive_kills(start, tmp_path, mode, more):
     assert rows[1:] == expected[1:]
     assert [{k: v for k, v in row.items() if k != "rollouts"} for row in rows[0]] == [
         {k: v for k, v in row.items() if k != "rollouts"} for row in expected[0]]
+
+
+STUDY = {"mode": "study", "population": 4, "environments": PLACES, "physics": {"n_steps": 120},
+         "exclude_pretraining": False}
+BODIES = [{"cells": cells} for cells in (
+    [[2, 2, 0], [3, 2, 0]], [[2, 2, 0], [2, 2, 1], [3, 2, 0]], [[2, 2, 0], [2, 3, 0], [2, 4, 0]])]
+
+
+def tell(service, id, batch, children, **more):
+    reply = service.request("POST", f"/v1/campaigns/{id}/tell", {
+        "batch": batch, "children": children, **more}, headers=WAIT)
+    assert reply.status == 200, reply.body
+    return reply.json()["children"]
+
+
+def test_a_study_gets_measures(service):
+    """`tell` returns the measures of each rollout, from which the client computes what it likes,
+    beside the measures that the client sends."""
+    id = service.post("/v1/campaigns", STUDY | {"measures": WANTED})["id"]
+    children = [{"body": body, "measures": {"reach": i}} for i, body in enumerate(BODIES)]
+    told = tell(service, id, 0, children)
+    assert service.get(f"/v1/campaigns/{id}")["study"]["measures"] == [*KEPT, "reach"]
+    for i, (row, found) in enumerate(zip(told, evaluated(service, told))):
+        assert row["measures"] == {name: found["measures"][name] for name in KEPT} | {"reach": i}
+        assert row["flags"] == found["flags"]
+        for entry, whole in zip(row["losses"], found["losses"], strict=True):
+            assert entry["loss"] == whole["loss"] and entry["flags"] == whole["flags"]
+            assert entry["measures"] == {name: whole["measures"][name] for name in KEPT}
+    # A body that is told again is found, and so is a batch that is read again.
+    again = tell(service, id, 1, [{"body": BODIES[1], "measures": {"reach": 7, "more": 1}}])
+    assert again[0]["losses"] == told[1]["losses"]
+    assert again[0]["measures"] == told[1]["measures"] | {"reach": 7, "more": 1}
+    assert service.get(f"/v1/campaigns/{id}/batch")["children"] == again
+    first = service.pages(f"/v1/campaigns/{id}/phylogeny")[0]
+    assert first["measures"] == told[0]["measures"] | {"more": None}
+    # The names of the service's measures are taken.
+    reply = service.request("POST", f"/v1/campaigns/{id}/tell", {
+        "batch": 2, "children": [{"body": BODIES[0], "measures": {"work_j": 1}}]})
+    assert reply.status == 422 and reply.pointers() == ["/children/0/measures/work_j"]
+
+
+def test_a_study_selects_by_a_measure(service):
+    """The service selects; the client sends no scores."""
+    id = service.post("/v1/campaigns", STUDY | {"select_by": FAR, "population": 3})["id"]
+    told = tell(service, id, 0, [{"body": body} for body in BODIES])
+    assert [row["score"] for row in told] == [-row["measures"]["displacement_m"] for row in told]
+    more = tell(service, id, 1, [{"body": {"cells": [[x, 2, 0] for x in range(n)]}}
+                                 for n in (3, 4)])
+    population = service.get(f"/v1/campaigns/{id}/population")
+    best = sorted(row["score"] for row in told + more)[:3]
+    assert [row["score"] for row in population["items"]] == best
+    assert population["own_score"] == {"name": "-displacement_m", "unit": "m"}
+    assert service.get(f"/v1/campaigns/{id}")["study"]["own_score"] is None
+    reply = service.request("POST", f"/v1/campaigns/{id}/tell", {
+        "batch": 2, "children": [{"body": BODIES[0], "score": 1}]})
+    assert reply.status == 422 and reply.pointers() == ["/children/0/score"]
+
+
+def test_a_study_is_found_by_its_measures(service):
+    """Measures belong to the settings that an opened study must match."""
+    one = STUDY | {"label": "measured", "if_exists": "return", "measures": ["work_j"],
+                   "select_by": FAR}
+    id = service.post("/v1/campaigns", one)["id"]
+    assert service.post("/v1/campaigns", one)["id"] == id
+    for more, pointer in (({"measures": ["tilt_rad"]}, "/measures"),
+                          ({"select_by": FAR | {"direction": "min"}}, "/select_by")):
+        reply = service.request("POST", "/v1/campaigns", one | more)
+        assert reply.status == 409 and pointer in reply.pointers(), reply.json()
+
+
+def test_a_client_scores_by_measures(service):
+    """An own score that is computed from an evaluation costs `tell` nothing but the look-up."""
+    found = run(service, "evaluations", {
+        "designs": BODIES, "environments": PLACES, "physics": STUDY["physics"], "measures": KEPT})
+    effort = [row["measures"]["work_j"] / max(row["measures"]["displacement_m"], 0.01)
+              for row in found["results"]]
+    id = service.post("/v1/campaigns", STUDY | {
+        "measures": KEPT, "own_score": {"name": "effort", "unit": "J/m"}})["id"]
+    told = tell(service, id, 0, [{"body": body, "score": score}
+                                 for body, score in zip(BODIES, effort)])
+    assert [row["score"] for row in told] == effort
+    assert [row["measures"] for row in told] == [row["measures"] for row in found["results"]]
+    curve = service.pages(f"/v1/campaigns/{id}/generations")
+    assert curve[0]["cached"] == curve[0]["rollouts"] == len(BODIES) * len(PLACES)
+
+
+def test_morphoctl(service, ctl):  # noqa: F811
+    settings = "--population 4 --generations 1 --physics n_steps=60"
+    status, out, err = ctl(f"campaign start zero-shot {settings} --measures work_j,tilt_rad "
+                           "--select-by displacement_m,max -q --detach")
+    assert status == 0, err
+    id = out.strip()
+    await_end(service, f"/v1/campaigns/{id}")
+    status, out, err = ctl(f"campaign show {id}")
+    assert status == 0 and "displacement_m, max" in out, err
+    assert "displacement_m, tilt_rad, work_j" in out and "racing off" in out
+    status, out, err = ctl(f"campaign champions {id}")
+    assert status == 0 and all(
+        name in out.splitlines()[0] for name in ("displacement_m", "tilt_rad", "work_j")), err
+    status, out, err = ctl("campaign start zero-shot --select-by displacement_m")
+    assert status != 0 and "displacement_m,max" in err
+    status, out, err = ctl("campaign start zero-shot --select-by speed,max")
+    assert status != 0 and "inverted_voxels" in err
+    plain = run(service, "campaigns", CAMPAIGN | {"seed": 9})["id"]
+    status, out, _ = ctl(f"campaign champions {plain}")
+    assert status == 0 and "work_j" not in out
+    status, _, err = ctl(f"campaign compare {plain} {id}")
+    assert status != 0 and "own_score" in err

@@ -95,14 +95,43 @@ def test_measures(daemon, worker, seed):
         worker(fleet_address(one), "helper")
         one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
         plain = one.score(value)
-        assert one.json("/v1/fleet")["rollouts_done"] > 0
+        begun = one.json("/v1/fleet")["rollouts_done"]
+        assert begun > 0
         result = one.score(value | {"measures": True})
         assert result["results"] == expected["results"]
+        computed = result["rollouts_total"] - result["rollouts_cached"]
+        assert one.json("/v1/fleet")["rollouts_done"] >= begun + computed
         assert result["rollouts_cached"] == expected["rollouts_cached"]  # of equal bodies
         for row, known in zip(result["results"], plain["results"]):
             assert [entry["loss"] for entry in row["losses"]] == known["losses"]
         again = one.score(value | {"measures": ["work_j"], "label": "again"})
         assert again["rollouts_cached"] == again["rollouts_total"]
+        one.end()
+
+
+@pytest.mark.parametrize("mode", ["zero-shot", "few-shot"])
+def test_measures_of_campaigns(daemon, worker, seed, mode):
+    """Campaigns that select by a measure get the same bits from other machines, one of which is
+    lost in the middle."""
+    value = request(mode, seed, 5 if mode == "zero-shot" else 2) | {
+        "population": 32, "physics": {"n_steps": 300}, "measures": True,
+        "select_by": {"measure": "displacement_m", "direction": "max"}}
+    expected, needed, _ = undisturbed(daemon, "alone", value)
+    head = expected["phylogeny"][0]
+    assert "measures.work_j" in head and len(set(head)) == len(head)
+    with daemon("remote", workers=1, compute="fleet", fleet_listen="127.0.0.1:0") as one:
+        lost, *_ = [worker(fleet_address(one), name) for name in ("lost", "left", "right")]
+        one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 3)
+        job = one.submit(value, "campaigns")
+        one.until(lambda: rollouts(one) > needed / 3)
+        lost.kill()
+        one.succeed(job, "campaigns")
+        result = history(one, job)
+        for part, what in expected.items():
+            assert result[part] == what, f"{part} differ from those of one daemon"
+        status = one.json("/v1/fleet")
+        assert status["rollouts_done"] >= needed and status["audits_failed"] == 0
+        assert rollouts(one) == needed
         one.end()
 
 

@@ -136,7 +136,7 @@ async function mountOne(main, id, parameters, app) {
   const replicates = isGroup ? new Curve(`v1/campaigns/${campaign.group.id}/replicates`) : null;
   const compared = others.length ? new Comparison(ids, get) : null;
   const learns = campaign.settings.learning !== null;
-  const own = campaign.study?.own_score ?? null; // the client of a study computes the scores
+  const own = campaign.own_score ?? null; // not the mean of the losses
   const measure = others.length || own ? null
     : measureOf((await worldOfJob('campaign', campaign)).environments);
   const shown = (loss) => (own ? inOwnUnit(own, loss)
@@ -217,7 +217,8 @@ async function mountOne(main, id, parameters, app) {
     say(title, titleOf(campaign));
     say(about, `${campaign.mode}, ${count(campaign.settings.population)} designs, ` +
       `${count(campaign.progress.designs)} born${replicateOf(campaign)}${submitter(campaign)}` +
-      (own ? `; ranked by ${own.name}, which its client computes` : ''));
+      (own ? `; ranked by ${own.name}` : '') +
+      (campaign.study?.own_score ? ', which its client computes' : ''));
     app.setTitle(`${titleOf(campaign)}, ${shortProgress(campaign)}`);
   }
 

@@ -17,7 +17,7 @@ export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
  * campaign compare; '' if they can be compared.
  */
 function differenceOf(one, other) {
-  const [own, otherOwn] = [one, other].map(({ campaign }) => campaign.study?.own_score ?? null);
+  const [own, otherOwn] = [one, other].map(({ campaign }) => campaign.own_score ?? null);
   if (own?.name !== otherOwn?.name || own?.unit !== otherOwn?.unit) {
     return `what they are ranked by (${[own, otherOwn].map((score) => (score
       ? `${score.name}, from the client` : 'the score of the service')).join('; ')})`;
@@ -79,7 +79,7 @@ export class Comparison {
   async refresh() {
     this.sides ??= await this.#load();
     // Own scores of a study may be negative.
-    this.chart.options.log = !this.sides.some(({ campaign }) => campaign.study?.own_score);
+    this.chart.options.log = !this.sides.some(({ campaign }) => campaign.own_score);
     await Promise.all(this.sides.flatMap(({ curves }) => curves.map((curve) => curve.refresh())));
     const best = ({ rows }) => rows.map((row) => row.score.quantiles.p0 ?? NaN);
     const last =

@@ -286,9 +286,9 @@ export async function mount(main, id, parameters, app) {
   let newest = shownTo;
   const detail = h('div.stack', { 'aria-live': 'polite' });
   const ancestry = h('div.grid.small');
-  const own = campaign.study?.own_score ?? null; // the client of a study computes the scores
+  const own = campaign.own_score ?? null; // not the mean of the losses
   const colors = [...COLOR_BY.map((by) => (own && by === 'score' ? [by, own.name] : by)),
-    ...(campaign.study?.measures ?? []).map((name) => [`measures.${name}`, name])];
+    ...(campaign.study?.measures ?? campaign.settings.measures ?? []).map((name) => [`measures.${name}`, name])];
   const search = h('input',
     { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
   main.replaceChildren(

@@ -71,7 +71,7 @@ export async function mount(main, id, app) {
         h('td', {}, stateChip(one)),
         h('td.wide', {}, progressBar(one)),
         h('td.right', { 'data-name': 'Best score' }, Number.isFinite(best)
-          ? one.study?.own_score ? inOwnUnit(one.study.own_score, best) : score(best) : '–',
+          ? one.own_score ? inOwnUnit(one.own_score, best) : score(best) : '–',
           bests.length > 1 && best === Math.min(...bests) ? ' ♛' : ''),
       ]);
     });

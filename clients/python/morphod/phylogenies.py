@@ -25,8 +25,8 @@ class Phylogeny:
     generations (`alive` marks the living). `operator` has indices into `operators`. `score` is
     float32, with NaN if a rollout diverged. `lower_bound` is bool: the design could not survive, so
     it was cut short, and its score is at least this. `own_score` is None, or the name and unit of
-    the own score of a study. `voxels` and `footprint` are uint8, and
-    `measures` of a study float64, by name. A million designs are a few arrays of a few megabytes.
+    the own score of a study, or of a campaign that selects by a measure. `voxels` and `footprint`
+    are uint8. `measures` are float64, by name: those that the campaign names, and those of a study. A million designs are a few arrays of a few megabytes.
     """
 
     @reading()
@@ -61,7 +61,7 @@ class Phylogeny:
     def frame(self) -> pd.DataFrame:
         """Returns a table with the index `number`: parent and other_parent (nullable integers),
         born, died (nullable), operator (categories), score, lower_bound, voxels, footprint, and the
-        measures of a study."""
+        measures."""
         module = pandas()
 
         def nullable(column: NDArray[Any], absent: NDArray[np.bool_]) -> Any:

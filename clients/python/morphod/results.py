@@ -209,6 +209,21 @@ class Batch:
 
     @property
     @reading()
+    def measures(self) -> dict[str, NDArray[np.float64]]:
+        """The measures that the service computes for the study, by name, each (children,
+        environments); NaN where a measure has no value, or where `losses` is NaN. Empty if the
+        study names none."""
+        rows = [(row or {}).get("losses") or () for row in self.rows]
+        measured = [place for place, row in enumerate(rows) if len(row) > 0]
+        found = measures_of([rows[place] for place in measured])
+        table = {}
+        for name, values in found.items():
+            table[name] = np.full((len(rows), values.shape[1]), np.nan)
+            table[name][measured] = values
+        return table
+
+    @property
+    @reading()
     def bodies(self) -> list[Body | None]:
         """The body that was scored; None if it was skipped."""
         return [None if row is None else Body.of(row["genotype"]) for row in self.rows]

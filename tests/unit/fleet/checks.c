@@ -10,12 +10,13 @@ static atomic_bool may_recompute;
 
 static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
                      const struct mo_wire_lease *lease, const uint8_t *file, size_t file_bytes,
-                     const volatile int *cancel, double *losses, uint32_t *diverged_steps)
+                     const volatile int *cancel, double *losses, uint32_t *diverged_steps,
+                     double (*measures)[MO_MEASURES])
 {
   while (!atomic_load(&may_recompute) && !*cancel)
     usleep(100);
   return fake_recompute(compute, workspace, lease, file, file_bytes, cancel, losses,
-                        diverged_steps);
+                        diverged_steps, measures);
 }
 
 /* Flips one bit in the loss of the first row. */

@@ -384,7 +384,7 @@ static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lea
 static inline int fake_recompute(struct mo_compute *compute, struct mo_workspace workspace,
                                  const struct mo_wire_lease *lease, const uint8_t *file,
                                  size_t file_bytes, const volatile int *cancel, double *losses,
-                                 uint32_t *diverged_steps)
+                                 uint32_t *diverged_steps, double (*measures)[MO_MEASURES])
 {
   struct mo_wire_result result = fake_compute(lease, NULL);
   (void)compute;
@@ -393,8 +393,11 @@ static inline int fake_recompute(struct mo_compute *compute, struct mo_workspace
   CHECK(lease->n_blocks == 1 && file == NULL && file_bytes == 0);
   memcpy(losses, result.losses, result.n_rows * sizeof(*losses));
   memcpy(diverged_steps, result.diverged_steps, result.n_rows * sizeof(*diverged_steps));
+  if (lease->has_measures)
+    memcpy(measures, result.measures, result.n_rows * sizeof(*measures));
   free(result.losses);
   free(result.diverged_steps);
+  free(result.measures);
   return MO_OK;
 }
 

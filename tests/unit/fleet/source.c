@@ -59,7 +59,7 @@ static struct mo_wire_result result_of_lease(const struct mo_wire_lease *lease, 
     struct mo_wire_lease one = *lease;
     one.blocks = &lease->blocks[b];
     make_check(source.recompute(source.compute, MO_DEFAULT_WORKSPACE, &one, file->bytes, file->size,
-                                NULL, &result.losses[row], &result.diverged_steps[row]),
+                                NULL, &result.losses[row], &result.diverged_steps[row], NULL),
                "a block");
     row += lease->blocks[b].n_environments;
   }

@@ -352,7 +352,9 @@ class AsyncClient:
         copied. Of that campaign, designs that do not fit the workspace are left out, with a warning
         (`left_out`). `repair` and `on_fault` are as in `evaluate`. `settings` are those of the
         contract (docs/evolution.md), such as `population`, `generations`, `seed`, `selection`,
-        `mutation`, `physics`.
+        `mutation`, `physics`. With `measures`, such as `["work_j"]` or True, tables of designs have
+        a column for the mean of each measure; with `select_by`, such as `{"measure":
+        "displacement_m", "direction": "max"}`, the campaign selects by one.
         """
         value: dict[str, Any] = {"mode": mode, "replicates": replicates,
                                  **_given(preset=preset, label=label), **settings}
@@ -388,7 +390,8 @@ class AsyncClient:
 
         The name is the label of its campaign. `population` is the maximum number of living designs
         (512). With `own_score`, such as `{"name": "work_per_meter", "unit": "J/m"}`, the study
-        ranks by the scores that you pass to `AsyncStudy.tell`. `settings` are those of the contract
+        ranks by the scores that you pass to `AsyncStudy.tell`. With `measures`, each `Batch` has them,
+        so that you can compute a score of your own. `settings` are those of the contract
         (docs/studies.md), such as `selection`, `mutation`, `seed`. Raises `ConflictError`, which
         lists each setting that differs from the study's.
         """

@@ -68,7 +68,7 @@ async def _conditions(connection: AsyncConnection, campaign: dict[str, Any]) -> 
     return {"mode": campaign["mode"], "settings": settings,
             "controller": (campaign["controller"] or {}).get("sha256"),
             "device": campaign["device"],
-            "own_score": (campaign.get("study") or {}).get("own_score")}
+            "own_score": campaign.get("own_score")}
 
 
 async def _members(connection: AsyncConnection, campaign: dict[str, Any], alone: bool
