@@ -45,9 +45,9 @@ static void fill_select_by(const struct ctl *ctl, json_t *request)
   if (comma == NULL || (strcmp(comma, ",max") != 0 && strcmp(comma, ",min") != 0))
     fail(STATUS_USAGE,
          "--select-by: \"%s\" is not a measure with ,max or ,min, e.g. displacement_m,max", text);
-  json_object_set_new(request, "select_by",
-                      json_pack("{s:s%, s:s}", "measure", text, (size_t)(comma - text),
-                                "direction", comma + 1));
+  json_object_set_new(
+      request, "select_by",
+      json_pack("{s:s%, s:s}", "measure", text, (size_t)(comma - text), "direction", comma + 1));
 }
 
 void run_campaign_start(struct ctl *ctl)
@@ -116,12 +116,12 @@ void run_campaign_champions(struct ctl *ctl)
   const json_t *champions =
       get_json(ctl, "/v1/campaigns/%s/champions?count=%" PRId64 "%s", id, count,
                generation >= 0 ? path_to("&generation=%" PRId64, generation) : "");
-  print_items(ctl, champions,
-              keep(format_text(
-                  ">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
-                  "|>score={score:.4f}%s|>distinctness={distinctiveness:.4f}|born={operator}"
-                  "|>generation={born:,}",
-                  measure_columns(value_at(champions, "items.0.measures")))));
+  print_items(
+      ctl, champions,
+      keep(format_text(">number={number}|design={robot}|>voxels={voxels:,}|>footprint={footprint:,}"
+                       "|>score={score:.4f}%s|>distinctness={distinctiveness:.4f}|born={operator}"
+                       "|>generation={born:,}",
+                       measure_columns(value_at(champions, "items.0.measures")))));
   if (records)
     record_champions(ctl, id, count, folder);
 }

@@ -237,11 +237,11 @@ struct mo_remote_result {
   int status;                 /* MO_OK, or an error for all blocks */
   const double *losses;       /* (n_rows) in the order of blocks and environments; with MO_OK */
   const uint32_t *diverged;   /* (n_rows) steps of divergence; 0: none */
-  const double (*measures)[MO_MEASURES]; /* (n_rows) of blocks that measure: all of them */
   int64_t origin;             /* who computed it, in the taker's own numbering; > 0 */
   double busy_s;              /* processor time, charged to the share */
   const double *d_parameters; /* of a shard: (n_parameters) its sum */
   struct mo_gradient_counts counts;
+  const double (*measures)[MO_MEASURES]; /* (n_rows) of blocks that measure: all of them */
 };
 /* Takes at least one block, and more while their rollout steps stay within max_steps; or a shard,
  * whatever its size. Does not wait. Returns NULL if there is no suitable block, or out of memory.

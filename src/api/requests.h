@@ -96,7 +96,6 @@ struct mo_parsed_evaluation {
 };
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults);
-
 /* Parses the body of POST /v1/rollouts: without the members that belong to a job. */
 int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                       struct mo_faults *faults);
@@ -123,10 +122,10 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 /* The bodies of POST …/tell and …/ask of a study. The caller frees `parents` in every case. */
 struct mo_parsed_telling {
   struct mo_study_telling telling;
-  uint32_t measures; /* as bits: those that the service computes, whose names are taken */
-  struct mo_parts parts;         /* genotypes: of the children */
-  struct mo_workspace workspace; /* which they must fit; of the study, as has_scores */
+  struct mo_parts parts; /* genotypes: of the children */
+  struct mo_workspace workspace; /* which they must fit; of the study, like has_scores, measures */
   bool has_children, has_scores; /* has_scores: each child must have a score */
+  uint32_t measures;             /* that the service computes, whose names are taken */
 };
 int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record *study,
                   struct mo_parsed_telling *parsed, struct mo_faults *faults);

@@ -60,8 +60,7 @@ static int read_designs(struct mo_api *api, struct told *told)
   told->losses = calloc((size_t)n + 1, sizeof(*told->losses));
   told->known = calloc((size_t)n + 1, 1);
   if (record->measures != 0)
-    told->measures =
-        calloc((size_t)n * record->n_environments + 1, sizeof(*told->measures));
+    told->measures = calloc((size_t)n * record->n_environments + 1, sizeof(*told->measures));
   if (told->designs == NULL || told->genotypes == NULL || told->losses == NULL ||
       told->known == NULL || (record->measures != 0 && told->measures == NULL))
     return MO_ERR_NO_MEMORY;

@@ -65,6 +65,11 @@ static uint32_t steps_of(const struct mo_campaign_settings *settings, uint32_t g
              : 0;
 }
 
+static uint32_t n_means_of(const struct mo_reading *reading)
+{
+  return (uint32_t)__builtin_popcount(reading->campaign.record.measures);
+}
+
 /* Finishes the scores of a design. */
 static int end_scores(struct mo_reading *reading)
 {
@@ -72,7 +77,10 @@ static int end_scores(struct mo_reading *reading)
   if (reading->scored_number == 0)
     return MO_OK;
   const struct mo_born *born = &reading->born[reading->scored_number - 1];
-  const int error = mo_bundle_scores_end(reading->scores, born->score, born->is_cut, &words);
+  const uint32_t n_means = n_means_of(reading);
+  const double *means =
+      n_means > 0 ? reading->means + (size_t)n_means * (reading->scored_number - 1) : NULL;
+  const int error = mo_bundle_scores_end(reading->scores, born->score, born->is_cut, means, &words);
   return error == MO_OK ? MO_OK
                         : mo_fail(reading->message, error, "%.90sscores/: %.150s", reading->folder,
                                   words.text);
@@ -185,6 +193,17 @@ int mo_reading_environments(struct mo_reading *reading)
 
 /* ---- lines of a campaign ---- */
 
+/* Returns whether the score of a design is the mean of the measure that the campaign selects by. */
+static bool is_score_of_measure(const struct mo_campaign_record *record,
+                                const struct mo_campaign_design *design)
+{
+  const struct mo_select_by *by = &record->select_by;
+  const uint32_t before = (UINT32_C(1) << by->measure) - 1; /* the measures before this one */
+  const double mean = design->measures[__builtin_popcount(record->measures & before)];
+  const double score = mo_select_by_score(by, mean);
+  return !design->is_cut && (score == design->score); /* no NaN */
+}
+
 /* Returns the reason why a design contradicts its parents or the campaign, or NULL if it does
  * not. */
 static const char *check_design(const struct mo_reading *reading,
@@ -205,7 +224,11 @@ static const char *check_design(const struct mo_reading *reading,
       (design->died >= 0 && design->died < design->born) ||
       design->died > reading->campaign.generation)
     return "birth and death generations are out of order";
-  if (design->score < 0)
+  if (design->n_measures != n_means_of(reading))
+    return "the design must have the measures that the campaign names";
+  if (record->select_by.is_set && !is_score_of_measure(record, design))
+    return "the score is not that of the measure";
+  if (design->score < 0 && !record->select_by.is_set)
     return "a score must be at least 0";
   if (design->is_cut && (n == 0 || design->died != design->born || !isfinite(design->score)))
     return "only the score of a child that was never selected can be a lower bound";
@@ -221,6 +244,20 @@ static const char *check_design(const struct mo_reading *reading,
       return "a parent was not alive at the child's birth";
   }
   return NULL;
+}
+
+/* Returns room for the means of the next design; it doubles. NULL: no memory. */
+static double *keep_means(struct mo_reading *reading, uint32_t n)
+{
+  const size_t used = (size_t)n * reading->n_born, all = used + n;
+  if (all > reading->means_room) {
+    double *means = realloc(reading->means, 2 * all * sizeof(*means));
+    if (means == NULL)
+      return NULL;
+    reading->means = means;
+    reading->means_room = 2 * all;
+  }
+  return reading->means + used;
 }
 
 static int read_design(struct mo_reading *reading, uint32_t n, const char *line, size_t size)
@@ -240,6 +277,12 @@ static int read_design(struct mo_reading *reading, uint32_t n, const char *line,
       return MO_ERR_NO_MEMORY;
     reading->born = born;
     reading->room = room;
+  }
+  if (design.n_measures > 0) {
+    double *means = keep_means(reading, design.n_measures);
+    if (means == NULL)
+      return MO_ERR_NO_MEMORY;
+    memcpy(means, design.measures, design.n_measures * sizeof(*means));
   }
   reading->born[reading->n_born++] =
       (struct mo_born){.descent = design.descent,
@@ -275,7 +318,7 @@ static const char *check_population(struct mo_reading *reading, uint32_t generat
         (born->died != ALIVE && born->died <= generation) || born->stamp == generation + 1)
       return "the population has a duplicate design, or one that was not alive";
     born->stamp = generation + 1;
-    if (member->score < 0 ||
+    if ((member->score < 0 && !reading->campaign.record.select_by.is_set) ||
         (generation == reading->campaign.generation && !same_bits(member->score, born->score)))
       return "a score in the population differs from the design's score";
   }

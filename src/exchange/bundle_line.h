@@ -12,6 +12,7 @@ struct mo_bundle_lines {
   struct mo_faults faults;
   struct mo_text again; /* the line, rewritten */
   struct mo_json json;
+  double measures[MO_BLOCK_LANES][MO_MEASURES]; /* of the newest line with a score */
 };
 
 /* ---- members ---- */

@@ -21,6 +21,8 @@ void mo_bundle_write_design(struct mo_text *text, const struct mo_campaign_desig
 {
   mo_text_add(text, "{");
   mo_campaign_json_design(text, design, NULL);
+  if (design->n_measures > 0)
+    mo_member_numbers(text, "measures", design->measures, design->n_measures);
   mo_text_add(text, "}");
 }
 
@@ -144,14 +146,15 @@ static void read_double(struct mo_json *json, double missing, double *value)
   }
 }
 
-/* Reads up to `room` numbers, null for infinity, and counts all. */
-static void read_doubles(struct mo_json *json, double *numbers, uint32_t room, uint32_t *n)
+/* Reads up to `room` numbers, null for `missing`, and counts all. */
+static void read_doubles(struct mo_json *json, double missing, double *numbers, uint32_t room,
+                         uint32_t *n)
 {
   if (!mo_json_array(json))
     return;
   while (mo_json_item(json))
     if ((*n)++ < room)
-      read_double(json, (double)INFINITY, &numbers[*n - 1]);
+      read_double(json, missing, &numbers[*n - 1]);
     else
       mo_json_skip(json);
 }
@@ -390,6 +393,9 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
         read_double(json, (double)INFINITY, &design->score);
       else if (mo_json_is(key, "lower_bound"))
         mo_json_bool(json, &design->is_cut);
+      else if (mo_json_is(key, "measures"))
+        read_doubles(json, (double)NAN, design->measures, MO_DESIGN_MEASURES_MAX,
+                     &design->n_measures);
       else
         mo_json_skip(json); /* follows from the genotype, and is compared below */
     }
@@ -399,6 +405,8 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
     error = mo_design_size(lines->lattice, design->genotype.words, &design->size);
   if (error != MO_OK)
     return error;
+  if (design->n_measures > MO_DESIGN_MEASURES_MAX)
+    return mo_fail(message, MO_ERR_FORMAT, "there are too many measures");
   design->form = mo_genotype_form(&design->genotype);
   if (lines->is_checked)
     return MO_OK;
@@ -418,6 +426,21 @@ static const struct mo_field score_rows[] = {
 #undef AT
 static const struct mo_fields score_fields = MO_FIELDS(score_rows);
 
+static void write_measures(struct mo_text *text, const struct mo_campaign_score *score)
+{
+  mo_text_open(text, "measures", "[");
+  for (uint32_t k = 0; k < score->n; k++) {
+    mo_text_next(text);
+    mo_text_add(text, "[");
+    for (unsigned m = 0; m < MO_MEASURES; m++) {
+      mo_text_next(text);
+      mo_text_json_number(text, score->measures[k][m]);
+    }
+    mo_text_add(text, "]");
+  }
+  mo_text_add(text, "]");
+}
+
 void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score *score)
 {
   mo_text_add(text, "{");
@@ -427,7 +450,42 @@ void mo_bundle_write_score(struct mo_text *text, const struct mo_campaign_score 
   mo_member_numbers(text, "losses", score->losses, score->n); /* null: diverged */
   mo_text_name(text, "diverged_steps");
   mo_text_counts(text, score->diverged_steps, score->n);
+  if (score->measures != NULL)
+    write_measures(text, score);
   mo_text_add(text, "}");
+}
+
+/* Reads the measures of up to MO_BLOCK_LANES rollouts, and counts all. */
+static void read_measures(struct mo_json *json, double measures[MO_BLOCK_LANES][MO_MEASURES],
+                          uint32_t *n, bool *are_whole)
+{
+  double ignored[MO_MEASURES];
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json)) {
+    uint32_t n_values = 0;
+    read_doubles(json, (double)NAN, *n < MO_BLOCK_LANES ? measures[*n] : ignored, MO_MEASURES,
+                 &n_values);
+    *are_whole = *are_whole && n_values == MO_MEASURES;
+    (*n)++;
+  }
+}
+
+/* Checks that each measure is a whole number of its steps, and that diverged rollouts have none. */
+static int check_measures(const struct mo_campaign_score *score, uint32_t n, bool are_whole,
+                          struct mo_message *message)
+{
+  if (n != score->n || !are_whole)
+    return mo_fail(message, MO_ERR_FORMAT, "must have all %d measures of each environment",
+                   MO_MEASURES);
+  for (uint32_t k = 0; k < n; k++)
+    for (unsigned m = 0; m < MO_MEASURES; m++) {
+      const double value = score->measures[k][m], in_one = mo_measure_info[m].steps_in_one;
+      if (!isnan(value) && (score->diverged_steps[k] > 0 || rint(value * in_one) / in_one != value))
+        return mo_fail(message, MO_ERR_FORMAT, "%s of rollout %u is not rounded, or it diverged",
+                       mo_measure_info[m].name, k);
+    }
+  return MO_OK;
 }
 
 static int check_score(const struct mo_campaign_score *score, const uint32_t n[3],
@@ -449,16 +507,19 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
 {
   struct mo_json *json = mo_line_begin(lines, line, size);
   struct mo_json_slice key;
-  uint32_t n[3] = {0};
+  uint32_t n[3] = {0}, n_measured = 0;
+  bool are_whole = true;
   memset(score, 0, sizeof(*score));
   if (mo_json_object(json))
     while (mo_json_member(json, &key)) {
       if (mo_json_is(key, "environments"))
         mo_json_counts(json, UINT32_MAX >> 1, score->environments, MO_BLOCK_LANES, &n[0]);
       else if (mo_json_is(key, "losses"))
-        read_doubles(json, score->losses, MO_BLOCK_LANES, &n[1]);
+        read_doubles(json, (double)INFINITY, score->losses, MO_BLOCK_LANES, &n[1]);
       else if (mo_json_is(key, "diverged_steps"))
         mo_json_counts(json, UINT32_MAX >> 1, score->diverged_steps, MO_BLOCK_LANES, &n[2]);
+      else if (mo_json_is(key, "measures"))
+        read_measures(json, score->measures = lines->measures, &n_measured, &are_whole);
       else if (!mo_fields_read_member(json, key, &score_fields, score))
         mo_json_skip(json);
     }
@@ -466,6 +527,8 @@ int mo_bundle_read_score(struct mo_bundle_lines *lines, const char *line, size_t
   int error = mo_line_end(lines, message);
   if (error == MO_OK)
     error = check_score(score, n, message);
+  if (error == MO_OK && score->measures != NULL)
+    error = check_measures(score, n_measured, are_whole, message);
   if (error != MO_OK || lines->is_checked)
     return error;
   mo_bundle_write_score(&lines->again, score);

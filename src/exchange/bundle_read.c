@@ -194,6 +194,7 @@ int mo_bundle_read(const void *bytes, size_t size, const struct mo_lattice *latt
   free(reading->births);
   free(reading->deaths);
   free(reading->born);
+  free(reading->means);
   free(reading);
   return error;
 }

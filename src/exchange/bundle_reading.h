@@ -53,6 +53,8 @@ struct mo_reading {
   struct mo_imported_campaign campaign;
   uint32_t n_environments;
   struct mo_born *born; /* (n_born) */
+  double *means;        /* (n_born, measures of the campaign) */
+  size_t means_room;
   uint32_t n_born, room;
   uint32_t *births, *deaths; /* (generation + 1) */
   int64_t generation;        /* of the newest row */

@@ -21,10 +21,13 @@ struct class {
   double losses[MO_ENVIRONMENTS_MAX];
   uint32_t diverged_steps[MO_ENVIRONMENTS_MAX];
   int64_t computed_us[MO_ENVIRONMENTS_MAX];
+  uint64_t measured; /* a bit for each place */
+  double measures[MO_ENVIRONMENTS_MAX][MO_MEASURES];
 };
 
 struct mo_bundle_scores {
-  uint32_t n_environments;
+  uint32_t n_environments, measures; /* measures: of the campaign, as bits */
+  bool selects_by_measure;
   uint32_t same[MO_ENVIRONMENTS_MAX]; /* the first place with the same environment */
   uint32_t number, n, n_again;        /* n: classes */
   struct class classes[CLASSES];
@@ -45,6 +48,8 @@ void mo_bundle_scores_open(struct mo_bundle_scores *scores,
 {
   struct mo_sha256 hashes[MO_ENVIRONMENTS_MAX];
   scores->n_environments = campaign->record.n_environments;
+  scores->measures = campaign->record.measures;
+  scores->selects_by_measure = campaign->record.select_by.is_set;
   for (uint32_t k = 0; k < scores->n_environments; k++) {
     uint32_t i = 0;
     mo_environment_hash(&campaign->environments[k], &hashes[k]);
@@ -93,6 +98,10 @@ int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campai
     return mo_fail(message, MO_ERR_FORMAT, "there may be scores of at most %d classes", CLASSES);
   for (uint32_t k = 0; k < score->n; k++) {
     const uint32_t place = score->environments[k];
+    if (score->measures != NULL) {
+      class->measured |= UINT64_C(1) << place;
+      memcpy(class->measures[place], score->measures[k], sizeof(class->measures[place]));
+    }
     if (class->known >> place & 1) {
       if (!same_bits(class->losses[place], score->losses[k]) ||
           class->diverged_steps[place] != score->diverged_steps[k])
@@ -132,10 +141,44 @@ static double mean_of(const struct mo_bundle_scores *scores, const struct class 
   return sum / scores->n_environments;
 }
 
+/* Returns whether the measures of a class have these means. */
+static bool has_means(const struct mo_bundle_scores *scores, const struct class *class,
+                      const double *means)
+{
+  double values[MO_ENVIRONMENTS_MAX][MO_MEASURES], own[MO_MEASURES];
+  bool same = true;
+  for (uint32_t k = 0; k < scores->n_environments; k++) {
+    const uint32_t place = scores->same[k];
+    if ((class->measured >> place & 1) == 0)
+      return false;
+    memcpy(values[k], class->measures[place], sizeof(values[k]));
+  }
+  const uint32_t n = mo_measures_mean(scores->measures, (const double(*)[MO_MEASURES])values,
+                                      scores->n_environments, own);
+  for (uint32_t m = 0; m < n; m++)
+    same = same && (isnan(means[m]) ? isnan(own[m]) : same_bits(means[m], own[m]));
+  return same;
+}
+
+/* A design that was cut short has no means. */
+static bool check_means(const struct mo_bundle_scores *scores, bool is_cut, const double *means)
+{
+  bool found = means == NULL || is_cut;
+  for (uint32_t a = 0; a < scores->n && !found; a++)
+    found = has_means(scores, &scores->classes[a], means);
+  return found;
+}
+
 int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bool is_cut,
-                         struct mo_message *message)
+                         const double *means, struct mo_message *message)
 {
   bool is_whole;
+  if (!check_means(scores, is_cut, means))
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the measures of design %u are not the means of those of its rollouts",
+                   scores->number);
+  if (scores->selects_by_measure)
+    return MO_OK;
   for (uint32_t a = 0; a < scores->n; a++)
     for (uint32_t b = 0; b < scores->n; b++) {
       const double mean = mean_of(scores, &scores->classes[a], &scores->classes[b], &is_whole);

@@ -16,8 +16,10 @@ void mo_bundle_scores_begin(struct mo_bundle_scores *scores, uint32_t number);
  * MO_ERR_DUPLICATE: an earlier line is the same, or too many lines returned 0. MO_ERR_FORMAT. */
 int mo_bundle_scores_add(struct mo_bundle_scores *scores, const struct mo_campaign_score *score,
                          struct mo_message *message);
-/* Checks that the losses yield the score of the design. MO_ERR_FORMAT. */
+/* Checks that the losses yield the score of the design, and the measures their means (NULL: the
+ * campaign names none). If the campaign selects by a measure, the score was checked with its mean.
+ * MO_ERR_FORMAT. */
 int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bool is_cut,
-                         struct mo_message *message);
+                         const double *means, struct mo_message *message);
 
 #endif

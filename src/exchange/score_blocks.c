@@ -251,7 +251,9 @@ static int read_score(struct reading *reading, const char *line, size_t size,
 {
   struct mo_score_block *block = reading->block;
   struct mo_campaign_score *score = &block->scores[block->n_scores];
-  const int error = mo_bundle_read_score(reading->lines, line, size, score, words);
+  int error = mo_bundle_read_score(reading->lines, line, size, score, words);
+  if (error == MO_OK && score->measures != NULL)
+    error = mo_fail(words, MO_ERR_FORMAT, "a file of scores cannot have measures");
   if (error != MO_OK)
     return error;
   const char *fault = check_score(block, reading->condition, score);

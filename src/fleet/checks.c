@@ -48,8 +48,7 @@ static bool add_vote(struct mo_lease *lease, const struct mo_vote *vote)
   struct mo_vote *copy = &lease->votes[lease->n_votes];
   double *losses = malloc(n * sizeof(*losses));
   uint32_t *diverged_steps = malloc(n * sizeof(*diverged_steps));
-  double(*measures)[MO_MEASURES] =
-      vote->measures != NULL ? malloc(n * sizeof(*measures)) : NULL;
+  double(*measures)[MO_MEASURES] = vote->measures != NULL ? malloc(n * sizeof(*measures)) : NULL;
   if (losses == NULL || diverged_steps == NULL || (vote->measures != NULL && measures == NULL)) {
     free(losses);
     free(diverged_steps);
@@ -215,7 +214,7 @@ static bool judge(struct mo_fleet *fleet, const struct mo_lease *lease, const st
              "returned a different gradient of %" PRIu32 " robots than another worker", rows);
   else if ((m = different_measure(vote, other, row)) < MO_MEASURES &&
            mo_same_bits(vote->losses[row], other->losses[row]))
-    snprintf(why, sizeof(why), "returned a %s of %.17g where %s %.17g", mo_measure_info[m].name,
+    snprintf(why, sizeof(why), "returned %s = %.17g where %s %.17g", mo_measure_info[m].name,
              vote->measures[row][m],
              other->session == 0 ? "this machine computed" : "another worker gave",
              other->measures[row][m]);

@@ -80,17 +80,17 @@ static void take_rows(struct mo_fleet *fleet, struct mo_lease *lease, struct mo_
   fleet->counts.rows_done += result->n_rows;
   if (lease->is_suspect)
     mo_suspects_clear(&fleet->suspects, &lease->content);
-  mo_lease_deliver(lease,
-                   &(struct mo_remote_result){.status = MO_OK,
-                                              .losses = result->losses,
-                                              .diverged = result->diverged_steps,
-                                              .measures =
-                                                  (const double(*)[MO_MEASURES])result->measures,
-                                              .origin = session->origin,
-                                              .busy_s = busy_s,
-                                              .d_parameters = result->d_parameters,
-                                              .counts = result->counts},
-                   after);
+  mo_lease_deliver(
+      lease,
+      &(struct mo_remote_result){.status = MO_OK,
+                                 .losses = result->losses,
+                                 .diverged = result->diverged_steps,
+                                 .measures = (const double(*)[MO_MEASURES])result->measures,
+                                 .origin = session->origin,
+                                 .busy_s = busy_s,
+                                 .d_parameters = result->d_parameters,
+                                 .counts = result->counts},
+      after);
   mo_check_begin(fleet, lease, session, result, now_ns, after);
 }
 

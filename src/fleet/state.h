@@ -51,7 +51,7 @@ struct mo_vote {
   double *losses;
   uint32_t *diverged_steps;
   double (*measures)[MO_MEASURES]; /* NULL: none */
-  struct mo_sha256 sum; /* of a gradient: hash of its sum and counts; otherwise zeros */
+  struct mo_sha256 sum;            /* of a gradient: hash of its sum and counts; otherwise zeros */
 };
 
 struct mo_lease {
@@ -64,11 +64,9 @@ struct mo_lease {
   struct mo_hold holds[MO_HOLDS];
   struct mo_vote votes[MO_VOTES];
   bool is_suspect;  /* has bodies that ended sessions */
-  bool is_kept;     /* put back to be computed here, because workers of its class cannot compute
-                     * it */
+  bool is_kept;     /* put back to be computed here: workers of its class cannot compute it */
   bool is_only;     /* same, lost three times: its session holds no other lease */
-  bool is_audit;    /* a check that waits for additional results, not only for results that are on
-                     * their way */
+  bool is_audit;    /* a check that waits for more results, not only for those on their way */
   bool is_disputed; /* its votes differ, and this process decides */
   bool is_deciding; /* this process is computing it */
   bool is_listed;   /* in the list of its class (another session should take it), or in

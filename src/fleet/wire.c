@@ -202,8 +202,7 @@ static void put_lease(struct codec *codec, const struct mo_wire_lease *lease,
       .id = lease->id,
       .flags = (lease->back_end == MO_ON_DEVICE ? ON_DEVICE : 0) | (physics - 1) << PHYSICS_SHIFT |
                (lease->n_parameters > 0 ? GRADIENT | (gradient - 1) << GRADIENT_SHIFT : 0) |
-               (lease->has_measures ? MEASURES : 0) |
-               (environment - 1) << ENVIRONMENT_SHIFT,
+               (lease->has_measures ? MEASURES : 0) | (environment - 1) << ENVIRONMENT_SHIFT,
       .n_environments = lease->n_environments,
       .n_blocks = lease->n_blocks,
       .n_rows = lease->n_rows,
@@ -242,8 +241,7 @@ int mo_wire_put_leases(const struct mo_wire_leases *leases, struct mo_workspace 
         return MO_ERR_LIMIT;
     }
     if (rows != lease->n_rows || (lease->n_parameters > 0 && !gradient_fits(lease)) ||
-        !measures_fit(lease) ||
-        !counts_fit(lease->n_environments, lease->n_blocks, lease->n_rows))
+        !measures_fit(lease) || !counts_fit(lease->n_environments, lease->n_blocks, lease->n_rows))
       return MO_ERR_LIMIT;
     codec.size += lease_bytes(lease, workspace);
   }
@@ -478,8 +476,8 @@ struct measures {
 static bool rows_fit(enum mo_wire_state state, uint32_t n_rows, uint32_t n_parameters,
                      bool has_measures)
 {
-  if (has_measures && (state != MO_RESULT_DONE || n_rows > MO_WIRE_MEASURED_MAX ||
-                       n_parameters > 0))
+  if (has_measures &&
+      (state != MO_RESULT_DONE || n_rows > MO_WIRE_MEASURED_MAX || n_parameters > 0))
     return false;
   if (n_parameters > 0)
     return state == MO_RESULT_DONE && n_rows >= 1 && n_rows <= MO_GRADIENT_SHARD &&

@@ -11,8 +11,8 @@
  *   lease      u64 epoch; u64 number; u32 flags; u32 environments; u32 blocks; u32 rows; 32 bytes
  *              SHA-256 of the weights (zeros: passive bodies); physics; u32 0; for a gradient its
  *              options; environments (66 f64 each); blocks
- *   flags      1: on a device; 2: a gradient; 4: with measures; second, third and fourth byte: the versions of the
- *              packed physics, options and environments, minus 1
+ *   flags      1: on a device; 2: a gradient; 4: with measures; second, third and fourth byte: the
+ *              versions of the packed physics, options and environments, minus 1
  *   physics    packed; in version 1: 9 f64; u32 steps, impact, bisections
  *   options    f64 bound of the adjoint, weight, weight of restarts; u32 rule, parameters
  *   block      genotype (⌈voxels / 8⌉ bytes); u8 n; n × u16 environment
@@ -32,11 +32,12 @@
 
 #include "base/sha256.h"
 
-#define MO_WIRE_VERSION          1
-#define MO_WIRE_LEASES_MAX       4         /* in a message */
-#define MO_WIRE_RESULTS_MAX      8         /* in a message */
-#define MO_WIRE_ROWS_MAX         131072    /* in a lease */
-#define MO_WIRE_MEASURED_MAX     16384     /* in a lease with measures, whose rows are 15 times as
+#define MO_WIRE_VERSION     1
+#define MO_WIRE_LEASES_MAX  4      /* in a message */
+#define MO_WIRE_RESULTS_MAX 8      /* in a message */
+#define MO_WIRE_ROWS_MAX    131072 /* in a lease */
+#define MO_WIRE_MEASURED_MAX                                                                       \
+  16384                                    /* in a lease with measures, whose rows are 15 times as \
                                               long */
 #define MO_WIRE_ENVIRONMENTS_MAX 4096      /* in a lease */
 #define MO_WIRE_WORDS_MAX        16        /* in a genotype: 1024 voxels */
@@ -79,11 +80,11 @@ struct mo_wire_result {
   uint32_t n_rows; /* of the blocks, in their order; 0 unless MO_RESULT_DONE */
   double busy_s;   /* processor (or device) seconds */
   double wall_s;
-  double *losses;           /* (n_rows) +infinity: diverged */
-  uint32_t *diverged_steps; /* (n_rows) 0: did not diverge */
+  double *losses;                  /* (n_rows) +infinity: diverged */
+  uint32_t *diverged_steps;        /* (n_rows) 0: did not diverge */
   double (*measures)[MO_MEASURES]; /* (n_rows) NULL: none */
-  uint32_t n_parameters;    /* of a gradient; 0: scores */
-  double *d_parameters;     /* (n_parameters) */
+  uint32_t n_parameters;           /* of a gradient; 0: scores */
+  double *d_parameters;            /* (n_parameters) */
   struct mo_gradient_counts counts;
 };
 

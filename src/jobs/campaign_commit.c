@@ -190,8 +190,7 @@ static int take_measures(struct mo_campaign_run *run, struct mo_campaign_writing
   writing->commit.measures = n_sent > 0 ? batch->measures : NULL;
   if (n_means == 0)
     return MO_OK;
-  const double *means =
-      run->scores.means + (size_t)n_means * (run->n_parents - run->scores.first);
+  const double *means = run->scores.means + (size_t)n_means * (run->n_parents - run->scores.first);
   writing->means = malloc(((size_t)run->n_children * n + 1) * sizeof(double));
   if (writing->means == NULL)
     return MO_ERR_NO_MEMORY;

@@ -88,13 +88,15 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done, double roll
  * passed since run->times.progress_us, which is set when the event is written. */
 const char *mo_campaign_progress(const struct mo_campaign_run *run, char text[256]);
 
-/* ---- campaign_score.c ---- */
 /* Returns how many measures the campaign names. */
-uint32_t mo_campaign_n_means(const struct mo_campaign_run *run);
+static inline uint32_t mo_campaign_n_means(const struct mo_campaign_run *run)
+{
+  return (uint32_t)__builtin_popcount(run->status.record.measures);
+}
 
 /* ---- campaign_submit.c ---- */
-/* Estimates the memory of a campaign. record: with the number of its environments. controller: nullable. Returns the errors of
- * mo_lineage_read. */
+/* Estimates the memory of a campaign. record: with the number of its environments. controller:
+ * nullable. Returns the errors of mo_lineage_read. */
 int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *record,
                      const struct mo_sha256 *controller, enum mo_back_end back_end,
                      struct mo_need *need, struct mo_message *message);

@@ -54,11 +54,6 @@ static int allocate_measures(struct mo_campaign_run *run)
   return MO_OK;
 }
 
-uint32_t mo_campaign_n_means(const struct mo_campaign_run *run)
-{
-  return (uint32_t)__builtin_popcount(run->status.record.measures);
-}
-
 static int allocate(struct mo_campaign_run *run)
 {
   struct mo_campaign_scores *scores = &run->scores;
@@ -94,8 +89,7 @@ static void take_saved(struct mo_campaign_scores *scores, uint32_t place,
     return;
   double(*measures)[MO_MEASURES] = scores->losses[place].measures;
   if (measures != NULL)
-    memcpy(measures, loss->measures,
-           scores->scoring.grid.n_environments * sizeof(*measures));
+    memcpy(measures, loss->measures, scores->scoring.grid.n_environments * sizeof(*measures));
   scores->losses[place] = *loss;
   scores->losses[place].place = place;
   scores->losses[place].measures = measures;

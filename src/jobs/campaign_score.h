@@ -22,7 +22,7 @@ struct mo_campaign_scores {
    * each candidate, (n, means). */
   double (*measures)[MO_MEASURES];
   double *means;
-  uint32_t *unsaved;                    /* (n) candidates with unsaved losses */
+  uint32_t *unsaved; /* (n) candidates with unsaved losses */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n */
   uint64_t n_cached; /* losses that were found in the table `scores` */

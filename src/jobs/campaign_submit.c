@@ -66,7 +66,8 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
   } else {
     const uint32_t batch = mo_campaign_training(settings, 0).batch;
     mo_memory_add_learning(jobs, batch, &settings->physics, back_end, need);
-    need->own += 2 * n * (SCORED_BYTES + measures_bytes) + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
+    need->own +=
+        2 * n * (SCORED_BYTES + measures_bytes) + n * MO_DESIGN_BYTES + batch * MO_ROBOT_BYTES;
   }
   add_excluded(jobs, &lineage, settings->workspace, need);
   return MO_OK;
@@ -149,19 +150,18 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
     return MO_ERR_DUPLICATE;
   if (error != MO_OK || *replayed)
     return error;
-  error = mo_back_end_choose(jobs, &request.job,
-                             record->measures != 0
-                                 ? "devices do not compute measures; request \"cpu\" or \"auto\", or "
-                                   "leave out measures and select_by"
-                                 : mo_back_end_unsuited(jobs, record->environment_set,
-                                                        asked->environments,
-                                                        record->n_environments),
-                             true, message);
+  error = mo_back_end_choose(
+      jobs, &request.job,
+      record->measures != 0 ? "devices do not compute measures; request \"cpu\" or \"auto\", or "
+                              "leave out measures and select_by"
+                            : mo_back_end_unsuited(jobs, record->environment_set,
+                                                   asked->environments, record->n_environments),
+      true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);
   if (error == MO_OK)
-    error = check_memory(jobs, record, request.controller,
-                         (enum mo_back_end)request.job.back_end, message);
+    error = check_memory(jobs, record, request.controller, (enum mo_back_end)request.job.back_end,
+                         message);
   if (error == MO_OK)
     error = mo_placed_create(jobs->lattice->workspace, asked->genotypes, record->n_listed, &placed);
   if (error == MO_OK)

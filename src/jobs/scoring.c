@@ -254,8 +254,7 @@ static int prepare_measures(void *context, struct mo_flight *flight)
 {
   struct measured_flight *measured = (struct measured_flight *)flight;
   (void)context;
-  measured->measuring =
-      (struct mo_measuring){.set = MO_MEASURES_ALL, .values = measured->values};
+  measured->measuring = (struct mo_measuring){.set = MO_MEASURES_ALL, .values = measured->values};
   flight->block.measuring = &measured->measuring;
   return MO_OK;
 }

@@ -96,9 +96,9 @@ struct mo_campaign_status {
   double diversity_max;               /* so far */
   enum mo_campaign_end end;           /* of a succeeded campaign */
   uint32_t scored;                    /* designs of the current generation whose losses are saved */
-  struct mo_study_words words; /* of a study, and the names of the service's measures */
+  struct mo_study_words words;        /* of a study, and the names of the service's measures */
   /* Of a study. */
-  int64_t told; /* newest batch; pending if it is greater than `generation` */
+  int64_t told;           /* newest batch; pending if it is greater than `generation` */
   uint64_t sampler_bytes; /* size of the sampler's state in the newest generation; 0: none */
   struct mo_sha256 sampler_sha256;
   /* The source of an imported campaign: the id of its store, and its own id there; 0: not

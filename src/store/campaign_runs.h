@@ -47,8 +47,8 @@ struct mo_campaign_loss {
   /* Bit k is for environment k. by_workers: workers computed the loss, though the job runs on
    * devices; stored: it is in `scores` already. */
   uint64_t by_workers, stored;
-  /* (n_environments) of a campaign that names measures: all measures of each rollout; NaN: no value,
-   * or not computed. NULL: none. */
+  /* (n_environments) of a campaign that names measures: all measures of each rollout; NaN: no
+   * value, or not computed. NULL: none. */
   double (*measures)[MO_MEASURES];
 };
 /* Saves losses of `generation`, which must follow the newest committed one. Returns after the

@@ -88,9 +88,9 @@ static int check_campaign_losses(sqlite3_stmt *row)
     memcpy(key + 2, sqlite3_column_blob(row, 5), (size_t)origins_size);
     n_key += MO_ENVIRONMENTS_MAX;
   }
-  const int error = mo_unpack_losses(key, n_key, sqlite3_column_blob(row, 2),
-                                     (size_t)sqlite3_column_bytes(row, 2), (uint32_t)n, losses,
-                                     steps);
+  const int error =
+      mo_unpack_losses(key, n_key, sqlite3_column_blob(row, 2),
+                       (size_t)sqlite3_column_bytes(row, 2), (uint32_t)n, losses, steps);
   return error == MO_OK && sqlite3_column_type(row, 4) != SQLITE_NULL
              ? mo_unpack_measures(key, 2, sqlite3_column_blob(row, 4),
                                   (size_t)sqlite3_column_bytes(row, 4), (uint32_t)n, measures,

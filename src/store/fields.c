@@ -111,9 +111,9 @@ static const struct mo_fields measured_fields = MO_FIELDS(measured_rows);
 
 static const struct mo_fields *fields_of(const struct mo_campaign_record *record)
 {
-  return record->measures != 0                      ? &measured_fields
+  return record->measures != 0                     ? &measured_fields
          : mo_own_score_is_set(&record->own_score) ? &own_score_fields
-                                                    : &stored_fields[MO_JOB_CAMPAIGN];
+                                                   : &stored_fields[MO_JOB_CAMPAIGN];
 }
 
 void mo_settings_write(enum mo_job_kind kind, const void *record, struct mo_text *text)

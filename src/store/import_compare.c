@@ -7,6 +7,7 @@
 
 #include "store/evaluations.h"
 #include "store/import_state.h"
+#include "store/measures.h"
 #include "store/scores.h"
 #include "store/store.h"
 
@@ -97,9 +98,17 @@ int mo_compare_score(struct mo_store *store, struct mo_import_comparison *rows,
                                    .n = score->n};
   for (uint32_t k = 0; k < score->n; k++)
     condition.environments[k] = rows->environments[score->environments[k]];
-  return rows->class == 0 ? MO_OK
-                          : mo_losses_compare(reader, &condition, rows->genotypes[score->number],
-                                              score->losses, score->diverged_steps, stored);
+  if (rows->class == 0)
+    return MO_OK;
+  const struct mo_saved_design design =
+      mo_design_under(&condition, rows->genotypes[score->number], 0);
+  uint64_t known;
+  const int error = mo_losses_compare(reader, &condition, design.genotype, score->losses,
+                                      score->diverged_steps, stored);
+  return error == MO_OK && score->measures != NULL
+             ? mo_measures_compare(reader, &design, condition.environments, condition.n,
+                                   (const double(*)[MO_MEASURES])score->measures, &known)
+             : error;
 }
 
 int mo_compare_evaluation(struct mo_store *store, struct mo_import_comparison *rows,

@@ -11,6 +11,7 @@
 #include "store/contents.h"
 #include "store/controller_rows.h"
 #include "store/import_state.h"
+#include "store/measures.h"
 #include "store/recordings.h"
 #include "store/rows.h"
 #include "store/scores.h"
@@ -274,9 +275,9 @@ int mo_import_design(struct mo_import *import, const struct mo_campaign_design *
   beat(import);
   const int error = mo_genotype_row(&import->store->writer, design->form.words,
                                     design->genotype.words, import->now_us, &genotype);
-  return error == MO_OK
-             ? mo_campaign_design_row(&import->store->writer, import->id, genotype, design, NULL, 0)
-             : error;
+  return error == MO_OK ? mo_campaign_design_row(&import->store->writer, import->id, genotype,
+                                                 design, design->measures, design->n_measures)
+                        : error;
 }
 
 int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
@@ -332,6 +333,21 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
   return error == MO_OK ? mo_condition_row_after(writer, condition, &import->last) : error;
 }
 
+/* Stores measures that are not stored yet. MO_ERR_CONFLICT: others are stored. */
+static int insert_measures(struct mo_import *import, const struct mo_campaign_score *score,
+                           const struct mo_condition *condition, int64_t genotype)
+{
+  const struct mo_saved_design design = mo_design_under(condition, genotype, 0);
+  uint64_t known = 0;
+  const double(*measures)[MO_MEASURES] = (const double(*)[MO_MEASURES])score->measures;
+  const int error = mo_measures_compare(&import->store->writer, &design, condition->environments,
+                                        condition->n, measures, &known);
+  return error == MO_OK && known != UINT64_MAX >> (64 - condition->n)
+             ? mo_measures_insert_row(import->store, condition, genotype, measures,
+                                      score->computed_us)
+             : error;
+}
+
 int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new)
 {
   static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
@@ -350,6 +366,8 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   if (error == MO_OK)
     error = mo_losses_insert(import->store, &condition, genotype, origin, score->losses,
                              score->diverged_steps, score->computed_us, is_new);
+  if (error == MO_OK && score->measures != NULL)
+    error = insert_measures(import, score, &condition, genotype);
   if (error != MO_OK || !*is_new || import->set == 0)
     return error;
   bool is_whole = score->n == import->n_environments;
@@ -400,6 +418,24 @@ static void keep_own(const int64_t *environments, uint32_t n, const struct mo_co
       }
 }
 
+/* Adds the measures of a block's rollouts, if those that the campaign names are stored for all. */
+static int add_measures(struct mo_connection *reader, const struct mo_campaign_head *head,
+                        const int64_t *environments, int64_t genotype,
+                        const struct mo_condition *condition, double (*measures)[MO_MEASURES],
+                        struct mo_campaign_score *score)
+{
+  const struct mo_saved_design design = mo_design_under(condition, genotype, 0);
+  int64_t own[MO_BLOCK_LANES];
+  uint64_t known = 0;
+  for (uint32_t k = 0; k < score->n; k++)
+    own[k] = environments[score->environments[k]];
+  const int error =
+      mo_measures_read(reader, &design, own, score->n, head->measures, measures, &known);
+  if (error == MO_OK && known == UINT64_MAX >> (64 - score->n))
+    score->measures = measures;
+  return error;
+}
+
 int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first, uint32_t last,
                              int (*take)(void *context, const struct mo_campaign_score *score),
                              void *context)
@@ -419,6 +455,7 @@ int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first,
   sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(id), mo_int(first), mo_int(last),
                                   mo_int(head.controller), mo_int(head.physics));
   while (mo_sql_next(reader, row, &error)) {
+    double measures[MO_BLOCK_LANES][MO_MEASURES];
     struct mo_condition condition = {.n = 0};
     struct mo_campaign_score score = {.number = mo_column_u32(row, 8),
                                       .computed_us = sqlite3_column_int64(row, 6)};
@@ -426,6 +463,9 @@ int mo_store_campaign_scores(struct mo_store *store, int64_t id, uint32_t first,
     mo_column_text(row, 9, score.fingerprint, sizeof(score.fingerprint));
     mo_column_text(row, 10, score.origin, sizeof(score.origin));
     keep_own(environments, head.n_environments, &condition, &score);
+    if (error == MO_OK && head.measures != 0 && score.n > 0)
+      error = add_measures(reader, &head, environments, sqlite3_column_int64(row, 0), &condition,
+                           measures, &score);
     if (error == MO_OK && score.n > 0)
       error = take(context, &score);
   }

@@ -48,6 +48,9 @@ struct mo_campaign_score {
   uint32_t environments[MO_BLOCK_LANES]; /* places */
   double losses[MO_BLOCK_LANES];         /* +infinity: diverged */
   uint32_t diverged_steps[MO_BLOCK_LANES];
+  /* (n) of a campaign that names measures: all measures; NaN: no value. NULL: none. The reader of
+   * the score owns them. */
+  double (*measures)[MO_MEASURES];
 };
 
 /* An evaluation that recorded designs of a campaign, with its controller, in its environments. */

@@ -121,9 +121,8 @@ int mo_measures_insert_row(struct mo_store *store, const struct mo_condition *co
                             " VALUES(?1,?2,?3,?4)";
   uint8_t bytes[MO_PACKED_MEASURES_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
-  const size_t size =
-      mo_pack_measures(key, key_of(condition, genotype, computed_us, key), values, condition->n,
-                       bytes);
+  const size_t size = mo_pack_measures(key, key_of(condition, genotype, computed_us, key), values,
+                                       condition->n, bytes);
   return mo_sql_do(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
                    mo_int(computed_us), mo_blob(bytes, size));
 }
@@ -192,6 +191,20 @@ int mo_measures_read(struct mo_connection *connection, const struct mo_saved_des
             memcpy(values[k], found[i], sizeof(found[i]));
         }
   }
+  return error;
+}
+
+int mo_measures_compare(struct mo_connection *connection, const struct mo_saved_design *design,
+                        const int64_t *environments, uint32_t n,
+                        const double (*values)[MO_MEASURES], uint64_t *known)
+{
+  double stored[MO_BLOCK_LANES][MO_MEASURES];
+  const int error =
+      mo_measures_read(connection, design, environments, n, MO_MEASURES_ALL, stored, known);
+  for (uint32_t k = 0; error == MO_OK && k < n; k++)
+    for (unsigned m = 0; m < MO_MEASURES && (*known >> k & 1) != 0; m++)
+      if (isnan(stored[k][m]) ? !isnan(values[k][m]) : !mo_same_bits(stored[k][m], values[k][m]))
+        return MO_ERR_CONFLICT;
   return error;
 }
 

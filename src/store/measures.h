@@ -28,6 +28,11 @@ int mo_measures_insert_row(struct mo_store *store, const struct mo_condition *co
   "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.packed"
 int mo_measures_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                          double (*values)[MO_MEASURES], uint32_t *n_measures);
+/* Compares measures with those that are stored. MO_ERR_CONFLICT: a value differs. *known: where all
+ * of them are stored, as bits. */
+int mo_measures_compare(struct mo_connection *connection, const struct mo_saved_design *design,
+                        const int64_t *environments, uint32_t n,
+                        const double (*values)[MO_MEASURES], uint64_t *known);
 /* Reads the measures of a genotype in n ≤ MO_ENVIRONMENTS_MAX environments, of the class
  * `fingerprint`. *known: the environments in which all measures of the set are stored, as bits; the
  * others have no values. values (n): nullable. */

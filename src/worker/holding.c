@@ -97,8 +97,8 @@ static struct slot *next_block(struct mo_holding *holding, enum mo_back_end back
   slot->block.cancel = &lease->cancel;
   slot->block.measuring = NULL;
   if (lease->wire.has_measures) {
-    slot->measuring = (struct mo_measuring){
-        .set = MO_MEASURES_ALL, .values = lease->result.measures + slot->first_row};
+    slot->measuring = (struct mo_measuring){.set = MO_MEASURES_ALL,
+                                            .values = lease->result.measures + slot->first_row};
     slot->block.measuring = &slot->measuring;
   }
   return slot;

@@ -7,8 +7,10 @@ import signal
 
 import pytest
 
+from archives import altered, pack, put, unpack
 from ctl import ctl  # noqa: F401
 from service import await_end, awaited, run
+from test_bundles import enter
 from test_measures import NAMES, PLACES
 from test_racing import CAMPAIGN as RACED, CONTROLLER
 from test_worlds import scene
@@ -306,7 +308,7 @@ def test_a_client_scores_by_measures(service):
 def test_morphoctl(service, ctl):  # noqa: F811
     settings = "--population 4 --generations 1 --physics n_steps=60"
     status, out, err = ctl(f"campaign start zero-shot {settings} --measures work_j,tilt_rad "
-                           "--select-by displacement_m,max -q --detach")
+                           "--select-by displacement_m,max -q")
     assert status == 0, err
     id = out.strip()
     await_end(service, f"/v1/campaigns/{id}")
@@ -325,3 +327,66 @@ def test_morphoctl(service, ctl):  # noqa: F811
     assert status == 0 and "work_j" not in out
     status, _, err = ctl(f"campaign compare {plain} {id}")
     assert status != 0 and "own_score" in err
+
+
+@pytest.fixture(scope="module", name="bundle")
+def bundle_of_measures(service, measured):
+    """A campaign with measures, one that selects by one, and one that learned."""
+    by = run(service, "campaigns", CAMPAIGN | {"select_by": FAR, "measures": True, "seed": 8})["id"]
+    learned = run(service, "campaigns", LEARNING | {
+        "measures": ["work_j"], "name": "bundled", "seed": 8})["id"]
+    ids = sorted([measured["id"], by, learned], key=int)
+    return ids, service.request("GET", f"/v1/bundles?campaigns={','.join(ids)}").body
+
+
+def test_bundles_have_measures(service, start, bundle):
+    """They enter another service with the designs and with the rollouts."""
+    ids, sent = bundle
+    other = start()
+    reply = enter(other, sent)
+    assert reply.status == 201, reply.body
+    for old, item in zip(ids, reply.json()["items"], strict=True):
+        new = item["campaign"]
+        assert history(service, old) == history(other, new)
+        one, two = service.get(f"/v1/campaigns/{old}"), other.get(f"/v1/campaigns/{new}")
+        assert one["settings"] == two["settings"] and one.get("own_score") == two.get("own_score")
+        rows = other.pages(f"/v1/campaigns/{new}/phylogeny")
+        if two["mode"] == "zero-shot":  # the evaluation finds every measured rollout
+            assert [row["measures"] for row in evaluated(other, rows)] == [
+                row["measures"] for row in evaluated(service, rows)]
+    assert enter(other, sent).status == 200
+    # What the other service exports again is the same.
+    again = other.request("GET", "/v1/bundles").body
+    lines = [[(name.split("/", 2)[-1], body) for name, body in unpack(data)
+              if "/designs/" in name or "/scores/" in name] for data in (sent, again)]
+    assert lines[0] == lines[1]
+    # The campaign goes on there, and selects as before.
+    by = reply.json()["items"][1]["campaign"]
+    other.post(f"/v1/campaigns/{by}/extend", {"generations": 1})
+    service.post(f"/v1/campaigns/{ids[1]}/extend", {"generations": 1})
+    ends = [await_end(one, f"/v1/campaigns/{id}").json()["state"]
+            for one, id in ((other, by), (service, ids[1]))]
+    assert ends == ["succeeded"] * 2
+    assert history(other, by)[1:] == history(service, ids[1])[1:]
+
+
+@pytest.mark.parametrize("name, change, words", [
+    ("designs/", put("measures", lambda means: [means[0] + 1, *means[1:]]), "not the means of"),
+    ("designs/", put("measures", lambda means: means[1:]), "that the campaign names"),
+    ("scores/", put("measures", lambda rows: [[0.5 ** 40, *rows[0][1:]], *rows[1:]]),
+     "displacement_m of rollout 0 is not rounded"),
+    ("scores/", put("measures", lambda rows: rows[1:]), "all 20 measures of each"),
+    ("scores/", put("measures", lambda rows: [rows[0][1:], *rows[1:]]), "all 20 measures of each")])
+def test_altered_measures_are_refused(service, start, measured, name, change, words):
+    sent = service.request("GET", f"/v1/bundles?campaigns={measured['id']}").body
+    reply = enter(start(), pack(altered(unpack(sent), name, change)), "verify")
+    assert reply.status == 422 and words in reply.json()["detail"], reply.json()
+
+
+def test_another_score_of_a_measure_is_refused(service, start, bundle):
+    ids, _ = bundle
+    sent = service.request("GET", f"/v1/bundles?campaigns={ids[1]}").body
+    reply = enter(start(), pack(altered(unpack(sent), "designs/",
+                                        put("score", lambda score: score - 1))), "verify")
+    assert reply.status == 422 and "not that of the measure" in reply.json()["detail"]
+

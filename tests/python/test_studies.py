@@ -175,3 +175,38 @@ def test_for_asyncio(service):
             assert study.ended
 
     asyncio.run(body())
+
+
+def test_measures_of_the_service(m):
+    """A study that names measures gets those of each rollout, by name; its tables have the
+    means."""
+    with m.study("measured", measures=["work_j", "displacement_m"], **SHORT) as study:
+        batch = study.tell([DESIGN, [], DESIGN], on_fault="skip")
+        assert list(batch.measures) == ["displacement_m", "work_j"]
+        work = batch.measures["work_j"]
+        assert work.shape == (3, 1) and work[0, 0] > 0 and np.isnan(work[1, 0])
+        assert work[2, 0] == work[0, 0] and batch.losses.shape == (3, 1)
+        found = m.evaluate([DESIGN], WORLD, physics=SHORT["physics"], measures=["work_j"])
+        assert found.measures["work_j"][0, 0] == work[0, 0]
+        assert study.population()["measures_work_j"].tolist() == [work[0, 0]] * 2
+        assert study.phylogeny().frame()["measures_work_j"].tolist() == [work[0, 0]] * 2
+    with m.study("plain", **SHORT) as study:
+        assert study.tell([DESIGN]).measures == {}
+
+
+def test_a_campaign_selects_by_a_measure(m):
+    far = {"measure": "displacement_m", "direction": "max"}
+    campaign, = m.campaign("zero-shot", population=4, generations=1, measures=["work_j"],
+                           select_by=far, **SHORT)
+    campaign.wait()
+    table = campaign.champions(2)
+    assert (table["score"] == -table["measures_displacement_m"]).all()
+    assert (table["measures_work_j"] > 0).all()
+    history = campaign.phylogeny()
+    assert history.own_score == {"name": "-displacement_m", "unit": "m"}
+    assert not history.lower_bound.any()
+    assert np.allclose(history.score, -history.measures["displacement_m"])
+    other, = m.campaign("zero-shot", population=4, generations=1, **SHORT)
+    other.wait()
+    with pytest.raises(morphod.MorphodError, match="own_score"):
+        m.compare_campaigns(campaign, other)

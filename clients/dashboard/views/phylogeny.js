@@ -288,7 +288,8 @@ export async function mount(main, id, parameters, app) {
   const ancestry = h('div.grid.small');
   const own = campaign.own_score ?? null; // not the mean of the losses
   const colors = [...COLOR_BY.map((by) => (own && by === 'score' ? [by, own.name] : by)),
-    ...(campaign.study?.measures ?? campaign.settings.measures ?? []).map((name) => [`measures.${name}`, name])];
+    ...(campaign.study?.measures ?? campaign.settings.measures ?? [])
+      .map((name) => [`measures.${name}`, name])];
   const search = h('input',
     { type: 'search', placeholder: 'number or id', 'aria-label': 'Find a design' });
   main.replaceChildren(

@@ -26,7 +26,8 @@ class Phylogeny:
     float32, with NaN if a rollout diverged. `lower_bound` is bool: the design could not survive, so
     it was cut short, and its score is at least this. `own_score` is None, or the name and unit of
     the own score of a study, or of a campaign that selects by a measure. `voxels` and `footprint`
-    are uint8. `measures` are float64, by name: those that the campaign names, and those of a study. A million designs are a few arrays of a few megabytes.
+    are uint8. `measures` are float64, by name: those that the campaign names, and those of a study.
+    A million designs are a few arrays of a few megabytes.
     """
 
     @reading()

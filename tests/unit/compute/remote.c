@@ -83,7 +83,8 @@ static void setup(void)
 }
 
 /* Delivers results that workers of one machine computed before. */
-static void deliver(const struct world *world, struct mo_taken *taken, int64_t origin)
+static void deliver_measured(const struct world *world, struct mo_taken *taken, int64_t origin,
+                             const double (*measures)[MO_MEASURES])
 {
   double losses[BODIES * MO_PAPER_TEST_COUNT];
   uint32_t diverged[BODIES * MO_PAPER_TEST_COUNT], row = 0;
@@ -95,7 +96,16 @@ static void deliver(const struct world *world, struct mo_taken *taken, int64_t o
     }
   CHECK_INT(row, taken->n_rows);
   mo_compute_deliver(world->compute, taken,
-                     &(struct mo_remote_result){MO_OK, losses, diverged, origin, 0.25});
+                     &(struct mo_remote_result){.losses = losses,
+                                                .diverged = diverged,
+                                                .origin = origin,
+                                                .busy_s = 0.25,
+                                                .measures = measures});
+}
+
+static void deliver(const struct world *world, struct mo_taken *taken, int64_t origin)
+{
+  deliver_measured(world, taken, origin, NULL);
 }
 
 static void check_block(int i, int64_t origin)
@@ -150,7 +160,7 @@ static void workers_keep_the_rest(void)
   REQUIRE(mo_body_create(lattice, genotypes[0], &body) == MO_OK);
   REQUIRE(mo_compute_share_create(world.compute, 1, &share) == MO_OK);
   double values[MO_BLOCK_LANES][MO_MEASURES];
-  const struct mo_measuring measuring = {MO_MEASURES_ALL, values};
+  const struct mo_measuring measuring = {1U << MO_MEASURE_WORK, values}; /* takers send all */
   blocks[0].body = body;
   blocks[0].share = share;
   blocks[1].precision = MO_FLOAT64;
@@ -170,6 +180,38 @@ static void workers_keep_the_rest(void)
   check_block(3, 0);
   mo_compute_share_free(share);
   mo_body_free(body);
+  close_world(&world);
+}
+
+/* Blocks that measure are taken apart from others, and get all measures of their rollouts. */
+static void measures_are_delivered(void)
+{
+  struct world world = open_world();
+  static double values[3][MO_BLOCK_LANES][MO_MEASURES];
+  static double sent[3 * MO_PAPER_TEST_COUNT][MO_MEASURES];
+  struct mo_measuring measuring[3];
+  memset(values, 0, sizeof(values));
+  for (int i = 0; i < 3; i++) {
+    measuring[i] = (struct mo_measuring){MO_MEASURES_ALL, values[i]};
+    blocks[1 + i].measuring = &measuring[i];
+  }
+  for (size_t row = 0; row < COUNT(sent); row++)
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      sent[row][m] = (double)(row * MO_MEASURES + m + 1);
+  submit(&world, 0, 5);
+  for (int n = 0; n < 3; n++) {
+    struct mo_taken *taken = mo_compute_take(world.compute, MO_ON_CPU, steps_of(BODIES));
+    REQUIRE(taken != NULL);
+    CHECK_INT(taken->n_blocks, n == 1 ? 3 : 1);
+    CHECK((taken->blocks[0]->measuring != NULL) == (n == 1));
+    deliver_measured(&world, taken, 1, n == 1 ? (const double(*)[MO_MEASURES])sent : NULL);
+  }
+  CHECK_INT(atomic_load(&ended), 5);
+  for (int i = 0; i < 3; i++) {
+    check_block(1 + i, 1);
+    CHECK(SAME(values[i][0], sent[i * MO_PAPER_TEST_COUNT], MO_PAPER_TEST_COUNT * MO_MEASURES));
+    blocks[1 + i].measuring = NULL;
+  }
   close_world(&world);
 }
 
@@ -305,6 +347,7 @@ static void devices_of_takers(void)
 static const struct check_case cases[] = {
     {"takes in order", takes_in_order},
     {"workers keep the rest", workers_keep_the_rest},
+    {"measures are delivered", measures_are_delivered},
     {"one physics at a time", one_physics_at_a_time},
     {"cancelled blocks", cancelled_blocks},
     {"cancelled without a taker", cancelled_without_a_taker},

@@ -15,13 +15,17 @@ static int recompute(struct mo_compute *compute, struct mo_workspace workspace,
 {
   while (!atomic_load(&may_recompute) && !*cancel)
     usleep(100);
-  return fake_recompute(compute, workspace, lease, file, file_bytes, cancel, losses,
-                        diverged_steps, measures);
+  return fake_recompute(compute, workspace, lease, file, file_bytes, cancel, losses, diverged_steps,
+                        measures);
 }
 
-/* Flips one bit in the loss of the first row. */
+/* Flips one bit in the loss of the first row, or changes its last measure. */
 static void lie(struct mo_wire_result *result)
 {
+  if (result->measures != NULL && result->diverged_steps[0] == 0) {
+    result->measures[0][MO_MEASURES - 1]++;
+    return;
+  }
   if (result->diverged_steps[0] == 0)
     result->losses[0] = nextafter(result->losses[0], 2);
 }
@@ -29,14 +33,16 @@ static void lie(struct mo_wire_result *result)
 /* Sessions compute until two of them differ. If the process decides, all but the last return the
  * same wrong bits and are refused. Otherwise only one returns wrong bits, and it is refused
  * together with an honest one. */
-static void decided(int by_process)
+static void decide(bool by_process, bool are_measured)
 {
+  static const struct mo_measuring measuring = {.set = MO_MEASURES_ALL};
   static const char *const names[] = {"liar" LONG, "liar-2" LONG, LONG "a"};
   struct mo_random random = dice(1, 0, 0);
   struct mo_wire_leases leases[3] = {0};
   uint64_t ids[3];
   begin(0);
   fake->frees_done = true;
+  fake->measuring = are_measured ? &measuring : NULL;
   atomic_store(&may_recompute, false);
   if (by_process)
     fake->fleet->config.source.recompute = recompute;
@@ -70,7 +76,8 @@ static void decided(int by_process)
   CHECK(orders_of(ids[0]).state == MO_SESSION_REFUSED);
   CHECK(!by_process || orders_of(ids[1]).state == MO_SESSION_REFUSED);
   CHECK_TEXT(fake->event, "fleet.refused");
-  CHECK_HAS(fake->data, "\",\"why\":\"returned a loss of ");
+  CHECK_HAS(fake->data, are_measured ? "\",\"why\":\"returned inverted_voxels = "
+                                     : "\",\"why\":\"returned a loss of ");
   CHECK_HAS(fake->data, by_process ? "this machine computed" : "another worker gave");
   CHECK(status().audits_failed >= 1 && status().n_sessions == 1);
   /* The same worker may join with a new session. */
@@ -78,6 +85,17 @@ static void decided(int by_process)
   mo_wire_free_leases(&welcome);
   for (int w = 0; w < 3; w++)
     mo_wire_free_leases(&leases[w]);
+}
+
+static void decided(int by_process)
+{
+  decide(by_process != 0, false);
+}
+
+/* Sessions whose losses are right, and whose measures are not. */
+static void decided_measures(void)
+{
+  decide(true, true);
 }
 
 /* Shards of gradients: one per lease, spread over sessions, compared as a whole. */
@@ -212,6 +230,7 @@ static void liars(void)
 static const struct check_case cases[] = {
     {"no process decides", WITH(decided, 0)},
     {"the process decides", WITH(decided, 1)},
+    {"the process decides about measures", decided_measures},
     {"shards of gradients", shards},
     {"liars are detected", liars},
 };

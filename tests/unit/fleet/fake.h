@@ -30,6 +30,7 @@ struct fake_taken {
 
 /* A source. Every inconsistency in it is a failed check. */
 struct fake {
+  const struct mo_measuring *measuring; /* of all blocks; NULL: none */
   struct mo_lattice *lattice;
   struct mo_controller *controller;      /* nullable */
   const struct mo_gradient_batch *shard; /* handed out repeatedly instead of blocks; nullable */
@@ -203,7 +204,8 @@ static inline void fake_deliver(struct mo_compute *context, struct mo_taken *sho
       uint32_t diverged_step;
       fake_rollout(block->genotype, block->block.environments[k], &loss, &diverged_step);
       fake->n_wrong += memcmp(&loss, &result->losses[row], sizeof(loss)) != 0 ||
-                       diverged_step != result->diverged[row];
+                       diverged_step != result->diverged[row] ||
+                       (result->measures != NULL) != (block->block.measuring != NULL);
       fake->rows_done++;
     }
     if (fake->frees_done)
@@ -330,6 +332,7 @@ static inline struct fake_block *fake_submit(struct fake *fake, uint64_t number)
   block->block.genotype = block->genotype;
   block->block.n_environments = ROWS;
   block->block.physics = physics_of(1000);
+  block->block.measuring = fake->measuring;
   memcpy(block->genotype, fake->genotypes[number % GENOTYPES], sizeof(block->genotype));
   for (uint32_t k = 0; k < ROWS; k++)
     block->block.environments[k] = &fake->environments[(number + k) % ENVIRONMENTS];
@@ -359,7 +362,13 @@ static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lea
   struct mo_wire_result result = {.id = lease->id, .n_rows = lease->n_rows, .busy_s = 1};
   result.losses = calloc(lease->n_rows, sizeof(*result.losses));
   result.diverged_steps = calloc(lease->n_rows, sizeof(*result.diverged_steps));
-  make_check(result.losses && result.diverged_steps ? MO_OK : MO_ERR_NO_MEMORY, "a result");
+  if (lease->has_measures)
+    result.measures = calloc(lease->n_rows, sizeof(*result.measures));
+  make_check(result.losses && result.diverged_steps &&
+                     (result.measures != NULL) == lease->has_measures
+                 ? MO_OK
+                 : MO_ERR_NO_MEMORY,
+             "a result");
   uint32_t row = 0;
   for (uint32_t b = 0; b < lease->n_blocks; b++) {
     const struct mo_wire_block *block = &lease->blocks[b];
@@ -368,6 +377,8 @@ static inline struct mo_wire_result fake_compute(const struct mo_wire_lease *lea
                    &result.losses[row], &result.diverged_steps[row]);
       if (liar != NULL && mo_random_below(liar, 1000) == 0 && result.diverged_steps[row] == 0)
         result.losses[row] = nextafter(result.losses[row], 2);
+      for (unsigned m = 0; m < MO_MEASURES && lease->has_measures; m++)
+        result.measures[row][m] = result.diverged_steps[row] > 0 ? (double)NAN : row + m;
     }
   }
   if (lease->n_parameters == 0)

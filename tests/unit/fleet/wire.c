@@ -151,7 +151,7 @@ static const struct hostile {
     {true, 12, 4, UINT32_MAX, "at most 4 items"},
     {true, 12, 4, 0, "trailing data after the last item"},
     {true, 16, 8, UINT64_MAX, "the header gives a size"},
-    {true, HEADER + 16, 4, 4, "unknown flags"},
+    {true, HEADER + 16, 4, 8, "unknown flags"},
     {true, HEADER + 20, 4, 0, "0 environments"},
     {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX, "extends beyond the message"},
     {true, HEADER + 20, 4, MO_WIRE_ENVIRONMENTS_MAX + 1, "4097 environments"},
@@ -172,7 +172,7 @@ static const struct hostile {
     {true, HEADER + LEASE + 528 + 18, 1, 17, "1 to 16 environments, got 17"},
     {true, HEADER + LEASE + 528 + 19, 2, 1, "environment 1 is out of range"},
     {false, 12, 4, 9, "at most 8 items"},
-    {false, HEADER + 16, 4, 5, "unknown state 5"},
+    {false, HEADER + 16, 4, 6, "unknown state 6"},
     {false, HEADER + 16, 4, MO_RESULT_DONE, "state 0 cannot have 0 rows"},
     {false, HEADER + 20, 4, 1, "state 1 cannot have 1 rows"},
     {false, HEADER + 24, 8, UINT64_C(0xbff0000000000000), "times must be"},
@@ -244,6 +244,85 @@ static void gradients(void)
     mo_wire_free_leases(&leases);
     mo_wire_free_results(&results);
   }
+}
+
+/* Gives a result measures, some without a value. */
+static void measure(struct mo_wire_result *result)
+{
+  result->measures = calloc(result->n_rows, sizeof(*result->measures));
+  make_check(result->measures != NULL ? MO_OK : MO_ERR_NO_MEMORY, "measures");
+  for (uint32_t row = 0; row < result->n_rows; row++)
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      result->measures[row][m] = result->diverged_steps[row] > 0 || (row + m) % 7 == 3
+                                     ? -(double)NAN
+                                     : (row - 2.0 * m) / mo_measure_info[m].steps_in_one;
+}
+
+/* Measures keep their bits, and only rounded numbers are accepted. Those without a value all have
+ * the same bits. */
+static void measures(void)
+{
+  enum { FIRST = HEADER + RESULT + 6 * 12 + 8 };
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_wire_leases leases = {1, {lease_of(workspace, 0, 3, 4)}}, got_leases;
+  struct mo_wire_results results = {1, {result_of((struct mo_lease_id){9, 0}, 6)}}, got;
+  struct message sent = {true, workspace, NULL, 0}, back = {false, workspace, NULL, 0};
+  struct mo_wire_result *result = &results.items[0];
+  struct mo_message why;
+  const double none = NAN;
+  measure(result);
+  leases.items[0].has_measures = true;
+  make_check(mo_wire_put_leases(&leases, workspace, &sent.bytes, &sent.size), "a lease");
+  check_keep(sent.bytes, free);
+  make_check(mo_wire_put_results(&results, &back.bytes, &back.size), "a result");
+  check_keep(back.bytes, free);
+  CHECK_INT(back.size, FIRST + 6 * sizeof(*result->measures));
+  CHECK_OK(decode(&sent, sent.size, &why));
+  CHECK_OK(decode(&back, back.size, &why));
+  REQUIRE_OK(mo_wire_get_leases(sent.bytes, sent.size, workspace, &got_leases, &why));
+  CHECK(got_leases.items[0].has_measures);
+  REQUIRE_OK(mo_wire_get_results(back.bytes, back.size, &got, &why));
+  for (uint32_t row = 0; row < 6; row++)
+    for (unsigned m = 0; m < MO_MEASURES; m++) {
+      const double *a = &got.items[0].measures[row][m], *b = &result->measures[row][m];
+      CHECK(memcmp(a, isnan(*b) ? &none : b, sizeof(*a)) == 0);
+    }
+  mo_wire_free_leases(&got_leases);
+  mo_wire_free_results(&got);
+  for (size_t size = back.size - 1; size > HEADER + RESULT; size--) {
+    const uint64_t claimed = size;
+    memcpy(back.bytes + 16, &claimed, sizeof(claimed));
+    CHECK_INT(decode(&back, size, &why), MO_ERR_FORMAT);
+  }
+  const uint64_t whole = back.size;
+  memcpy(back.bytes + 16, &whole, sizeof(whole));
+  static const struct {
+    double value;
+    const char *says;
+  } wrong[] = {{1e-7, "displacement_m is 1e-07, which is not rounded"},
+               {INFINITY, "not rounded"},
+               {-(double)NAN, "not rounded"}};
+  for (size_t i = 0; i < COUNT(wrong); i++) {
+    memcpy(back.bytes + FIRST, &wrong[i].value, sizeof(double));
+    CHECK_INT(decode(&back, back.size, &why), MO_ERR_FORMAT);
+    CHECK_SAYS(why, wrong[i].says);
+  }
+  result->measures[4][0] = 1; /* this row diverged */
+  CHECK(result->diverged_steps[4] > 0);
+  uint8_t *bytes = NULL;
+  make_check(mo_wire_put_results(&results, &bytes, &back.size), "a result");
+  back.bytes = bytes;
+  CHECK_INT(decode(&back, back.size, &why), MO_ERR_FORMAT);
+  CHECK_SAYS(why, "diverged has no measures");
+  bytes[FIRST - 8] = MO_MEASURES - 1;
+  CHECK_INT(decode(&back, back.size, &why), MO_ERR_FORMAT);
+  CHECK_SAYS(why, "must have 20 measures for each row, got 19");
+  free(bytes);
+  sent.bytes[HEADER + 16] |= 1; /* on a device */
+  CHECK_INT(decode(&sent, sent.size, &why), MO_ERR_FORMAT);
+  CHECK_SAYS(why, "unknown flags");
+  mo_wire_free_leases(&leases);
+  mo_wire_free_results(&results);
 }
 
 /* Physics has the first version that has all its settings. */
@@ -334,6 +413,7 @@ static const struct check_case cases[] = {
     {"hostile numbers", hostile},
     {"bodies", bodies},
     {"gradients", gradients},
+    {"sends measures with their bits", measures},
     {"versions of physics", later_physics},
     {"too large to send", too_large},
 };

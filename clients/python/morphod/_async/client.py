@@ -390,8 +390,8 @@ class AsyncClient:
 
         The name is the label of its campaign. `population` is the maximum number of living designs
         (512). With `own_score`, such as `{"name": "work_per_meter", "unit": "J/m"}`, the study
-        ranks by the scores that you pass to `AsyncStudy.tell`. With `measures`, each `Batch` has them,
-        so that you can compute a score of your own. `settings` are those of the contract
+        ranks by the scores that you pass to `AsyncStudy.tell`. With `measures`, each `Batch` has
+        them, so that you can compute a score of your own. `settings` are those of the contract
         (docs/studies.md), such as `selection`, `mutation`, `seed`. Raises `ConflictError`, which
         lists each setting that differs from the study's.
         """
