@@ -122,7 +122,7 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
 /* The bodies of POST …/tell and …/ask of a study. The caller frees `parents` in every case. */
 struct mo_parsed_telling {
   struct mo_study_telling telling;
-  struct mo_parts parts; /* genotypes: of the children */
+  struct mo_parts parts;         /* genotypes: of the children */
   struct mo_workspace workspace; /* which they must fit; of the study, like has_scores, measures */
   bool has_children, has_scores; /* has_scores: each child must have a score */
   uint32_t measures;             /* that the service computes, whose names are taken */

@@ -322,7 +322,8 @@ def test_morphoctl(service, ctl):  # noqa: F811
     assert status != 0 and "displacement_m,max" in err
     status, out, err = ctl("campaign start zero-shot --select-by speed,max")
     assert status != 0 and "inverted_voxels" in err
-    plain = run(service, "campaigns", CAMPAIGN | {"seed": 9})["id"]
+    plain = ctl(f"campaign start zero-shot {settings} -q")[1].strip()
+    await_end(service, f"/v1/campaigns/{plain}")
     status, out, _ = ctl(f"campaign champions {plain}")
     assert status == 0 and "work_j" not in out
     status, _, err = ctl(f"campaign compare {plain} {id}")
@@ -376,11 +377,12 @@ def test_bundles_have_measures(service, start, bundle):
     ("scores/", put("measures", lambda rows: [[0.5 ** 40, *rows[0][1:]], *rows[1:]]),
      "displacement_m of rollout 0 is not rounded"),
     ("scores/", put("measures", lambda rows: rows[1:]), "all 20 measures of each"),
-    ("scores/", put("measures", lambda rows: [rows[0][1:], *rows[1:]]), "all 20 measures of each")])
+    ("scores/", put("measures", lambda rows: [rows[0][1:], *rows[1:]]),
+     "all 20 measures of each")])
 def test_altered_measures_are_refused(service, start, measured, name, change, words):
     sent = service.request("GET", f"/v1/bundles?campaigns={measured['id']}").body
     reply = enter(start(), pack(altered(unpack(sent), name, change)), "verify")
-    assert reply.status == 422 and words in reply.json()["detail"], reply.json()
+    assert reply.status == 422 and words in reply.json()["errors"][0]["detail"], reply.json()
 
 
 def test_another_score_of_a_measure_is_refused(service, start, bundle):
@@ -388,5 +390,6 @@ def test_another_score_of_a_measure_is_refused(service, start, bundle):
     sent = service.request("GET", f"/v1/bundles?campaigns={ids[1]}").body
     reply = enter(start(), pack(altered(unpack(sent), "designs/",
                                         put("score", lambda score: score - 1))), "verify")
-    assert reply.status == 422 and "not that of the measure" in reply.json()["detail"]
+    assert reply.status == 422
+    assert "not that of the measure" in reply.json()["errors"][0]["detail"]
 
