@@ -24,7 +24,7 @@ void mo_select_by_name(const struct mo_select_by *by, struct mo_own_score *own)
 }
 
 uint32_t mo_measures_mean(uint32_t set, const double (*values)[MO_MEASURES], uint32_t n,
-                          double means[MO_MEASURES])
+                          double *means)
 {
   uint32_t n_means = 0;
   for (unsigned m = 0; m < MO_MEASURES; m++) {

@@ -31,8 +31,9 @@ extern const struct mo_field_own mo_select_by_field;
 extern const struct mo_field_own mo_measures_field;
 
 /* Computes the means over n environments of the measures of a set, in their order, and returns how
- * many there are. values: (n). A mean is NaN if one of its numbers is. */
+ * many there are. values: (n); means: (measures of the set). A mean is NaN if one of its numbers
+ * is. */
 uint32_t mo_measures_mean(uint32_t set, const double (*values)[MO_MEASURES], uint32_t n,
-                          double means[MO_MEASURES]);
+                          double *means);
 
 #endif

@@ -5,6 +5,8 @@
 #include "by_hand.h"
 #include "campaign_fixture.h"
 #include "one_store.h"
+#include "store/check.h"
+#include "store/scores.h"
 
 #define UNTIL 5 /* generations after the first */
 
@@ -178,6 +180,120 @@ static void keeps_losses_of_a_generation(void)
   CHECK_INT(n, 2);
   CHECK_INT(mo_store_campaign_losses(store, 99, 1, &losses, &n), MO_ERR_NOT_FOUND);
   CHECK_INT(outside_integer("SELECT count(*) FROM campaign_losses"), 2);
+}
+
+static double measured[MADE_POPULATION][MO_PAPER_TEST_COUNT][MO_MEASURES];
+
+/* Gives all losses measures; some have no value. */
+static void measure(struct made *made)
+{
+  for (uint32_t i = 0; i < MADE_POPULATION; i++) {
+    for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+      for (unsigned m = 0; m < MO_MEASURES; m++)
+        measured[i][k][m] = made->losses[i].diverged_steps[k] > 0 || (i + k + m) % 9 == 4
+                                ? (double)NAN
+                                : (i + 3.0 * k + 7 * m) / mo_measure_info[m].steps_in_one;
+    made->losses[i].measures = measured[i];
+  }
+}
+
+static bool same_measures(double (*a)[MO_MEASURES], double (*b)[MO_MEASURES])
+{
+  bool same = a != NULL && b != NULL;
+  for (uint32_t k = 0; same && k < MO_PAPER_TEST_COUNT; k++)
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      same = same && (isnan(a[k][m]) ? isnan(b[k][m]) : mo_same_bits(a[k][m], b[k][m]));
+  return same;
+}
+
+static void report(void *context, const char *finding)
+{
+  (void)context;
+  CHECK(strstr(finding, "losses of a generation are damaged") != NULL);
+}
+
+/* Returns how many findings the check of all rows has. */
+static uint64_t findings(void)
+{
+  struct mo_check_counts counts;
+  CHECK_OK(mo_store_check_contents(store, report, NULL, &counts));
+  return counts.findings;
+}
+
+/* Measures are saved with the losses of a generation, and stored with its scores; the designs have
+ * the means. */
+static void keeps_measures(void)
+{
+  static double found[MADE_POPULATION][MO_PAPER_TEST_COUNT][MO_MEASURES];
+  double means[MADE_POPULATION][2];
+  struct mo_campaign_design designs[MADE_POPULATION];
+  struct mo_campaign_status status;
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
+  submission.record.measures = 1U << MO_MEASURE_WORK | 1U << MO_MEASURE_TILT;
+  const int64_t id = submit_campaign(&submission);
+  make_check(mo_store_run_start(store, id), "a campaign");
+  struct made made = made_start(id, MO_ZERO_SHOT, 9);
+  size_t n = 0;
+  made_next(&made);
+  measure(&made);
+  made.losses[1].origins[2] = store->origin; /* another machine computed it, which the checksum covers */
+  CHECK_OK(mo_store_campaign_save_losses(store, id, 0, made.losses, 5, NULL));
+  REQUIRE_OK(restart_run(&made));
+  CHECK_INT(findings(), 0);
+  const struct mo_campaign_loss *losses = losses_of(id, 0, &n);
+  REQUIRE(n == 5);
+  for (uint32_t i = 0; i < 5; i++)
+    CHECK(same_losses(&losses[i], &made.losses[i]) &&
+          same_measures(losses[i].measures, made.losses[i].measures));
+  for (uint32_t i = 0; i < MADE_POPULATION; i++)
+    (void)mo_measures_mean(submission.record.measures,
+                           (const double(*)[MO_MEASURES])made.losses[i].measures,
+                           MO_PAPER_TEST_COUNT, means[i]);
+  made.commit.measures = means[0];
+  made.commit.n_measures = 2;
+  REQUIRE_OK(made_commit(&made));
+  CHECK_OK(mo_store_campaign(store, id, &status));
+  CHECK_INT(status.words.n_measures, 2);
+  CHECK_TEXT(status.words.measures[0], "tilt_rad");
+  CHECK_TEXT(status.words.measures[1], "work_j");
+  CHECK_INT(mo_store_campaign_designs(store, id, -1, designs, MADE_POPULATION), MADE_POPULATION);
+  for (uint32_t i = 0; i < MADE_POPULATION; i++) {
+    CHECK_INT(designs[i].n_measures, 2);
+    CHECK(memcmp(designs[i].measures, means[i], sizeof(means[i])) == 0 || isnan(means[i][0]) ||
+          isnan(means[i][1]));
+  }
+  /* Scores without measures count only where none are asked for. */
+  for (int measures = 1; measures >= 0; measures--) {
+    for (uint32_t i = 0; i < MADE_POPULATION; i++)
+      known[i].measures = found[i];
+    CHECK_INT(known_of(id, made.fingerprint, made.children, MADE_POPULATION),
+              measures ? MADE_POPULATION : 0);
+    for (uint32_t i = 0; i < MADE_POPULATION && measures; i++)
+      CHECK(same_losses(&known[i], &made.losses[i]) && same_measures(found[i], measured[i]));
+    for (uint32_t i = 0; i < MADE_POPULATION; i++)
+      known[i].measures = NULL;
+    CHECK_INT(known_of(id, made.fingerprint, made.children, MADE_POPULATION), MADE_POPULATION);
+    REQUIRE_OK(reopen_after("DELETE FROM measures"));
+  }
+}
+
+/* A changed bit of saved measures is noticed. */
+static void refuses_damaged_measures(void)
+{
+  struct mo_campaign_request submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
+  struct mo_campaign_loss *losses = NULL;
+  size_t n = 0;
+  submission.record.measures = 1U << MO_MEASURE_WORK;
+  const int64_t id = submit_campaign(&submission);
+  make_check(mo_store_run_start(store, id), "a campaign");
+  struct made made = made_start(id, MO_ZERO_SHOT, 9);
+  made_next(&made);
+  measure(&made);
+  CHECK_OK(mo_store_campaign_save_losses(store, id, 0, made.losses, 1, NULL));
+  REQUIRE_OK(reopen_after("UPDATE campaign_losses SET measures=cast(substr(measures,1,9) || x'55'"
+                          " || substr(measures,11) AS BLOB)"));
+  CHECK_INT(mo_store_campaign_losses(store, id, 0, &losses, &n), MO_ERR_CORRUPT);
+  CHECK_INT(findings(), 1);
 }
 
 /* On a campaign for devices, losses computed by the workers are stored in `scores` under the
@@ -426,6 +542,8 @@ static const struct check_case cases[] = {
     {"commits generations, simultaneous", WITH(commits_generations, MO_SIMULTANEOUS)},
     {"refuses commits at the wrong time", refuses_what_is_wrong},
     {"keeps losses of a generation", keeps_losses_of_a_generation},
+    {"keeps measures with losses and designs", keeps_measures},
+    {"refuses damaged measures", refuses_damaged_measures},
     {"records who computed a score", names_who_computed},
     {"shares scores", shares_scores},
     {"keeps checkpoints", keeps_checkpoints},
