@@ -595,7 +595,10 @@ static int get_sum(struct codec *codec, struct mo_wire_result *result, uint32_t 
 static bool is_measure(unsigned m, double value)
 {
   const double steps = rint(value * mo_measure_info[m].steps_in_one), none = NAN;
-  return isnan(value) ? memcmp(&value, &none, sizeof(value)) == 0
+  uint64_t bits[2];
+  memcpy(&bits[0], &value, sizeof(value));
+  memcpy(&bits[1], &none, sizeof(none));
+  return isnan(value) ? bits[0] == bits[1]
                       : isfinite(steps) && steps / mo_measure_info[m].steps_in_one == value;
 }
 

@@ -236,7 +236,7 @@ static void keeps_measures(void)
   size_t n = 0;
   made_next(&made);
   measure(&made);
-  made.losses[1].origins[2] = store->origin; /* another machine computed it, which the checksum covers */
+  made.losses[1].origins[2] = store->origin; /* the checksum covers who computed a loss */
   CHECK_OK(mo_store_campaign_save_losses(store, id, 0, made.losses, 5, NULL));
   REQUIRE_OK(restart_run(&made));
   CHECK_INT(findings(), 0);
