@@ -5,8 +5,9 @@
  *     writes the float64 gradient of 256 robots, computed on the processor, into FILE
  * cuda-gradient check [WEIGHTS FILE]…
  *     compares with these files, and with float64 where outputs are held through control periods
- *     and with the integrator split; the bits of two runs, of one shard, of little memory and of
- *     groups in halves; robots that diverge or whose adjoints do; cancelled calls
+ *     and with the integrator split; guides and objectives; the bits of two runs, of one shard, of
+ *     little memory and of groups in halves; robots that diverge or whose adjoints do; cancelled
+ *     calls
  * cuda-gradient like [paper | split ROBOTS STEPS PERIOD]…
  *     prints how close the gradient is to float64, with control periods of PERIOD steps
  * cuda-gradient alone [WORKERS]
@@ -277,7 +278,7 @@ static void check_alone(const struct scene *s, uint32_t workers)
 
 /* ---- bits ---- */
 
-static int same_result(const struct result *a, const struct result *b)
+int same_result(const struct result *a, const struct result *b)
 {
   const size_t shards = (a->call.n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
   return memcmp(a->call.d_parameters, b->call.d_parameters,
@@ -477,8 +478,8 @@ static void check_cancel(const struct scene *s)
   mo_controller_free(controller);
 }
 
-static void time_steps(const struct scene *s, uint32_t n, const struct mo_physics *physics,
-                       enum mo_cuda_halves halves, double bound_s)
+void time_steps(const struct scene *s, uint32_t n, const struct mo_physics *physics,
+                enum mo_cuda_halves halves, double bound_s)
 {
   static const char *const names[] = {
       "", " as whole groups", " as groups some of which are in halves", " as groups in halves"};
@@ -545,6 +546,7 @@ int main(int argc, char **argv)
       time_steps(&s, MOST, &held, MO_CUDA_HALVES_IF_FASTER, 0);
       time_steps(&s, MOST, &fine, MO_CUDA_HALVES_IF_FASTER, 0);
       time_steps(&s, MOST, &split, MO_CUDA_HALVES_IF_FASTER, 0);
+      time_tasks(MOST, &split);
     }
   } else if (strcmp(what, "alone") == 0) {
     make_scene(&s, LIKE);
@@ -574,6 +576,7 @@ int main(int argc, char **argv)
       drop_result(&r);
     }
     mo_controller_free(controller);
+    short_tasks(n, n_steps);
   } else {
     make_scene(&s, 2 * MO_DEVICE_SHARD);
     for (int i = 2; i + 1 < argc; i += 2)
@@ -581,6 +584,7 @@ int main(int argc, char **argv)
     check_periods(&s);
     check_split(&s);
     check_short_periods(&s);
+    check_tasks();
     check_bits(&s, 250);
     check_halves(&s);
     check_rare(&s);

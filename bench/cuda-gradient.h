@@ -68,5 +68,16 @@ struct likeness {
   double cosine, error, norm, norm_reference; /* error: relative */
 };
 struct likeness likeness_of(const float *gradient, const double *reference, size_t n);
+/* Whether two calls have the same bits: gradients, outcomes and counts. */
+int same_result(const struct result *a, const struct result *b);
+/* Prints the median time of a learning step of the scene's first n robots. bound_s: of the device's
+ * time; 0: none. */
+void time_steps(const struct scene *s, uint32_t n, const struct mo_physics *physics,
+                enum mo_cuda_halves halves, double bound_s);
+
+/* ---- cuda-gradient-tasks.c: guides and objectives ---- */
+void check_tasks(void);
+void short_tasks(uint32_t n, uint32_t n_steps);
+void time_tasks(uint32_t n, const struct mo_physics *physics);
 
 #endif

@@ -2,10 +2,11 @@
  * times.
  *
  * cuda-bench MODULE check [FILE]
- *     agreement, bits, control periods, divergence, cancelling; FILE keeps the float64 losses of
- *     rollouts without control periods
+ *     agreement, bits, control periods, guides and objectives, divergence, cancelling; FILE keeps
+ *     the float64 losses of rollouts without control periods
  * cuda-bench MODULE time
- *     8192 bodies × 10 environments, also with control periods, evolved bodies, smaller batches
+ *     8192 bodies × 10 environments, also with control periods, with tasks, evolved bodies, smaller
+ *     batches
  * cuda-bench MODULE spread
  *     8192 bodies × 10 environments on all devices, and in parts on one
  * cuda-bench MODULE short
@@ -14,6 +15,7 @@
  * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. Run it
  * from the top of the source tree. */
 #include "cuda.h"
+#include "../tests/unit/rollout/task-cases.h"
 
 #include <dlfcn.h>
 #include <math.h>
@@ -132,11 +134,13 @@ static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
   return hash;
 }
 
-static void time_rows(struct mo_device_controller *controller, const char *what,
+static void time_some(struct mo_device_controller *controller, const char *what,
                       const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
-                      uint32_t each, double bound_s)
+                      uint32_t each, double bound_s, int has_tasks)
 {
   struct rows *rows = make_rows(bodies, n_bodies, each);
+  for (uint32_t e = 0; has_tasks && e < MO_PAPER_TEST_COUNT; e++)
+    rows->environments[e].task = task_case(e + (e > 4)); /* every guide and objective */
   double wall[REPEATS], device_s[REPEATS], host_s[REPEATS], masses = 0, springs = 0, mean = 0;
   for (uint32_t b = 0; b < n_bodies; b++) {
     masses += (double)bodies[b]->n_masses / n_bodies;
@@ -164,6 +168,13 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
   free_rows(rows);
 }
 
+static void time_rows(struct mo_device_controller *controller, const char *what,
+                      const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
+                      uint32_t each, double bound_s)
+{
+  time_some(controller, what, physics, bodies, n_bodies, each, bound_s, 0);
+}
+
 static void time_all(struct mo_device_controller *controller)
 {
   enum { N = 8192 };
@@ -182,6 +193,8 @@ static void time_all(struct mo_device_controller *controller)
             0);
   time_rows(controller, "random bodies, split, period 16 ms, dt 2 ms, 2000 steps", &split, bodies,
             N, 10, 0);
+  time_some(controller, "random bodies with tasks, split, period 16 ms, dt 2 ms, 2000 steps",
+            &split, bodies, N, 10, 0, 1);
   time_rows(controller, "random bodies, split, period 16 ms, dt 4 ms", &quick, bodies, N, 10, 0);
   time_rows(controller, "evolved bodies", &physics, evolved, N, 10, 1.0);
   time_rows(controller, "random bodies", &physics, bodies, N, 1, 0);

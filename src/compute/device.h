@@ -56,7 +56,8 @@ struct mo_device_info {
   uint32_t capability; /* 90: compute capability 9.0 */
 };
 
-/* Computes losses of rows. All pointers are borrowed for the call. */
+/* Computes outcomes of rows, by the tasks of their environments. All pointers are borrowed for the
+ * call. */
 struct mo_device_score {
   struct mo_device_controller *controller; /* NULL: passive bodies */
   const struct mo_robot

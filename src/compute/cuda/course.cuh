@@ -320,4 +320,123 @@ MO_COURSE struct course_result course_finish(const struct mo_course *course,
   return result;
 }
 
+/* ---- backward ---- */
+
+MO_COURSE void course_add_away(double factor, const double *a_m, const double *b_m, double d[3])
+{
+  const double length = course_distance(a_m, b_m);
+  for (int axis = 0; axis < 2; axis++)
+    if (length > 0)
+      d[axis] += factor * (a_m[axis] - b_m[axis]) / length;
+}
+
+MO_COURSE void course_add_facing(double factor, const struct mo_track *track, double d[3])
+{
+  for (int axis = 0; axis < 2; axis++)
+    d[axis] += factor * track->facing[axis];
+}
+
+MO_COURSE void course_sum_back(const struct mo_course *course, double t_s,
+                               const struct mo_track *before, const struct mo_track *track,
+                               double d_sum, double d_com[3])
+{
+  const enum mo_objective objective = course->environment->task.objective;
+  double light_m[2], off_m[2];
+  if (before == NULL)
+    return;
+  if (objective == MO_OBJECTIVE_TRAVEL) {
+    course_add_facing(d_sum, before, d_com);
+  } else if (objective == MO_OBJECTIVE_APPROACH || objective == MO_OBJECTIVE_PURSUE) {
+    course_light_xy(course, t_s, track, light_m);
+    course_add_away(d_sum, track->com_m, light_m, d_com);
+  } else if (objective == MO_OBJECTIVE_FOLLOW) {
+    const double on_path[2] = {0, 0};
+    course_off_path(course, track, off_m);
+    course_add_away(d_sum, off_m, on_path, d_com);
+  }
+}
+
+MO_COURSE void course_progress_back(const struct mo_track *track, struct mo_course_adjoint *adjoint,
+                                    double d_com[3])
+{
+  if (track->along_is == MO_TRACK_WORD(MO_TRACK_KEPT))
+    return;
+  if (track->along_is == MO_TRACK_WORD(MO_TRACK_MOVED))
+    course_add_facing(adjoint->d_along, track, d_com);
+  adjoint->d_along = 0;
+}
+
+/* As mo_course_end_back. */
+MO_COURSE void course_end_back(const struct mo_course *course, const struct mo_track *before,
+                               const struct mo_track *track, double loss,
+                               struct mo_course_adjoint *adjoint, double d_com[3])
+{
+  double light_m[2];
+  adjoint->d_sum = adjoint->d_along = 0;
+  d_com[0] = d_com[1] = d_com[2] = 0;
+  switch (course->environment->task.objective) {
+  case MO_OBJECTIVE_REACH:
+    course_light_xy(course, course->end_s, track, light_m);
+    course_add_away(1 / course->scale_m, track->com_m, light_m, d_com);
+    break;
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE: adjoint->d_sum = 1 / (course->scale_m * course->n_periods); break;
+  case MO_OBJECTIVE_TRAVEL: adjoint->d_sum = -loss / course->scale_m; break;
+  case MO_OBJECTIVE_FOLLOW:
+    adjoint->d_along = -loss / course->scale_m;
+    adjoint->d_sum = loss / course->scale_m / course->n_periods;
+    break;
+  case MO_OBJECTIVE_CLIMB: d_com[2] = -loss / course->scale_m; break;
+  }
+  course_sum_back(course, course->end_s, before, track, adjoint->d_sum, d_com);
+  course_progress_back(track, adjoint, d_com);
+}
+
+/* As mo_course_back. */
+MO_COURSE void course_back(const struct mo_course *course, double t_s,
+                           const struct mo_track *before, const struct mo_track *track,
+                           const double d_light[3], struct mo_course_adjoint *adjoint,
+                           double d_com[3])
+{
+  const struct mo_guide *guide = course_guide(course);
+  double light_m[2], slope[2];
+  d_com[0] = d_com[1] = d_com[2] = 0;
+  course_light_xy(course, t_s, track, light_m);
+  terrain_slope(course->environment->terrain_heights_m, light_m[0], light_m[1], slope);
+  const double d_xy[2] = {d_light[0] + slope[0] * d_light[2], d_light[1] + slope[1] * d_light[2]};
+  if (guide->kind == MO_GUIDE_AHEAD || guide->kind == MO_GUIDE_TURNING) {
+    d_com[0] = d_xy[0];
+    d_com[1] = d_xy[1];
+  } else if (guide->kind == MO_GUIDE_PATH && track->along_m + guide->distance_m < track->length_m) {
+    adjoint->d_along += course_dot(d_xy, track->facing);
+  }
+  if (course->environment->task.objective == MO_OBJECTIVE_TRAVEL)
+    course_add_facing(-adjoint->d_sum, track, d_com);
+  course_sum_back(course, t_s, before, track, adjoint->d_sum, d_com);
+  course_progress_back(track, adjoint, d_com);
+}
+
+/* As mo_course_restart. */
+MO_COURSE void course_restart(const struct mo_course *course, double t_s,
+                              const struct mo_track *track, const double com_m[3], double loss,
+                              double weight, struct mo_course_adjoint *adjoint, double d_com[3])
+{
+  double light_m[2];
+  d_com[0] = d_com[1] = d_com[2] = 0;
+  adjoint->d_along = 0;
+  switch (course->environment->task.objective) {
+  case MO_OBJECTIVE_REACH:
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE:
+    course_light_xy(course, t_s, track, light_m);
+    course_add_away(weight / course->scale_m, com_m, light_m, d_com);
+    break;
+  case MO_OBJECTIVE_TRAVEL:
+  case MO_OBJECTIVE_FOLLOW:
+    course_add_facing(-weight * loss / course->scale_m, track, d_com);
+    break;
+  case MO_OBJECTIVE_CLIMB: d_com[2] = -weight * loss / course->scale_m; break;
+  }
+}
+
 #endif

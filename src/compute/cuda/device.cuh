@@ -40,6 +40,8 @@ enum mo_gradient_place {
   TICKETS,
   JOBS,
   SHARDS,
+  COURSES,
+  ENDINGS,
   PARAMETERS,
   D_PARAMETERS,
   PLACES
@@ -58,9 +60,9 @@ struct mo_cuda_gradient_state {
   cudaEvent_t marks[5], copied; /* before and after each part of a pass; copied: when the host has
                                    the results of the rows */
   mo_cuda_buffer buffers[PLACES], weights;
-  mo_cuda_buffer sums, results, parameters; /* pinned */
-  int *cancel;                              /* on the device; read by the kernels */
-  mo_device_layout *layout;                 /* for calls without a layout */
+  mo_cuda_buffer sums, results, parameters, endings; /* pinned */
+  int *cancel;                                       /* on the device; read by the kernels */
+  mo_device_layout *layout;                          /* for calls without a layout */
   mo_gk_weights tiles;
   uint32_t shared_bytes;
   mo_cuda_halves halves;

@@ -98,7 +98,7 @@ void mo_cuda_gradient_close(mo_device *device)
   mo_cuda_gradient_trim(device);
   mo_cuda_gradient_layout_free(s->layout);
   mo_cuda_release(&s->weights);
-  for (mo_cuda_buffer *b : {&s->sums, &s->results, &s->parameters})
+  for (mo_cuda_buffer *b : {&s->sums, &s->results, &s->parameters, &s->endings})
     mo_cuda_release_pinned(b);
   cudaFree(s->cancel);
   for (cudaEvent_t mark : s->marks)
@@ -127,10 +127,9 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
   }
   for (uint32_t i = 0; i < call->n; i++) {
     const mo_environment *environment = call->robots[i].environment;
-    if (!mo_task_is_plain(&environment->task) || environment->n_profile != 0 ||
-        environment->damage.cut != 0) {
+    if (environment->n_profile != 0 || environment->damage.cut != 0) {
       snprintf(device->error, sizeof(device->error),
-               "tasks, profiles and damage have no gradient on GPUs; use device cpu");
+               "profiles and damage have no gradient on GPUs; use device cpu");
       return MO_ERR_UNSUPPORTED;
     }
   }

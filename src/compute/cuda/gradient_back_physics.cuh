@@ -3,7 +3,7 @@
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_BACK_PHYSICS_CUH
 #define MORPHO_COMPUTE_CUDA_GRADIENT_BACK_PHYSICS_CUH
 
-#include "compute/cuda/gradient_kernels.cuh"
+#include "compute/cuda/gradient_guide.cuh"
 
 /* The results of a launch for a row. */
 struct back_row {
@@ -80,16 +80,33 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
                : "memory");
 }
 
+/* A lane's part of ∂loss/∂ the lights of its warp's rows: the opposite of what the masses get. */
+template <bool TASKS> struct light_sums {
+  float of[2][3] = {{0, 0, 0}, {0, 0, 0}};
+  __device__ __forceinline__ void add(bool second, float push, const float (&away)[3])
+  {
+    for (int axis = 0; axis < 3; axis++) {
+      of[0][axis] -= second ? 0.0f : push * away[axis];
+      of[1][axis] -= second ? push * away[axis] : 0.0f;
+    }
+  }
+};
+template <> struct light_sums<false> {
+  __device__ __forceinline__ void add(bool, float, const float (&)[3])
+  {
+  }
+};
+
 template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, TIME> {
   using own = walker<MT, SHARE, TIME>;
   using own::activation_at, own::begin, own::begins_period, own::blends, own::chunk_at,
       own::constants_of, own::d_activation_at, own::end, own::ends_period, own::first,
-      own::first_row, own::g, own::group_first, own::group_row, own::is_second, own::k, own::lane,
-      own::lane_begin, own::list, own::n0, own::n1, own::n_chunks, own::n_masses, own::n_outputs,
-      own::n_own, own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row,
-      own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of, own::position_at, own::push_at,
-      own::ROWS, own::rows, own::SPLIT, own::split_of, own::tape, own::velocity_at, own::warp,
-      own::width;
+      own::first_row, own::g, own::group_first, own::group_row, own::guided, own::is_second, own::k,
+      own::lane, own::lane_begin, own::list, own::n0, own::n1, own::n_chunks, own::n_masses,
+      own::n_outputs, own::n_own, own::own_begin, own::own_chunks, own::own_masses, own::own_row,
+      own::pair_row, own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of, own::place_light,
+      own::position_at, own::push_at, own::ROWS, own::rows, own::SPLIT, own::split_of, own::tape,
+      own::TASKS, own::velocity_at, own::warp, own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, being loaded from the tape. */
   struct held {
@@ -160,11 +177,33 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     }
   }
 
+  /* The same for a row with a task: d_com is ∂loss/∂ its center of mass. */
+  __device__ __forceinline__ void aim_at(int r, const double3 &d_com)
+  {
+    const int n = own_masses(r), from = first + own_begin(r);
+#pragma unroll 1
+    for (int m = lane; m < n; m += 32) {
+      float *p = gx + 3 * (from + m);
+      p[0] = (float)(d_com.x / n);
+      p[1] = (float)(d_com.y / n);
+      p[2] = (float)(d_com.z / n);
+      mass[from + m].z_gx.y = 0;
+      mass[from + m].gyz = make_float2(0, 0);
+    }
+  }
+
   __device__ __forceinline__ void start()
   {
 #pragma unroll
     for (int r = 0; r < MT; r++) {
       const int row = group_row(own_row(r));
+      if constexpr (TASKS) {
+        const guided_row end = guided(own_row(r), pass_of(k.n_steps - 1) + 1);
+        if (end.task != nullptr) {
+          aim_at(r, excluded[r] ? make_double3(0, 0, 0) : guide_end_back(end));
+          continue;
+        }
+      }
       aim(r, mo_away_of(k.rows[first_row + row].light_m, k.results[first_row + row].com_end), 1.0);
     }
   }
@@ -188,6 +227,22 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
       dy += __shfl_xor_sync(0xffffffffu, dy, far);
     }
     aim(r, mo_away{dx / n, dy / n}, k.restart_weight);
+  }
+
+  /* The same for row r with a task, of which `row` is the start of the step's control period. */
+  __device__ __forceinline__ void restart_task(int r, uint32_t step, const guided_row &row)
+  {
+    const int n = own_masses(r), from = first + own_begin(r);
+    double x = 0, y = 0;
+#pragma unroll 1
+    for (int m = lane; m < n; m += 32) {
+      const float2 xy = mass[from + m].xy;
+      x += (double)xy.x;
+      y += (double)xy.y;
+    }
+    const double2 com =
+        make_double2(sum_lanes(x) / n + MO_WORLD_CENTER_M, sum_lanes(y) / n + MO_WORLD_CENTER_M);
+    aim_at(r, guide_restart(row, (step - step % k.control_steps) * k.dt_s, com, k.restart_weight));
   }
 
   /* Starts to load the positions of this warp's masses before `step`, and the velocities of each
@@ -364,8 +419,16 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     if (restarts != 0) {
 #pragma unroll
       for (int r = 0; r < MT; r++)
-        if (restarts >> r & 1)
+        if (restarts >> r & 1) {
+          if constexpr (TASKS) {
+            const guided_row row = guided(own_row(r), pass_of(step));
+            if (row.task != nullptr) {
+              restart_task(r, step, row);
+              continue;
+            }
+          }
           restart(r);
+        }
       __syncwarp();
     }
 #pragma unroll
@@ -496,11 +559,48 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     }
   }
 
+  /* Places the lights where they were in the step. */
+  __device__ __forceinline__ void relight(uint32_t step)
+  {
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const guided_row row = guided(own_row(r), pass_of(step));
+      if (row.task != nullptr && !excluded[r])
+        place_light(own_row(r), guided_light(row, step * k.dt_s));
+    }
+  }
+
+  /* Adds the part of the adjoints through the lights and the objectives at the start of a control
+   * period. d_light: this lane's part of ∂loss/∂ the lights. */
+  __device__ __forceinline__ void guides_back(uint32_t step, const light_sums<true> &d_light)
+  {
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const int n = own_masses(r), from = first + own_begin(r);
+      const float sum[3] = {sum_lanes(d_light.of[r][0]), sum_lanes(d_light.of[r][1]),
+                            sum_lanes(d_light.of[r][2])};
+      const guided_row row = guided(own_row(r), pass_of(step));
+      if (row.task == nullptr || excluded[r])
+        continue;
+      const double3 d_com =
+          guide_back(row, step * k.dt_s, step == 0,
+                     make_double3((double)sum[0], (double)sum[1], (double)sum[2]));
+      const float share[3] = {(float)(d_com.x / n), (float)(d_com.y / n), (float)(d_com.z / n)};
+#pragma unroll 1
+      for (int m = lane; m < n; m += 32)
+        for (int axis = 0; axis < 3; axis++)
+          gx[3 * (from + m) + axis] += share[axis];
+    }
+  }
+
   /* ∂loss/∂(what a mass senses), minus its row's mean. inputs: the places of the first of this
    * lane's masses among the network's inputs. */
   __device__ __forceinline__ void sense_back(uint32_t step, uint32_t inputs)
   {
+    if constexpr (TASKS)
+      relight(step);
     float d[HELD], sum[2] = {0, 0};
+    light_sums<TASKS> d_light;
     const auto sensed = [&](int m, uint32_t at) {
       return __bfloat162float(left[own_row(is_second(m)) * MO_GK_ROW + at]);
     };
@@ -527,11 +627,15 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
 #pragma unroll
     for (int i = 0; i < HELD; i++)
       if (lane_begin() + 32 * i < end())
-        push_back(step, lane_begin() + 32 * i, d[i], mean);
+        push_back(step, lane_begin() + 32 * i, d[i], mean, d_light);
 #pragma unroll 1
     for (int m = lane_begin() + 32 * HELD; m < end(); m += 32)
-      push_back(step, m, sensed(m, __ldg(input + m)), mean);
+      push_back(step, m, sensed(m, __ldg(input + m)), mean, d_light);
     __syncwarp();
+    if constexpr (TASKS) {
+      guides_back(step, d_light);
+      __syncwarp();
+    }
   }
 
   /* The velocities' adjoints back through the kick, in a step without sensors. */
@@ -565,7 +669,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
   }
 
   /* To the mass's adjoint, whose velocity then goes back through the kick. */
-  __device__ __forceinline__ void push_back(uint32_t step, int m, float d, const float (&mean)[2])
+  __device__ __forceinline__ void push_back(uint32_t step, int m, float d, const float (&mean)[2],
+                                            light_sums<TASKS> &d_light)
   {
     const bool second = is_second(m);
     const mo_plan_scene &of = rows[own_row(second)];
@@ -576,6 +681,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
         (d - (second ? mean[1] : mean[0])) * lane_light_slope(k.sensor, lane_squared(away));
     for (int axis = 0; axis < 3; axis++)
       d_place[axis] = fmaf(push, away[axis], d_place[axis]);
+    d_light.add(second, push, away);
     kick_one_back(step, m);
   }
 };

@@ -1,6 +1,6 @@
 /* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, which keep on the
  * tape the data that the backward pass needs. */
-#include "compute/cuda/gradient_kernels.cuh"
+#include "compute/cuda/gradient_guide.cuh"
 
 /* A warp's masses that strike the ground. They are few, and a strike takes long, so they are
  * collected until there are 32, one for each lane. */
@@ -32,13 +32,13 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
   using own = walker<MT, SHARE, TIME>;
   using own::activation_at, own::begin, own::begins_period, own::blends, own::chunk_at,
       own::constants_of, own::end, own::end_step, own::first, own::first_row, own::first_step,
-      own::g, own::group_first, own::group_row, own::half_begin, own::hidden_at, own::input_at,
-      own::is_second, own::k, own::lane, own::layer_bytes, own::list, own::n_chunks, own::n_masses,
-      own::n_outputs, own::n_own, own::normal_at, own::output_tile, own::own_begin, own::own_chunks,
-      own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::part, own::pass_of,
-      own::physics_of, own::plan_split_of, own::position_at, own::push_at, own::rows, own::scale_at,
-      own::SPLIT, own::split_of, own::tape, own::TAPE_ROWS, own::use_pull, own::velocity_at,
-      own::warp, own::width;
+      own::g, own::group_first, own::group_row, own::guided, own::half_begin, own::hidden_at,
+      own::input_at, own::is_second, own::k, own::lane, own::layer_bytes, own::list, own::n_chunks,
+      own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_tile, own::own_begin,
+      own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::part,
+      own::pass_of, own::physics_of, own::place_light, own::plan_split_of, own::position_at,
+      own::push_at, own::rows, own::scale_at, own::SPLIT, own::split_of, own::tape, own::TAPE_ROWS,
+      own::TASKS, own::use_pull, own::velocity_at, own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -68,6 +68,52 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     input = (uint8_t *)(v + 3 * n_own);
     for (int i = threadIdx.x; i < n_own; i += MO_GK_THREADS)
       input[i] = k.input[g.first_mass + half_begin + i];
+  }
+
+  /* The center of mass of a row, in world coordinates. */
+  __device__ __forceinline__ double3 center(int r) const
+  {
+    const int n = own_masses(r), from = first + own_begin(r);
+    double sum[3] = {0, 0, 0};
+#pragma unroll 1
+    for (int m = lane; m < n; m += 32) {
+      const float4 p = x[from + m];
+      sum[0] += (double)p.x;
+      sum[1] += (double)p.y;
+      sum[2] += (double)p.z;
+    }
+    return make_double3(sum_lanes(sum[0]) / n + MO_WORLD_CENTER_M,
+                        sum_lanes(sum[1]) / n + MO_WORLD_CENTER_M, sum_lanes(sum[2]) / n);
+  }
+
+  /* Moves the lights at the start of a control period. */
+  __device__ __forceinline__ void guide(uint32_t step)
+  {
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const guided_row row = guided(own_row(r), pass_of(step));
+      if (row.task == nullptr || dead[r])
+        continue;
+      place_light(own_row(r),
+                  step == 0 ? guide_first(row) : guide_next(row, step * k.dt_s, center(r)));
+    }
+  }
+
+  /* Ends the tasks of the rows. */
+  __device__ __forceinline__ void end_tasks()
+  {
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const guided_row row = guided(own_row(r), pass_of(k.n_steps - 1) + 1);
+      if (row.task == nullptr)
+        continue;
+      if (!dead[r]) {
+        guide_end(row, center(r));
+      } else if (lane == 0) {
+        row.ending->loss = INFINITY;
+        row.ending->value = -INFINITY;
+      }
+    }
   }
 
   __device__ __forceinline__ void sense(uint32_t step)
@@ -554,6 +600,8 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
       }
       if (begins_period(step)) {
         const uint32_t pass = pass_of(step);
+        if constexpr (TASKS)
+          guide(step);
         sense(step);
         ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
         __syncthreads();
@@ -573,8 +621,11 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
       state_x[i] = ((const float *)(x + first + i / 3))[i % 3];
       state_v[i] = own_v[i];
     }
-    if (end_step == k.n_steps)
+    if (end_step == k.n_steps) {
       finish();
+      if constexpr (TASKS)
+        end_tasks();
+    }
   }
 };
 

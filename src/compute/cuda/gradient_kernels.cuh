@@ -45,6 +45,12 @@ struct mo_gk_result {
   uint32_t steps, clipped;
 };
 
+/* The result of a row with a task, and the state of its backward pass. */
+struct mo_gk_ending {
+  double loss, value;
+  struct mo_course_adjoint adjoint;
+};
+
 struct mo_gk {
   const struct mo_gp_group *groups;
   const struct mo_gp_row *rows;
@@ -72,6 +78,9 @@ struct mo_gk {
   const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
                                * so slowly (1.3 µs each, one after the other) that products waited
                                * three times as long for it as they took */
+  const struct mo_gp_course *courses; /* (n_rows); NULL: all tasks are plain */
+  struct mo_gk_ending *endings;       /* (n_rows) */
+  double dt_s;
 };
 
 /* A walk: a group, or half of one, which one block at a time takes through all steps. */
@@ -79,8 +88,9 @@ struct mo_gk {
 #define MO_GK_HALVED            (UINT32_C(1) << 31) /* the walk is half of a group */
 enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
 /* `paper` with new outputs in every step; `paper` with control periods of several steps; `split`
- * with any control period. */
-enum { MO_GK_EVERY, MO_GK_PERIODS, MO_GK_SPLIT };
+ * with any control period. The last two are for batches in which some robot has a task
+ * (morpho/task.h; mo_gk_task is something else), `paper` and `split` with any control period. */
+enum { MO_GK_EVERY, MO_GK_PERIODS, MO_GK_SPLIT, MO_GK_PERIODS_TASKS, MO_GK_SPLIT_TASKS };
 
 /* A forward or backward pass is divided into *tasks*, each a part of the steps of one walk, so that
  * no multiprocessor waits long for the last one. A block does one task. Tasks are handed out part
@@ -258,6 +268,15 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
   return x;
 }
 
+/* A row at an instant of its task (gradient_guide.cuh): the start of a control period, or the end.
+ */
+struct guided_row {
+  const mo_gp_course *task; /* NULL: the row is plain, or empty */
+  mo_gk_ending *ending;
+  mo_track *track; /* of the instant */
+  uint32_t stride; /* back to the instant before */
+};
+
 /* The walk of a block: a group, in which each warp has a pair (SHARE 1), two rows of 32 or one of
  * 16; or half of a group of 32 rows (SHARE 2), in which two warps share a pair: each has one of its
  * rows, and some of the springs of both. Rows and masses are numbered within the block; on the tape
@@ -265,7 +284,9 @@ template <class T> static __device__ __forceinline__ T sum_lanes(T x)
  *
  * TIME: MO_GK_EVERY … . Each value has its own kernels, because registers are scarce. */
 template <int MT, int SHARE, int TIME> struct walker {
-  static constexpr bool PERIODIC = TIME != MO_GK_EVERY, SPLIT = TIME == MO_GK_SPLIT;
+  static constexpr bool PERIODIC = TIME != MO_GK_EVERY,
+                        SPLIT = TIME == MO_GK_SPLIT || TIME == MO_GK_SPLIT_TASKS,
+                        TASKS = TIME == MO_GK_PERIODS_TASKS || TIME == MO_GK_SPLIT_TASKS;
   const mo_gk &k;
   const mo_gp_group &g;
   enum {
@@ -365,6 +386,25 @@ template <int MT, int SHARE, int TIME> struct walker {
   __device__ __forceinline__ bool blends(uint32_t step) const
   {
     return SPLIT && step > 0 && begins_period(step);
+  }
+
+  /* A row of the block at the start of a pass; after the last one: at the end. */
+  __device__ __forceinline__ guided_row guided(int row, uint32_t instant) const
+  {
+    const int at = group_row(row);
+    const mo_gp_course *task = k.courses + first_row + at;
+    const uint64_t track = mo_gp_tape_of(&g, mo_gp_time{k.n_steps, k.control_steps, SPLIT}).bytes;
+    return guided_row{task->is_plain ? nullptr : task, k.endings + first_row + at,
+                      (mo_track *)(tape + track) + (size_t)instant * TAPE_ROWS + at, TAPE_ROWS};
+  }
+  __device__ __forceinline__ void place_light(int row, const float3 &light) const
+  {
+    if (lane == 0) {
+      rows[row].light[0] = light.x;
+      rows[row].light[1] = light.y;
+      rows[row].light[2] = light.z;
+    }
+    __syncwarp();
   }
 
   /* Whether this warp's only row is the pair's second. */
@@ -499,7 +539,8 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
   end_task(k, task);
 }
 
-/* The kernels of one direction, by MO_GK_EVERY … and MO_GK_WHOLE … . */
+/* The kernels of one direction, by MO_GK_EVERY … and MO_GK_WHOLE …; those for tasks compute all
+ * groups, because more of them would take too long to compile. */
 template <template <int, int, int> class Way> struct way_kernels {
   static constexpr void (*kernels[3][3])(const mo_gk) = {
       {way_kernel<Way, MO_GK_WHOLE, MO_GK_EVERY>, way_kernel<Way, MO_GK_HALVES, MO_GK_EVERY>,
@@ -508,15 +549,18 @@ template <template <int, int, int> class Way> struct way_kernels {
        way_kernel<Way, MO_GK_MIXED, MO_GK_PERIODS>},
       {way_kernel<Way, MO_GK_WHOLE, MO_GK_SPLIT>, way_kernel<Way, MO_GK_HALVES, MO_GK_SPLIT>,
        way_kernel<Way, MO_GK_MIXED, MO_GK_SPLIT>}};
+  static constexpr void (*with_tasks[2])(const mo_gk) = {
+      way_kernel<Way, MO_GK_MIXED, MO_GK_PERIODS_TASKS>,
+      way_kernel<Way, MO_GK_MIXED, MO_GK_SPLIT_TASKS>};
 
   /* Finds how much shared memory each of them can use. */
   static int open(uint32_t block_bytes, uint32_t *dynamic_bytes)
   {
     int status = 0;
     *dynamic_bytes = block_bytes;
-    for (size_t i = 0; i < 9 && status == 0; i++) {
+    for (size_t i = 0; i < 11 && status == 0; i++) {
       uint32_t bytes = 0;
-      status = allow_shared(kernels[i / 3][i % 3], block_bytes, &bytes);
+      status = allow_shared(i < 9 ? kernels[i / 3][i % 3] : with_tasks[i - 9], block_bytes, &bytes);
       *dynamic_bytes = min(*dynamic_bytes, bytes);
     }
     return status;
@@ -526,7 +570,7 @@ template <template <int, int, int> class Way> struct way_kernels {
   {
     const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
     const int time = k->splits ? MO_GK_SPLIT : k->control_steps > 1 ? MO_GK_PERIODS : MO_GK_EVERY;
-    const auto kernel = kernels[time][k->walked];
+    const auto kernel = k->courses != nullptr ? with_tasks[k->splits] : kernels[time][k->walked];
     kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
     return (int)cudaGetLastError();
   }

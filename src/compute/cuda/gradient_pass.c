@@ -18,14 +18,15 @@ static const struct measured whole = {100, 102}, halves = {64, 102}, mixed = {70
 static uint64_t bytes_of(const struct mo_gradient_plan *plan, const struct mo_gradient_pass *p)
 {
   return p->tape + 4 * p->sums + (uint64_t)(p->end_shard - p->first_shard) * N_PARAMETERS * 4 +
-         plan->n_masses * 25 + plan->n_chunks * 128 + ((uint64_t)16 << 20);
+         plan->n_masses * 25 + plan->n_chunks * 128 +
+         (plan->courses != NULL ? plan->n_rows * sizeof(*plan->courses) : 0) + ((uint64_t)16 << 20);
 }
 
 static void add_group(struct mo_gradient_pass *p, const struct mo_gp_group *g,
                       struct mo_gp_time time)
 {
   const uint32_t shared = mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs);
-  p->tape += mo_gp_tape_of(g, time).bytes;
+  p->tape += mo_gp_tape_bytes(g, time);
   p->sums += (mo_gp_sum_of(g).floats + 63) / 64 * 64;
   p->shared = p->shared > shared ? p->shared : shared;
 }
@@ -40,7 +41,7 @@ bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, struct mo_gp_t
       p = (struct mo_gradient_pass){
           .first = i, .end = i, .first_shard = g->shard, .end_shard = g->shard + 1};
     add_group(&p, g, time);
-    if (mo_gp_tape_of(g, time).bytes > UINT32_MAX || p.tape + 4 * p.sums > most)
+    if (mo_gp_tape_bytes(g, time) > UINT32_MAX || p.tape + 4 * p.sums > most)
       return false;
   }
   return plan->n_shards > 1 || bytes_of(plan, &p) <= most;

@@ -6,6 +6,7 @@
 #include "compute/cuda/plan.h"
 
 #include "base/thread.h"
+#include "rollout/course.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -16,7 +17,19 @@
 enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, LARGE_LEAST = 4 };
 
 /* The tables, then memory that is used only while they are made. */
-enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, TABLES, STARTS = TABLES, ORDER, FORMED, SHARDS };
+enum {
+  GROUPS,
+  ROWS,
+  POSITION,
+  INPUT,
+  SPRINGS,
+  COURSES,
+  TABLES,
+  STARTS = TABLES,
+  ORDER,
+  FORMED,
+  SHARDS
+};
 
 /* A group without a place yet, and the robots of its rows. */
 struct formed {
@@ -35,6 +48,7 @@ struct shard {
                           * range, not its start */
   struct formed *formed; /* (n_groups) */
   uint32_t n_groups, first_group;
+  bool has_tasks;
   const struct mo_physics *physics;
   struct mo_gradient_plan *plan;
   int status;
@@ -282,6 +296,8 @@ static void form_shards(void *context, size_t first, size_t end)
   for (struct shard *s = (struct shard *)context + first; s < (struct shard *)context + end; s++) {
     s->status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
     s->end = s->n;
+    for (uint32_t i = 0; i < s->n && !s->has_tasks; i++)
+      s->has_tasks = !mo_task_is_plain(&s->robots[s->first + i].environment->task);
     while (s->status == MO_OK && s->at < s->end) {
       struct formed *f = &s->formed[s->n_groups++];
       f->group = (struct mo_gp_group){.shard = s->number};
@@ -295,6 +311,20 @@ static void form_shards(void *context, size_t first, size_t end)
 }
 
 /* ---- filling ---- */
+
+/* Fills in the task of a row whose robot starts with this center of mass. */
+static void fill_course(const struct shard *s, struct mo_gp_row *row, const double com_start_m[3])
+{
+  const struct mo_environment *environment = s->robots[row->robot].environment;
+  struct mo_gp_course *course = s->plan->courses + (row - s->plan->rows);
+  if (mo_task_is_plain(&environment->task))
+    return;
+  course->is_plain = false;
+  course->environment = *environment;
+  mo_course_begin(&course->course, environment, &s->physics->scheme, com_start_m, &course->start);
+  course->course.environment = NULL;
+  row->goal.scale_m = course->course.scale_m;
+}
 
 /* Fills in a row with a robot, and its masses, starting at `at`. */
 static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
@@ -310,6 +340,8 @@ static void fill_row(const struct shard *s, struct mo_gp_row *row, uint64_t at)
   for (int axis = 0; axis < 2; axis++)
     row->light_m[axis] = light[axis] - MO_WORLD_CENTER_M;
   row->goal = mo_goal_of(environment, start->com_start_m);
+  if (s->plan->courses != NULL)
+    fill_course(s, row, start->com_start_m);
   row->scene = mo_plan_scene_of(environment, s->physics);
   row->split = mo_plan_split_of(environment, s->physics);
   for (size_t i = 0; i < body->n_masses; i++) {
@@ -329,6 +361,8 @@ static void fill_group(const struct shard *s, const struct mo_gp_group *g, const
     for (uint32_t i = w, k = 0; i < g->n_rows && k < 2; i += HALF, k++) {
       struct mo_gp_row *row = s->plan->rows + g->first_row + i;
       *row = (struct mo_gp_row){.robot = robot[i]};
+      if (s->plan->courses != NULL)
+        s->plan->courses[g->first_row + i] = (struct mo_gp_course){.is_plain = true};
       if (robot[i] == MO_GP_NO_ROBOT)
         continue;
       bodies[k] = s->robots[robot[i]].body;
@@ -352,11 +386,13 @@ static void fill_shards(void *context, size_t first, size_t end)
 /* Determines the place of each group, and reserves memory for all of them. */
 static int place(struct mo_gradient_plan *plan, struct shard *shards)
 {
+  bool has_tasks = false;
   plan->n_groups = plan->n_rows = 0;
   plan->n_masses = plan->n_chunks = 0;
   for (uint32_t i = 0; i < plan->n_shards; i++) {
     if (shards[i].status < 0)
       return shards[i].status;
+    has_tasks |= shards[i].has_tasks;
     shards[i].first_group = plan->n_groups;
     plan->n_groups += shards[i].n_groups;
   }
@@ -378,8 +414,9 @@ static int place(struct mo_gradient_plan *plan, struct shard *shards)
   plan->position = reserve(plan, POSITION, plan->n_masses * 3 * sizeof(*plan->position));
   plan->input = reserve(plan, INPUT, plan->n_masses);
   plan->springs = reserve(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
-  const bool all =
-      plan->rows != NULL && plan->position != NULL && plan->input != NULL && plan->springs != NULL;
+  plan->courses = has_tasks ? reserve(plan, COURSES, plan->n_rows * sizeof(*plan->courses)) : NULL;
+  const bool all = plan->rows != NULL && plan->position != NULL && plan->input != NULL &&
+                   plan->springs != NULL && (plan->courses != NULL) == has_tasks;
   return all ? MO_OK : MO_ERR_NO_MEMORY;
 }
 

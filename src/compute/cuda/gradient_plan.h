@@ -23,17 +23,18 @@ struct mo_gp_memory {
   size_t bytes;
 };
 
-enum { MO_GP_MEMORIES = 9 };
+enum { MO_GP_MEMORIES = 10 };
 
 struct mo_gradient_plan {
   uint32_t n, n_shards, n_groups, n_rows;
   uint64_t n_masses, n_chunks;
-  struct mo_gp_group *groups; /* (n_groups) the groups of one shard are adjacent */
-  struct mo_gp_row *rows;     /* (n_rows) */
-  float *position;            /* (n_masses, 3) at the start; x, y from the world's center */
-  uint8_t *input;             /* (n_masses) the mass's index among the inputs */
-  uint32_t *springs;          /* (n_chunks, 32) */
-  struct mo_outcome *starts;  /* (n) only com_start_m is set */
+  struct mo_gp_group *groups;   /* (n_groups) the groups of one shard are adjacent */
+  struct mo_gp_row *rows;       /* (n_rows) */
+  float *position;              /* (n_masses, 3) at the start; x, y from the world's center */
+  uint8_t *input;               /* (n_masses) the mass's index among the inputs */
+  uint32_t *springs;            /* (n_chunks, 32) */
+  struct mo_gp_course *courses; /* (n_rows); NULL: all tasks are plain */
+  struct mo_outcome *starts;    /* (n) only com_start_m is set */
   /* The memory of all these, and scratch memory. The next batch reuses it, because allocating 80 MB
    * takes longer than filling it. */
   struct mo_gp_memory memory[MO_GP_MEMORIES];

@@ -35,6 +35,7 @@ struct work {
   uint32_t n_jobs, n_halved;
   bool told;             /* whether the device has been notified that the call is cancelled */
   mo_gk_result *results; /* (n_rows) in pinned memory */
+  mo_gk_ending *endings; /* the same; not used without tasks */
 };
 
 int check(work &w, int status, const char *what)
@@ -61,6 +62,11 @@ uint32_t count_halved(const mo_device *device, const std::vector<mo_gradient_loa
 uint64_t tickets_bytes(const mo_gradient_plan &plan)
 {
   return (1 + 2 * (uint64_t)plan.n_groups) * 4;
+}
+
+uint64_t endings_bytes(const mo_gradient_plan &plan)
+{
+  return plan.courses != nullptr ? plan.n_rows * sizeof(mo_gk_ending) : 0;
 }
 
 int upload_pass(work &w)
@@ -113,7 +119,13 @@ int upload_pass(work &w)
               [&] { return mo_cuda_reserve_pinned(w.device, &s->parameters, parameters_bytes); });
   if (r < 0)
     return r;
+  const uint64_t courses_bytes = plan.courses != nullptr ? plan.n_rows * sizeof(*plan.courses) : 0;
+  if (plan.courses != nullptr)
+    r = mo_cuda_reserve_pinned(w.device, &s->endings, endings_bytes(plan));
+  if (r < 0)
+    return r;
   w.results = (mo_gk_result *)s->results.memory;
+  w.endings = (mo_gk_ending *)s->endings.memory;
   memset(w.results, 0, results_bytes);
   memcpy(s->parameters.memory, controller->parameters, parameters_bytes);
   const struct {
@@ -129,9 +141,10 @@ int upload_pass(work &w)
                {JOBS, jobs.data(), jobs.size() * 4},
                {SHARDS, shards.data(), shards.size() * 4},
                {RESULTS, w.results, results_bytes},
+               {COURSES, plan.courses, courses_bytes},
                {PARAMETERS, s->parameters.memory, parameters_bytes}};
   for (const auto &part : parts)
-    if (r == MO_OK)
+    if (r == MO_OK && part.from != nullptr)
       r = mo_cuda_upload(w.device, &s->buffers[part.p], part.from, part.bytes);
   const struct {
     mo_gradient_place p;
@@ -140,6 +153,7 @@ int upload_pass(work &w)
               {TAPE, w.p.tape},
               {TICKETS, tickets_bytes(plan)},
               {SUMS, 4 * w.p.sums},
+              {ENDINGS, endings_bytes(plan)},
               {D_PARAMETERS, (w.p.end_shard - w.p.first_shard) * parameters_bytes}};
   for (const auto &part : room)
     if (r == MO_OK)
@@ -162,6 +176,8 @@ int upload_pass(work &w)
   w.k.weights = s->tiles;
   w.k.tickets = s->buffers[TICKETS].of<uint32_t>();
   w.k.cancel = s->cancel;
+  w.k.courses = plan.courses != nullptr ? s->buffers[COURSES].of<mo_gp_course>() : nullptr;
+  w.k.endings = s->buffers[ENDINGS].of<mo_gk_ending>();
   /* The vectors are freed here: copies from pageable memory are staged before cudaMemcpyAsync
    * returns. Pinned memory stays until the pass ends. */
   return check(w, mo_gk_pack(s->buffers[PARAMETERS].of<float>(), &s->tiles, w.device->stream),
@@ -248,6 +264,13 @@ int copy_results(work &w, cudaEvent_t after)
                      return cudaMemcpyAsync(w.results, w.s->buffers[RESULTS].memory, bytes,
                                             cudaMemcpyDeviceToHost, stream);
                    },
+                   [&] {
+                     return w.plan->courses == nullptr
+                                ? cudaSuccess
+                                : cudaMemcpyAsync(w.endings, w.s->buffers[ENDINGS].memory,
+                                                  endings_bytes(*w.plan), cudaMemcpyDeviceToHost,
+                                                  stream);
+                   },
                    [&] { return cudaEventRecord(after, stream); }),
                "copy from the device");
 }
@@ -313,7 +336,12 @@ void report(work &w)
       o.diverged_step = result.diverged;
       for (int axis = 0; axis < 3; axis++)
         o.com_end_m[axis] = result.com_end[axis] + (axis < 2 ? MO_WORLD_CENTER_M : 0);
-      mo_scene_finish(&o, w.call->robots[row.robot].environment);
+      if (w.plan->courses == nullptr || w.plan->courses[j].is_plain) {
+        mo_scene_finish(&o, w.call->robots[row.robot].environment);
+      } else {
+        o.loss = w.endings[j].loss;
+        o.value = w.endings[j].value;
+      }
       counts.robots++;
       counts.steps += result.steps;
       counts.clipped_steps += result.clipped;
@@ -434,7 +462,7 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
   mo_cuda_gradient_state *s = &device->gradient;
   const mo_scheme &scheme = call->physics.scheme;
   const mo_gp_time time = {scheme.n_steps, mo_control_steps(&scheme),
-                           scheme.integrator == MO_INTEGRATOR_SPLIT};
+                           scheme.integrator == MO_INTEGRATOR_SPLIT, plan.courses != nullptr};
   uint64_t budget = 0;
   if (!mo_gradient_can_be_held(&plan, time, share_of(device->total_bytes))) {
     snprintf(device->error, sizeof(device->error), "a tape of %u steps is too long for this device",
@@ -454,6 +482,7 @@ int mo_gradient_run_plan(mo_device *device, mo_device_gradient *call, mo_gradien
     if (r < 0)
       return r;
     w.k.dt = (float)scheme.dt_s;
+    w.k.dt_s = scheme.dt_s;
     w.k.bisections = lane_bisections(&scheme);
     w.k.sensor = call->controller->sensor;
     w.k.bound = call->options.adjoint_bound;

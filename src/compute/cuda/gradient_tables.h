@@ -22,6 +22,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "compute/cuda/course.cuh"
 #include "compute/cuda/plan_block.h"
 #include "rollout/objective.inc"
 
@@ -80,6 +81,15 @@ struct mo_gp_row {
   struct mo_plan_split split;
   uint32_t robot; /* index in the batch; MO_GP_NO_ROBOT: an empty row */
   uint32_t n_masses;
+};
+
+/* The task of a row. The row's own light and distances do not apply, but goal.scale_m is that of
+ * the course. */
+struct mo_gp_course {
+  bool is_plain; /* nothing else is set */
+  struct mo_environment environment;
+  struct mo_course course; /* its environment is not set: it is the one above */
+  struct mo_track start;   /* at the start of the rollout */
 };
 
 #endif

@@ -11,6 +11,7 @@
 struct mo_gp_time {
   uint32_t n_steps, control_steps; /* control_steps: in a control period; not 0 */
   bool splits;                     /* the integrator is `split` */
+  bool has_tasks;                  /* some row has a task that is not plain */
 };
 
 /* Offsets in a group's part of the tape, in bytes. Positions, velocities and pushes are
@@ -31,7 +32,8 @@ struct mo_gp_tape {
   uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
   uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
   uint64_t d_output; /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂(sums of the last layer) */
-  uint64_t bytes;
+  uint64_t bytes;    /* the tracks follow: struct mo_track (passes + 1, n_rows), at each instant of
+                        the rows' tasks */
 };
 /* Offsets in a group's sums, in floats. */
 struct mo_gp_sum {
@@ -79,6 +81,18 @@ MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, struct m
   t.d_output = at, at += MO_GP_ALIGN(passes * rows * g->n_outputs * MO_GP_TILE * 2);
   t.bytes = at;
   return t;
+}
+
+/* The bytes of the tracks in a group's part of the tape, and of all of it. */
+MO_GP_BOTH uint64_t mo_gp_track_bytes(const struct mo_gp_group *g, struct mo_gp_time time)
+{
+  const uint64_t instants = (uint64_t)mo_gp_passes(time.n_steps, time.control_steps) + 1;
+  return time.has_tasks ? MO_GP_ALIGN(instants * g->n_rows * sizeof(struct mo_track)) : 0;
+}
+
+MO_GP_BOTH uint64_t mo_gp_tape_bytes(const struct mo_gp_group *g, struct mo_gp_time time)
+{
+  return mo_gp_tape_of(g, time).bytes + mo_gp_track_bytes(g, time);
 }
 
 MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)

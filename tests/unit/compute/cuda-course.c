@@ -46,6 +46,14 @@ static bool same_light(const struct mo_course *course, double t_s, const struct 
   return memcmp(light_m, other_m, sizeof(light_m)) == 0;
 }
 
+static struct mo_scheme scheme_of(void)
+{
+  struct mo_scheme scheme = mo_default_physics().scheme;
+  scheme.control_period_s = 7 * scheme.dt_s;
+  scheme.n_steps = 7 * PERIODS - 3;
+  return scheme;
+}
+
 static void forward(void)
 {
   uint32_t legs = 0, kept = 0, set = 0;
@@ -53,13 +61,11 @@ static void forward(void)
     for (uint32_t walk = 0; walk < WALKS; walk++) {
       const struct mo_environment environment = environment_of(k, walk);
       struct mo_random dice;
-      struct mo_scheme scheme = mo_default_physics().scheme;
+      const struct mo_scheme scheme = scheme_of();
       struct mo_course course, other_course;
       struct mo_track track, other;
       struct mo_outcome outcome = {0};
       double com_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2};
-      scheme.control_period_s = 7 * scheme.dt_s;
-      scheme.n_steps = 7 * PERIODS - 3;
       mo_random_init(&dice, 5, MO_PURPOSE_CHECK, k, walk);
       mo_course_begin(&course, &environment, &scheme, com_m, &track);
       course_begin(&other_course, &environment, scheme.n_steps * scheme.dt_s, PERIODS, com_m,
@@ -84,6 +90,61 @@ static void forward(void)
     }
   printf("# %u way-points reached, progress kept %u times, at an end %u times\n", legs, kept, set);
   CHECK(legs > 0 && kept > 0 && set > 0);
+}
+
+static bool same_adjoint(const struct mo_course_adjoint *a, const struct mo_course_adjoint *b,
+                         const double *d_com, const double *other)
+{
+  return a->d_sum == b->d_sum && a->d_along == b->d_along &&
+         memcmp(d_com, other, 3 * sizeof(double)) == 0;
+}
+
+/* Backward from the end to the start, with restarts. */
+static void backward(void)
+{
+  static struct mo_track tracks[PERIODS + 1];
+  uint32_t moving = 0;
+  for (uint32_t k = 0; k < TASK_CASES; k++)
+    for (uint32_t walk = 0; walk < WALKS; walk++) {
+      const struct mo_environment environment = environment_of(k, walk);
+      const struct mo_scheme scheme = scheme_of();
+      struct mo_random dice;
+      struct mo_course course;
+      struct mo_course_adjoint adjoint, other_adjoint;
+      struct mo_outcome outcome = {0};
+      double com_m[3] = {MO_WORLD_CENTER_M, MO_WORLD_CENTER_M, 0.2}, d_com[3], other[3];
+      mo_random_init(&dice, 7, MO_PURPOSE_CHECK, k, walk);
+      mo_course_begin(&course, &environment, &scheme, com_m, &tracks[0]);
+      for (uint32_t period = 1; period <= PERIODS; period++) {
+        wander(&environment.task.guide, &dice, period - 1, com_m);
+        tracks[period] = tracks[period - 1];
+        mo_course_advance(&course, period < PERIODS ? 7 * period * scheme.dt_s : course.end_s,
+                          com_m, &tracks[period]);
+      }
+      mo_course_finish(&course, &tracks[PERIODS], &outcome);
+      mo_course_end_back(&course, &tracks[PERIODS - 1], &tracks[PERIODS], outcome.loss, &adjoint,
+                         d_com);
+      course_end_back(&course, &tracks[PERIODS - 1], &tracks[PERIODS], outcome.loss, &other_adjoint,
+                      other);
+      REQUIRE(same_adjoint(&adjoint, &other_adjoint, d_com, other));
+      for (uint32_t period = PERIODS; period-- > 0;) {
+        const struct mo_track *track = &tracks[period], *before = period > 0 ? track - 1 : NULL;
+        const double t_s = 7 * period * scheme.dt_s;
+        double d_light[3];
+        for (int axis = 0; axis < 3; axis++)
+          d_light[axis] = mo_random_normal(&dice);
+        if (period % 9 == 4) {
+          mo_course_restart(&course, t_s, track, com_m, outcome.loss, 3, &adjoint, d_com);
+          course_restart(&course, t_s, track, com_m, outcome.loss, 3, &other_adjoint, other);
+          REQUIRE(same_adjoint(&adjoint, &other_adjoint, d_com, other));
+        }
+        mo_course_back(&course, t_s, before, track, d_light, &adjoint, d_com);
+        course_back(&course, t_s, before, track, d_light, &other_adjoint, other);
+        REQUIRE(same_adjoint(&adjoint, &other_adjoint, d_com, other));
+        moving += adjoint.d_along != 0;
+      }
+    }
+  CHECK(moving > 0);
 }
 
 /* Losses whose exponents are limited, and a fall that would overflow. */
@@ -137,6 +198,7 @@ static void functions(void)
 
 static const struct check_case cases[] = {
     {"lights, sums and results are those of course.c", forward},
+    {"their derivatives are those of course.c", backward},
     {"exponents of long falls", falls},
     {"sines, exponentials, lengths, terrain", functions},
 };

@@ -1,5 +1,6 @@
 /* cuda-gradient.c: how gradient batches are laid out for the device. */
 #include "../make.h"
+#include "../rollout/task-cases.h"
 
 #include "compute/cuda/gradient_pass.h"
 #include "compute/cuda/gradient_plan.h"
@@ -277,6 +278,67 @@ static void passes(void)
   mo_gradient_plan_free(&plan);
 }
 
+/* Rows with tasks get a course from the same start as on a processor; without tasks there are no
+ * courses and no tracks. */
+static void tasks(void)
+{
+  struct mo_robot *robots = make_batch(), *guided = make_zeros(ROBOTS, sizeof(*guided));
+  struct mo_environment *environments = make_zeros(ROBOTS, sizeof(*environments));
+  struct mo_gradient_plan plan = {0}, plain = {0};
+  struct mo_gradient_pass with, without;
+  const struct mo_physics physics = mo_paper_physics();
+  uint32_t n_plain = 0;
+  for (uint32_t i = 0; i < ROBOTS; i++) {
+    environments[i] = *robots[i].environment;
+    if (i % 3 != 0)
+      environments[i].task = task_case(i % TASK_CASES);
+    guided[i] = (struct mo_robot){robots[i].body, &environments[i]};
+  }
+  REQUIRE_OK(mo_gradient_plan_make(guided, ROBOTS, &physics, &options, &plan));
+  REQUIRE_OK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plain));
+  REQUIRE(plan.courses != NULL && plain.courses == NULL && plan.n_rows == plain.n_rows);
+  for (uint32_t j = 0; j < plan.n_rows; j++) {
+    const struct mo_gp_course *course = plan.courses + j;
+    const struct mo_gp_row *row = plan.rows + j;
+    struct mo_course expected;
+    struct mo_track start;
+    CHECK(row->robot == plain.rows[j].robot);
+    if (row->robot == MO_GP_NO_ROBOT || row->robot % 3 == 0) {
+      CHECK(course->is_plain);
+      CHECK(row->robot == MO_GP_NO_ROBOT || row->goal.scale_m == plain.rows[j].goal.scale_m);
+      n_plain++;
+      continue;
+    }
+    mo_course_begin(&expected, &environments[row->robot], &physics.scheme,
+                    plan.starts[row->robot].com_start_m, &start);
+    CHECK(!course->is_plain && course->course.environment == NULL);
+    CHECK(memcmp(&course->environment, &environments[row->robot], sizeof(course->environment)) ==
+          0);
+    CHECK(memcmp(&course->start, &start, sizeof(start)) == 0);
+    CHECK(memcmp(course->course.start_m, expected.start_m, sizeof(expected.start_m)) == 0);
+    CHECK(course->course.scale_m == expected.scale_m && row->goal.scale_m == expected.scale_m);
+    CHECK(course->course.end_s == expected.end_s && course->course.n_periods == 1000);
+  }
+  CHECK(n_plain >= ROBOTS / 3 && n_plain < plan.n_rows / 2);
+  struct mo_gp_time time = in_steps(1000, 4, true);
+  REQUIRE_OK(mo_gradient_pass_next(&plain, 0, 0, time, UINT64_MAX, &without));
+  time.has_tasks = true;
+  REQUIRE_OK(mo_gradient_pass_next(&plan, 0, 0, time, UINT64_MAX, &with));
+  uint64_t tracks = 0;
+  for (uint32_t i = 0; i < plan.n_groups; i++) {
+    const struct mo_gp_group *g = plan.groups + i;
+    tracks += MO_GP_ALIGN(251 * g->n_rows * sizeof(struct mo_track));
+    CHECK(i == 0 || g->tape_at == g[-1].tape_at + mo_gp_tape_of(g - 1, time).bytes +
+                                      MO_GP_ALIGN(251 * g[-1].n_rows * sizeof(struct mo_track)));
+  }
+  CHECK(with.tape == without.tape + tracks && with.sums == without.sums &&
+        with.shared == without.shared);
+  REQUIRE_OK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plan));
+  CHECK(plan.courses == NULL);
+  mo_gradient_plan_free(&plan);
+  mo_gradient_plan_free(&plain);
+}
+
 /* Push and sums of activations are on the tape of `split` alone, whatever its control period. */
 static void tape_of_split(void)
 {
@@ -418,6 +480,7 @@ static const struct check_case cases[] = {
     {"passes of whole shards", passes},
     {"the tape of control periods", passes_of_periods},
     {"the tape of the integrator split", tape_of_split},
+    {"tasks", tasks},
     {"what a group costs", cost_of_a_group},
     {"groups in halves", halves},
     {"small groups stay whole", no_halves_of_small_groups},
