@@ -1,4 +1,5 @@
-/* cuda-gradient-tasks.c: checks gradients of robots with guides and objectives. */
+/* cuda-gradient-tasks.c: checks gradients of robots with guides and objectives, profiles and
+ * damage. */
 #include "../tests/unit/rollout/task-cases.h"
 #include "cuda-gradient.h"
 
@@ -12,24 +13,40 @@
 
 #define CONTROLLER "data/controllers/phototaxis.safetensors"
 
-/* Robots with each task that are compared one by one, and how close the median must be. Where
- * float16 takes another branch of contact than float64, a robot's gradient differs. */
-enum { EACH = 6, SINGLE = EACH * TASK_CASES };
+/* Kinds of robots: with each task, and without one: plain, with a profile, with damage. */
+enum { PLAIN = TASK_CASES, PROFILE, DAMAGE, KINDS };
+
+/* Robots of each kind that are compared one by one, and how close the median must be. Where float16
+ * takes another branch of contact than float64, a robot's gradient differs. */
+enum { EACH = 6, SINGLE = EACH * KINDS };
 #define MEDIAN_ERROR 0.1
 #define LOSS_ERROR   5e-3 /* relative, of the median */
 
-/* Random robots in training environments with the next of all tasks; every 14th is plain. */
+/* Random robots in training environments, each of the next of all kinds. Of those with a task, a
+ * third have a profile, and a third have damage. */
 static void make_guided_scene(struct scene *s, uint32_t n)
 {
   make_scene(s, n);
-  for (uint32_t i = 0; i < n; i++)
-    if (i % (TASK_CASES + 1) < TASK_CASES)
-      s->environments[i].task = task_case(i % (TASK_CASES + 1));
+  for (uint32_t i = 0; i < n; i++) {
+    const uint32_t kind = i % KINDS, turn = i / KINDS;
+    struct mo_environment *environment = &s->environments[i];
+    if (kind < TASK_CASES)
+      environment->task = task_case(kind);
+    if (kind == PROFILE || (kind < TASK_CASES && turn % 3 == 1)) {
+      environment->n_profile = MO_TERRAIN_HEIGHTS; /* the drawn heights one after the other */
+      environment->profile_spacing_m = 0.2;
+    }
+    if (kind == DAMAGE || (kind < TASK_CASES && turn % 3 == 2))
+      environment->damage = (struct mo_damage){1 + (turn + kind) % MO_OCTANTS, 0.05 * (turn % 5)};
+  }
 }
 
 static const char *name_of(uint32_t k)
 {
   static char name[64];
+  static const char *const others[] = {"plain", "profile", "damage"};
+  if (k >= TASK_CASES)
+    return others[k - TASK_CASES];
   const struct mo_task task = task_case(k);
   snprintf(name, sizeof(name), "%s, %s", mo_guide_words[task.guide.kind],
            mo_objective_words[task.objective]);
@@ -63,7 +80,7 @@ static void *compute_singles(void *context)
   }
 }
 
-/* Short rollouts of every task, robot by robot: the gradient, the loss and the value. */
+/* Short rollouts of every kind, robot by robot: the gradient, the loss and the value. */
 static void check_singles(const struct scene *scene)
 {
   static const struct {
@@ -88,14 +105,14 @@ static void check_singles(const struct scene *scene)
                                      .restart_weight = kinds[kind].restart_weight}};
     s.physics.scheme.integrator = kinds[kind].integrator;
     for (uint32_t i = 0; i < SINGLE; i++)
-      s.robots[i] = i / TASK_CASES * (TASK_CASES + 1) + i % TASK_CASES;
+      s.robots[i] = i;
     on_threads(sysconf(_SC_NPROCESSORS_ONLN), compute_singles, &s);
     double worst = 0, worst_loss = 0, worst_value = 0;
     uint32_t worst_task = 0;
-    for (uint32_t k = 0; k < TASK_CASES; k++) {
+    for (uint32_t k = 0; k < KINDS; k++) {
       double error[EACH], loss[EACH], value[EACH];
       for (uint32_t e = 0; e < EACH; e++) {
-        const uint32_t i = e * TASK_CASES + k;
+        const uint32_t i = e * KINDS + k;
         struct result r;
         run_with(&r, controller, scene, s.robots[i], 1, &s.physics, &s.options, 0);
         error[e] = likeness_of(r.call.d_parameters, s.gradients[i], controller->n_parameters).error;
@@ -117,7 +134,7 @@ static void check_singles(const struct scene *scene)
       }
     }
     expect(worst <= MEDIAN_ERROR && worst_loss <= LOSS_ERROR && worst_value <= LOSS_ERROR,
-           "every task, %s, %u steps, periods of %u, bound %g, restart weight %g: the largest "
+           "every kind, %s, %u steps, periods of %u, bound %g, restart weight %g: the largest "
            "median error %.3g (%s), of a loss %.1e, of a value %.1e",
            mo_integrator_words[kinds[kind].integrator], kinds[kind].n_steps,
            kinds[kind].control_steps, kinds[kind].bound, kinds[kind].restart_weight, worst,
@@ -180,7 +197,7 @@ static void check_same_bits(const struct scene *scene)
 /* Plain robots have the same outcomes in a batch with tasks as in one without. */
 static void check_beside(const struct scene *scene)
 {
-  enum { N = 20 * (TASK_CASES + 1) };
+  enum { N = 16 * KINDS };
   struct scene plain;
   struct mo_controller *controller = weights_of(CONTROLLER);
   const struct mo_gradient_options options = mo_default_gradient_options();
@@ -192,13 +209,13 @@ static void check_beside(const struct scene *scene)
     physics.scheme.integrator = (enum mo_integrator)integrator;
     run_with(&mixed, controller, scene, 0, N, &physics, &options, 0);
     run_with(&alone, controller, &plain, 0, N, &physics, &options, 0);
-    for (uint32_t i = TASK_CASES; i < N; i += TASK_CASES + 1)
+    for (uint32_t i = PLAIN; i < N; i += KINDS)
       same &= memcmp(&mixed.call.outcomes[i], &alone.call.outcomes[i],
                      sizeof(*mixed.call.outcomes)) == 0;
     drop_result(&mixed);
     drop_result(&alone);
   }
-  expect(same, "plain robots have the same outcomes with and without tasks beside them");
+  expect(same, "plain robots have the same outcomes with and without special ones beside them");
   drop_scene(&plain);
   mo_controller_free(controller);
 }

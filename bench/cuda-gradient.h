@@ -75,7 +75,7 @@ int same_result(const struct result *a, const struct result *b);
 void time_steps(const struct scene *s, uint32_t n, const struct mo_physics *physics,
                 enum mo_cuda_halves halves, double bound_s);
 
-/* ---- cuda-gradient-tasks.c: guides and objectives ---- */
+/* ---- cuda-gradient-tasks.c: guides and objectives, profiles, damage ---- */
 void check_tasks(void);
 void short_tasks(uint32_t n, uint32_t n_steps);
 void time_tasks(uint32_t n, const struct mo_physics *physics);

@@ -1,5 +1,5 @@
-/* cuda-tasks.c: compares rollouts with guides and objectives with float64, and their bits with each
- * other. */
+/* cuda-tasks.c: compares rollouts with guides and objectives, profiles and damage with float64, and
+ * their bits with each other. */
 #include "../tests/unit/rollout/task-cases.h"
 #include "cuda.h"
 
@@ -23,7 +23,8 @@ static const char *name_of(uint32_t k)
   return name;
 }
 
-/* Rows of n distinct bodies, each in an environment of its own with the next of all tasks. */
+/* Rows of n distinct bodies, each in an environment of its own with the next of all tasks. Of four
+ * rows with one task, one has a profile, one damage, and one both. */
 struct guided {
   uint32_t n;
   struct mo_body **bodies;
@@ -43,6 +44,12 @@ static struct guided make_guided(uint32_t n, uint64_t seed)
   for (uint32_t i = 0; i < n; i++) {
     mo_environment_held_out(seed, i, g.environments + i);
     g.environments[i].task = task_case(i % TASK_CASES);
+    if (i / TASK_CASES % 2 == 1) {
+      g.environments[i].n_profile = MO_TERRAIN_HEIGHTS; /* the drawn heights one after the other */
+      g.environments[i].profile_spacing_m = 0.2;
+    }
+    if (i / TASK_CASES % 4 > 1)
+      g.environments[i].damage = (struct mo_damage){1 + i % MO_OCTANTS, 0.03 * (i % 7)};
     g.robots[i] = (struct mo_robot){g.bodies[i], g.environments + i};
   }
   return g;
@@ -165,6 +172,9 @@ static void check_bits_of_tasks(struct mo_device_controller *controller, struct 
   for (uint32_t i = 0; i < BODIES; i++) {
     plain[i] = g.environments[i];
     plain[i].task = (struct mo_task){0};
+    plain[i].n_profile = 0;
+    plain[i].profile_spacing_m = 0;
+    plain[i].damage = (struct mo_damage){0};
     rows[EACH * i] = g.robots[i];
     rows[EACH * i + 1] = (struct mo_robot){g.bodies[i], &g.environments[(i + 1) % BODIES]};
     rows[EACH * i + 2] = (struct mo_robot){g.bodies[i], &plain[i]};
@@ -197,6 +207,33 @@ static void check_bits_of_tasks(struct mo_device_controller *controller, struct 
   free(outcomes);
   free(again);
   drop_guided(&g);
+}
+
+/* Damage after the end of the rollout changes nothing; damage before its start does. */
+static void check_time_of_damage(struct mo_device_controller *controller)
+{
+  struct guided g = make_guided(BODIES, 20251107), late = make_guided(BODIES, 20251107);
+  struct mo_physics physics = physics_with(MO_INTEGRATOR_SPLIT, 7);
+  uint32_t same = 0, differ = 0;
+  physics.scheme.n_steps = 200;
+  for (uint32_t i = 0; i < BODIES; i++) {
+    g.environments[i].damage = (struct mo_damage){0};
+    late.environments[i].damage = (struct mo_damage){1 + i % MO_OCTANTS, 1000};
+  }
+  run(controller, g.robots, BODIES, &physics, g.outcomes);
+  run(controller, late.robots, BODIES, &physics, late.outcomes);
+  for (uint32_t i = 0; i < BODIES; i++) {
+    same += memcmp(&g.outcomes[i], &late.outcomes[i], sizeof(*g.outcomes)) == 0;
+    late.environments[i].damage.time_s = 0;
+  }
+  run(controller, late.robots, BODIES, &physics, late.outcomes);
+  for (uint32_t i = 0; i < BODIES; i++)
+    differ += g.outcomes[i].loss != late.outcomes[i].loss;
+  expect(same == BODIES && differ > BODIES / 2,
+         "damage after the end leaves %u of %u rows as they are; from the start on it changes %u",
+         same, (uint32_t)BODIES, differ);
+  drop_guided(&g);
+  drop_guided(&late);
 }
 
 /* Springs too stiff for the time step: a row that diverges has no finite loss or value, and does
@@ -237,6 +274,7 @@ void check_tasks(struct mo_device_controller *controller)
   check_bits_of_tasks(controller, every);
   check_bits_of_tasks(controller, fours);
   check_bits_of_tasks(controller, split);
+  check_time_of_damage(controller);
   check_divergence_of_tasks(controller);
   check_lives(controller, "periods of 4 steps", &fours);
   check_lives(controller, "the default settings", &usual);

@@ -2,11 +2,11 @@
  * times.
  *
  * cuda-bench MODULE check [FILE]
- *     agreement, bits, control periods, guides and objectives, divergence, cancelling; FILE keeps
- *     the float64 losses of rollouts without control periods
+ *     agreement, bits, control periods, guides and objectives, profiles, damage, divergence,
+ *     cancelling; FILE keeps the float64 losses of rollouts without control periods
  * cuda-bench MODULE time
- *     8192 bodies × 10 environments, also with control periods, with tasks, evolved bodies, smaller
- *     batches
+ *     8192 bodies × 10 environments, also with control periods, with tasks, profiles and damage,
+ *     evolved bodies, smaller batches
  * cuda-bench MODULE spread
  *     8192 bodies × 10 environments on all devices, and in parts on one
  * cuda-bench MODULE short
@@ -136,11 +136,16 @@ static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
 
 static void time_some(struct mo_device_controller *controller, const char *what,
                       const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
-                      uint32_t each, double bound_s, int has_tasks)
+                      uint32_t each, double bound_s, int has_tasks, int has_more)
 {
   struct rows *rows = make_rows(bodies, n_bodies, each);
   for (uint32_t e = 0; has_tasks && e < MO_PAPER_TEST_COUNT; e++)
     rows->environments[e].task = task_case(e + (e > 4)); /* every guide and objective */
+  for (uint32_t e = 0; has_more && e < MO_PAPER_TEST_COUNT; e++) {
+    rows->environments[e].n_profile = MO_TERRAIN_HEIGHTS; /* the heights one after the other */
+    rows->environments[e].profile_spacing_m = 0.2;
+    rows->environments[e].damage = (struct mo_damage){1 + e % MO_OCTANTS, 2};
+  }
   double wall[REPEATS], device_s[REPEATS], host_s[REPEATS], masses = 0, springs = 0, mean = 0;
   for (uint32_t b = 0; b < n_bodies; b++) {
     masses += (double)bodies[b]->n_masses / n_bodies;
@@ -172,7 +177,7 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
                       const struct mo_physics *physics, struct mo_body **bodies, uint32_t n_bodies,
                       uint32_t each, double bound_s)
 {
-  time_some(controller, what, physics, bodies, n_bodies, each, bound_s, 0);
+  time_some(controller, what, physics, bodies, n_bodies, each, bound_s, 0, 0);
 }
 
 static void time_all(struct mo_device_controller *controller)
@@ -194,7 +199,8 @@ static void time_all(struct mo_device_controller *controller)
   time_rows(controller, "random bodies, split, period 16 ms, dt 2 ms, 2000 steps", &split, bodies,
             N, 10, 0);
   time_some(controller, "random bodies with tasks, split, period 16 ms, dt 2 ms, 2000 steps",
-            &split, bodies, N, 10, 0, 1);
+            &split, bodies, N, 10, 0, 1, 0);
+  time_some(controller, "the same with profiles and damage", &split, bodies, N, 10, 0, 1, 1);
   time_rows(controller, "random bodies, split, period 16 ms, dt 4 ms", &quick, bodies, N, 10, 0);
   time_rows(controller, "evolved bodies", &physics, evolved, N, 10, 1.0);
   time_rows(controller, "random bodies", &physics, bodies, N, 1, 0);

@@ -40,7 +40,7 @@ void compute_references(const struct mo_controller *controller, const struct mo_
 void check_all(struct mo_device_controller *controller, const char *references);
 void check_short(struct mo_device_controller *controller); /* a few steps of everything */
 
-/* ---- cuda-tasks.c: guides and objectives ---- */
+/* ---- cuda-tasks.c: guides and objectives, profiles, damage ---- */
 void check_tasks(struct mo_device_controller *controller);
 void check_tasks_short(struct mo_device_controller *controller, uint32_t n_steps);
 

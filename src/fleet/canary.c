@@ -48,20 +48,19 @@ static struct mo_physics physics_of(uint32_t body)
   return physics;
 }
 
-/* Gives an environment a task: in each body, the last lanes have one of each kind of guide. On
- * processors every fourth lane has a profile, and every fourth has damage, which devices do not
- * compute. */
-static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environment *environment)
+/* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
+ * fourth lane has a profile, and every fourth has damage. */
+static void set_task(uint32_t lane, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
   const uint32_t first = MO_BLOCK_LANES - (uint32_t)(sizeof(words) / sizeof(*words));
   if (lane >= first)
     mo_task_named(mo_word_index(mo_task_words, words[lane - first]), environment);
-  if (lane % 4 == 1 && back_end == MO_ON_CPU) { /* the drawn heights one after the other */
+  if (lane % 4 == 1) { /* the drawn heights one after the other */
     environment->n_profile = MO_TERRAIN_HEIGHTS;
     environment->profile_spacing_m = 0.1;
   }
-  if (lane % 4 == 3 && back_end == MO_ON_CPU)
+  if (lane % 4 == 3)
     environment->damage = (struct mo_damage){1 + lane % MO_OCTANTS, 0.1};
 }
 
@@ -90,7 +89,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .back_end = back_end};
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
-      set_task(e, back_end, &canary->environments[b][e]);
+      set_task(e, &canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];
     }
   }

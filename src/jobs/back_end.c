@@ -13,7 +13,6 @@
 #include "base/thread.h"
 #include "jobs/state.h"
 #include "jobs/trainings.h"
-#include "store/worlds.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
@@ -129,55 +128,6 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                  "%s; request \"cpu\" or \"auto\", or repair the devices and restart the service",
                  mo_compute_devices(jobs->compute) > 0 ? "no device works anymore"
                                                        : "the service has no devices");
-}
-
-static const char *unsuited(const struct mo_environment *environment)
-{
-  if (environment->n_profile != 0)
-    return "devices cannot compute terrain profiles yet; request \"cpu\" or \"auto\", or "
-           "environments with terrain_heights_m";
-  if (environment->damage.cut != 0)
-    return "devices cannot compute damage yet; request \"cpu\" or \"auto\", or environments "
-           "without damage";
-  return NULL;
-}
-
-static const char *unsuited_to_learn(const struct mo_environment *environment)
-{
-  return mo_task_is_plain(&environment->task)
-             ? unsuited(environment)
-             : "devices cannot learn tasks yet; request \"cpu\" or \"auto\", or environments "
-               "whose task is \"photo\"";
-}
-
-/* Returns the first reason against one of the environments, or of the set if they are NULL. A set
- * that cannot be read is refused by the submission. */
-static const char *first_reason(struct mo_jobs *jobs, const char *set,
-                                const struct mo_environment *environments, uint32_t n,
-                                const char *(*against)(const struct mo_environment *environment))
-{
-  struct mo_environment *of_set = NULL;
-  const char *reason = NULL;
-  /* The paper's worlds are grids, without tasks. */
-  if (environments == NULL && set != NULL && strcmp(set, mo_set_words[0]) != 0 &&
-      mo_store_environment_set(jobs->store, set, &of_set, &n) == MO_OK)
-    environments = of_set;
-  for (uint32_t i = 0; environments != NULL && i < n && reason == NULL; i++)
-    reason = against(&environments[i]);
-  free(of_set);
-  return reason;
-}
-
-const char *mo_back_end_unsuited(struct mo_jobs *jobs, const char *set,
-                                 const struct mo_environment *environments, uint32_t n)
-{
-  return first_reason(jobs, set, environments, n, unsuited);
-}
-
-const char *mo_back_end_unsuited_to_learn(struct mo_jobs *jobs, const char *set,
-                                          const struct mo_environment *environments, uint32_t n)
-{
-  return first_reason(jobs, set, environments, n, unsuited_to_learn);
 }
 
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)

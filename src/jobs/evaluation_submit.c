@@ -68,9 +68,7 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   const bool suits = !is_interactive && request->precision == MO_FLOAT32 && request->record == 0 &&
                      request->n_displaced == 0 && request->measures == 0;
   error = mo_back_end_choose(jobs, job,
-                             suits ? mo_back_end_unsuited(jobs, request->environment_set,
-                                                          request->environments,
-                                                          request->n_environments)
+                             suits ? NULL
                                    : "devices compute only float32 batches without record, "
                                      "error, tolerance or measures; request \"cpu\" or "
                                      "\"auto\", or leave those out",

@@ -221,7 +221,8 @@ MO_COURSE void course_light(const struct mo_course *course, double t_s,
                             const struct mo_track *track, double light_m[3])
 {
   course_light_xy(course, t_s, track, light_m);
-  light_m[2] = terrain_height(course->environment->terrain_heights_m, light_m[0], light_m[1]);
+  const struct terrain_map map = terrain_map_of(course->environment);
+  light_m[2] = terrain_height(&map, course->environment->terrain_heights_m, light_m[0], light_m[1]);
 }
 
 /* As mo_course_begin, for a rollout of n_periods control periods that ends at end_s. */
@@ -402,7 +403,8 @@ MO_COURSE void course_back(const struct mo_course *course, double t_s,
   double light_m[2], slope[2];
   d_com[0] = d_com[1] = d_com[2] = 0;
   course_light_xy(course, t_s, track, light_m);
-  terrain_slope(course->environment->terrain_heights_m, light_m[0], light_m[1], slope);
+  const struct terrain_map map = terrain_map_of(course->environment);
+  terrain_slope(&map, course->environment->terrain_heights_m, light_m[0], light_m[1], slope);
   const double d_xy[2] = {d_light[0] + slope[0] * d_light[2], d_light[1] + slope[1] * d_light[2]};
   if (guide->kind == MO_GUIDE_AHEAD || guide->kind == MO_GUIDE_TURNING) {
     d_com[0] = d_xy[0];

@@ -41,6 +41,7 @@ enum mo_gradient_place {
   JOBS,
   SHARDS,
   COURSES,
+  CUTS,
   ENDINGS,
   PARAMETERS,
   D_PARAMETERS,

@@ -125,14 +125,6 @@ int mo_cuda_gradient_run(struct mo_device *device, struct mo_device_gradient *ca
     snprintf(device->error, sizeof(device->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;
   }
-  for (uint32_t i = 0; i < call->n; i++) {
-    const mo_environment *environment = call->robots[i].environment;
-    if (environment->n_profile != 0 || environment->damage.cut != 0) {
-      snprintf(device->error, sizeof(device->error),
-               "profiles and damage have no gradient on GPUs; use device cpu");
-      return MO_ERR_UNSUPPORTED;
-    }
-  }
   mo_device_layout *layout = call->layout;
   int r = in_turn(
       [&] {

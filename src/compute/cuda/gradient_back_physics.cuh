@@ -99,14 +99,14 @@ template <> struct light_sums<false> {
 
 template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, TIME> {
   using own = walker<MT, SHARE, TIME>;
-  using own::activation_at, own::begin, own::begins_period, own::blends, own::chunk_at,
+  using own::activation_at, own::begin, own::begins_period, own::blends, own::broken, own::chunk_at,
       own::constants_of, own::d_activation_at, own::end, own::ends_period, own::first,
       own::first_row, own::g, own::group_first, own::group_row, own::guided, own::is_second, own::k,
-      own::lane, own::lane_begin, own::list, own::n0, own::n1, own::n_chunks, own::n_masses,
-      own::n_outputs, own::n_own, own::own_begin, own::own_chunks, own::own_masses, own::own_row,
-      own::pair_row, own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of, own::place_light,
-      own::position_at, own::push_at, own::ROWS, own::rows, own::SPLIT, own::split_of, own::tape,
-      own::TASKS, own::velocity_at, own::warp, own::width;
+      own::land_of, own::lane, own::lane_begin, own::list, own::n0, own::n1, own::n_chunks,
+      own::n_masses, own::n_outputs, own::n_own, own::own_begin, own::own_chunks, own::own_masses,
+      own::own_row, own::pair_row, own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of,
+      own::place_light, own::position_at, own::push_at, own::ROWS, own::rows, own::SPLIT,
+      own::split_of, own::tape, own::TASKS, own::velocity_at, own::warp, own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, being loaded from the tape. */
   struct held {
@@ -345,20 +345,21 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
       float dp[3] = {s * d[0], s * d[1], s * d[2]},
             dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
       const lane_physics physics = physics_of(own_row(second));
+      const lane_terrain land = land_of(own_row(second));
       if (SPLIT) {
         float *pushes = (float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + m;
         const float push[3] = {load_if(true, pushes), load_if(true, pushes + n_masses),
                                load_if(true, pushes + 2 * n_masses)};
         const lane_split split = split_of(own_row(second), step);
         float da[3];
-        lane_move_split_back(&physics, &split, of.heights, push, p, v, dp, dv, da);
+        lane_move_split_back(&physics, &split, land, push, p, v, dp, dv, da);
         for (int axis = 0; axis < 3; axis++) {
           const float d_push = lane_push_back(&split, 0.0f, da[axis]);
           store(pushes + axis * n_masses, d_push);
           dv[axis] += d_push;
         }
       } else {
-        lane_move_back(&physics, of.heights, of.highest, p, v, dp, dv);
+        lane_move_back(&physics, land, of.highest, p, v, dp, dv);
       }
       for (int axis = 0; axis < 3; axis++)
         d[axis] = dp[axis];
@@ -383,7 +384,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
       const lane_physics physics = physics_of(own_row(second));
       float next[3];
       lane_cell g;
-      strikes = s > 0 && lane_strikes(&physics, of.heights, of.highest, p, v, next, &g);
+      strikes =
+          s > 0 && lane_strikes(&physics, land_of(own_row(second)), of.highest, p, v, next, &g);
       if (!strikes) {
         float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
         if (s > 0) {
@@ -466,7 +468,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
                    own_gx = kept_value(shared_address(gx + 3 * first));
     const uint32_t to = kept_value(shared_address(outputs + pair_row(0) * width)),
                    to_second = kept_value((pair_row(1) - pair_row(0)) * width * 2);
-    uint32_t bad = 0;
+    const uint32_t is_broken = broken(step);
+    uint32_t bad = 0, cut = 0;
     uint32_t now[N], then[N];
     int16_t kept_now[N], kept_then[N];
 #pragma unroll
@@ -486,6 +489,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
         then[i] = load_once(far + 32 * i);
         kept_then[i] = load_once(kept_far + 32 * i);
       }
+      if (TASKS && is_broken != 0)
+        cut = own::template cut_springs<N>(c, n);
       float later[N]; /* ∂loss/∂activation in the period's later steps */
 #pragma unroll
       for (int i = 0; i < N; i++)
@@ -509,8 +514,10 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
                                  other.gyz.y - here.gyz.y};
         const struct lane_length length = lane_length_of(lane_squared(d));
         float dd[3];
-        const float d_wanted =
+        float d_wanted =
             -lane_spring_back(pull, &length, wanted_length(actuation, s, pulls), d, across, dd);
+        if (TASKS && (cut >> i & is_broken >> MO_GP_SPRING_ROW(s) & 1u) != 0)
+          d_wanted = dd[0] = dd[1] = dd[2] = 0.0f;
         float d_activation = d_wanted * (lane_rest(MO_GP_SPRING_DIAGONAL(s)) * actuation);
         if (SPLIT && blend) { /* half belongs to the period before */
           d_activation *= 0.5f;

@@ -30,15 +30,15 @@ struct strikes {
 
 template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> {
   using own = walker<MT, SHARE, TIME>;
-  using own::activation_at, own::begin, own::begins_period, own::blends, own::chunk_at,
+  using own::activation_at, own::begin, own::begins_period, own::blends, own::broken, own::chunk_at,
       own::constants_of, own::end, own::end_step, own::first, own::first_row, own::first_step,
       own::g, own::group_first, own::group_row, own::guided, own::half_begin, own::hidden_at,
-      own::input_at, own::is_second, own::k, own::lane, own::layer_bytes, own::list, own::n_chunks,
-      own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_tile, own::own_begin,
-      own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::part,
-      own::pass_of, own::physics_of, own::place_light, own::plan_split_of, own::position_at,
-      own::push_at, own::rows, own::scale_at, own::SPLIT, own::split_of, own::tape, own::TAPE_ROWS,
-      own::TASKS, own::use_pull, own::velocity_at, own::warp, own::width;
+      own::input_at, own::is_second, own::k, own::land_of, own::lane, own::layer_bytes, own::list,
+      own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_tile,
+      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
+      own::part, own::pass_of, own::physics_of, own::place_light, own::plan_split_of,
+      own::position_at, own::push_at, own::rows, own::scale_at, own::SPLIT, own::split_of,
+      own::tape, own::TAPE_ROWS, own::TASKS, own::use_pull, own::velocity_at, own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -400,7 +400,8 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
     const int n = own_chunks;
     if (n == 0)
       return;
-    uint32_t now[N], then[N];
+    const uint32_t is_broken = broken(step);
+    uint32_t now[N], then[N], cut = 0;
 #pragma unroll
     for (int i = 0; i < N; i++)
       now[i] = __ldg(list + 32 * i);
@@ -420,6 +421,8 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
         for (int i = 0; i < N; i++)
           then[i] = __ldg(list + 32 * (c + N + i));
       }
+      if (TASKS && is_broken != 0)
+        cut = own::template cut_springs<N>(c, n);
 #pragma unroll
       for (int i = 0; i < N; i++) {
         const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
@@ -431,7 +434,9 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
           keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
         const struct lane_length length = lane_length_of(lane_squared(d));
-        const float f = lane_spring(pull, &length, wanted_length(actuation, s, a));
+        float f = lane_spring(pull, &length, wanted_length(actuation, s, a));
+        if (TASKS && (cut >> i & is_broken >> MO_GP_SPRING_ROW(s) & 1u) != 0)
+          f = 0.0f;
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(-f, d[axis], sum[axis]);
         if (s & MO_GP_SPRING_LAST) {
@@ -497,7 +502,8 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
         keep[m] = u[0];
         keep[n_masses + m] = u[1];
         keep[2 * n_masses + m] = u[2];
-        struck = !ended && lane_strikes(&physics, of.heights, of.highest, p, u, next, &ground);
+        struck = !ended &&
+                 lane_strikes(&physics, land_of(own_row(second)), of.highest, p, u, next, &ground);
         if (ended)
           leave(m, p, u);
         else if (!struck && !leave(m, next, u))
@@ -512,15 +518,16 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
           const lane_physics physics = physics_of(own_row(second));
           const float *pv = v + 3 * (first + at);
           const float4 before = x[first + at];
+          const lane_terrain land = land_of(own_row(second));
           float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
           if (SPLIT) {
             const float *pushes =
                 (const float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + at;
             const float push[3] = {pushes[0], pushes[n_masses], pushes[2 * n_masses]};
             const lane_split split = split_of(own_row(second), step);
-            lane_move_split(&physics, &split, of.heights, push, p, u);
+            lane_move_split(&physics, &split, land, push, p, u);
           } else {
-            lane_move(&physics, of.heights, of.highest, p, u);
+            lane_move(&physics, land, of.highest, p, u);
           }
           if (!leave(at, p, u))
             (second ? sane[1] : sane[0]) = false;

@@ -78,9 +78,10 @@ struct mo_gk {
   const volatile int *cancel; /* not 0: stop soon. On the device, because the host's memory is read
                                * so slowly (1.3 µs each, one after the other) that products waited
                                * three times as long for it as they took */
-  const struct mo_gp_course *courses; /* (n_rows); NULL: all tasks are plain */
+  const struct mo_gp_course *courses; /* (n_rows); NULL: no row is special */
   struct mo_gk_ending *endings;       /* (n_rows) */
   double dt_s;
+  const uint32_t *cuts; /* (n_chunks) as in struct mo_gradient_plan; NULL: no row has damage */
 };
 
 /* A walk: a group, or half of one, which one block at a time takes through all steps. */
@@ -88,8 +89,9 @@ struct mo_gk {
 #define MO_GK_HALVED            (UINT32_C(1) << 31) /* the walk is half of a group */
 enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
 /* `paper` with new outputs in every step; `paper` with control periods of several steps; `split`
- * with any control period. The last two are for batches in which some robot has a task
- * (morpho/task.h; mo_gk_task is something else), `paper` and `split` with any control period. */
+ * with any control period. The last two are for batches in which some row is special (plan.h):
+ * `paper` and `split` with any control period. Their tasks are those of morpho/task.h; mo_gk_task
+ * is something else. */
 enum { MO_GK_EVERY, MO_GK_PERIODS, MO_GK_SPLIT, MO_GK_PERIODS_TASKS, MO_GK_SPLIT_TASKS };
 
 /* A forward or backward pass is divided into *tasks*, each a part of the steps of one walk, so that
@@ -397,6 +399,34 @@ template <int MT, int SHARE, int TIME> struct walker {
     return guided_row{task->is_plain ? nullptr : task, k.endings + first_row + at,
                       (mo_track *)(tape + track) + (size_t)instant * TAPE_ROWS + at, TAPE_ROWS};
   }
+  __device__ __forceinline__ const mo_plan_special &special_of(int row) const
+  {
+    return k.courses[first_row + group_row(row)].special;
+  }
+  __device__ __forceinline__ lane_terrain land_of(int row) const
+  {
+    return lane_terrain{rows[row].heights, TASKS ? &special_of(row).cells : nullptr};
+  }
+  /* Bit k: some springs of the pair's k-th row exert no force in a step. */
+  __device__ __forceinline__ uint32_t broken(uint32_t step) const
+  {
+    uint32_t bits = 0;
+    if (TASKS && k.cuts != nullptr)
+      for (int i = 0; i < MT * SHARE; i++)
+        bits |= (uint32_t)(step >= special_of(pair_row(i)).cut_step) << i;
+    return bits;
+  }
+  /* Bit i: this lane's spring of the warp's chunk c + i is among those of broken rows that damage
+   * cuts. n: the warp's chunks. */
+  template <int N> __device__ __forceinline__ uint32_t cut_springs(int c, int n) const
+  {
+    const uint32_t *cuts = k.cuts + g.first_chunk + first_chunk + c;
+    uint32_t bits = 0;
+#pragma unroll
+    for (int i = 0; i < N; i++)
+      bits |= (c + i < n ? __ldg(cuts + i) >> lane & 1u : 0u) << i;
+    return bits;
+  }
   __device__ __forceinline__ void place_light(int row, const float3 &light) const
   {
     if (lane == 0) {
@@ -539,8 +569,8 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
   end_task(k, task);
 }
 
-/* The kernels of one direction, by MO_GK_EVERY … and MO_GK_WHOLE …; those for tasks compute all
- * groups, because more of them would take too long to compile. */
+/* The kernels of one direction, by MO_GK_EVERY … and MO_GK_WHOLE …; those for special rows compute
+ * all groups, because more of them would take too long to compile. */
 template <template <int, int, int> class Way> struct way_kernels {
   static constexpr void (*kernels[3][3])(const mo_gk) = {
       {way_kernel<Way, MO_GK_WHOLE, MO_GK_EVERY>, way_kernel<Way, MO_GK_HALVES, MO_GK_EVERY>,

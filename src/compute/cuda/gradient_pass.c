@@ -19,7 +19,8 @@ static uint64_t bytes_of(const struct mo_gradient_plan *plan, const struct mo_gr
 {
   return p->tape + 4 * p->sums + (uint64_t)(p->end_shard - p->first_shard) * N_PARAMETERS * 4 +
          plan->n_masses * 25 + plan->n_chunks * 128 +
-         (plan->courses != NULL ? plan->n_rows * sizeof(*plan->courses) : 0) + ((uint64_t)16 << 20);
+         (plan->courses != NULL ? plan->n_rows * sizeof(*plan->courses) : 0) +
+         (plan->cuts != NULL ? plan->n_chunks * sizeof(*plan->cuts) : 0) + ((uint64_t)16 << 20);
 }
 
 static void add_group(struct mo_gradient_pass *p, const struct mo_gp_group *g,

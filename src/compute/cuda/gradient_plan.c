@@ -7,6 +7,7 @@
 
 #include "base/thread.h"
 #include "rollout/course.h"
+#include "rollout/damage.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -24,6 +25,7 @@ enum {
   INPUT,
   SPRINGS,
   COURSES,
+  CUTS,
   TABLES,
   STARTS = TABLES,
   ORDER,
@@ -48,7 +50,7 @@ struct shard {
                           * range, not its start */
   struct formed *formed; /* (n_groups) */
   uint32_t n_groups, first_group;
-  bool has_tasks;
+  bool is_special, has_damage; /* some robot's environment */
   const struct mo_physics *physics;
   struct mo_gradient_plan *plan;
   int status;
@@ -170,15 +172,26 @@ static uint32_t split_of(const struct by_springs *order)
   return split;
 }
 
-/* Fills in the chunks of the masses of a pair's bodies. */
+/* A pair's bodies and their environments; NULL: an empty row. */
+struct couple {
+  const struct mo_body *bodies[2];
+  const struct mo_environment *environments[2];
+};
+
+/* Fills in the chunks of the masses of a pair's bodies. cuts: as in struct mo_gradient_plan. */
 static void fill_springs(const struct mo_gp_group *g, const struct mo_gp_pair *pair,
-                         const struct mo_body *const bodies[2], uint32_t *chunks)
+                         const struct couple *of, uint32_t *chunks, uint32_t *cuts)
 {
+  const struct mo_body *const *bodies = of->bodies;
   struct by_springs order;
-  uint8_t used[PAIR_MASSES] = {0};
+  uint8_t used[PAIR_MASSES] = {0}, cut[MO_DEFAULT_SPRINGS];
   sort_masses(bodies, &order);
+  if (cuts != NULL)
+    memset(cuts, 0, pair->n_chunks * sizeof(*cuts));
   uint32_t from = 0;
-  for (uint32_t k = 0; k < 2 && bodies[k] != NULL; from += bodies[k++]->n_masses)
+  for (uint32_t k = 0; k < 2 && bodies[k] != NULL; from += bodies[k++]->n_masses) {
+    if (cuts != NULL)
+      mo_damage_mark(of->environments[k], bodies[k], cut);
     for (uint32_t i = 0; i < bodies[k]->n_springs; i++) {
       const uint32_t at = bodies[k]->spring_lattice[i];
       const uint32_t output =
@@ -190,8 +203,11 @@ static void fill_springs(const struct mo_gp_group *g, const struct mo_gp_pair *p
                        chunk = order.chunk[place / MO_GP_LANES] + used[place]++;
         chunks[chunk * MO_GP_LANES + place % MO_GP_LANES] =
             MO_GP_SPRING(ends[e], ends[1 - e], output, k, diagonal);
+        if (cuts != NULL)
+          cuts[chunk] |= (uint32_t)cut[i] << place % MO_GP_LANES;
       }
     }
+  }
   for (uint32_t place = 0; place < (order.n_masses + MO_GP_LANES - 1) / MO_GP_LANES * MO_GP_LANES;
        place++) {
     const bool there = place < order.n_masses;
@@ -296,8 +312,11 @@ static void form_shards(void *context, size_t first, size_t end)
   for (struct shard *s = (struct shard *)context + first; s < (struct shard *)context + end; s++) {
     s->status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
     s->end = s->n;
-    for (uint32_t i = 0; i < s->n && !s->has_tasks; i++)
-      s->has_tasks = !mo_task_is_plain(&s->robots[s->first + i].environment->task);
+    for (uint32_t i = 0; i < s->n; i++) {
+      const struct mo_environment *environment = s->robots[s->first + i].environment;
+      s->is_special |= mo_environment_is_special(environment);
+      s->has_damage |= environment->damage.cut != 0;
+    }
     while (s->status == MO_OK && s->at < s->end) {
       struct formed *f = &s->formed[s->n_groups++];
       f->group = (struct mo_gp_group){.shard = s->number};
@@ -312,11 +331,12 @@ static void form_shards(void *context, size_t first, size_t end)
 
 /* ---- filling ---- */
 
-/* Fills in the task of a row whose robot starts with this center of mass. */
+/* Fills in what a special row has; com_start_m: of its robot. */
 static void fill_course(const struct shard *s, struct mo_gp_row *row, const double com_start_m[3])
 {
   const struct mo_environment *environment = s->robots[row->robot].environment;
   struct mo_gp_course *course = s->plan->courses + (row - s->plan->rows);
+  course->special = mo_plan_special_of(environment, s->physics);
   if (mo_task_is_plain(&environment->task))
     return;
   course->is_plain = false;
@@ -357,20 +377,23 @@ static void fill_group(const struct shard *s, const struct mo_gp_group *g, const
 {
   uint64_t mass = g->first_mass;
   for (uint32_t w = 0; w < MO_GP_WARPS; w++) {
-    const struct mo_body *bodies[2] = {NULL, NULL};
+    struct couple of = {{NULL, NULL}, {NULL, NULL}};
     for (uint32_t i = w, k = 0; i < g->n_rows && k < 2; i += HALF, k++) {
       struct mo_gp_row *row = s->plan->rows + g->first_row + i;
       *row = (struct mo_gp_row){.robot = robot[i]};
       if (s->plan->courses != NULL)
-        s->plan->courses[g->first_row + i] = (struct mo_gp_course){.is_plain = true};
+        s->plan->courses[g->first_row + i] =
+            (struct mo_gp_course){.special.cut_step = UINT32_MAX, .is_plain = true};
       if (robot[i] == MO_GP_NO_ROBOT)
         continue;
-      bodies[k] = s->robots[robot[i]].body;
+      of.bodies[k] = s->robots[robot[i]].body;
+      of.environments[k] = s->robots[robot[i]].environment;
       fill_row(s, row, mass);
       mass += row->n_masses;
     }
-    fill_springs(g, &g->pair[w], bodies,
-                 s->plan->springs + (g->first_chunk + g->pair[w].first_chunk) * MO_GP_LANES);
+    const uint64_t chunk = g->first_chunk + g->pair[w].first_chunk;
+    fill_springs(g, &g->pair[w], &of, s->plan->springs + chunk * MO_GP_LANES,
+                 s->plan->cuts != NULL ? s->plan->cuts + chunk : NULL);
   }
 }
 
@@ -386,13 +409,14 @@ static void fill_shards(void *context, size_t first, size_t end)
 /* Determines the place of each group, and reserves memory for all of them. */
 static int place(struct mo_gradient_plan *plan, struct shard *shards)
 {
-  bool has_tasks = false;
+  bool is_special = false, has_damage = false;
   plan->n_groups = plan->n_rows = 0;
   plan->n_masses = plan->n_chunks = 0;
   for (uint32_t i = 0; i < plan->n_shards; i++) {
     if (shards[i].status < 0)
       return shards[i].status;
-    has_tasks |= shards[i].has_tasks;
+    is_special |= shards[i].is_special;
+    has_damage |= shards[i].has_damage;
     shards[i].first_group = plan->n_groups;
     plan->n_groups += shards[i].n_groups;
   }
@@ -414,9 +438,11 @@ static int place(struct mo_gradient_plan *plan, struct shard *shards)
   plan->position = reserve(plan, POSITION, plan->n_masses * 3 * sizeof(*plan->position));
   plan->input = reserve(plan, INPUT, plan->n_masses);
   plan->springs = reserve(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
-  plan->courses = has_tasks ? reserve(plan, COURSES, plan->n_rows * sizeof(*plan->courses)) : NULL;
+  plan->courses = is_special ? reserve(plan, COURSES, plan->n_rows * sizeof(*plan->courses)) : NULL;
+  plan->cuts = has_damage ? reserve(plan, CUTS, plan->n_chunks * sizeof(*plan->cuts)) : NULL;
   const bool all = plan->rows != NULL && plan->position != NULL && plan->input != NULL &&
-                   plan->springs != NULL && (plan->courses != NULL) == has_tasks;
+                   plan->springs != NULL && (plan->courses != NULL) == is_special &&
+                   (plan->cuts != NULL) == has_damage;
   return all ? MO_OK : MO_ERR_NO_MEMORY;
 }
 

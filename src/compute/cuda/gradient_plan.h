@@ -23,7 +23,7 @@ struct mo_gp_memory {
   size_t bytes;
 };
 
-enum { MO_GP_MEMORIES = 10 };
+enum { MO_GP_MEMORIES = 11 };
 
 struct mo_gradient_plan {
   uint32_t n, n_shards, n_groups, n_rows;
@@ -33,8 +33,10 @@ struct mo_gradient_plan {
   float *position;              /* (n_masses, 3) at the start; x, y from the world's center */
   uint8_t *input;               /* (n_masses) the mass's index among the inputs */
   uint32_t *springs;            /* (n_chunks, 32) */
-  struct mo_gp_course *courses; /* (n_rows); NULL: all tasks are plain */
-  struct mo_outcome *starts;    /* (n) only com_start_m is set */
+  struct mo_gp_course *courses; /* (n_rows); NULL: no row is special */
+  uint32_t *cuts; /* (n_chunks) bit l: the damage of its row cuts the spring of lane l; NULL: no row
+                     has damage */
+  struct mo_outcome *starts; /* (n) only com_start_m is set */
   /* The memory of all these, and scratch memory. The next batch reuses it, because allocating 80 MB
    * takes longer than filling it. */
   struct mo_gp_memory memory[MO_GP_MEMORIES];

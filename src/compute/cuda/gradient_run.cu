@@ -35,7 +35,7 @@ struct work {
   uint32_t n_jobs, n_halved;
   bool told;             /* whether the device has been notified that the call is cancelled */
   mo_gk_result *results; /* (n_rows) in pinned memory */
-  mo_gk_ending *endings; /* the same; not used without tasks */
+  mo_gk_ending *endings; /* the same; not used if no row is special */
 };
 
 int check(work &w, int status, const char *what)
@@ -119,7 +119,8 @@ int upload_pass(work &w)
               [&] { return mo_cuda_reserve_pinned(w.device, &s->parameters, parameters_bytes); });
   if (r < 0)
     return r;
-  const uint64_t courses_bytes = plan.courses != nullptr ? plan.n_rows * sizeof(*plan.courses) : 0;
+  const uint64_t courses_bytes = plan.courses != nullptr ? plan.n_rows * sizeof(*plan.courses) : 0,
+                 cuts_bytes = plan.cuts != nullptr ? plan.n_chunks * sizeof(*plan.cuts) : 0;
   if (plan.courses != nullptr)
     r = mo_cuda_reserve_pinned(w.device, &s->endings, endings_bytes(plan));
   if (r < 0)
@@ -142,6 +143,7 @@ int upload_pass(work &w)
                {SHARDS, shards.data(), shards.size() * 4},
                {RESULTS, w.results, results_bytes},
                {COURSES, plan.courses, courses_bytes},
+               {CUTS, plan.cuts, cuts_bytes},
                {PARAMETERS, s->parameters.memory, parameters_bytes}};
   for (const auto &part : parts)
     if (r == MO_OK && part.from != nullptr)
@@ -178,6 +180,7 @@ int upload_pass(work &w)
   w.k.cancel = s->cancel;
   w.k.courses = plan.courses != nullptr ? s->buffers[COURSES].of<mo_gp_course>() : nullptr;
   w.k.endings = s->buffers[ENDINGS].of<mo_gk_ending>();
+  w.k.cuts = plan.cuts != nullptr ? s->buffers[CUTS].of<uint32_t>() : nullptr;
   /* The vectors are freed here: copies from pageable memory are staged before cudaMemcpyAsync
    * returns. Pinned memory stays until the pass ends. */
   return check(w, mo_gk_pack(s->buffers[PARAMETERS].of<float>(), &s->tiles, w.device->stream),

@@ -83,10 +83,11 @@ struct mo_gp_row {
   uint32_t n_masses;
 };
 
-/* The task of a row. The row's own light and distances do not apply, but goal.scale_m is that of
- * the course. */
+/* What rows of a batch have if some of them is special (plan.h). With a task, the row's own light
+ * and distances do not apply, but goal.scale_m is that of the course. */
 struct mo_gp_course {
-  bool is_plain; /* nothing else is set */
+  struct mo_plan_special special;
+  bool is_plain; /* the task is; nothing else is set */
   struct mo_environment environment;
   struct mo_course course; /* its environment is not set: it is the one above */
   struct mo_track start;   /* at the start of the rollout */

@@ -11,7 +11,7 @@
 struct mo_gp_time {
   uint32_t n_steps, control_steps; /* control_steps: in a control period; not 0 */
   bool splits;                     /* the integrator is `split` */
-  bool has_tasks;                  /* some row has a task that is not plain */
+  bool is_special;                 /* some row is (plan.h) */
 };
 
 /* Offsets in a group's part of the tape, in bytes. Positions, velocities and pushes are
@@ -87,7 +87,7 @@ MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, struct m
 MO_GP_BOTH uint64_t mo_gp_track_bytes(const struct mo_gp_group *g, struct mo_gp_time time)
 {
   const uint64_t instants = (uint64_t)mo_gp_passes(time.n_steps, time.control_steps) + 1;
-  return time.has_tasks ? MO_GP_ALIGN(instants * g->n_rows * sizeof(struct mo_track)) : 0;
+  return time.is_special ? MO_GP_ALIGN(instants * g->n_rows * sizeof(struct mo_track)) : 0;
 }
 
 MO_GP_BOTH uint64_t mo_gp_tape_bytes(const struct mo_gp_group *g, struct mo_gp_time time)

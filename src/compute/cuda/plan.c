@@ -7,6 +7,7 @@
 
 #include "base/thread.h"
 #include "rollout/carve.h"
+#include "rollout/damage.h"
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -196,7 +197,7 @@ static void lay_out(struct mo_plan *plan)
       place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(struct mo_plan_tile));
   block->columns = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(uint16_t));
   block->tasks =
-      place(&used, plan->has_tasks ? plan->n_environments : 0, sizeof(struct mo_environment));
+      place(&used, plan->is_special ? plan->n_environments : 0, sizeof(struct mo_environment));
   block->bytes = used;
 }
 
@@ -264,9 +265,8 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
   for (uint32_t e = 0; e < plan->n_environments; e++) {
-    if (plan->environments[e]->n_profile != 0 || plan->environments[e]->damage.cut != 0)
-      return MO_ERR_UNSUPPORTED;
-    plan->has_tasks |= !mo_task_is_plain(&plan->environments[e]->task);
+    plan->is_special |= mo_environment_is_special(plan->environments[e]);
+    plan->has_damage |= plan->environments[e]->damage.cut != 0;
   }
   return MO_OK;
 }
@@ -432,11 +432,9 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
   mo_scene_light(environment, light);
   for (int axis = 0; axis < 3; axis++)
     scene.light[axis] = (float)(light[axis] - (axis < 2 ? MO_WORLD_CENTER_M : 0));
-  double top = -INFINITY;
-  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     scene.heights[k] = (float)environment->terrain_heights_m[k];
-    top = fmax(top, environment->terrain_heights_m[k]);
-  }
+  const double top = mo_terrain_highest(environment);
   scene.highest = (float)(top + 1e-6 * (1 + fabs(top)));
   const struct mo_constants constants = mo_scene_constants(environment, physics);
   scene.constants = lane_both_of(&physics->scheme, &constants, false).physics;
@@ -453,6 +451,19 @@ struct mo_plan_split mo_plan_split_of(const struct mo_environment *environment,
                                 first.split.per_push};
 }
 
+struct mo_plan_special mo_plan_special_of(const struct mo_environment *environment,
+                                          const struct mo_physics *physics)
+{
+  return (struct mo_plan_special){lane_cells_of(environment), environment->damage.cut,
+                                  mo_damage_step(environment, &physics->scheme)};
+}
+
+bool mo_environment_is_special(const struct mo_environment *environment)
+{
+  return environment->n_profile != 0 || environment->damage.cut != 0 ||
+         !mo_task_is_plain(&environment->task);
+}
+
 /* Returns a body's own slot for a slot of the lattice. */
 static uint32_t own_slot(const struct mo_plan_pairs *pairs, uint32_t slot)
 {
@@ -460,7 +471,20 @@ static uint32_t own_slot(const struct mo_plan_pairs *pairs, uint32_t slot)
   return 2 * (pairs->before[pair / 32] + (uint32_t)__builtin_popcount(before)) + slot % 2;
 }
 
-static void fill_body(const struct mo_body *body, const struct input_order *order,
+/* Finds the octant of each of a body's springs (rollout/damage.h). */
+static void find_octants(const struct mo_body *body, uint8_t *octant)
+{
+  uint8_t cut[MO_DEFAULT_SPRINGS];
+  for (uint8_t o = 0; o < MO_OCTANTS; o++) {
+    const struct mo_environment environment = {.damage.cut = 1U + o};
+    mo_damage_mark(&environment, body, cut);
+    for (uint32_t s = 0; s < body->n_springs; s++)
+      if (cut[s] != 0)
+        octant[s] = o;
+  }
+}
+
+static void fill_body(const struct mo_body *body, bool has_damage, const struct input_order *order,
                       const uint16_t *slots, const struct mo_plan_pairs *pairs, uint32_t *links,
                       uint32_t *masses, uint8_t *ranks, uint8_t *inputs)
 {
@@ -479,7 +503,7 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     begin[d] = more;
     more = (uint16_t)(more + with);
   }
-  uint8_t listed[MO_DEFAULT_MASSES];
+  uint8_t listed[MO_DEFAULT_MASSES], octant[MO_DEFAULT_SPRINGS];
   memset(inputs, 0, MO_PLAN_INPUTS);
   for (uint32_t m = 0; m < n; m++) {
     ranks[m] = (uint8_t)begin[degree[m]]++;
@@ -494,17 +518,20 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     quad_of[m] = (uint16_t)quad;
     quad += quads;
   }
+  if (has_damage)
+    find_octants(body, octant);
   for (uint32_t s = 0; s < body->n_springs; s++) {
     const uint32_t a = body->spring_a[s], b = body->spring_b[s];
     const uint32_t slot = own_slot(pairs, slots[body->spring_lattice[s]]);
-    links[MO_PLAN_LINKS * quad_of[a] + used[a]++] = MO_PLAN_LINK(slot, ranks[b]);
-    links[MO_PLAN_LINKS * quad_of[b] + used[b]++] = MO_PLAN_LINK(slot, ranks[a]);
+    const uint32_t part = has_damage ? MO_PLAN_LINK_PART(octant[s]) : 0;
+    links[MO_PLAN_LINKS * quad_of[a] + used[a]++] = MO_PLAN_LINK(slot, ranks[b]) | part;
+    links[MO_PLAN_LINKS * quad_of[b] + used[b]++] = MO_PLAN_LINK(slot, ranks[a]) | part;
   }
   for (uint32_t m = 0; m < n; m++) /* of length 0: such a link has no force, no matter which of the
                                     * mass's springs it refers to */
     for (uint32_t *first = links + MO_PLAN_LINKS * quad_of[m]; used[m] % MO_PLAN_LINKS != 0;
          used[m]++)
-      first[used[m]] = MO_PLAN_LINK(MO_PLAN_LINK_SLOT(first[0]), ranks[m]);
+      first[used[m]] = MO_PLAN_LINK(MO_PLAN_LINK_SLOT_OF(first[0]), ranks[m]);
 }
 
 /* Fills in the pairs of a group, sorted by the columns that have them, in Gray-code order of these
@@ -581,7 +608,7 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
   uint8_t *ranks = (uint8_t *)(base + block->ranks), *inputs = (uint8_t *)(base + block->inputs);
   for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
     const struct mo_plan_body header = plan->headers[b];
-    fill_body(plan->bodies[b], &order, plan->slots, plan->pairs + b,
+    fill_body(plan->bodies[b], plan->has_damage, &order, plan->slots, plan->pairs + b,
               links + (size_t)MO_PLAN_LINKS * header.first_quad, masses + header.first_mass,
               ranks + header.first_mass, inputs + (size_t)b * MO_PLAN_INPUTS);
     bodies[b] = header;
@@ -591,7 +618,8 @@ static void fill_share(const struct mo_plan *plan, void *memory, uint32_t share,
            sizeof(environments[e].heights_m));
     environments[e].scene = mo_plan_scene_of(plan->environments[e], plan->physics);
     environments[e].split = mo_plan_split_of(plan->environments[e], plan->physics);
-    if (plan->has_tasks)
+    environments[e].special = mo_plan_special_of(plan->environments[e], plan->physics);
+    if (plan->is_special)
       tasks[e] = *plan->environments[e];
   }
   struct mo_plan_group *groups = (struct mo_plan_group *)(void *)(base + block->groups);

@@ -24,7 +24,8 @@ struct mo_plan_options {
 
 struct mo_plan {
   uint32_t n, n_bodies, n_environments, n_groups, n_parts;
-  bool has_tasks; /* some environment's task is not plain */
+  bool is_special; /* some environment is */
+  bool has_damage; /* some environment cuts springs */
   struct mo_plan_block block;
   /* The plan's own memory, one allocation. */
   void *memory;
@@ -77,6 +78,12 @@ struct mo_plan_scene mo_plan_scene_of(const struct mo_environment *environment,
                                       const struct mo_physics *physics);
 struct mo_plan_split mo_plan_split_of(const struct mo_environment *environment,
                                       const struct mo_physics *physics);
+struct mo_plan_special mo_plan_special_of(const struct mo_environment *environment,
+                                          const struct mo_physics *physics);
+
+/* Whether an environment needs the kernels for special rows: it has a task that is not plain, a
+ * profile, or damage. All others compute only grids with a light that stands still. */
+bool mo_environment_is_special(const struct mo_environment *environment);
 
 /* Writes the slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
 int mo_plan_slots(uint16_t *slots);

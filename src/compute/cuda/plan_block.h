@@ -49,10 +49,15 @@ struct mo_plan_pairs {
   uint32_t has[MO_PLAN_PAIR_WORDS];
   uint16_t before[MO_PLAN_PAIR_WORDS];
 };
-/* A link: the mass at the other end, and the spring's slot among the body's own. */
-#define MO_PLAN_LINK(slot, mass) ((uint32_t)(slot) << 8 | (uint32_t)(mass))
-#define MO_PLAN_LINK_MASS(link)  ((link)&0xffu)
-#define MO_PLAN_LINK_SLOT(link)  ((link) >> 8)
+/* A link: the mass at the other end, and the spring's slot among the body's own. If a row has
+ * damage, also 1 + the octant of the spring (rollout/damage.h): then MO_PLAN_LINK_SLOT does not
+ * apply, but MO_PLAN_LINK_SLOT_OF applies to all links. */
+#define MO_PLAN_LINK(slot, mass)   ((uint32_t)(slot) << 8 | (uint32_t)(mass))
+#define MO_PLAN_LINK_MASS(link)    ((link)&0xffu)
+#define MO_PLAN_LINK_SLOT(link)    ((link) >> 8)
+#define MO_PLAN_LINK_SLOT_OF(link) ((link) >> 8 & 0xfffu)
+#define MO_PLAN_LINK_PART(octant)  ((uint32_t)(1 + (octant)) << 20)
+#define MO_PLAN_LINK_PART_OF(link) ((link) >> 20)
 
 /* A mass: lattice coordinates, the start of its links, and their number in units of
  * MO_PLAN_LINKS. */
@@ -104,11 +109,18 @@ struct mo_plan_split {
   struct lane_split_constants constants;
   float first_pull, first_fall, first_per_push; /* the first step's */
 };
+/* What only the kernels for special rows read (mo_environment_is_special). */
+struct mo_plan_special {
+  struct lane_cells cells; /* of the terrain */
+  uint32_t cut,
+      cut_step; /* as mo_damage.cut; the first step without these springs, or UINT32_MAX */
+};
 /* An environment with its heights in float64, for the start. */
 struct mo_plan_environment {
   double heights_m[MO_TERRAIN_HEIGHTS];
   struct mo_plan_scene scene;
   struct mo_plan_split split;
+  struct mo_plan_special special;
 };
 
 /* Offsets in the block in bytes, each a multiple of 256. */
@@ -127,8 +139,8 @@ struct mo_plan_block {
   size_t tiles;        /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
   size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's
                      springs */
-  size_t tasks;   /* struct mo_environment (n_environments), as course.cuh reads them; none if all
-                     tasks are plain */
+  size_t tasks;   /* struct mo_environment (n_environments), as course.cuh reads them; none if no
+                     row is special */
   size_t bytes;
 };
 

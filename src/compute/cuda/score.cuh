@@ -42,14 +42,14 @@ struct mo_cuda_score {
   bool splits;            /* the integrator is `split` */
 };
 
-/* A row with a task. */
+/* The state of a row with a task. */
 struct mo_cuda_guided {
   mo_course course; /* its environment is one of mo_cuda_tasks.environments */
   mo_track track;   /* at the start of the current control period */
 };
 
-/* What a launch needs in addition if some rows have tasks. It is an argument of its own kernels,
- * which leaves the kernels for plain rows as they are. */
+/* What a launch needs in addition if some row is special (plan.h): tasks, profiles, damage. It is
+ * an argument of its own kernels, which leaves the kernels for all other rows as they are. */
 struct mo_cuda_tasks {
   const mo_environment *environments; /* as in the plan's block */
   mo_cuda_guided *rows; /* by the caller's row, as the results; plain rows have none */
@@ -66,7 +66,7 @@ struct mo_cuda_score_kernel {
   cudaError_t (*prepare)(); /* once per device */
   cudaError_t (*launch)(const mo_cuda_score &score, uint32_t blocks, cudaStream_t stream);
 };
-/* The same kernel with tasks. */
+/* The same kernel for special rows. */
 struct mo_cuda_tasks_kernel {
   cudaError_t (*prepare)();
   cudaError_t (*launch)(const mo_cuda_score &score, const mo_cuda_tasks &tasks, uint32_t blocks,

@@ -65,14 +65,16 @@ __device__ double start_of(uint32_t cell, int side)
 }
 
 /* Places one row, with one warp. */
-__device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint32_t r,
-                          float *position, uint32_t lane)
+template <class TASKS>
+__device__ void place_row(const mo_cuda_score &score, const Shared &shared, const TASKS &tasks,
+                          uint32_t r, float *position, uint32_t lane)
 {
   const Row row = shared.rows[r];
   const Part &part = shared.parts[row.part];
   const mo_plan_row plan = score.rows[shared.plan.first_row + r];
   const uint32_t *masses = score.masses + part.first_mass;
   const double *heights = score.environments[plan.environment].heights_m;
+  const terrain_map map = tasks.map_of(plan.environment);
   uint32_t lowest = 255;
   for (uint32_t m = lane; m < row.n_masses; m += 32)
     lowest = min(lowest, MO_PLAN_MASS_Z(masses[m]));
@@ -80,7 +82,7 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
   double lift = -INFINITY;
   for (uint32_t m = lane; m < row.n_masses; m += 32) {
     const uint32_t mass = masses[m];
-    lift = fmax(lift, terrain_height(heights, start_of(MO_PLAN_MASS_X(mass), 6),
+    lift = fmax(lift, terrain_height(&map, heights, start_of(MO_PLAN_MASS_X(mass), 6),
                                      start_of(MO_PLAN_MASS_Y(mass), 6)) -
                           MO_VOXEL_M * (MO_PLAN_MASS_Z(mass) - lowest));
   }
@@ -197,8 +199,10 @@ __device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
       shared.chunks[place[i]] = chunk[i] & ((1u << kCost) - 1);
 }
 
-/* Sets up the group's rows and parts, once per group. */
-__device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Memory &memory)
+/* Sets up the group's rows and parts, once per group. TASKS: as live_of (score_live.cuh). */
+template <class TASKS>
+__device__ void begin_group(const mo_cuda_score &score, Shared &shared, const TASKS &tasks,
+                            const Memory &memory)
 {
   const uint32_t thread = threadIdx.x, lane = thread & 31, warp = thread >> 5;
   const mo_plan_group &plan = shared.plan;
@@ -249,7 +253,7 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, const Me
   __syncthreads();
   deal_chunks(score, shared);
   for (uint32_t r = warp; r < plan.n_rows; r += MO_CUDA_WARPS)
-    place_row(score, shared, r, memory.position, lane);
+    place_row(score, shared, tasks, r, memory.position, lane);
   for (uint32_t k = thread; k < 3 * plan.n_places; k += MO_CUDA_THREADS)
     memory.velocity[k] = 0.0f;
   constexpr uint32_t kWords = sizeof(mo_plan_pairs) / sizeof(uint32_t);

@@ -1,6 +1,7 @@
-/* score_guide.cuh: the tasks of a group's rows (course.cuh), in float64, by one thread per row. It
- * runs at the start of each control period, before the sensors are read, with the center of mass
- * that sensing finds. Plain rows are left out; they keep their bits next to rows with tasks.
+/* score_guide.cuh: what special rows have, and others have not: profiles, damage, and tasks. The
+ * tasks of a group's rows (course.cuh) are computed in float64, by one thread per row. That runs at
+ * the start of each control period, before the sensors are read, with the center of mass that
+ * sensing finds. Rows with a plain task are left out; plain rows keep their bits next to others.
  *
  * All threads of a block call these functions, which are not inlined: the steps of the kernel need
  * all registers. They read the call and the group from shared memory. */
@@ -107,8 +108,14 @@ __device__ __noinline__ void end_tasks(const mo_cuda_tasks &k)
   *own.result = result;
 }
 
-/* What the kernel does for tasks: nothing if all rows of a launch are plain. */
+/* What the kernel does for special rows: nothing if no row of a launch is special. */
 struct Plain {
+  static constexpr bool kSpecial = false;
+
+  __device__ __forceinline__ terrain_map map_of(uint32_t) const
+  {
+    return terrain_map_of_grid();
+  }
   __device__ __forceinline__ void begin() const
   {
   }
@@ -121,8 +128,14 @@ struct Plain {
 };
 
 struct Tasks {
+  static constexpr bool kSpecial = true;
   const mo_cuda_tasks &k;
 
+  /* environment: its number in the launch. */
+  __device__ __forceinline__ terrain_map map_of(uint32_t environment) const
+  {
+    return terrain_map_of(k.environments + environment);
+  }
   __device__ __forceinline__ void begin() const
   {
     begin_tasks(k);

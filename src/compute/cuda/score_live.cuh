@@ -15,7 +15,8 @@
  * multiprocessor, so that the physics of one runs alongside the products of the other
  * (score_think_narrow.cuh, which is included first). For capability 9.0: 512 threads and at most 80
  * rows, for which the weights are loaded once, not twice (score_think_wide.cuh). Launches in which
- * some row has a task have kernels of their own (MO_CUDA_TASKS, score_guide.cuh). */
+ * some row is special, with a task, a profile or damage, have kernels of their own (MO_CUDA_TASKS,
+ * score_guide.cuh). */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
 
@@ -24,7 +25,7 @@
 
 namespace {
 
-/* TASKS: Plain, or Tasks if rows have tasks. */
+/* TASKS: Plain, or Tasks if some row is special. */
 template <bool SPLIT, class TASKS>
 __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS &tasks)
 {
@@ -53,7 +54,7 @@ __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS 
     if (SPLIT)
       memory.velocity = score.velocities + (size_t)blockIdx.x * 6 * score.max_places;
     const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
-    begin_group(score, shared, memory);
+    begin_group(score, shared, tasks, memory);
     tasks.begin();
     if (SPLIT)
       set_kicks(shared, true);
@@ -69,7 +70,8 @@ __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS 
       if (score.weights != nullptr && step % score.control_steps == 0) {
         if (SPLIT && step > 0) {
           how.share = 0.5f;
-          pull<SPLIT>(shared, memory.position, memory.lengths, velocity, how);
+          pull<SPLIT, TASKS::kSpecial>(shared, memory.position, memory.lengths, velocity, how,
+                                       step);
           how.before = velocity;
           how.coasts = false;
         }
@@ -84,12 +86,12 @@ __device__ __forceinline__ void live_of(const mo_cuda_score &score, const TASKS 
       } else {
         sense<false>(score, shared, sensor, memory.position, memory.x, step);
       }
-      pull<SPLIT>(shared, memory.position, memory.lengths, velocity, how);
+      pull<SPLIT, TASKS::kSpecial>(shared, memory.position, memory.lengths, velocity, how, step);
       if (thread == 0 && step % kCancelSteps == 0 && *score.cancel != 0)
         shared.cancelled = 1;
       if (!__syncthreads_or(thread < n_rows && shared.diverged[thread] == 0) || shared.cancelled)
         break;
-      move<SPLIT>(score, shared, memory.position, velocity, before);
+      move<SPLIT, TASKS::kSpecial>(score, shared, memory.position, velocity, before);
       __syncthreads();
       if (SPLIT && step == 0)
         set_kicks(shared, false);

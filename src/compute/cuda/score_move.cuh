@@ -31,6 +31,8 @@ __device__ __forceinline__ float3 load_velocity(const float *v)
   return make_float3(__ldcg(v), __ldcg(v + 1), __ldcg(v + 2));
 }
 
+constexpr uint32_t kNone = UINT32_MAX;
+
 /* The bases of the links of a mass in a row, and the distances between masses and lengths, in
  * bytes. */
 struct Reach {
@@ -38,21 +40,25 @@ struct Reach {
   uint32_t mass_stride, length_stride;
 };
 
-/* Loads the target lengths of the springs of four links. */
+/* Loads the target lengths of the springs of four links. SPECIAL: rows may have damage. */
+template <bool SPECIAL>
 __device__ __forceinline__ void load_lengths(const uint4 &quad, const Reach &reach,
                                              float (&length)[MO_PLAN_LINKS])
 {
   const uint32_t link[MO_PLAN_LINKS] = {quad.x, quad.y, quad.z, quad.w};
 #pragma unroll
-  for (int i = 0; i < MO_PLAN_LINKS; i++)
-    length[i] = *reinterpret_cast<const float *>(reach.lengths +
-                                                 MO_PLAN_LINK_SLOT(link[i]) * reach.length_stride);
+  for (int i = 0; i < MO_PLAN_LINKS; i++) {
+    const uint32_t slot = SPECIAL ? MO_PLAN_LINK_SLOT_OF(link[i]) : MO_PLAN_LINK_SLOT(link[i]);
+    length[i] = *reinterpret_cast<const float *>(reach.lengths + slot * reach.length_stride);
+  }
 }
 
-/* Adds up the forces of four links of a mass at p. */
+/* Adds up the forces of four links of a mass at p. cut: with SPECIAL, which springs have none
+ * (MO_PLAN_LINK_PART_OF), or kNone. */
+template <bool SPECIAL>
 __device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
                                           const float (&length)[MO_PLAN_LINKS], const float (&p)[3],
-                                          float (&j)[3])
+                                          uint32_t cut, float (&j)[3])
 {
   const uint32_t link[MO_PLAN_LINKS] = {quad.x, quad.y, quad.z, quad.w};
   float d[MO_PLAN_LINKS][3];
@@ -66,7 +72,9 @@ __device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach,
 #pragma unroll
   for (int i = 0; i < MO_PLAN_LINKS; i++) {
     const struct lane_length along = lane_length_of(lane_squared(d[i]));
-    const float q = lane_spring(1.0f, &along, length[i]);
+    float q = lane_spring(1.0f, &along, length[i]);
+    if (SPECIAL && MO_PLAN_LINK_PART_OF(link[i]) == cut)
+      q = 0.0f;
     for (int axis = 0; axis < 3; axis++)
       j[axis] = fmaf(q, d[i][axis], j[axis]);
   }
@@ -118,11 +126,19 @@ struct Pull {
   bool coasts; /* drag and gravity act on them first */
 };
 
+/* Which springs of a row exert no force in a step, as pull_four. */
+__device__ __forceinline__ uint32_t cut_of(const Shared &shared, uint32_t row, uint32_t step)
+{
+  const mo_plan_special &of = shared.environments[row]->special;
+  return step >= of.cut_step ? of.cut : kNone;
+}
+
 /* The loads for a chunk are hidden behind the computation of previous chunks: the links of the next
  * chunk, and the mass of the one after it, are in flight. how: read with SPLIT. */
-template <bool SPLIT>
+template <bool SPLIT, bool SPECIAL>
 __device__ __forceinline__ void pull(const Shared &shared, const float *position,
-                                     const float *all_lengths, float *velocity, const Pull &how)
+                                     const float *all_lengths, float *velocity, const Pull &how,
+                                     uint32_t step)
 {
   const mo_cuda_score &score = shared.score;
   const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, n = shared.n_chunks;
@@ -150,14 +166,15 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
     const uint32_t after_mass =
         __ldg(read_again(score.masses) + after_part->first_mass + after.mass);
     const float p[3] = {own[0], own[1], own[2]};
+    const uint32_t cut = SPECIAL ? cut_of(shared, part->first_row + item.row, step) : kNone;
     float j[3] = {0.0f, 0.0f, 0.0f};
 #pragma unroll
     for (int i = 0; i < kTurns; i++) {
       if (i > 0 && (uint32_t)i > last)
         break;
       float length[MO_PLAN_LINKS];
-      load_lengths(quad[i], reach, length);
-      pull_four(quad[i], reach, length, p, j);
+      load_lengths<SPECIAL>(quad[i], reach, length);
+      pull_four<SPECIAL>(quad[i], reach, length, p, cut, j);
     }
     if (item.used) {
       const float4 kick = shared.kicks[part->first_row + item.row];
@@ -186,8 +203,8 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
 
 /* Contact with `split`; before: the velocity at the end of the step before. */
 __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_environment &in,
-                                           const float4 &kick, const float3 &before, float (&p)[3],
-                                           float (&v)[3])
+                                           const lane_terrain &land, const float4 &kick,
+                                           const float3 &before, float (&p)[3], float (&v)[3])
 {
   lane_split split = lane_split_alike(&in.split.constants);
   split.per_push = kick.w;
@@ -195,11 +212,11 @@ __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_
   of.fall = kick.z; /* the first step has its own */
   const float push[3] = {v[0] - lane_coast(&of, 0, before.x), v[1] - lane_coast(&of, 1, before.y),
                          v[2] - lane_coast(&of, 2, before.z)};
-  lane_move_split(&k, &split, in.scene.heights, push, p, v);
+  lane_move_split(&k, &split, land, push, p, v);
 }
 
-/* before: read with SPLIT. */
-template <bool SPLIT>
+/* before: read with SPLIT. SPECIAL: rows may have profiles. */
+template <bool SPLIT, bool SPECIAL>
 __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared, float *position,
                                      float *velocity, const float *before)
 {
@@ -219,19 +236,20 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       float p[3] = {at[0], at[1], at[2]};
       const mo_plan_environment &in = *shared.environments[row];
       const lane_physics k = physics_of(score, in.scene);
+      const lane_terrain land = {in.scene.heights, SPECIAL ? &in.special.cells : nullptr};
       const float highest = shared.light[row].w;
       bool struck;
       if (SPLIT) {
         float next[3];
         lane_cell ground;
-        struck = lane_strikes(&k, in.scene.heights, highest, p, v, next, &ground);
+        struck = lane_strikes(&k, land, highest, p, v, next, &ground);
         if (struck)
-          move_split(k, in, shared.kicks[row], load_velocity(before + 3 * item.place), p, v);
+          move_split(k, in, land, shared.kicks[row], load_velocity(before + 3 * item.place), p, v);
         else
           for (int axis = 0; axis < 3; axis++)
             p[axis] = next[axis];
       } else {
-        struck = lane_move(&k, in.scene.heights, highest, p, v);
+        struck = lane_move(&k, land, highest, p, v);
       }
       if (struck) {
         speed[0] = v[0];

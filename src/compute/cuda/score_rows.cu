@@ -62,7 +62,7 @@ size_t outcomes_bytes(const mo_plan &plan)
 
 size_t results_bytes(const mo_plan &plan)
 {
-  return outcomes_bytes(plan) + (plan.has_tasks ? plan.n * sizeof(course_result) : 0);
+  return outcomes_bytes(plan) + (plan.is_special ? plan.n * sizeof(course_result) : 0);
 }
 
 /* per_place: bytes of velocities. */
@@ -78,7 +78,7 @@ int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t pl
       [&] { return mo_cuda_reserve(device, &device->outcomes, outcomes); },
       [&] { return mo_cuda_reserve(device, &device->counter, sizeof(uint32_t)); },
       [&] {
-        return plan.has_tasks
+        return plan.is_special
                    ? mo_cuda_reserve(device, &device->guided, plan.n * sizeof(mo_cuda_guided))
                    : MO_OK;
       },
@@ -142,9 +142,9 @@ cudaError_t launch(mo_device *device, const mo_plan &plan, const mo_device_score
                    uint32_t places, uint32_t blocks)
 {
   const mo_cuda_score arguments = arguments_of(device, plan, score, places);
-  return plan.has_tasks ? device->tasks->launch(arguments, task_arguments(device, plan, score),
-                                                blocks, device->stream)
-                        : device->score->launch(arguments, blocks, device->stream);
+  return plan.is_special ? device->tasks->launch(arguments, task_arguments(device, plan, score),
+                                                 blocks, device->stream)
+                         : device->score->launch(arguments, blocks, device->stream);
 }
 
 /* results: of the rows with tasks. */

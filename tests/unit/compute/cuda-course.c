@@ -21,11 +21,22 @@ static void wander(const struct mo_guide *guide, struct mo_random *dice, uint32_
   }
 }
 
+/* Gives an environment a profile of the first n heights. */
+static void make_profile(struct mo_environment *environment, uint32_t n, double spacing_m)
+{
+  environment->n_profile = n;
+  environment->profile_spacing_m = spacing_m;
+  for (uint32_t k = n; k < MO_TERRAIN_HEIGHTS; k++)
+    environment->terrain_heights_m[k] = 0;
+}
+
 static struct mo_environment environment_of(uint32_t k, uint32_t walk)
 {
   struct mo_environment environment;
   mo_environment_training(71, walk, k, &environment);
   environment.task = task_case(k);
+  if (walk % 3 == 1)
+    make_profile(&environment, 20 + walk, 0.1);
   if (walk == 0) /* a start at the light: a distance of 0 */
     environment.light_xy_m[0] = environment.light_xy_m[1] = MO_WORLD_CENTER_M;
   return environment;
@@ -179,12 +190,15 @@ static void functions(void)
     CHECK(course_length(x, 1e-17 * y) == mo_distance(x, 1e-17 * y));
     CHECK(course_length(1e-150 * z, 1e-150 * y) == mo_distance(1e-150 * z, 1e-150 * y));
     if (i % 100 == 0) {
-      const struct mo_environment environment = environment_of(0, i);
+      struct mo_environment environment = environment_of(0, 3 * i);
       const double *heights_m = environment.terrain_heights_m;
       double slope[2], other[2];
-      CHECK(terrain_height(heights_m, y, z) == mo_terrain_height(&environment, y, z));
+      if (i % 200 == 0)
+        make_profile(&environment, 7 + i / 200 % 58, 0.02 + 0.1 * (y + 1));
+      const struct terrain_map map = terrain_map_of(&environment);
+      CHECK(terrain_height(&map, heights_m, y, z) == mo_terrain_height(&environment, y, z));
       mo_terrain_gradient(&environment, y, z, slope);
-      terrain_slope(heights_m, y, z, other);
+      terrain_slope(&map, heights_m, y, z, other);
       CHECK(slope[0] == other[0] && slope[1] == other[1]);
     }
   }

@@ -5,6 +5,7 @@
 #include "compute/cuda/gradient_pass.h"
 #include "compute/cuda/gradient_plan.h"
 #include "compute/cuda/gradient_tape.h"
+#include "rollout/damage.h"
 
 #include <stdbool.h>
 
@@ -278,9 +279,49 @@ static void passes(void)
   mo_gradient_plan_free(&plan);
 }
 
-/* Rows with tasks get a course from the same start as on a processor; without tasks there are no
- * courses and no tracks. */
-static void tasks(void)
+/* Returns whether the lane's spring is one that damage cuts: that of these ends, in its row's body.
+ */
+static bool is_cut(const struct mo_robot *robots, const struct mo_gp_pair *pair,
+                   const struct mo_gp_row *rows, uint32_t spring)
+{
+  uint8_t cut[MO_DEFAULT_SPRINGS];
+  const uint32_t own = MO_GP_SPRING_OWN(spring), k = MO_GP_SPRING_ROW(spring),
+                 from = k > 0 ? pair->n_masses[0] : 0;
+  if (own == MO_GP_NO_MASS || own == MO_GP_SPRING_OTHER(spring))
+    return false;
+  const struct mo_robot *robot = robots + rows[k * MO_GP_HALF_ROWS].robot;
+  const uint32_t a = own - from, b = MO_GP_SPRING_OTHER(spring) - from;
+  mo_damage_mark(robot->environment, robot->body, cut);
+  for (uint32_t s = 0; s < robot->body->n_springs; s++)
+    if ((robot->body->spring_a[s] == a && robot->body->spring_b[s] == b) ||
+        (robot->body->spring_a[s] == b && robot->body->spring_b[s] == a))
+      return cut[s] != 0;
+  CHECK(false);
+  return false;
+}
+
+/* The springs that damage cuts, in the first groups. */
+static void check_cuts(const struct mo_robot *robots, const struct mo_gradient_plan *plan)
+{
+  uint32_t n_cut = 0;
+  for (const struct mo_gp_group *g = plan->groups; g < plan->groups + 3; g++)
+    for (uint32_t w = 0; w < MO_GP_WARPS; w++) {
+      const struct mo_gp_pair *pair = &g->pair[w];
+      const struct mo_gp_row *rows = plan->rows + g->first_row + w;
+      for (uint32_t c = 0; c < pair->n_chunks; c++)
+        for (uint32_t l = 0; l < MO_GP_LANES; l++) {
+          const uint64_t at = g->first_chunk + pair->first_chunk + c;
+          const bool cut = plan->cuts[at] >> l & 1;
+          CHECK(cut == is_cut(robots, pair, rows, plan->springs[at * MO_GP_LANES + l]));
+          n_cut += cut;
+        }
+    }
+  CHECK(n_cut > 100);
+}
+
+/* Rows with tasks get a course from the same start as on a processor; without tasks, profiles and
+ * damage there are no courses and no tracks. */
+static void special_rows(void)
 {
   struct mo_robot *robots = make_batch(), *guided = make_zeros(ROBOTS, sizeof(*guided));
   struct mo_environment *environments = make_zeros(ROBOTS, sizeof(*environments));
@@ -292,17 +333,32 @@ static void tasks(void)
     environments[i] = *robots[i].environment;
     if (i % 3 != 0)
       environments[i].task = task_case(i % TASK_CASES);
+    if (i % 5 == 2)
+      environments[i].damage = (struct mo_damage){1 + i % MO_OCTANTS, 0.1 * (i % 7)};
+    if (i % 7 == 3) {
+      environments[i].n_profile = MO_TERRAIN_HEIGHTS;
+      environments[i].profile_spacing_m = 0.1;
+    }
     guided[i] = (struct mo_robot){robots[i].body, &environments[i]};
   }
   REQUIRE_OK(mo_gradient_plan_make(guided, ROBOTS, &physics, &options, &plan));
   REQUIRE_OK(mo_gradient_plan_make(robots, ROBOTS, &physics, &options, &plain));
   REQUIRE(plan.courses != NULL && plain.courses == NULL && plan.n_rows == plain.n_rows);
+  REQUIRE(plan.cuts != NULL && plain.cuts == NULL);
+  check_cuts(guided, &plan);
   for (uint32_t j = 0; j < plan.n_rows; j++) {
     const struct mo_gp_course *course = plan.courses + j;
     const struct mo_gp_row *row = plan.rows + j;
     struct mo_course expected;
     struct mo_track start;
     CHECK(row->robot == plain.rows[j].robot);
+    if (row->robot != MO_GP_NO_ROBOT) {
+      const struct mo_environment *environment = &environments[row->robot];
+      CHECK(course->special.cells.columns == (environment->n_profile > 0 ? 64 : 8));
+      CHECK(course->special.cells.rows == (environment->n_profile > 0 ? 1 : 8));
+      CHECK(course->special.cut == environment->damage.cut);
+      CHECK(course->special.cut_step == mo_damage_step(environment, &physics.scheme));
+    }
     if (row->robot == MO_GP_NO_ROBOT || row->robot % 3 == 0) {
       CHECK(course->is_plain);
       CHECK(row->robot == MO_GP_NO_ROBOT || row->goal.scale_m == plain.rows[j].goal.scale_m);
@@ -322,7 +378,7 @@ static void tasks(void)
   CHECK(n_plain >= ROBOTS / 3 && n_plain < plan.n_rows / 2);
   struct mo_gp_time time = in_steps(1000, 4, true);
   REQUIRE_OK(mo_gradient_pass_next(&plain, 0, 0, time, UINT64_MAX, &without));
-  time.has_tasks = true;
+  time.is_special = true;
   REQUIRE_OK(mo_gradient_pass_next(&plan, 0, 0, time, UINT64_MAX, &with));
   uint64_t tracks = 0;
   for (uint32_t i = 0; i < plan.n_groups; i++) {
@@ -480,7 +536,7 @@ static const struct check_case cases[] = {
     {"passes of whole shards", passes},
     {"the tape of control periods", passes_of_periods},
     {"the tape of the integrator split", tape_of_split},
-    {"tasks", tasks},
+    {"tasks, profiles and damage", special_rows},
     {"what a group costs", cost_of_a_group},
     {"groups in halves", halves},
     {"small groups stay whole", no_halves_of_small_groups},

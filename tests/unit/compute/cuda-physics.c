@@ -21,12 +21,26 @@ static int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Rounded to float32, so that both sides have the same terrain. */
-static void random_heights(double highest, struct mo_environment *environment,
-                           float heights32[MO_TERRAIN_HEIGHTS])
+/* A terrain in float32, and the same as an environment. */
+struct ground {
+  struct mo_environment environment;
+  float heights32[MO_TERRAIN_HEIGHTS];
+  struct lane_cells cells;
+  struct lane_terrain land;
+};
+
+/* Heights are rounded to float32, so that both sides have the same terrain. spacing_m: of a
+ * profile; 0: a grid. */
+static void random_ground(double highest, double spacing_m, struct ground *g)
 {
+  g->environment = (struct mo_environment){.profile_spacing_m = spacing_m};
+  g->environment.n_profile = spacing_m > 0 ? 40 : 0;
+  for (int k = 0; k < (spacing_m > 0 ? 40 : MO_TERRAIN_HEIGHTS); k++)
+    g->environment.terrain_heights_m[k] = (float)uniform(0, highest);
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
-    environment->terrain_heights_m[k] = heights32[k] = (float)uniform(0, highest);
+    g->heights32[k] = (float)g->environment.terrain_heights_m[k];
+  g->cells = lane_cells_of(&g->environment);
+  g->land = (struct lane_terrain){g->heights32, spacing_m > 0 ? &g->cells : NULL};
 }
 
 static struct lane_physics physics_of(const struct mo_physics *physics)
@@ -36,43 +50,52 @@ static struct lane_physics physics_of(const struct mo_physics *physics)
   return lane_physics_alike((float)scheme->dt_s, lane_bisections(scheme), &constants);
 }
 
-static void terrain(void)
+static void check_terrain(double spacing_m)
 {
-  const struct lane_map map = lane_map_of_grid();
-  struct mo_environment environment = {0};
+  static struct ground ground;
   double worst = 0, steepest = 0;
-  float heights32[MO_TERRAIN_HEIGHTS];
   mo_random_init(&dice, 1, MO_PURPOSE_CHECK, 0, 0);
-  random_heights(0.1, &environment, heights32);
+  random_ground(0.1, spacing_m, &ground);
+  const struct mo_environment *environment = &ground.environment;
+  const struct lane_map map = lane_map_of(ground.land);
   for (int i = 0; i < 20000; i++) { /* also beyond all edges */
     const float p[2] = {(float)uniform(-4, 4), (float)uniform(-4, 4)};
     const float x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
     struct lane_cell g;
     float slope[2];
     double gradient[2];
-    const float height = lane_ground(heights32, p[0], p[1], &g);
-    lane_slope(&g, p[0], p[1], slope);
-    mo_terrain_gradient(&environment, p[0] + 2.5, p[1] + 2.5, gradient);
+    const float height = lane_ground(ground.land, p[0], p[1], &g);
+    lane_slope(ground.land, &g, p[0], p[1], slope);
+    mo_terrain_gradient(environment, p[0] + 2.5, p[1] + 2.5, gradient);
     worst =
-        fmax(worst, fabs((double)height - mo_terrain_height(&environment, p[0] + 2.5, p[1] + 2.5)));
-    if (fabs((double)x - roundf(x)) > 1e-5 && fabs((double)y - roundf(y)) > 1e-5)
+        fmax(worst, fabs((double)height - mo_terrain_height(environment, p[0] + 2.5, p[1] + 2.5)));
+    if (fabs((double)x - roundf(x)) > 2e-5 && (spacing_m > 0 || fabs((double)y - roundf(y)) > 1e-5))
       for (int axis = 0; axis < 2; axis++)
         steepest = fmax(steepest, fabs((double)slope[axis] - gradient[axis]));
   }
   CHECK(worst < 1e-6);
   CHECK(steepest < 2e-6);
-  CHECK(lane_cell_number(&map, 0, NAN) == 7 && lane_cell_number(&map, 0, 1e30f) == 7);
+  const float last = spacing_m > 0 ? 39 : 7;
+  CHECK(lane_cell_number(&map, 0, NAN) == last && lane_cell_number(&map, 0, 1e30f) == last);
   CHECK(lane_cell_number(&map, 0, -1e30f) == -1);
+}
+
+static void terrain(void)
+{
+  check_terrain(0);
+  check_terrain(0.125);
 }
 
 enum { STRIKES = 20000 };
 
 /* Masses that hit the ground, forward and backward: near the ground and above it, some below it,
  * some across cell borders and beyond the map, at up to `reach` m/s in each direction, every eighth
- * one `far` times as fast. */
-static void check_contact(enum mo_integrator integrator, enum mo_impact impact, double reach,
-                          double far, double median_m, double most_m, double most_apart)
+ * one `far` times as fast. spacing_m: as random_ground. */
+static void check_contact(enum mo_integrator integrator, enum mo_impact impact, double spacing_m,
+                          double reach, double far, double median_m, double most_m,
+                          double most_apart)
 {
+  static struct ground ground;
   static double moved[STRIKES], differ[STRIKES];
   struct mo_physics physics = mo_paper_physics();
   physics.scheme.integrator = integrator;
@@ -85,13 +108,12 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
   int n = 0, crossing = 0;
   mo_random_init(&dice, 11, MO_PURPOSE_CHECK, 0, impact);
   while (n < STRIKES) {
-    struct mo_environment environment = {0};
-    float heights32[MO_TERRAIN_HEIGHTS];
-    random_heights(n % 2 == 0 ? 0.1 : 0.5, &environment, heights32);
+    random_ground(n % 2 == 0 ? 0.1 : 0.5, spacing_m, &ground);
+    const struct mo_environment *environment = &ground.environment;
     const double speed_m_per_s = n % 8 == 0 ? far * reach : reach;
     const float x = (float)uniform(-2.7, 2.7), y = (float)uniform(-2.7, 2.7);
     const float z =
-        (float)(mo_terrain_height(&environment, x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M) +
+        (float)(mo_terrain_height(environment, x + MO_WORLD_CENTER_M, y + MO_WORLD_CENTER_M) +
                 uniform(1e-4, 0.004) * speed_m_per_s / 2);
     const float v[3] = {(float)uniform(-speed_m_per_s, speed_m_per_s),
                         (float)uniform(-speed_m_per_s, speed_m_per_s),
@@ -107,28 +129,28 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
       push[k] = splits ? (float)uniform(-0.05, 0.05) : 0;
       a[k] = lane_acceleration(&split, k, push[k]);
     }
-    if (!lane_move(&lane, heights32, 1e9f, p, w))
+    if (!lane_move(&lane, ground.land, 1e9f, p, w))
       continue;
     if (splits) {
       memcpy(p, start, sizeof(p));
       memcpy(w, v, sizeof(w));
-      lane_move_split(&lane, &split, heights32, push, p, w);
-      mo_contact_split(&physics.scheme, &physics.constants, &environment, INFINITY, a, position,
+      lane_move_split(&lane, &split, ground.land, push, p, w);
+      mo_contact_split(&physics.scheme, &physics.constants, environment, INFINITY, a, position,
                        speed);
     } else {
-      mo_contact_move(&physics.scheme, &physics.constants, &environment, INFINITY, position, speed);
+      mo_contact_move(&physics.scheme, &physics.constants, environment, INFINITY, position, speed);
     }
     for (int k = 0; k < 3; k++) {
       d_position[k] = dp[k] = (float)uniform(-1, 1);
       d_velocity[k] = dv[k] = (float)uniform(-0.05, 0.05);
     }
     if (splits) {
-      lane_move_split_back(&lane, &split, heights32, push, start, v, dp, dv, da);
-      mo_contact_split_adjoint(&physics.scheme, &physics.constants, &environment, INFINITY, a, from,
+      lane_move_split_back(&lane, &split, ground.land, push, start, v, dp, dv, da);
+      mo_contact_split_adjoint(&physics.scheme, &physics.constants, environment, INFINITY, a, from,
                                with, d_position, d_velocity, d_acceleration);
     } else {
-      lane_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
-      mo_contact_move_adjoint(&physics.scheme, &physics.constants, &environment, INFINITY, from,
+      lane_move_back(&lane, ground.land, 1e9f, start, v, dp, dv);
+      mo_contact_move_adjoint(&physics.scheme, &physics.constants, environment, INFINITY, from,
                               with, d_position, d_velocity);
     }
     double distance = 0, error = 0, size = 0;
@@ -141,7 +163,8 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
       error += pow(3000 * (da[k] - d_acceleration[k]), 2);
       size += pow(3000 * d_acceleration[k], 2);
     }
-    crossing += floor(from[0] * 1.4) != floor((from[0] + 0.004 * v[0]) * 1.4);
+    const double per_m = spacing_m > 0 ? 1 / spacing_m : 1.4;
+    crossing += floor(from[0] * per_m) != floor((from[0] + 0.004 * v[0]) * per_m);
     moved[n] = distance;
     differ[n++] = sqrt(error / size);
   }
@@ -158,14 +181,24 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
 
 static void contact(void)
 {
-  check_contact(MO_INTEGRATOR_PAPER, MO_IMPACT_EXACT, 2, 30, 1e-6, 1e-5, 1e-2);
-  check_contact(MO_INTEGRATOR_PAPER, MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
+  check_contact(MO_INTEGRATOR_PAPER, MO_IMPACT_EXACT, 0, 2, 30, 1e-6, 1e-5, 1e-2);
+  check_contact(MO_INTEGRATOR_PAPER, MO_IMPACT_BISECTION, 0, 2, 30, 1e-6, 1e-2, 1e-1);
 }
 
 static void contact_split(void)
 {
-  check_contact(MO_INTEGRATOR_SPLIT, MO_IMPACT_EXACT, 2, 30, 1e-6, 1e-5, 1e-2);
-  check_contact(MO_INTEGRATOR_SPLIT, MO_IMPACT_BISECTION, 2, 30, 1e-6, 1e-2, 1e-1);
+  check_contact(MO_INTEGRATOR_SPLIT, MO_IMPACT_EXACT, 0, 2, 30, 1e-6, 1e-5, 1e-2);
+  check_contact(MO_INTEGRATOR_SPLIT, MO_IMPACT_BISECTION, 0, 2, 30, 1e-6, 1e-2, 1e-1);
+}
+
+/* Profiles, the cells of which are smaller; the far masses cross all of them. */
+static void contact_profile(void)
+{
+  for (int integrator = MO_INTEGRATOR_PAPER; integrator <= MO_INTEGRATOR_SPLIT; integrator++) {
+    check_contact((enum mo_integrator)integrator, MO_IMPACT_EXACT, 0.125, 2, 500, 1e-6, 1e-3, 0.1);
+    check_contact((enum mo_integrator)integrator, MO_IMPACT_BISECTION, 0.125, 2, 30, 1e-6, 1e-2,
+                  0.1);
+  }
 }
 
 /* A mass in the air only flies; one that hits the ground in the next step lies on it, in float32 as
@@ -174,24 +207,23 @@ static void lying(void)
 {
   const struct mo_physics physics = mo_paper_physics();
   const struct lane_physics lane = physics_of(&physics);
-  struct mo_environment environment = {0};
-  float heights32[MO_TERRAIN_HEIGHTS];
+  static struct ground ground;
   int below = 0;
   mo_random_init(&dice, 12, MO_PURPOSE_CHECK, 0, 0);
   for (int n = 0; n < 2000; n++) {
-    random_heights(0.3, &environment, heights32);
+    random_ground(0.3, n % 2 == 0 ? 0 : 0.125, &ground);
     float p[3] = {(float)uniform(-2, 2), (float)uniform(-2, 2), 0.31f},
           v[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), 0};
     for (int step = 0; step < 60; step++) {
       struct lane_cell g;
       v[2] -= 0.04f;
-      lane_move(&lane, heights32, 0.3f, p, v);
-      below += p[2] < lane_ground(heights32, p[0], p[1], &g);
+      lane_move(&lane, ground.land, 0.3f, p, v);
+      below += p[2] < lane_ground(ground.land, p[0], p[1], &g);
     }
   }
   CHECK(below == 0);
   float p[3] = {0, 0, 2}, v[3] = {1, 2, 3}, dp[3] = {1, 2, 3}, dv[3] = {0.5f, 0, 0};
-  lane_move_back(&lane, heights32, 0.3f, p, v, dp, dv);
+  lane_move_back(&lane, ground.land, 0.3f, p, v, dp, dv);
   CHECK_NEAR(dv[0], 0.504, 1e-6);
   CHECK_NEAR(dv[2], 0.012, 1e-6);
   CHECK(dp[0] == 1 && dp[1] == 2 && dp[2] == 3);
@@ -203,19 +235,18 @@ static void insanity(void)
 {
   const struct mo_physics physics = mo_paper_physics();
   struct lane_physics lane = physics_of(&physics);
-  struct mo_environment environment = {0};
-  float heights32[MO_TERRAIN_HEIGHTS];
+  static struct ground ground;
   const float odd[] = {NAN, INFINITY, -INFINITY, 1e30f, -1e30f, 0.0f};
-  random_heights(0.1, &environment, heights32);
-  for (int mode = 0; mode < 2; mode++) {
-    lane.bisections = mode == 0 ? 0 : 8;
+  for (int mode = 0; mode < 4; mode++) {
+    random_ground(0.1, mode < 2 ? 0 : 0.125, &ground);
+    lane.bisections = mode % 2 == 0 ? 0 : 8;
     for (int a = 0; a < 6; a++)
       for (int b = 0; b < 6; b++)
         for (int axis = 0; axis < 3; axis++) {
           float p[3] = {0.1f, 0.2f, 0.3f}, v[3] = {0.1f, 0.1f, -0.1f};
           p[axis] = odd[a];
           v[2 - axis] = odd[b];
-          lane_move(&lane, heights32, 1.0f, p, v);
+          lane_move(&lane, ground.land, 1.0f, p, v);
           if (a == 0 && b == 0)
             CHECK(!lane_is_sane(p, v));
         }
@@ -306,6 +337,7 @@ static void lights(void)
 static const struct check_case cases[] = {{"terrain", terrain},
                                           {"contact, forward and backward", contact},
                                           {"contact with split", contact_split},
+                                          {"contact with profiles", contact_profile},
                                           {"masses on the ground", lying},
                                           {"values that are not finite", insanity},
                                           {"springs", springs},

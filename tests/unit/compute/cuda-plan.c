@@ -2,6 +2,7 @@
 #include "../make.h"
 
 #include "compute/cuda/plan.h"
+#include "rollout/damage.h"
 
 enum { BODIES = 60, PLACES = 7, N = BODIES * PLACES };
 
@@ -152,7 +153,7 @@ static void tasks(void)
 {
   struct filled f;
   REQUIRE(fill(&f, robots, N, 2));
-  CHECK(!f.plan.has_tasks);
+  CHECK(!f.plan.is_special);
   CHECK_INT(f.plan.block.tasks, f.plan.block.bytes);
   const size_t plain_bytes = f.plan.block.bytes;
   release(&f);
@@ -162,7 +163,7 @@ static void tasks(void)
   memcpy(mixed, robots, sizeof(mixed));
   mixed[N - 1].environment = &climb;
   REQUIRE(fill(&f, mixed, N, 2));
-  CHECK(f.plan.has_tasks);
+  CHECK(f.plan.is_special);
   CHECK_INT(f.plan.n_environments, PLACES + 1);
   CHECK_INT(f.plan.block.bytes - f.plan.block.tasks,
             (f.plan.n_environments * sizeof(climb) + 255) / 256 * 256);
@@ -171,6 +172,62 @@ static void tasks(void)
   for (uint32_t e = 0; e < f.plan.n_environments; e++)
     CHECK(memcmp(laid + e, f.plan.environments[e], sizeof(*laid)) == 0);
   release(&f);
+}
+
+/* What the kernels for special rows read: the cells of a profile, and damage, with the octants of
+ * springs in their links. */
+static void profiles_and_damage(void)
+{
+  struct filled f, plain;
+  struct mo_environment odd[2] = {environments[0], environments[1]};
+  struct mo_robot mixed[N];
+  odd[0].n_profile = 40;
+  odd[0].profile_spacing_m = 0.25;
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    odd[0].terrain_heights_m[k] = k < 40 ? -1 - 0.1 * k : 0;
+  odd[1].damage = (struct mo_damage){4, 0.02};
+  memcpy(mixed, robots, sizeof(mixed));
+  mixed[0].environment = &odd[0];
+  REQUIRE(fill(&f, mixed, N, 1));
+  CHECK(f.plan.is_special && !f.plan.has_damage);
+  release(&f);
+  mixed[1].environment = &odd[1];
+  REQUIRE(fill(&f, mixed, N, 1));
+  REQUIRE(fill(&plain, robots, N, 1));
+  CHECK(f.plan.is_special && f.plan.has_damage && !plain.plan.is_special);
+  const struct mo_plan_environment *laid = (const void *)(f.block + f.plan.block.environments);
+  for (uint32_t e = 0; e < f.plan.n_environments; e++) {
+    const struct mo_plan_special *special = &laid[e].special;
+    const bool is_profile = f.plan.environments[e] == &odd[0];
+    CHECK_INT(special->cells.columns, is_profile ? 40 : 8);
+    CHECK_INT(special->cells.row, is_profile ? 0 : 8);
+    CHECK(special->cells.scale[0] == (is_profile ? 4.0F : 1.4F));
+    CHECK_INT(special->cut, f.plan.environments[e] == &odd[1] ? 4 : 0);
+    CHECK_INT(special->cut_step, f.plan.environments[e] == &odd[1] ? 5 : UINT32_MAX);
+    if (is_profile)
+      CHECK_NEAR(laid[e].scene.highest, -1, 1e-5);
+  }
+  for (uint32_t b = 0; b < f.plan.n_bodies; b++) {
+    const struct mo_body *body = f.plan.bodies[b];
+    const size_t first = (size_t)MO_PLAN_LINKS * f.bodies[b].first_quad;
+    uint32_t next[MO_DEFAULT_MASSES] = {0};
+    REQUIRE(body == plain.plan.bodies[b]);
+    for (uint32_t s = 0; s < body->n_springs; s++)
+      for (int end = 0; end < 2; end++) {
+        const uint32_t m = end == 0 ? body->spring_a[s] : body->spring_b[s];
+        const uint32_t mass =
+            f.masses[f.bodies[b].first_mass + f.ranks[f.bodies[b].first_mass + m]];
+        const size_t at = first + MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(mass) + next[m]++;
+        const struct mo_environment broken = {.damage.cut = MO_PLAN_LINK_PART_OF(f.links[at])};
+        uint8_t is_cut[MO_DEFAULT_SPRINGS];
+        mo_damage_mark(&broken, body, is_cut);
+        CHECK_INT(is_cut[s], 1);
+        CHECK_INT(MO_PLAN_LINK_SLOT_OF(f.links[at]), MO_PLAN_LINK_SLOT(plain.links[at]));
+        CHECK_INT(MO_PLAN_LINK_MASS(f.links[at]), MO_PLAN_LINK_MASS(plain.links[at]));
+      }
+  }
+  release(&f);
+  release(&plain);
 }
 
 /* Returns a body's own slots: those of its pairs, from the lattice's slots. */
@@ -345,6 +402,7 @@ static void refusals(void)
 
 static const struct check_case cases[] = {{"every row once", rows_once},
                                           {"environments with tasks", tasks},
+                                          {"profiles and damage", profiles_and_damage},
                                           {"links", links},
                                           {"slots", slots},
                                           {"tiles", tiles},
