@@ -106,7 +106,8 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
       own::n_masses, own::n_outputs, own::n_own, own::own_begin, own::own_chunks, own::own_masses,
       own::own_row, own::pair_row, own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of,
       own::place_light, own::position_at, own::push_at, own::ROWS, own::rows, own::SPLIT,
-      own::split_of, own::tape, own::TASKS, own::velocity_at, own::warp, own::width;
+      own::split_of, own::strikes_in, own::tape, own::TASKS, own::velocity_at, own::warp,
+      own::width;
   enum { HELD = 4 };
   /* The first of a lane's masses, being loaded from the tape. */
   struct held {
@@ -376,16 +377,13 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
     bool strikes = false;
     if (m < end()) {
       const bool second = is_second(m);
-      const mo_plan_scene &of = rows[own_row(second)];
       const float s = second ? scale[1] : scale[0];
       float *d = gx + 3 * (first + m);
       back_mass &to = mass[first + m];
       const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
       const lane_physics physics = physics_of(own_row(second));
       float next[3];
-      lane_cell g;
-      strikes =
-          s > 0 && lane_strikes(&physics, land_of(own_row(second)), of.highest, p, v, next, &g);
+      strikes = s > 0 && strikes_in(own_row(second), physics, p, v, next);
       if (!strikes) {
         float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
         if (s > 0) {

@@ -38,7 +38,8 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
       own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
       own::part, own::pass_of, own::physics_of, own::place_light, own::plan_split_of,
       own::position_at, own::push_at, own::rows, own::scale_at, own::SPLIT, own::split_of,
-      own::tape, own::TAPE_ROWS, own::TASKS, own::use_pull, own::velocity_at, own::warp, own::width;
+      own::strikes_in, own::tape, own::TAPE_ROWS, own::TASKS, own::use_pull, own::velocity_at,
+      own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -491,19 +492,16 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
       bool struck = false;
       if (m < end()) {
         const bool second = is_second(m), ended = second ? dead[1] : dead[0];
-        const mo_plan_scene &of = rows[own_row(second)];
         const lane_physics physics = physics_of(own_row(second));
         const float *pv = v + 3 * (first + m);
         const float4 before = x[first + m];
         const float p[3] = {before.x, before.y, before.z};
         const float u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
         float next[3];
-        lane_cell ground;
         keep[m] = u[0];
         keep[n_masses + m] = u[1];
         keep[2 * n_masses + m] = u[2];
-        struck = !ended &&
-                 lane_strikes(&physics, land_of(own_row(second)), of.highest, p, u, next, &ground);
+        struck = !ended && strikes_in(own_row(second), physics, p, u, next);
         if (ended)
           leave(m, p, u);
         else if (!struck && !leave(m, next, u))

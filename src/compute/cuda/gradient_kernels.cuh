@@ -314,7 +314,7 @@ template <int MT, int SHARE, int TIME> struct walker {
   uint32_t width; /* of the outputs in shared memory, or of ∂loss/∂outputs */
   uint32_t first_step, end_step;
   /* In shared memory. */
-  uint8_t *output_tile; /* (128) */
+  uint8_t *output_tile; /* (124) */
   void *left_memory;    /* (rows, MO_GK_ROW) the inputs of a layer, 16 bits each */
   float2 *part;
   mo_plan_scene *rows;
@@ -365,6 +365,12 @@ template <int MT, int SHARE, int TIME> struct walker {
     part = (float2 *)(shared + 128 + ROWS * MO_GK_ROW * 2);
     rows = (mo_plan_scene *)(part + ROWS * MO_GK_PART);
     load_rows();
+    if (TASKS && warp == 0) {
+      const bool is_profile = lane < ROWS && special_of(lane).cells.rows == 1;
+      const uint32_t bits = __ballot_sync(0xffffffffu, is_profile);
+      if (lane == 0)
+        *profiles() = bits;
+    }
     output_memory = rows + ROWS;
     behind = (unsigned char *)output_memory + (ROWS * width * 2 + 15) / 16 * 16;
   }
@@ -406,6 +412,23 @@ template <int MT, int SHARE, int TIME> struct walker {
   __device__ __forceinline__ lane_terrain land_of(int row) const
   {
     return lane_terrain{rows[row].heights, TASKS ? &special_of(row).cells : nullptr};
+  }
+  /* As lane_strikes, for a mass of this row. Most masses need no more of the terrain, and most
+   * terrains are grids, of which the cells need not be loaded. */
+  __device__ __forceinline__ bool strikes_in(int row, const lane_physics &physics, const float *p,
+                                             const float *v, float *next) const
+  {
+    const mo_plan_scene &of = rows[row];
+    lane_cell ground;
+    if (TASKS && (*profiles() >> row & 1u) != 0)
+      return lane_strikes(&physics, land_of(row), of.highest, p, v, next, &ground);
+    return lane_strikes(&physics, lane_grid(of.heights), of.highest, p, v, next, &ground);
+  }
+  /* Bit i: the terrain of the block's row i is a profile. It is in shared memory, after the numbers
+   * of tiles. */
+  __device__ __forceinline__ uint32_t *profiles() const
+  {
+    return (uint32_t *)(output_tile + 124);
   }
   /* Bit k: some springs of the pair's k-th row exert no force in a step. */
   __device__ __forceinline__ uint32_t broken(uint32_t step) const
@@ -570,7 +593,7 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1)
 }
 
 /* The kernels of one direction, by MO_GK_EVERY … and MO_GK_WHOLE …; those for special rows compute
- * all groups, because more of them would take too long to compile. */
+ * groups in both ways: one for whole groups only would not be faster. */
 template <template <int, int, int> class Way> struct way_kernels {
   static constexpr void (*kernels[3][3])(const mo_gk) = {
       {way_kernel<Way, MO_GK_WHOLE, MO_GK_EVERY>, way_kernel<Way, MO_GK_HALVES, MO_GK_EVERY>,
@@ -579,7 +602,7 @@ template <template <int, int, int> class Way> struct way_kernels {
        way_kernel<Way, MO_GK_MIXED, MO_GK_PERIODS>},
       {way_kernel<Way, MO_GK_WHOLE, MO_GK_SPLIT>, way_kernel<Way, MO_GK_HALVES, MO_GK_SPLIT>,
        way_kernel<Way, MO_GK_MIXED, MO_GK_SPLIT>}};
-  static constexpr void (*with_tasks[2])(const mo_gk) = {
+  static constexpr void (*special[2])(const mo_gk) = {
       way_kernel<Way, MO_GK_MIXED, MO_GK_PERIODS_TASKS>,
       way_kernel<Way, MO_GK_MIXED, MO_GK_SPLIT_TASKS>};
 
@@ -590,7 +613,7 @@ template <template <int, int, int> class Way> struct way_kernels {
     *dynamic_bytes = block_bytes;
     for (size_t i = 0; i < 11 && status == 0; i++) {
       uint32_t bytes = 0;
-      status = allow_shared(i < 9 ? kernels[i / 3][i % 3] : with_tasks[i - 9], block_bytes, &bytes);
+      status = allow_shared(i < 9 ? kernels[i / 3][i % 3] : special[i - 9], block_bytes, &bytes);
       *dynamic_bytes = min(*dynamic_bytes, bytes);
     }
     return status;
@@ -600,7 +623,7 @@ template <template <int, int, int> class Way> struct way_kernels {
   {
     const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
     const int time = k->splits ? MO_GK_SPLIT : k->control_steps > 1 ? MO_GK_PERIODS : MO_GK_EVERY;
-    const auto kernel = k->courses != nullptr ? with_tasks[k->splits] : kernels[time][k->walked];
+    const auto kernel = k->courses != nullptr ? special[k->splits] : kernels[time][k->walked];
     kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
     return (int)cudaGetLastError();
   }
