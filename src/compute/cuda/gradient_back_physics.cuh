@@ -102,7 +102,7 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
   using own::activation_at, own::begin, own::begins_period, own::blends, own::broken, own::chunk_at,
       own::constants_of, own::d_activation_at, own::end, own::ends_period, own::first,
       own::first_row, own::g, own::group_first, own::group_row, own::guided, own::is_second, own::k,
-      own::land_of, own::lane, own::lane_begin, own::list, own::n0, own::n1, own::n_chunks,
+      own::terrain_of, own::lane, own::lane_begin, own::list, own::n0, own::n1, own::n_chunks,
       own::n_masses, own::n_outputs, own::n_own, own::own_begin, own::own_chunks, own::own_masses,
       own::own_row, own::pair_row, own::pair_sync, own::pass_of, own::PERIODIC, own::physics_of,
       own::place_light, own::position_at, own::push_at, own::ROWS, own::rows, own::SPLIT,
@@ -346,21 +346,21 @@ template <int MT, int SHARE, int TIME> struct back_physics : walker<MT, SHARE, T
       float dp[3] = {s * d[0], s * d[1], s * d[2]},
             dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
       const lane_physics physics = physics_of(own_row(second));
-      const lane_terrain land = land_of(own_row(second));
+      const lane_terrain terrain = terrain_of(own_row(second));
       if (SPLIT) {
         float *pushes = (float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + m;
         const float push[3] = {load_if(true, pushes), load_if(true, pushes + n_masses),
                                load_if(true, pushes + 2 * n_masses)};
         const lane_split split = split_of(own_row(second), step);
         float da[3];
-        lane_move_split_back(&physics, &split, land, push, p, v, dp, dv, da);
+        lane_move_split_back(&physics, &split, terrain, push, p, v, dp, dv, da);
         for (int axis = 0; axis < 3; axis++) {
           const float d_push = lane_push_back(&split, 0.0f, da[axis]);
           store(pushes + axis * n_masses, d_push);
           dv[axis] += d_push;
         }
       } else {
-        lane_move_back(&physics, land, of.highest, p, v, dp, dv);
+        lane_move_back(&physics, terrain, of.highest, p, v, dp, dv);
       }
       for (int axis = 0; axis < 3; axis++)
         d[axis] = dp[axis];

@@ -33,13 +33,13 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
   using own::activation_at, own::begin, own::begins_period, own::blends, own::broken, own::chunk_at,
       own::constants_of, own::end, own::end_step, own::first, own::first_row, own::first_step,
       own::g, own::group_first, own::group_row, own::guided, own::half_begin, own::hidden_at,
-      own::input_at, own::is_second, own::k, own::land_of, own::lane, own::layer_bytes, own::list,
-      own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at, own::output_tile,
-      own::own_begin, own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync,
-      own::part, own::pass_of, own::physics_of, own::place_light, own::plan_split_of,
-      own::position_at, own::push_at, own::rows, own::scale_at, own::SPLIT, own::split_of,
-      own::strikes_in, own::tape, own::TAPE_ROWS, own::TASKS, own::use_pull, own::velocity_at,
-      own::warp, own::width;
+      own::input_at, own::is_second, own::k, own::terrain_of, own::lane, own::layer_bytes,
+      own::list, own::n_chunks, own::n_masses, own::n_outputs, own::n_own, own::normal_at,
+      own::output_tile, own::own_begin, own::own_chunks, own::own_masses, own::own_row,
+      own::pair_row, own::pair_sync, own::part, own::pass_of, own::physics_of, own::place_light,
+      own::plan_split_of, own::position_at, own::push_at, own::rows, own::scale_at, own::SPLIT,
+      own::split_of, own::strikes_in, own::tape, own::TAPE_ROWS, own::TASKS, own::use_pull,
+      own::velocity_at, own::warp, own::width;
   int16_t *outputs;
   __half *left;   /* (rows, MO_GK_ROW) */
   float *norms;   /* (layers, 3, 256) biases, gains, shifts */
@@ -516,16 +516,16 @@ template <int MT, int SHARE, int TIME> struct forward : walker<MT, SHARE, TIME> 
           const lane_physics physics = physics_of(own_row(second));
           const float *pv = v + 3 * (first + at);
           const float4 before = x[first + at];
-          const lane_terrain land = land_of(own_row(second));
+          const lane_terrain terrain = terrain_of(own_row(second));
           float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
           if (SPLIT) {
             const float *pushes =
                 (const float *)(tape + push_at) + (size_t)step * 3 * n_masses + group_first() + at;
             const float push[3] = {pushes[0], pushes[n_masses], pushes[2 * n_masses]};
             const lane_split split = split_of(own_row(second), step);
-            lane_move_split(&physics, &split, land, push, p, u);
+            lane_move_split(&physics, &split, terrain, push, p, u);
           } else {
-            lane_move(&physics, land, of.highest, p, u);
+            lane_move(&physics, terrain, of.highest, p, u);
           }
           if (!leave(at, p, u))
             (second ? sane[1] : sane[0]) = false;

@@ -409,7 +409,7 @@ template <int MT, int SHARE, int TIME> struct walker {
   {
     return k.courses[first_row + group_row(row)].special;
   }
-  __device__ __forceinline__ lane_terrain land_of(int row) const
+  __device__ __forceinline__ lane_terrain terrain_of(int row) const
   {
     return lane_terrain{rows[row].heights, TASKS ? &special_of(row).cells : nullptr};
   }
@@ -421,7 +421,7 @@ template <int MT, int SHARE, int TIME> struct walker {
     const mo_plan_scene &of = rows[row];
     lane_cell ground;
     if (TASKS && (*profiles() >> row & 1u) != 0)
-      return lane_strikes(&physics, land_of(row), of.highest, p, v, next, &ground);
+      return lane_strikes(&physics, terrain_of(row), of.highest, p, v, next, &ground);
     return lane_strikes(&physics, lane_grid(of.heights), of.highest, p, v, next, &ground);
   }
   /* Bit i: the terrain of the block's row i is a profile. It is in shared memory, after the numbers

@@ -94,28 +94,28 @@ struct lane_terrain {
 
 MO_INLINE struct lane_terrain lane_grid(const float *heights)
 {
-  const struct lane_terrain land = {heights, NULL};
-  return land;
+  const struct lane_terrain terrain = {heights, NULL};
+  return terrain;
 }
 
-MO_INLINE struct lane_cells lane_cells_in(struct lane_terrain land)
+MO_INLINE struct lane_cells lane_cells_in(struct lane_terrain terrain)
 {
-  return land.cells != NULL ? *land.cells : lane_cells_of_grid();
+  return terrain.cells != NULL ? *terrain.cells : lane_cells_of_grid();
 }
 
-MO_INLINE struct lane_map lane_map_of(struct lane_terrain land)
+MO_INLINE struct lane_map lane_map_of(struct lane_terrain terrain)
 {
-  const struct lane_cells cells = lane_cells_in(land);
+  const struct lane_cells cells = lane_cells_in(terrain);
   return lane_map_alike(&cells);
 }
 
 /* i, j: whole numbers. */
-MO_INLINE struct lane_cell lane_cell_at(struct lane_terrain land, V i, V j)
+MO_INLINE struct lane_cell lane_cell_at(struct lane_terrain terrain, V i, V j)
 {
-  const struct lane_cells cells = lane_cells_in(land);
+  const struct lane_cells cells = lane_cells_in(terrain);
   struct lane_cell g;
   float corners[4], polynomial[4];
-  lane_corners(&cells, land.heights, (int)i, (int)j, corners);
+  lane_corners(&cells, terrain.heights, (int)i, (int)j, corners);
   lane_polynomial(corners, polynomial);
   g.i = i;
   g.j = j;
@@ -128,18 +128,19 @@ MO_INLINE struct lane_cell lane_cell_at(struct lane_terrain land, V i, V j)
 
 /* Finds the cell under a position in meters from the world's center, and returns the height
  * there. */
-MO_INLINE V lane_ground(struct lane_terrain land, V x, V y, struct lane_cell *g)
+MO_INLINE V lane_ground(struct lane_terrain terrain, V x, V y, struct lane_cell *g)
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   const V u = lane_coordinate(&map, 0, x), w = lane_coordinate(&map, 1, y);
-  *g = lane_cell_at(land, lane_cell_number(&map, 0, u), lane_cell_number(&map, 1, w));
+  *g = lane_cell_at(terrain, lane_cell_number(&map, 0, u), lane_cell_number(&map, 1, w));
   return lane_height(g, u - g->i, w - g->j);
 }
 
 /* Computes the gradient of g's polynomial at that position. */
-MO_INLINE void lane_slope(struct lane_terrain land, const struct lane_cell *g, V x, V y, V slope[2])
+MO_INLINE void lane_slope(struct lane_terrain terrain, const struct lane_cell *g, V x, V y,
+                          V slope[2])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   slope[0] = lane_slope_x(&map, g, lane_coordinate(&map, 1, y) - g->j);
   slope[1] = lane_slope_y(&map, g, lane_coordinate(&map, 0, x) - g->i);
 }
@@ -163,14 +164,14 @@ struct lane_impact {
 };
 
 /* Finds the impact from p with velocity v in closed form, for a segment that leaves its cell. */
-MO_INLINE struct lane_impact lane_impact_across(struct lane_terrain land, V dt, const V p[3],
+MO_INLINE struct lane_impact lane_impact_across(struct lane_terrain terrain, V dt, const V p[3],
                                                 const V v[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   const V x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
   const V dx = v[0] * map.scale[0], dy = v[1] * map.scale[1];
   struct lane_impact impact = {dt, lane_cell_number(&map, 0, x), lane_cell_number(&map, 1, y)};
-  const struct lane_cells cells = lane_cells_in(land);
+  const struct lane_cells cells = lane_cells_in(terrain);
   const int most = 2 * (int)(cells.columns + cells.rows);
   V from = 0;
   for (int piece = 0; piece < most; piece++) {
@@ -178,7 +179,7 @@ MO_INLINE struct lane_impact lane_impact_across(struct lane_terrain land, V dt, 
             leave_y = lane_leave_time(y, dy, impact.j, map.last[1]);
     const V to = v_min(v_min(leave_x, leave_y), dt);
     if (to > from) {
-      const struct lane_cell g = lane_cell_at(land, impact.i, impact.j);
+      const struct lane_cell g = lane_cell_at(terrain, impact.i, impact.j);
       const struct lane_descent d = lane_descend(
           &map, &g, v_fma(from, dx, x) - g.i, v_fma(from, dy, y) - g.j, v_fma(from, v[2], p[2]), v);
       if (d.comes && from + d.time <= to) {
@@ -198,16 +199,16 @@ MO_INLINE struct lane_impact lane_impact_across(struct lane_terrain land, V dt, 
 }
 
 /* Finds it by n halvings of the step, for any segment. */
-MO_INLINE struct lane_impact lane_impact_halving(struct lane_terrain land, V dt, uint32_t n,
+MO_INLINE struct lane_impact lane_impact_halving(struct lane_terrain terrain, V dt, uint32_t n,
                                                  const V p[3], const V v[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   struct lane_cell g;
   V low = 0, high = dt;
   for (uint32_t k = 0; k < n; k++) {
     const V middle = 0.5f * (low + high);
     if (v_fma(middle, v[2], p[2]) <
-        lane_ground(land, v_fma(middle, v[0], p[0]), v_fma(middle, v[1], p[1]), &g))
+        lane_ground(terrain, v_fma(middle, v[0], p[0]), v_fma(middle, v[1], p[1]), &g))
       high = middle;
     else
       low = middle;
@@ -228,10 +229,10 @@ struct lane_place {
 };
 
 /* From p with velocity v; next: the ground under the end of the straight segment. */
-MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, struct lane_terrain land,
+MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, struct lane_terrain terrain,
                                           const struct lane_cell *next, const V p[3], const V v[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   struct lane_place at;
   const V x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
   V time;
@@ -239,10 +240,10 @@ MO_INLINE struct lane_place lane_place_of(const struct lane_physics *k, struct l
   at.crosses = !lane_within(&map, next, x, y);
   if (k->bisections > 0 || at.crosses) {
     const struct lane_impact impact = k->bisections > 0
-                                          ? lane_impact_halving(land, k->dt, k->bisections, p, v)
-                                          : lane_impact_across(land, k->dt, p, v);
+                                          ? lane_impact_halving(terrain, k->dt, k->bisections, p, v)
+                                          : lane_impact_across(terrain, k->dt, p, v);
     time = impact.time;
-    at.cell = lane_cell_at(land, impact.i, impact.j);
+    at.cell = lane_cell_at(terrain, impact.i, impact.j);
   } else {
     const struct lane_descent d = lane_descend(&map, next, x - next->i, y - next->j, p[2], v);
     time = v_sel(d.comes, d.time, k->dt);
@@ -260,12 +261,12 @@ struct lane_hit {
 
 /* Computes the strike from p with velocity v; next: the ground under the end of the straight
  * segment. */
-MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, struct lane_terrain land,
+MO_INLINE struct lane_hit lane_hit_of(const struct lane_physics *k, struct lane_terrain terrain,
                                       const struct lane_cell *next, const V p[3], const V v[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   struct lane_hit hit;
-  hit.at = lane_place_of(k, land, next, p, v);
+  hit.at = lane_place_of(k, terrain, next, p, v);
   hit.strike = lane_strike_at(k, &map, &hit.at.cell, hit.at.time, p, v);
   hit.stays = lane_within(&map, &hit.at.cell, lane_coordinate(&map, 0, hit.strike.end[0]),
                           lane_coordinate(&map, 1, hit.strike.end[1]));
@@ -281,27 +282,27 @@ struct lane_glide {
 
 /* From p with velocity v, to which the springs have added push. a: set to the acceleration. */
 MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const struct lane_split *c,
-                                          struct lane_terrain land, const V push[3], const V p[3],
-                                          const V v[3], V a[3])
+                                          struct lane_terrain terrain, const V push[3],
+                                          const V p[3], const V v[3], V a[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   struct lane_glide glide;
   struct lane_cell next;
   const V x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
   for (int axis = 0; axis < 3; axis++)
     a[axis] = lane_acceleration(c, axis, push[axis]);
-  lane_ground(land, lane_drift(k, p[0], v[0]), lane_drift(k, p[1], v[1]), &next);
+  lane_ground(terrain, lane_drift(k, p[0], v[0]), lane_drift(k, p[1], v[1]), &next);
   struct lane_cell own = next;
   const bool crosses = !lane_within(&map, &next, x, y);
   if (crosses)
-    own = lane_cell_at(land, lane_cell_number(&map, 0, x), lane_cell_number(&map, 1, y));
+    own = lane_cell_at(terrain, lane_cell_number(&map, 0, x), lane_cell_number(&map, 1, y));
   const bool lies = lane_lies(&own, x - own.i, y - own.j, p[2]);
   if (lies) {
     glide.at.time = 0;
     glide.at.cell = own;
     glide.at.crosses = crosses;
   } else {
-    glide.at = lane_place_of(k, land, &next, p, v);
+    glide.at = lane_place_of(k, terrain, &next, p, v);
   }
   glide.slide = lane_slide_at(k, c, &map, &glide.at.cell, lies, glide.at.time, p, v, a);
   glide.stays = lane_within(&map, &glide.at.cell, lane_coordinate(&map, 0, glide.slide.end[0]),
@@ -311,13 +312,13 @@ MO_INLINE struct lane_glide lane_glide_of(const struct lane_physics *k, const st
 
 /* Sets p to the place where a strike ends. rise: height above the cell's polynomial; used only if
  * the strike ends in the cell where it struck. */
-MO_INLINE void lane_land(struct lane_terrain land, const struct lane_cell *cell, bool stays, V rise,
-                         const V end[3], V p[3])
+MO_INLINE void lane_land(struct lane_terrain terrain, const struct lane_cell *cell, bool stays,
+                         V rise, const V end[3], V p[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   struct lane_cell g = *cell;
   if (!stays)
-    rise = end[2] - lane_ground(land, end[0], end[1], &g);
+    rise = end[2] - lane_ground(terrain, end[0], end[1], &g);
   p[0] = end[0];
   p[1] = end[1];
   p[2] = lane_landing(&g, lane_coordinate(&map, 0, p[0]) - g.i,
@@ -325,29 +326,29 @@ MO_INLINE void lane_land(struct lane_terrain land, const struct lane_cell *cell,
 }
 
 /* Returns whether the strike ended above the ground. slope: set to the ground's slope there. */
-MO_INLINE bool lane_lands_above(struct lane_terrain land, const struct lane_cell *cell, bool stays,
-                                V rise, const V end[3], V slope[2])
+MO_INLINE bool lane_lands_above(struct lane_terrain terrain, const struct lane_cell *cell,
+                                bool stays, V rise, const V end[3], V slope[2])
 {
   struct lane_cell g = *cell;
   bool above = rise >= 0;
   if (!stays)
-    above = lane_ground(land, end[0], end[1], &g) <= end[2];
-  lane_slope(land, &g, end[0], end[1], slope);
+    above = lane_ground(terrain, end[0], end[1], &g) <= end[2];
+  lane_slope(terrain, &g, end[0], end[1], slope);
   return above;
 }
 
 /* The derivative for a mass that lies on the ground at p: sets dp and dv. gx, gy: gradient of the
  * ground where it struck. */
-MO_INLINE void lane_lift(struct lane_terrain land, const struct lane_place *at, V gx, V gy,
+MO_INLINE void lane_lift(struct lane_terrain terrain, const struct lane_place *at, V gx, V gy,
                          const V p[3], const V v[3], struct lane_strike_back *b, V dp[3], V dv[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   struct lane_cell g;
-  const bool lies = p[2] <= lane_ground(land, p[0], p[1], &g);
+  const bool lies = p[2] <= lane_ground(terrain, p[0], p[1], &g);
   lane_lies_back(&map, &at->cell, v, lies, b);
   if (lies && at->crosses) { /* the gradients at the impact and at p belong to two cells */
     V slope[2];
-    lane_slope(land, &g, p[0], p[1], slope);
+    lane_slope(terrain, &g, p[0], p[1], slope);
     b->dp[0] = b->hit[0] + b->push * (gx - slope[0]);
     b->dp[1] = b->hit[1] + b->push * (gy - slope[1]);
   }
@@ -359,30 +360,30 @@ MO_INLINE void lane_lift(struct lane_terrain land, const struct lane_place *at, 
 
 /* Returns whether a mass at p with velocity v strikes the ground, which is nowhere above `highest`.
  * next: the end of its straight segment; g: the ground there. */
-MO_INLINE bool lane_strikes(const struct lane_physics *k, struct lane_terrain land, V highest,
+MO_INLINE bool lane_strikes(const struct lane_physics *k, struct lane_terrain terrain, V highest,
                             const V p[3], const V v[3], V next[3], struct lane_cell *g)
 {
   for (int axis = 0; axis < 3; axis++)
     next[axis] = lane_drift(k, p[axis], v[axis]);
-  return next[2] < highest && next[2] < lane_ground(land, next[0], next[1], g);
+  return next[2] < highest && next[2] < lane_ground(terrain, next[0], next[1], g);
 }
 
 /* Moves a mass from p with velocity v for one step, and updates p and v. Returns true if it struck
  * the ground. */
-MO_INLINE bool lane_move(const struct lane_physics *k, struct lane_terrain land, V highest, V p[3],
-                         V v[3])
+MO_INLINE bool lane_move(const struct lane_physics *k, struct lane_terrain terrain, V highest,
+                         V p[3], V v[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   V next[3];
   struct lane_cell g;
-  if (!lane_strikes(k, land, highest, p, v, next, &g)) {
+  if (!lane_strikes(k, terrain, highest, p, v, next, &g)) {
     for (int axis = 0; axis < 3; axis++)
       p[axis] = next[axis];
     return false;
   }
-  const struct lane_hit hit = lane_hit_of(k, land, &g, p, v);
+  const struct lane_hit hit = lane_hit_of(k, terrain, &g, p, v);
   const struct lane_strike *s = &hit.strike;
-  lane_land(land, &hit.at.cell, hit.stays, lane_rise(&map, &hit.at.cell, s), s->end, p);
+  lane_land(terrain, &hit.at.cell, hit.stays, lane_rise(&map, &hit.at.cell, s), s->end, p);
   for (int axis = 0; axis < 3; axis++)
     v[axis] = s->slid[axis];
   return true;
@@ -390,55 +391,56 @@ MO_INLINE bool lane_move(const struct lane_physics *k, struct lane_terrain land,
 
 /* Moves a mass that strikes, with `split`. push: what the springs have added to the velocity. */
 MO_INLINE void lane_move_split(const struct lane_physics *k, const struct lane_split *c,
-                               struct lane_terrain land, const V push[3], V p[3], V v[3])
+                               struct lane_terrain terrain, const V push[3], V p[3], V v[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   V a[3];
-  const struct lane_glide glide = lane_glide_of(k, c, land, push, p, v, a);
+  const struct lane_glide glide = lane_glide_of(k, c, terrain, push, p, v, a);
   const struct lane_slide *s = &glide.slide;
-  lane_land(land, &glide.at.cell, glide.stays, lane_slide_rise(&map, &glide.at.cell, s), s->end, p);
+  lane_land(terrain, &glide.at.cell, glide.stays, lane_slide_rise(&map, &glide.at.cell, s), s->end,
+            p);
   for (int axis = 0; axis < 3; axis++)
     v[axis] = s->velocity[axis];
 }
 
 /* Computes the derivative of lane_move at its inputs p and v. dp, dv: ∂loss/∂(its outputs),
  * replaced by ∂loss/∂(its inputs). */
-MO_INLINE void lane_move_back(const struct lane_physics *k, struct lane_terrain land, V highest,
+MO_INLINE void lane_move_back(const struct lane_physics *k, struct lane_terrain terrain, V highest,
                               const V p[3], const V v[3], V dp[3], V dv[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   V next[3], slope[2];
   struct lane_cell g;
-  if (!lane_strikes(k, land, highest, p, v, next, &g)) {
+  if (!lane_strikes(k, terrain, highest, p, v, next, &g)) {
     for (int axis = 0; axis < 3; axis++)
       dv[axis] = lane_drift_back(k, dp[axis], dv[axis]);
     return;
   }
-  const struct lane_hit hit = lane_hit_of(k, land, &g, p, v);
+  const struct lane_hit hit = lane_hit_of(k, terrain, &g, p, v);
   const struct lane_strike *s = &hit.strike;
   const struct lane_cell *cell = &hit.at.cell;
   const bool above =
-      lane_lands_above(land, cell, hit.stays, lane_rise(&map, cell, s), s->end, slope);
+      lane_lands_above(terrain, cell, hit.stays, lane_rise(&map, cell, s), s->end, slope);
   struct lane_strike_back b =
       lane_strike_back_of(k, &map, cell, s, v, above, slope[0], slope[1], dp, dv);
-  lane_lift(land, &hit.at, s->gx, s->gy, p, v, &b, dp, dv);
+  lane_lift(terrain, &hit.at, s->gx, s->gy, p, v, &b, dp, dv);
 }
 
 /* Computes the derivative of lane_move_split. da: set to ∂loss/∂ the mass's acceleration. */
 MO_INLINE void lane_move_split_back(const struct lane_physics *k, const struct lane_split *c,
-                                    struct lane_terrain land, const V push[3], const V p[3],
+                                    struct lane_terrain terrain, const V push[3], const V p[3],
                                     const V v[3], V dp[3], V dv[3], V da[3])
 {
-  const struct lane_map map = lane_map_of(land);
+  const struct lane_map map = lane_map_of(terrain);
   V slope[2], a[3];
-  const struct lane_glide glide = lane_glide_of(k, c, land, push, p, v, a);
+  const struct lane_glide glide = lane_glide_of(k, c, terrain, push, p, v, a);
   const struct lane_slide *s = &glide.slide;
   const struct lane_cell *cell = &glide.at.cell;
   const bool above =
-      lane_lands_above(land, cell, glide.stays, lane_slide_rise(&map, cell, s), s->end, slope);
+      lane_lands_above(terrain, cell, glide.stays, lane_slide_rise(&map, cell, s), s->end, slope);
   struct lane_slide_back b =
       lane_slide_back_of(k, c, &map, cell, s, v, a, above, slope[0], slope[1], dp, dv);
-  lane_lift(land, &glide.at, s->gx, s->gy, p, v, &b.strike, dp, dv);
+  lane_lift(terrain, &glide.at, s->gx, s->gy, p, v, &b.strike, dp, dv);
   for (int axis = 0; axis < 3; axis++)
     da[axis] = b.da[axis];
 }

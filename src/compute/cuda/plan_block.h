@@ -49,9 +49,9 @@ struct mo_plan_pairs {
   uint32_t has[MO_PLAN_PAIR_WORDS];
   uint16_t before[MO_PLAN_PAIR_WORDS];
 };
-/* A link: the mass at the other end, and the spring's slot among the body's own. If a row has
- * damage, also 1 + the octant of the spring (rollout/damage.h): then MO_PLAN_LINK_SLOT does not
- * apply, but MO_PLAN_LINK_SLOT_OF applies to all links. */
+/* A link: the mass at the other end, and the spring's slot among the body's own. If a row of the
+ * call has damage, also 1 + the spring's octant (rollout/damage.h), and only MO_PLAN_LINK_SLOT_OF
+ * holds. */
 #define MO_PLAN_LINK(slot, mass)   ((uint32_t)(slot) << 8 | (uint32_t)(mass))
 #define MO_PLAN_LINK_MASS(link)    ((link)&0xffu)
 #define MO_PLAN_LINK_SLOT(link)    ((link) >> 8)
@@ -59,8 +59,7 @@ struct mo_plan_pairs {
 #define MO_PLAN_LINK_PART(octant)  ((uint32_t)(1 + (octant)) << 20)
 #define MO_PLAN_LINK_PART_OF(link) ((link) >> 20)
 
-/* A mass: lattice coordinates, the start of its links, and their number in units of
- * MO_PLAN_LINKS. */
+/* A mass: lattice coordinates, the start of its links, their number in units of MO_PLAN_LINKS. */
 #define MO_PLAN_MASS(x, y, z, quads, quad)                                                         \
   ((uint32_t)(x) | (uint32_t)(y) << 4 | (uint32_t)(z) << 8 | (uint32_t)(quads) << 12 |             \
    (uint32_t)(quad) << 16)
@@ -111,9 +110,9 @@ struct mo_plan_split {
 };
 /* What only the kernels for special rows read (mo_environment_is_special). */
 struct mo_plan_special {
-  struct lane_cells cells; /* of the terrain */
-  uint32_t cut,
-      cut_step; /* as mo_damage.cut; the first step without these springs, or UINT32_MAX */
+  struct lane_cells cells;
+  uint32_t cut;      /* as mo_damage.cut */
+  uint32_t cut_step; /* the first step without these springs, or UINT32_MAX */
 };
 /* An environment with its heights in float64, for the start. */
 struct mo_plan_environment {

@@ -203,7 +203,7 @@ __device__ __forceinline__ void pull(const Shared &shared, const float *position
 
 /* Contact with `split`; before: the velocity at the end of the step before. */
 __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_environment &in,
-                                           const lane_terrain &land, const float4 &kick,
+                                           const lane_terrain &terrain, const float4 &kick,
                                            const float3 &before, float (&p)[3], float (&v)[3])
 {
   lane_split split = lane_split_alike(&in.split.constants);
@@ -212,7 +212,7 @@ __device__ __forceinline__ void move_split(const lane_physics &k, const mo_plan_
   of.fall = kick.z; /* the first step has its own */
   const float push[3] = {v[0] - lane_coast(&of, 0, before.x), v[1] - lane_coast(&of, 1, before.y),
                          v[2] - lane_coast(&of, 2, before.z)};
-  lane_move_split(&k, &split, land, push, p, v);
+  lane_move_split(&k, &split, terrain, push, p, v);
 }
 
 /* before: read with SPLIT. SPECIAL: rows may have profiles. */
@@ -236,20 +236,21 @@ __device__ __forceinline__ void move(const mo_cuda_score &score, Shared &shared,
       float p[3] = {at[0], at[1], at[2]};
       const mo_plan_environment &in = *shared.environments[row];
       const lane_physics k = physics_of(score, in.scene);
-      const lane_terrain land = {in.scene.heights, SPECIAL ? &in.special.cells : nullptr};
+      const lane_terrain terrain = {in.scene.heights, SPECIAL ? &in.special.cells : nullptr};
       const float highest = shared.light[row].w;
       bool struck;
       if (SPLIT) {
         float next[3];
         lane_cell ground;
-        struck = lane_strikes(&k, land, highest, p, v, next, &ground);
+        struck = lane_strikes(&k, terrain, highest, p, v, next, &ground);
         if (struck)
-          move_split(k, in, land, shared.kicks[row], load_velocity(before + 3 * item.place), p, v);
+          move_split(k, in, terrain, shared.kicks[row], load_velocity(before + 3 * item.place), p,
+                     v);
         else
           for (int axis = 0; axis < 3; axis++)
             p[axis] = next[axis];
       } else {
-        struck = lane_move(&k, land, highest, p, v);
+        struck = lane_move(&k, terrain, highest, p, v);
       }
       if (struck) {
         speed[0] = v[0];

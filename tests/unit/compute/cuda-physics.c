@@ -26,7 +26,7 @@ struct ground {
   struct mo_environment environment;
   float heights32[MO_TERRAIN_HEIGHTS];
   struct lane_cells cells;
-  struct lane_terrain land;
+  struct lane_terrain terrain;
 };
 
 /* Heights are rounded to float32, so that both sides have the same terrain. spacing_m: of a
@@ -40,7 +40,7 @@ static void random_ground(double highest, double spacing_m, struct ground *g)
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     g->heights32[k] = (float)g->environment.terrain_heights_m[k];
   g->cells = lane_cells_of(&g->environment);
-  g->land = (struct lane_terrain){g->heights32, spacing_m > 0 ? &g->cells : NULL};
+  g->terrain = (struct lane_terrain){g->heights32, spacing_m > 0 ? &g->cells : NULL};
 }
 
 static struct lane_physics physics_of(const struct mo_physics *physics)
@@ -57,15 +57,15 @@ static void check_terrain(double spacing_m)
   mo_random_init(&dice, 1, MO_PURPOSE_CHECK, 0, 0);
   random_ground(0.1, spacing_m, &ground);
   const struct mo_environment *environment = &ground.environment;
-  const struct lane_map map = lane_map_of(ground.land);
+  const struct lane_map map = lane_map_of(ground.terrain);
   for (int i = 0; i < 20000; i++) { /* also beyond all edges */
     const float p[2] = {(float)uniform(-4, 4), (float)uniform(-4, 4)};
     const float x = lane_coordinate(&map, 0, p[0]), y = lane_coordinate(&map, 1, p[1]);
     struct lane_cell g;
     float slope[2];
     double gradient[2];
-    const float height = lane_ground(ground.land, p[0], p[1], &g);
-    lane_slope(ground.land, &g, p[0], p[1], slope);
+    const float height = lane_ground(ground.terrain, p[0], p[1], &g);
+    lane_slope(ground.terrain, &g, p[0], p[1], slope);
     mo_terrain_gradient(environment, p[0] + 2.5, p[1] + 2.5, gradient);
     worst =
         fmax(worst, fabs((double)height - mo_terrain_height(environment, p[0] + 2.5, p[1] + 2.5)));
@@ -129,12 +129,12 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
       push[k] = splits ? (float)uniform(-0.05, 0.05) : 0;
       a[k] = lane_acceleration(&split, k, push[k]);
     }
-    if (!lane_move(&lane, ground.land, 1e9f, p, w))
+    if (!lane_move(&lane, ground.terrain, 1e9f, p, w))
       continue;
     if (splits) {
       memcpy(p, start, sizeof(p));
       memcpy(w, v, sizeof(w));
-      lane_move_split(&lane, &split, ground.land, push, p, w);
+      lane_move_split(&lane, &split, ground.terrain, push, p, w);
       mo_contact_split(&physics.scheme, &physics.constants, environment, INFINITY, a, position,
                        speed);
     } else {
@@ -145,11 +145,11 @@ static void check_contact(enum mo_integrator integrator, enum mo_impact impact, 
       d_velocity[k] = dv[k] = (float)uniform(-0.05, 0.05);
     }
     if (splits) {
-      lane_move_split_back(&lane, &split, ground.land, push, start, v, dp, dv, da);
+      lane_move_split_back(&lane, &split, ground.terrain, push, start, v, dp, dv, da);
       mo_contact_split_adjoint(&physics.scheme, &physics.constants, environment, INFINITY, a, from,
                                with, d_position, d_velocity, d_acceleration);
     } else {
-      lane_move_back(&lane, ground.land, 1e9f, start, v, dp, dv);
+      lane_move_back(&lane, ground.terrain, 1e9f, start, v, dp, dv);
       mo_contact_move_adjoint(&physics.scheme, &physics.constants, environment, INFINITY, from,
                               with, d_position, d_velocity);
     }
@@ -217,13 +217,13 @@ static void lying(void)
     for (int step = 0; step < 60; step++) {
       struct lane_cell g;
       v[2] -= 0.04f;
-      lane_move(&lane, ground.land, 0.3f, p, v);
-      below += p[2] < lane_ground(ground.land, p[0], p[1], &g);
+      lane_move(&lane, ground.terrain, 0.3f, p, v);
+      below += p[2] < lane_ground(ground.terrain, p[0], p[1], &g);
     }
   }
   CHECK(below == 0);
   float p[3] = {0, 0, 2}, v[3] = {1, 2, 3}, dp[3] = {1, 2, 3}, dv[3] = {0.5f, 0, 0};
-  lane_move_back(&lane, ground.land, 0.3f, p, v, dp, dv);
+  lane_move_back(&lane, ground.terrain, 0.3f, p, v, dp, dv);
   CHECK_NEAR(dv[0], 0.504, 1e-6);
   CHECK_NEAR(dv[2], 0.012, 1e-6);
   CHECK(dp[0] == 1 && dp[1] == 2 && dp[2] == 3);
@@ -246,7 +246,7 @@ static void insanity(void)
           float p[3] = {0.1f, 0.2f, 0.3f}, v[3] = {0.1f, 0.1f, -0.1f};
           p[axis] = odd[a];
           v[2 - axis] = odd[b];
-          lane_move(&lane, ground.land, 1.0f, p, v);
+          lane_move(&lane, ground.terrain, 1.0f, p, v);
           if (a == 0 && b == 0)
             CHECK(!lane_is_sane(p, v));
         }
