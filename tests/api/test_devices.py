@@ -154,7 +154,7 @@ def test_evaluations(start):
         "scores": "fake float32 score-1 sm90", "gradients": "fake float32 gradient-1 sm90"
     }
     assert [device["id"] for device in shown["items"]] == ["FAKE-0", "FAKE-1"]
-    computed = 10 * len({result["genotype"] for result in expected}) + 30  # each body once
+    computed = 12 * len({result["genotype"] for result in expected}) + 30  # each body once
     assert sum(device["rollouts_done"] for device in shown["items"]) == computed
     assert all(
         device["state"] == "working" and device["error"] is None and device["capability"] == "9.0"
