@@ -1,9 +1,11 @@
 /* champions.c: the champions of a campaign, and recordings of them. */
+#include <limits.h>
 #include <stdlib.h>
 
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/submission.h"
+#include "base/words.h"
 
 #define CHAMPIONS_MAX 1000
 
@@ -50,34 +52,76 @@ void mo_api_get_campaign_champions(struct mo_request *request)
   free(distinctiveness);
 }
 
-#define AT(member) offsetof(struct mo_champions_request, member)
+struct asked {
+  struct mo_champions_request request; /* record: NOT_GIVEN unless it was given */
+  struct mo_parts parts;
+};
+#define NOT_GIVEN UINT_MAX
+
+#define AT(member) offsetof(struct asked, member)
 static const struct mo_field champion_rows[] = {
-    {"count", MO_FIELD_COUNT, 0, AT(count), .min = 1, .max = CHAMPIONS_MAX},
-    {"record", MO_FIELD_OWN, 0, AT(record), .own = &mo_channels_field},
-    {"stride", MO_FIELD_COUNT, 0, AT(stride), .min = 1, .max = MO_STEPS_MAX},
+    {"count", MO_FIELD_COUNT, 0, AT(request.count), .min = 1, .max = CHAMPIONS_MAX},
+    {"record", MO_FIELD_OWN, 0, AT(request.record), .own = &mo_channels_field},
+    {"stride", MO_FIELD_COUNT, 0, AT(request.stride), .min = 1, .max = MO_STEPS_MAX},
+    {"environments", MO_FIELD_OWN, 0, AT(parts), .own = &mo_environments_field},
+    {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
+    {"label", MO_FIELD_OWN, 0, AT(parts), .own = &mo_label_field},
 };
 #undef AT
 static const struct mo_fields fields = MO_FIELDS(champion_rows);
 
+/* A recording is the default only where the campaign's own environments are. */
+static int check(struct mo_json *json, void *any)
+{
+  struct asked *asked = any;
+  struct mo_champions_request *request = &asked->request;
+  const struct mo_parts *parts = &asked->parts;
+  const bool is_suite =
+      parts->environment_set != NULL && mo_word_index(mo_suite_words, parts->environment_set) >= 0;
+  if (parts->environments != NULL)
+    mo_json_fault_at(json, 0, "/environments",
+                     "must be the name of a set or suite, such as morpho-12; evaluate the "
+                     "champions' robots in listed environments");
+  if (parts->no_controller)
+    mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
+  if (is_suite && request->record != NOT_GIVEN && request->record != 0)
+    mo_json_fault_at(json, 0, "/record",
+                     "cannot be combined with a suite; give the set of one of its tasks, such as "
+                     "morpho-12-walk");
+  if (request->record == NOT_GIVEN)
+    request->record = parts->has_environments ? 0 : MO_RECORD_COM;
+  request->environment_set = parts->environment_set;
+  request->controller = mo_parts_controller(parts);
+  request->label = parts->job.label;
+  return MO_OK;
+}
+
 static int record(struct mo_request *request, struct mo_post *post)
 {
   struct mo_request_key known;
-  struct mo_champions_request asked = {.count = 12, .stride = 10, .record = MO_RECORD_COM};
+  struct asked asked = {.request = {.count = 12, .stride = 10, .record = NOT_GIVEN},
+                        .parts = {.takes_suites = true}};
   int64_t id;
   if (!mo_path_job(request, &id))
     return MO_ERR_NOT_FOUND;
-  int error =
-      mo_read_body(request->body, request->body_size, &fields, &asked, NULL, NULL, &post->faults);
-  if (error != MO_OK)
+  int error = mo_read_body(request->body, request->body_size, &fields, &asked, &asked.parts, check,
+                           &post->faults);
+  if (error == MO_OK) {
+    post->parsed = true;
+    post->what = "campaign";
+    post->pointers = (struct mo_refusal_pointers){.controller = "/controller"};
+    asked.request.submitted_by = mo_user_of(request);
+    error = mo_jobs_campaign_record_champions(mo_api_of(request)->jobs, id, &asked.request,
+                                              mo_post_key_of(post, "champions", id, &known),
+                                              &request->kept, &post->message);
+  }
+  if (error == MO_ERR_NOT_FOUND && post->parsed)
+    mo_look_up_controller(mo_api_of(request)->store, asked.request.controller, &post->faults);
+  mo_parts_free(&asked.parts);
+  if (!post->parsed || post->faults.n > 0)
     return error;
-  post->parsed = true;
-  post->what = "campaign";
-  asked.submitted_by = mo_user_of(request);
-  error = mo_jobs_campaign_record_champions(mo_api_of(request)->jobs, id, &asked,
-                                            mo_post_key_of(post, "champions", id, &known),
-                                            &request->kept, &post->message);
   if (error == MO_ERR_NOT_FOUND || error == MO_ERR_CONFLICT)
-    mo_reply_problem(request, 409, NULL, "The campaign's champions cannot be recorded: %s.",
+    mo_reply_problem(request, 409, NULL, "The campaign's champions cannot be evaluated: %s.",
                      mo_post_words(post, error));
   else if (error == MO_ERR_DUPLICATE)
     mo_reply_key_conflict(request, &post->faults);

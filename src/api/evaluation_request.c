@@ -1,6 +1,7 @@
 /* evaluation_request.c: the body of POST /v1/evaluations. Every fault has its place: a cell out of
  * bounds is at /designs/3/cells/7/0. */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -94,13 +95,22 @@ static const struct mo_field rows[] = {
 const struct mo_fields mo_evaluation_request_fields = MO_FIELDS(rows);
 _Static_assert(MO_FLOAT32 == 0 && MO_FLOAT64 == 1, "the words are in the order of their values");
 
-/* Returns the number of environments, listed or of a set. *highest_m: the highest ground in them.
+/* Returns the number of a suite; −1: none was requested. */
+static int suite_of(const struct mo_parts *parts)
+{
+  return parts->environments == NULL ? mo_word_index(mo_suite_words, mo_parts_set(parts)) : -1;
+}
+
+/* Returns the number of environments, listed or of a set or suite. *highest_m: the highest ground
+ * in them.
  */
 static uint32_t survey_worlds(struct mo_json *json, struct mo_parts *parts, double *highest_m)
 {
   struct mo_environment *of_set = NULL;
   uint32_t n = parts->n_environments;
   *highest_m = 0;
+  if (suite_of(parts) >= 0)
+    return mo_suite_environments(suite_of(parts)); /* refused where heights count */
   if (parts->environments == NULL) {
     of_set = malloc(MO_SET_ENVIRONMENTS_MAX * sizeof(*of_set));
     n = of_set != NULL
@@ -206,6 +216,29 @@ static void check_measures(struct mo_json *json, const struct mo_parsed_evaluati
                      "measures are computed only on CPUs; request \"cpu\" or \"auto\"");
 }
 
+/* A suite has several sets, and these work on one. */
+static void check_suite(struct mo_json *json, const struct mo_parsed_evaluation *parsed)
+{
+  const struct mo_evaluation_request *request = &parsed->request;
+  const struct {
+    const char *name;
+    bool is_given;
+  } others[] = {{"best", request->best > 0},
+                {"record", request->record != 0},
+                {"verify", request->verify},
+                {"error", parsed->parts.estimates_error},
+                {"tolerance", request->tolerance > 0}};
+  for (size_t i = 0; i < sizeof(others) / sizeof(*others); i++)
+    if (others[i].is_given) {
+      char place[32];
+      snprintf(place, sizeof(place), "/%s", others[i].name);
+      mo_json_fault_at(json, 0, place,
+                       "cannot be combined with a suite; give the set of one of its tasks, such "
+                       "as %s",
+                       mo_suite_set(suite_of(&parsed->parts), 2));
+    }
+}
+
 static int check(struct mo_json *json, void *any)
 {
   struct mo_parsed_evaluation *parsed = any;
@@ -230,7 +263,9 @@ static int check(struct mo_json *json, void *any)
   /* The worlds of a set are drawn for this: only where they count. */
   check_large(json, parsed,
               estimates || is_large ? survey_worlds(json, &parsed->parts, &highest_m) : 0);
-  if (estimates)
+  if (suite_of(&parsed->parts) >= 0)
+    check_suite(json, parsed);
+  else if (estimates)
     check_error(json, parsed, highest_m);
   if (request->measures != 0)
     check_measures(json, parsed);
@@ -260,6 +295,7 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
       .parts = {.job = {.priority = -1, .weight = 1},
                 .random = {.seed = 1},
                 .controller = "default",
+                .takes_suites = fields == &mo_evaluation_request_fields,
                 .most_designs = most_designs}};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
   int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);

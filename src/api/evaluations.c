@@ -5,10 +5,12 @@
 #include "api/job_json.h"
 #include "api/jobs.h"
 #include "api/submission.h"
+#include "api/suite.h"
 #include "rollout/physics.h"
 
 /* The reply for a whole evaluation has at most so many measured numbers, about 60 MB: those of
- * MO_DESIGNS_MAX designs on the paper's test set. Longer results are read in pages. */
+ * MO_DESIGNS_MAX designs on the paper's test set. Longer results are read in pages. In a suite each
+ * rollout counts as its loss and its value. */
 #define MEASURED_MAX 2000000
 
 /* ---- the kind ---- */
@@ -69,7 +71,7 @@ static void write_climb(struct mo_text *text, const struct mo_evaluation_results
 
 static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
                         const struct mo_evaluation_results *results,
-                        const struct mo_environment *tasks, uint32_t d,
+                        const struct mo_environment *tasks, int suite, uint32_t d,
                         const struct mo_design_note *note)
 {
   const uint32_t columns = results->n_environments;
@@ -89,6 +91,8 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
   }
   mo_members_losses(text, &results->losses[(size_t)d * columns], columns, tasks,
                     results->measure_set != 0 ? &measured : NULL);
+  if (suite >= 0)
+    mo_suite_write_design(text, results, d, tasks);
   mo_text_add(text, ",\"diverged\":[");
   for (uint32_t k = 0; k < columns; k++)
     if (steps[k] != 0) {
@@ -117,13 +121,14 @@ static int write_result(struct mo_text *text, const struct mo_lattice *lattice,
 
 static int write_results(struct mo_text *text, const struct mo_lattice *lattice,
                          const struct mo_evaluation_results *results,
-                         const struct mo_environment *tasks)
+                         const struct mo_environment *tasks, int suite)
 {
   int error = MO_OK;
   mo_text_add(text, ",\"results\":[");
   for (uint32_t d = 0, k = 0; d < results->n_designs && error == MO_OK; d++) {
     const bool has_note = k < results->n_notes && results->notes[k].place == d;
-    error = write_result(text, lattice, results, tasks, d, has_note ? &results->notes[k++] : NULL);
+    error = write_result(text, lattice, results, tasks, suite, d,
+                         has_note ? &results->notes[k++] : NULL);
   }
   mo_text_add(text, "]");
   return error;
@@ -194,11 +199,12 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_job(store, id, &status->job);
 }
 
-/* Returns how many measured numbers the results have. */
-static uint64_t measured_numbers(const struct mo_job *job)
+bool mo_results_fit(const struct mo_job *job)
 {
-  return (uint64_t)job->n_designs * job->n_environments *
-         (uint64_t)__builtin_popcount(job->measures);
+  const uint32_t each =
+      (uint32_t)__builtin_popcount(job->measures) + (mo_suite_of(job) >= 0 ? 2 : 0);
+  return job->n_designs <= MO_DESIGNS_MAX &&
+         (uint64_t)job->n_designs * job->n_environments * each <= MEASURED_MAX;
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
@@ -208,15 +214,17 @@ static int write_whole(struct mo_api *api, struct mo_text *text, const void *sta
   struct mo_evaluation_results *results = NULL;
   struct mo_environment *tasks = NULL;
   int error = MO_OK;
-  if (job->state == MO_JOB_SUCCEEDED && !is_listed && job->n_designs <= MO_DESIGNS_MAX &&
-      measured_numbers(job) <= MEASURED_MAX)
+  if (job->state == MO_JOB_SUCCEEDED && !is_listed && mo_results_fit(job))
     error = mo_store_results(api->store, job->id, &results);
   if (error == MO_OK && results != NULL)
     error = mo_tasks_read(api->store, job->id, job->kind, job->environment_set, &tasks);
   if (error == MO_OK) {
+    const int suite = mo_suite_of(job);
     write_job(text, job, live);
+    if (suite >= 0 && !is_listed)
+      mo_suite_write(text, suite, results, tasks);
     if (results != NULL)
-      error = write_results(text, api->lattice, results, tasks);
+      error = write_results(text, api->lattice, results, tasks, suite);
     mo_text_add(text, "}");
   }
   free(tasks);
@@ -242,18 +250,18 @@ const struct mo_resource mo_evaluation_resource = {.kind = MO_JOB_EVALUATION,
 /* ---- pages of results ---- */
 
 /* Writes the result of a design, with its number. */
-static int write_numbered(struct mo_api *api, struct mo_text *text, int64_t id,
+static int write_numbered(struct mo_api *api, struct mo_text *text, const struct mo_job *job,
                           const struct mo_environment *tasks, uint32_t number)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_text one = {0};
-  int error = mo_store_result(api->store, id, number, &results);
+  int error = mo_store_result(api->store, job->id, number, &results);
   const struct mo_design_note *note = NULL;
   for (uint32_t i = 0; error == MO_OK && i < results->n_notes; i++)
     if (results->notes[i].place == number)
       note = &results->notes[i];
   if (error == MO_OK)
-    error = write_result(&one, api->lattice, results, tasks, 0, note);
+    error = write_result(&one, api->lattice, results, tasks, mo_suite_of(job), 0, note);
   if (error == MO_OK) {
     mo_text_next(text);
     mo_text_format(text, "{\"number\":%u,", number);
@@ -303,7 +311,7 @@ void mo_api_get_results(struct mo_request *request)
     error = mo_tasks_read(api->store, id, job.kind, job.environment_set, &tasks);
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n && error == MO_OK; i++)
-    error = write_numbered(api, &text, id, tasks, numbers[i]);
+    error = write_numbered(api, &text, &job, tasks, numbers[i]);
   if (n == (int64_t)limit && numbers[n - 1] + 1 < job.n_designs)
     mo_text_format(&text, "],\"next_cursor\":\"%u\"}", numbers[n - 1] + 1);
   else

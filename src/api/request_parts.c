@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/text.h"
+#include "base/words.h"
 #include "http/field.h"
 #include "jobs/evaluations.h"
 #include "store/store.h"
@@ -149,20 +150,36 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
                      MO_HEIGHT_LIMIT_M);
 }
 
+/* Returns the word that a string is; NULL: none. */
+static const char *find_word(const char *const *words, struct mo_json_slice name)
+{
+  while (*words != NULL && !mo_json_is(name, *words))
+    words++;
+  return *words;
+}
+
 static void read_set(struct mo_json *json, struct mo_parts *parts)
 {
   const unsigned depth = json->depth;
   struct mo_json_slice name;
   if (!mo_json_string(json, &name))
     return;
-  for (int i = 0; mo_set_words[i] != NULL; i++)
-    if (mo_json_is(name, mo_set_words[i])) {
-      parts->environment_set = mo_set_words[i];
-      return;
-    }
+  const char *suite = find_word(mo_suite_words, name);
+  parts->environment_set = suite != NULL ? suite : find_word(mo_set_words, name);
+  if (suite != NULL && !parts->takes_suites) {
+    mo_json_fault_at(json, depth, "",
+                     "%s is a suite of %d sets, which only evaluations take; give the set of a "
+                     "task, such as %s",
+                     suite, MO_SUITE_TASKS, mo_suite_set(mo_word_index(mo_suite_words, suite), 2));
+    parts->environment_set = NULL;
+    return;
+  }
+  if (parts->environment_set != NULL)
+    return;
   mo_json_fault_at(json, depth, "",
                    "unknown set of environments; GET /v1/environment-sets lists them: paper-test, "
-                   "morpho-12-walk, morpho-12-walk-held-out and others");
+                   "morpho-12-walk, morpho-12-walk-held-out and others%s",
+                   parts->takes_suites ? "; the suites are morpho-12 and morpho-12-held-out" : "");
 }
 
 /* Reads an array of 1 to MO_ENVIRONMENTS_MAX environments, each by `read`. Skips it if the request
@@ -398,7 +415,8 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
 static const char *const priority_words[] = {"batch", "interactive", NULL}; /* enum mo_urgency */
 static const char *const device_words[] = {"auto", "cpu", "cuda", NULL};    /* from −1 on */
 const struct mo_field_own mo_controller_field = {.read = read_controller};
-static const struct mo_field_own label = {.read = read_label}, experiment = {read_experiment};
+const struct mo_field_own mo_label_field = {.read = read_label};
+static const struct mo_field_own experiment = {read_experiment};
 #define AT(member) offsetof(struct mo_parts, member)
 static const struct mo_field weight_rows[] = {
     {"weight", MO_FIELD_NUMBER, 0, 0, .min = MO_WEIGHT_MIN, .max = MO_WEIGHT_MAX, .unit = "",
@@ -408,7 +426,8 @@ const struct mo_fields mo_weight_fields = {weight_rows, 1};
 static const struct mo_field rows[] = {
     {"controller", MO_FIELD_OWN, 0, 0, .own = &mo_controller_field, .unit = "",
      .help = "a controller by name or hash"},
-    {"label", MO_FIELD_OWN, 0, 0, .own = &label, .unit = "", .help = "a text to find the job by"},
+    {"label", MO_FIELD_OWN, 0, 0, .own = &mo_label_field, .unit = "",
+     .help = "a text to find the job by"},
     {"experiment", MO_FIELD_OWN, 0, 0, .own = &experiment, .unit = "",
      .help = "the experiment that the job belongs to"},
     {"priority", MO_FIELD_WORD, 0, AT(job.priority), .words = priority_words, .unit = "",

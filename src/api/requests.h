@@ -26,6 +26,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
   bool has_tasks, has_random, estimates_error;
+  bool takes_suites; /* of mo_suite_words, as environments */
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
@@ -34,7 +35,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   struct mo_design_note *notes; /* (n_notes) ascending: skipped, repaired, or given by id */
   uint32_t n_notes, n_skipped;
   struct mo_environment *environments; /* (n_environments); NULL: the set. mo_tasks_field: tasks */
-  const char *environment_set;         /* of mo_set_words; NULL: "paper-test" */
+  const char *environment_set;         /* of mo_set_words, mo_suite_words; NULL: "paper-test" */
   struct mo_random_bodies random;      /* count 0: none */
 };
 /* controller, label, experiment, priority, weight, device. */
@@ -46,6 +47,7 @@ extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_tas
     mo_controller_field;
 /* on_fault and repair, together and separately. Read them ahead of the designs. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
+extern const struct mo_field_own mo_label_field; /* of struct mo_parts */
 extern const struct mo_field_own mo_name_field; /* of a controller: MO_NAME_BYTES_MAX + 1 bytes */
 
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not

@@ -13,7 +13,7 @@
 #include "base/json.h"
 #include "http/download.h"
 
-#define COLUMNS_MAX  64
+#define COLUMNS_MAX  96
 #define COLUMNS_SIZE ((size_t)64 << 20) /* bytes of all columns of a reply */
 #define PATH_BYTES   96
 
@@ -468,6 +468,12 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " measures.contact_back_share:n measures.contact_left_share:n"                                   \
   " measures.contact_right_share:n measures.hops_per_s:n measures.work_j:n"                        \
   " measures.cost_of_transport:n measures.peak_strain:n measures.inverted_voxels:n flags"
+#define TASK(NAME) " tasks." NAME ".loss:n tasks." NAME ".value:n"
+#define TASKS                                                                                      \
+  TASK("photo")                                                                                    \
+  TASK("photo-auc") TASK("walk") TASK("rough") TASK("up") TASK("down") TASK("hurdle") TASK("gap")  \
+      TASK("circle") TASK("shuttle") TASK("path")                                                  \
+          TASK("damage") " tasks_mean.loss:n tasks_mean.left_out"
 #define RESULTS                                                                                    \
   "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
   "masses:n"                                                                                       \
@@ -475,7 +481,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " error.discretization:n error.rounding:n error.standard_error:n error.bifurcates value:n "      \
   "unit" MEASURES                                                                                  \
   " tolerance.asked:n tolerance.reached:n tolerance.estimated_error:n tolerance.bifurcates:n"      \
-  " tolerance.dt_s:n tolerance.precision tolerance.rungs"
+  " tolerance.dt_s:n tolerance.precision tolerance.rungs" TASKS
 #define TRAININGS                                                                                  \
   "id kind name " JOB " phase parent.name parent.sha256 settings.seed:n settings.steps:n"          \
   " settings.batch:n progress.step:n progress.mean_loss:n progress.bodies_per_s:n"                 \

@@ -147,11 +147,13 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
   struct mo_evaluation_request request = {
       .genotypes = genotypes,
       .n_designs = n,
-      .environment_set = record->environment_set[0] != '\0' ? record->environment_set : NULL,
-      .controller = controller,
+      .environment_set = asked->environment_set != NULL       ? asked->environment_set
+                         : record->environment_set[0] != '\0' ? record->environment_set
+                                                              : NULL,
+      .controller = asked->controller != NULL ? asked->controller : controller,
       .physics = record->settings.physics,
       .precision = MO_FLOAT32,
-      .job = {.priority = -1, .submitted_by = asked->submitted_by},
+      .job = {.priority = -1, .label = asked->label, .submitted_by = asked->submitted_by},
       .record = asked->record,
       .record_stride = asked->stride};
   const uint32_t steps = request.physics.scheme.n_steps;
@@ -205,10 +207,11 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,
     memcpy(genotypes[i].words, rows[i].genotype.words, sizeof(*genotypes));
   struct mo_sha256 sha256 =
       status.job.has_result ? status.job.result_sha256 : status.job.controller_sha256;
-  if (error == MO_OK && mo_modes[status.record.settings.mode].learns && !status.job.has_result)
+  if (error == MO_OK && request->controller == NULL &&
+      mo_modes[status.record.settings.mode].learns && !status.job.has_result)
     error = store_controller(jobs, &status, &sha256, name, &created);
   if (error != MO_OK)
-    (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));
+    (void)mo_fail(message, error, "the champions cannot be evaluated: %s", mo_error_text(error));
   else
     error =
         submit_recording(jobs, &status, &sha256, genotypes, n, request, key, evaluation, message);

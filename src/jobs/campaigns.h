@@ -24,12 +24,13 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
                                struct mo_campaign_design *rows, double *distinctiveness,
                                uint32_t *n);
 struct mo_champions_request {
-  uint32_t count, stride;   /* ≥ 1; steps between frames */
-  unsigned record;          /* channels */
-  const char *submitted_by; /* nullable */
+  uint32_t count, stride;      /* ≥ 1; steps between frames */
+  unsigned record;             /* channels; 0: none */
+  const char *environment_set; /* a set or suite; NULL: the campaign's environments */
+  const char *controller;      /* name or "sha256:…"; NULL: the one that scored the champions */
+  const char *label, *submitted_by; /* nullable */
 };
-/* Submits an evaluation that records the newest generation's champions in the campaign's
- * environments. It uses the controller that scored the champions. In a campaign that learns, its
+/* Submits an evaluation of the newest generation's champions. In a campaign that learns, its
  * newest checkpoint is stored as a controller, by hash. key (nullable): a known key returns its
  * evaluation; MO_ERR_DUPLICATE: the key was used with another request. */
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id,

@@ -70,7 +70,7 @@ static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency p
 static bool has_large(const struct mo_evaluations *all)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
-    if (active->work != NULL && active->work->n_designs / active->work->n_runs > MO_DESIGNS_MAX)
+    if (active->work != NULL && active->work->job.n_designs > MO_DESIGNS_MAX)
       return true;
   return false;
 }
@@ -134,7 +134,8 @@ static int load_active(struct mo_evaluations *all, struct mo_active *active, cha
                                   .genotypes = work->genotypes,
                                   .environments = work->environments,
                                   .n_designs = work->n_designs,
-                                  .n_environments = work->n_environments};
+                                  .n_environments = work->n_environments,
+                                  .n_sets = work->n_sets};
   error = mo_grid_create(&active->grid);
   if (error == MO_OK)
     error = mo_share_open(all->jobs, active->id, MO_JOB_EVALUATION, &active->grid.block.share);

@@ -93,9 +93,21 @@ static int64_t class_of(const struct mo_work *work, uint32_t design)
              : work->fingerprint;
 }
 
+/* Returns which set of a suite a row of the grid is in; 0 without a suite. */
+static uint32_t set_of(const struct mo_work *work, uint32_t design)
+{
+  return design / (work->n_designs / work->n_sets);
+}
+
+/* Returns the rows of the environments of a row of the grid. */
+static const int64_t *environments_of(const struct mo_work *work, uint32_t design)
+{
+  return &work->environment_rows[(size_t)set_of(work, design) * work->n_environments];
+}
+
 static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uint32_t k)
 {
-  return (struct mo_rollout){.key = {work->genotype_rows[design], work->environment_rows[k],
+  return (struct mo_rollout){.key = {work->genotype_rows[design], environments_of(work, design)[k],
                                      work->controller, physics_of(work, design),
                                      class_of(work, design)}};
 }
@@ -157,7 +169,7 @@ static void count_cell(struct mo_evaluations *all, struct mo_active *active, uin
 static struct mo_saved_design design_of(const struct mo_work *work, uint32_t design)
 {
   return (struct mo_saved_design){work->genotype_rows[design], work->controller,
-                                  physics_of(work, design),    work->environment_set,
+                                  physics_of(work, design),    work->sets[set_of(work, design)],
                                   class_of(work, design),      work->workers};
 }
 
@@ -193,6 +205,7 @@ static int look_up(void *context, uint32_t design)
   struct mo_active *active = context;
   struct mo_evaluations *all = active->all;
   const struct mo_work *work = active->work;
+  const int64_t *environments = environments_of(work, design);
   struct mo_saved_design key = design_of(work, design);
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   uint64_t measured = UINT64_MAX; /* a score without its measures counts as unknown */
@@ -203,10 +216,9 @@ static int look_up(void *context, uint32_t design)
   if (!any)
     return MO_OK;
   key.workers = 0; /* only the job's own class */
-  error =
-      mo_store_scores(all->jobs->store, &key, work->environment_rows, work->n_environments, scores);
+  error = mo_store_scores(all->jobs->store, &key, environments, work->n_environments, scores);
   if (error == MO_OK && is_measured(work, design))
-    error = mo_store_measured(all->jobs->store, &key, work->environment_rows, work->n_environments,
+    error = mo_store_measured(all->jobs->store, &key, environments, work->n_environments,
                               work->job.measures, &measured);
   for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++)
     if (scores[k].known && (measured >> k & 1) && mo_grid_is_open(&active->grid, design, k))
@@ -311,6 +323,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
 {
   const struct mo_block *block = &flight->flight.block;
   const struct mo_work *work = active->work;
+  const int64_t *environments = environments_of(work, flight->flight.design);
   struct mo_saved_block saved = {
       .genotype = work->genotype_rows[flight->flight.design],
       .condition = {.controller = work->controller,
@@ -326,7 +339,7 @@ static int take(struct mo_evaluations *all, struct mo_active *active, struct fli
   int error = MO_OK;
   memcpy(saved.places, flight->flight.places, sizeof(saved.places));
   for (uint32_t i = 0; i < block->n_environments && error == MO_OK; i++) {
-    saved.condition.environments[i] = work->environment_rows[saved.places[i]];
+    saved.condition.environments[i] = environments[saved.places[i]];
     saved.losses[i] = block->outcomes[i].loss;
     saved.diverged_steps[i] = (uint32_t)block->outcomes[i].diverged_step;
     if (block->recordings != NULL)

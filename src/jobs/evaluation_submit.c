@@ -1,6 +1,7 @@
 /* evaluation_submit.c: places and admits an evaluation, then passes it to the store. */
 #include <morpho/evolution.h>
 
+#include "base/words.h"
 #include "jobs/evaluations.h"
 #include "jobs/submission.h"
 #include "store/controllers.h"
@@ -95,16 +96,23 @@ int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_reques
                           request->n_designs, request->notes, request->n_notes, message);
 }
 
-/* Checks that the bytes of each design and rollout fit into memory (evaluation.h, best.c,
- * evaluation_climb.c). */
+static bool is_suite(const struct mo_evaluation_request *request)
+{
+  return request->environment_set != NULL &&
+         mo_word_index(mo_suite_words, request->environment_set) >= 0;
+}
+
+/* Checks that the bytes of each row of the grid and of each rollout fit into memory (evaluation.h,
+ * best.c, evaluation_climb.c). */
 static int check_large(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                        struct mo_message *message)
 {
-  const uint64_t rows =
+  const uint32_t n_sets = is_suite(request) ? MO_SUITE_TASKS : 1;
+  const uint64_t runs =
       (uint64_t)request->n_designs * mo_ladder_runs(request->n_displaced, request->tolerance);
   const bool keeps_losses = request->best > 0 || request->tolerance > 0;
   const struct mo_need need = {
-      .own = (80 + (keeps_losses ? 9 : 1) * (uint64_t)request->n_environments) * rows};
+      .own = (80 * n_sets + (keeps_losses ? 9 : 1) * (uint64_t)request->n_environments) * runs};
   return mo_memory_check(jobs, &need, message);
 }
 

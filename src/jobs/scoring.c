@@ -148,10 +148,18 @@ static struct mo_flight *begin(struct mo_window *window, uint32_t design)
   return flight;
 }
 
+/* Returns the environments of a design. */
+static const struct mo_environment *environments_of(const struct mo_grid *grid, uint32_t design)
+{
+  const uint32_t set = grid->n_sets > 1 ? design / (grid->n_designs / grid->n_sets) : 0;
+  return &grid->environments[(size_t)set * grid->n_environments];
+}
+
 /* Adds the open cells of the design that may join, until the block is full. */
 static int gather(struct mo_window *window, struct mo_flight *flight)
 {
   struct mo_grid *grid = window->grid;
+  const struct mo_environment *environments = environments_of(grid, flight->design);
   struct mo_block *block = &flight->block;
   int joins = 1;
   for (uint32_t k = 0; k < grid->n_environments && block->n_environments < MO_BLOCK_LANES; k++) {
@@ -162,7 +170,7 @@ static int gather(struct mo_window *window, struct mo_flight *flight)
     *mo_grid_cell(grid, flight->design, k) = joins > 0 ? MO_CELL_IN_FLIGHT : MO_CELL_DEFERRED;
     if (joins > 0) {
       flight->places[block->n_environments] = (uint8_t)k;
-      block->environments[block->n_environments++] = &grid->environments[k];
+      block->environments[block->n_environments++] = &environments[k];
     }
   }
   return MO_OK;

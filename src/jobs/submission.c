@@ -4,6 +4,8 @@
 
 #include <stdlib.h>
 
+#include "base/words.h"
+
 /* ---- queueing ---- */
 
 static int explain(int error, const char *controller, struct mo_message *message)
@@ -100,7 +102,10 @@ int mo_placed_orient(struct mo_jobs *jobs, const struct mo_orienting *under,
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message)
 {
-  const int error = mo_store_environment_set_size(jobs->store, set, n);
+  const uint32_t n_suite = mo_suite_environments(mo_word_index(mo_suite_words, set));
+  const int error = n_suite > 0 ? MO_OK : mo_store_environment_set_size(jobs->store, set, n);
+  if (n_suite > 0)
+    *n = n_suite;
   return error == MO_OK ? MO_OK
                         : mo_fail(message, error, "unknown set of environments \"%.64s\"", set);
 }

@@ -41,7 +41,7 @@ int mo_placed_orient(struct mo_jobs *jobs, const struct mo_orienting *under,
 int mo_evaluation_orient(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                          struct mo_placed *placed, struct mo_message *message);
 
-/* Reads the size of a named set. MO_ERR_NOT_FOUND, with a message. */
+/* Reads the size of a named set or suite. MO_ERR_NOT_FOUND, with a message. */
 int mo_environments_count(struct mo_jobs *jobs, const char *set, uint32_t *n,
                           struct mo_message *message);
 /* Returns whether rollouts take at most about a second of one core, as interactive ones must.

@@ -3,6 +3,7 @@
 
 #include <stdlib.h>
 
+#include "base/words.h"
 #include "store/internal.h"
 
 /* ---- rows by content: found or inserted ---- */
@@ -105,6 +106,22 @@ int mo_environment_set_find(struct mo_connection *connection, const char *name, 
   return MO_OK;
 }
 
+int mo_suite_find(struct mo_connection *connection, const char *name, int64_t *rows,
+                  uint32_t *n_sets, int64_t *n)
+{
+  const int suite = mo_word_index(mo_suite_words, name);
+  int error = MO_OK;
+  *n_sets = suite < 0 ? 1 : MO_SUITE_TASKS;
+  *n = 0;
+  for (uint32_t i = 0; i < *n_sets && error == MO_OK; i++) {
+    int64_t of_set = 0;
+    error = mo_environment_set_find(connection, suite < 0 ? name : mo_suite_set(suite, i), &rows[i],
+                                    &of_set);
+    *n += of_set;
+  }
+  return error;
+}
+
 int mo_store_environment_set_size(struct mo_store *store, const char *name, uint32_t *n)
 {
   int64_t found[2] = {0, 0};
@@ -152,6 +169,22 @@ int mo_make_sets(struct mo_store *store)
 }
 
 /* ---- the environments and designs of a job ---- */
+
+int mo_suite_insert(struct mo_connection *writer, int64_t id, const int64_t *sets, uint32_t n_sets)
+{
+  static const char count_sql[] = "SELECT count(*) FROM job_environments WHERE job=?1";
+  static const char sql[] = "INSERT INTO job_environments(job,position,environment)"
+                            " SELECT ?1,position+?3,environment FROM environment_set_members"
+                            " WHERE environment_set=?2";
+  int64_t first = 0;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < n_sets && error == MO_OK; i++) {
+    error = mo_sql_find(writer, &first, count_sql, mo_int(id));
+    if (error == MO_OK)
+      error = mo_sql_do(writer, sql, mo_int(id), mo_int(sets[i]), mo_int(first));
+  }
+  return error;
+}
 
 int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,
                            const struct mo_environment *environments, uint32_t n)

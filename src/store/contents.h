@@ -22,6 +22,12 @@ int mo_text_row(struct mo_connection *writer, enum mo_texts table, const char *t
 /* Finds a named set and its size. MO_ERR_NOT_FOUND. */
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n);
+/* Finds the sets of a suite, whose rows are returned (MO_SUITE_TASKS), and the number of all their
+ * environments; or a set, as a suite of one. MO_ERR_NOT_FOUND. */
+int mo_suite_find(struct mo_connection *connection, const char *name, int64_t *rows,
+                  uint32_t *n_sets, int64_t *n);
+/* Inserts the environments of a job: those of the sets, set after set. */
+int mo_suite_insert(struct mo_connection *writer, int64_t id, const int64_t *sets, uint32_t n_sets);
 
 /* Inserts the environments of a job: the environments of `set`, or the given ones if set is 0. */
 int mo_environments_insert(struct mo_connection *writer, int64_t id, int64_t set,

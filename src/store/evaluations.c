@@ -22,7 +22,7 @@ struct result_keys {
   enum mo_integrator integrator;
   uint32_t n_displaced;
   int64_t physics[MO_LADDER_RUNS_MAX]; /* rows of the settings of all runs */
-  int64_t environments[MO_ENVIRONMENTS_MAX];
+  int64_t environments[MO_SUITE_ENVIRONMENTS_MAX];
 };
 
 static int load_keys(struct mo_connection *reader, struct range *range, struct result_keys *keys,
@@ -30,7 +30,8 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
-      "coalesce(workers,0),state=3,n_displaced,encoding,measures,tolerance FROM evaluations JOIN "
+      "coalesce(workers,0),state=3,n_displaced,encoding,measures,tolerance,suite FROM evaluations "
+      "JOIN "
       "jobs j ON j.id=job"
       " JOIN physics p ON p.id=physics WHERE job=?1 AND state<>6";
   struct mo_setting first;
@@ -57,10 +58,12 @@ static int load_keys(struct mo_connection *reader, struct range *range, struct r
   if ((results->measure_set & ~MO_MEASURES_ALL) != 0)
     return MO_ERR_CORRUPT;
   results->tolerance = sqlite3_column_double(row, 11);
+  const bool is_suite = sqlite3_column_type(row, 12) != SQLITE_NULL;
   for (uint32_t rung = 0; rung < MO_LADDER_RUNGS; rung++)
     results->rungs[rung] = mo_ladder_rung(&first, rung);
   if (results->n_designs < 1 || results->n_designs > MO_LARGE_MAX || results->n_environments < 1 ||
-      results->n_environments > MO_ENVIRONMENTS_MAX || keys->n_displaced > MO_ERROR_DISPLACED ||
+      results->n_environments > (is_suite ? MO_SUITE_ENVIRONMENTS_MAX : MO_ENVIRONMENTS_MAX) ||
+      (is_suite && keys->n_displaced > 0) || keys->n_displaced > MO_ERROR_DISPLACED ||
       !mo_tolerance_is_sound(results->tolerance, keys->n_displaced))
     return MO_ERR_CORRUPT;
   if (range->first + range->n > results->n_designs)
@@ -121,23 +124,41 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify, 
   return MO_OK;
 }
 
-/* Reads the stored losses that count for the key's genotype into row `n` of the results. */
-static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
-                       uint64_t counted, struct mo_evaluation_results *results)
+/* The environments of a suite are read in parts of up to MO_ENVIRONMENTS_MAX columns. */
+static uint32_t part_of(const struct mo_evaluation_results *results, uint32_t first)
+{
+  const uint32_t left = results->n_environments - first;
+  return left < MO_ENVIRONMENTS_MAX ? left : MO_ENVIRONMENTS_MAX;
+}
+
+/* Reads the losses of one part. */
+static int load_part(struct mo_connection *reader, const struct result_keys *keys, size_t n,
+                     uint64_t counted, uint32_t first, struct mo_evaluation_results *results)
 {
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  const size_t first = n * results->n_environments;
-  int error =
-      mo_losses_read(reader, &keys->design, keys->environments, results->n_environments, scores);
-  for (uint32_t k = 0; k < results->n_environments && error == MO_OK; k++)
+  const size_t cell = n * results->n_environments + first;
+  const uint32_t columns = part_of(results, first);
+  int error = mo_losses_read(reader, &keys->design, &keys->environments[first], columns, scores);
+  for (uint32_t k = 0; k < columns && error == MO_OK; k++)
     if (!(counted >> k & 1)) {
       results->is_bound[n] = 1;
     } else if (scores[k].known) {
-      results->losses[first + k] = scores[k].loss;
-      results->diverged_steps[first + k] = scores[k].diverged_step;
+      results->losses[cell + k] = scores[k].loss;
+      results->diverged_steps[cell + k] = scores[k].diverged_step;
     } else if (keys->is_complete) {
       error = MO_ERR_CORRUPT;
     }
+  return error;
+}
+
+/* Reads the stored losses that count for the key's genotype into row `n` of the results. counted:
+ * of the first part, the only one unless all count. */
+static int load_losses(struct mo_connection *reader, const struct result_keys *keys, size_t n,
+                       uint64_t counted, struct mo_evaluation_results *results)
+{
+  int error = MO_OK;
+  for (uint32_t k = 0; k < results->n_environments && error == MO_OK; k += MO_ENVIRONMENTS_MAX)
+    error = load_part(reader, keys, n, counted, k, results);
   return error;
 }
 
@@ -228,19 +249,20 @@ static int climb(struct mo_connection *reader, struct result_keys *keys, size_t 
   return error;
 }
 
-/* Reads the stored measures that count for the key's genotype into row `n` of the results. */
-static int load_measures(struct mo_connection *reader, const struct result_keys *keys, size_t n,
-                         uint64_t counted, struct mo_evaluation_results *results)
+/* Reads the measures of one part. */
+static int load_measured_part(struct mo_connection *reader, const struct result_keys *keys,
+                              size_t n, uint64_t counted, uint32_t first,
+                              struct mo_evaluation_results *results)
 {
-  const uint32_t columns = results->n_environments, set = results->measure_set;
+  const uint32_t columns = part_of(results, first), set = results->measure_set;
   double values[MO_ENVIRONMENTS_MAX][MO_MEASURES];
   uint64_t known = 0;
-  const int error =
-      mo_measures_read(reader, &keys->design, keys->environments, columns, set, values, &known);
+  const int error = mo_measures_read(reader, &keys->design, &keys->environments[first], columns,
+                                     set, values, &known);
   if (error != MO_OK)
     return error;
   for (uint32_t k = 0; k < columns; k++) {
-    const size_t cell = n * columns + k;
+    const size_t cell = n * results->n_environments + first + k;
     double *to = &results->measures[cell * results->n_measures];
     if (!(counted >> k & 1))
       continue;
@@ -254,6 +276,16 @@ static int load_measures(struct mo_connection *reader, const struct result_keys 
     results->flags[cell] = (uint8_t)mo_measures_flags(values[k]);
   }
   return MO_OK;
+}
+
+/* Reads the stored measures that count for the key's genotype into row `n` of the results. */
+static int load_measures(struct mo_connection *reader, const struct result_keys *keys, size_t n,
+                         uint64_t counted, struct mo_evaluation_results *results)
+{
+  int error = MO_OK;
+  for (uint32_t k = 0; k < results->n_environments && error == MO_OK; k += MO_ENVIRONMENTS_MAX)
+    error = load_measured_part(reader, keys, n, counted, k, results);
+  return error;
 }
 
 /* Skipped designs have no row, so they keep empty genotypes and unknown losses. */

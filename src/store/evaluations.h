@@ -33,7 +33,7 @@ struct mo_evaluation_request {
   struct mo_design_note *notes;   /* (n_notes) ascending; the submission completes the notes on
                                      ids */
   uint32_t n_notes, n_skipped;    /* n_skipped: notes of skipped designs */
-  const char *environment_set;    /* "paper-test", or NULL: `environments` */
+  const char *environment_set;    /* of mo_set_words or mo_suite_words; NULL: `environments` */
   const struct mo_environment *environments; /* (n_environments) checked */
   uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */
   const char *controller;                    /* name or "sha256:<64 hex>" */

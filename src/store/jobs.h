@@ -30,7 +30,7 @@
   X(ERROR_TEXT, "j.error_text")                                                                    \
   X(CONTROLLER, "c.sha256")                                                                        \
   X(CONTROLLER_NAME, "coalesce(e.controller_name,r.controller_name)")                              \
-  X(ENVIRONMENT_SET, "s.name")                                                                     \
+  X(ENVIRONMENT_SET, "coalesce(e.suite,s.name)")                                                   \
   X(N_ENVIRONMENTS, "coalesce(e.n_environments,m.n_environments)")                                 \
   X(N_DESIGNS, "coalesce(e.n_designs,t.n_designs)")                                                \
   X(N_SKIPPED, "e.n_skipped")                                                                      \

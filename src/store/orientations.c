@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/words.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
 #include "store/designs.h"
@@ -11,17 +12,28 @@
 /* The rows for struct mo_orienting. */
 struct scored_under {
   struct mo_saved_design design; /* except its genotype */
-  int64_t environments[MO_ENVIRONMENTS_MAX];
+  int64_t environments[MO_SUITE_ENVIRONMENTS_MAX];
   uint32_t n;
   struct mo_workspace workspace;
 };
 
+/* Adds the environments of a set. */
+static int add_set(struct mo_connection *reader, const char *set, struct scored_under *found)
+{
+  static const char sql[] =
+      "SELECT m.environment FROM environment_sets s JOIN environment_set_members m"
+      " ON m.environment_set=s.id WHERE s.name=?1 ORDER BY m.position LIMIT ?2";
+  const uint32_t before = found->n;
+  int error = MO_OK;
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_string(set), mo_int(MO_ENVIRONMENTS_MAX));
+  while (mo_sql_next(reader, row, &error))
+    found->environments[found->n++] = sqlite3_column_int64(row, 0);
+  return error == MO_OK && found->n == before ? MO_ERR_NOT_FOUND : error;
+}
+
 static int find_environments(struct mo_connection *reader, const struct mo_orienting *under,
                              struct scored_under *found)
 {
-  static const char set_sql[] =
-      "SELECT m.environment FROM environment_sets s JOIN environment_set_members m"
-      " ON m.environment_set=s.id WHERE s.name=?1 ORDER BY m.position LIMIT ?2";
   static const char sql[] = "SELECT id FROM environments WHERE sha256=?1";
   int error = MO_OK;
   if (under->environment_set == NULL) {
@@ -32,11 +44,12 @@ static int find_environments(struct mo_connection *reader, const struct mo_orien
     }
     return error;
   }
-  sqlite3_stmt *row = mo_sql_rows(reader, &error, set_sql, mo_string(under->environment_set),
-                                  mo_int(MO_ENVIRONMENTS_MAX));
-  while (mo_sql_next(reader, row, &error))
-    found->environments[found->n++] = sqlite3_column_int64(row, 0);
-  return error == MO_OK && found->n == 0 ? MO_ERR_NOT_FOUND : error;
+  const int suite = mo_word_index(mo_suite_words, under->environment_set);
+  if (suite < 0)
+    return add_set(reader, under->environment_set, found);
+  for (uint32_t task = 0; task < MO_SUITE_TASKS && error == MO_OK; task++)
+    error = add_set(reader, mo_suite_set(suite, task), found);
+  return error;
 }
 
 /* MO_ERR_NOT_FOUND: nothing can have been scored under these conditions. */
@@ -77,12 +90,18 @@ static int score_of(struct mo_connection *reader, const struct scored_under *und
   struct mo_score losses[MO_ENVIRONMENTS_MAX];
   struct mo_saved_design design = under->design;
   double sum = 0;
+  int error = MO_OK;
   design.genotype = genotype;
-  const int error = mo_losses_read(reader, &design, under->environments, under->n, losses);
-  *known = error == MO_OK;
-  for (uint32_t k = 0; k < under->n && *known; k++) {
-    *known = losses[k].known;
-    sum += losses[k].loss; /* diverged: infinity */
+  *known = true;
+  for (uint32_t first = 0; first < under->n && *known; first += MO_ENVIRONMENTS_MAX) {
+    const uint32_t left = under->n - first,
+                   columns = left < MO_ENVIRONMENTS_MAX ? left : MO_ENVIRONMENTS_MAX;
+    error = mo_losses_read(reader, &design, &under->environments[first], columns, losses);
+    *known = error == MO_OK;
+    for (uint32_t k = 0; k < columns && *known; k++) {
+      *known = losses[k].known;
+      sum += losses[k].loss; /* diverged: infinity */
+    }
   }
   *score = sum / under->n;
   return error;

@@ -112,7 +112,7 @@ struct mo_job {
   enum mo_sensor sensor; /* of the controller, or of the settings without one */
   bool has_result;       /* a training or campaign has made this controller: */
   struct mo_sha256 result_sha256;
-  char environment_set[MO_NAME_BYTES_MAX + 1];   /* "paper-test", or "": listed in the request */
+  char environment_set[MO_NAME_BYTES_MAX + 1];   /* a set or suite, or "": listed */
   uint32_t n_environments, n_designs, n_skipped; /* n_skipped: designs of an evaluation */
   bool is_random; /* the designs of an evaluation are random bodies of a seed */
   uint64_t random_seed;

@@ -262,8 +262,9 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
                      int64_t *before)
 {
   static const char sql[] =
-      "SELECT controller,physics,coalesce(environment_set,0),coalesce(fingerprint,0) FROM "
+      "SELECT controller,physics,coalesce(environment_set,0),coalesce(fingerprint,0),suite FROM "
       "evaluations WHERE job=?1";
+  int64_t n_environments = 0;
   sqlite3_stmt *row;
   int error = mo_job_row(reader, id, MO_JOB_EVALUATION, &row);
   if (error == MO_OK)
@@ -274,10 +275,17 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
     return error;
   work->controller = sqlite3_column_int64(row, 0);
   work->physics_rows[0] = sqlite3_column_int64(row, 1);
-  work->environment_set = sqlite3_column_int64(row, 2);
+  work->sets[0] = sqlite3_column_int64(row, 2);
+  work->n_sets = 1;
   *before = sqlite3_column_int64(row, 3);
+  const bool is_suite = sqlite3_column_type(row, 4) != SQLITE_NULL;
+  if (is_suite)
+    error = mo_suite_find(reader, work->job.environment_set, work->sets, &work->n_sets,
+                          &n_environments);
+  if (error != MO_OK || (is_suite && n_environments != work->job.n_environments))
+    return error == MO_OK || error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
   work->n_designs = work->job.n_designs - work->job.n_skipped;
-  work->n_environments = work->job.n_environments;
+  work->n_environments = work->job.n_environments / work->n_sets;
   const struct mo_setting first = {work->job.physics, work->job.precision};
   work->n_runs = mo_ladder_runs(work->job.n_displaced, work->job.tolerance);
   return mo_physics_runs(reader, &first, work->job.sensor, work->job.n_displaced,
@@ -294,25 +302,25 @@ static int load_designs(struct mo_connection *reader, int64_t id, struct mo_work
   return error == MO_OK && designs.n != work->n_designs ? MO_ERR_CORRUPT : error;
 }
 
-/* Repeats an array for each run. */
-static void *repeat(void *array, size_t n, size_t size, uint32_t n_runs)
+/* Repeats an array for each run or set. */
+static void *repeat(void *array, size_t n, size_t size, uint32_t times)
 {
-  uint8_t *all = realloc(array, (n * n_runs + 1) * size);
-  for (uint32_t run = 1; run < n_runs && all != NULL; run++)
-    memcpy(all + run * n * size, all, n * size);
+  uint8_t *all = realloc(array, (n * times + 1) * size);
+  for (uint32_t i = 1; i < times && all != NULL; i++)
+    memcpy(all + i * n * size, all, n * size);
   if (all == NULL)
     free(array);
   return all;
 }
 
-/* Repeats the designs for each run that estimates errors. */
+/* Repeats the designs for each run that estimates errors, or for each set of a suite. */
 static int repeat_designs(struct mo_work *work)
 {
-  const uint32_t n = work->n_designs, runs = work->n_runs;
-  work->genotypes = repeat(work->genotypes, n, sizeof(*work->genotypes), runs);
-  work->genotype_rows = repeat(work->genotype_rows, n, sizeof(*work->genotype_rows), runs);
-  work->positions = repeat(work->positions, n, sizeof(*work->positions), runs);
-  work->n_designs = n * runs;
+  const uint32_t n = work->n_designs, times = work->n_runs * work->n_sets;
+  work->genotypes = repeat(work->genotypes, n, sizeof(*work->genotypes), times);
+  work->genotype_rows = repeat(work->genotype_rows, n, sizeof(*work->genotype_rows), times);
+  work->positions = repeat(work->positions, n, sizeof(*work->positions), times);
+  work->n_designs = n * times;
   return work->genotypes != NULL && work->genotype_rows != NULL && work->positions != NULL
              ? MO_OK
              : MO_ERR_NO_MEMORY;
@@ -353,18 +361,18 @@ static int load_work(struct mo_connection *reader, int64_t id, const struct mo_c
   work->workers = work->job.tolerance > 0 ? classes->cpu[MO_FLOAT64] : cpu;
   work->fingerprint = work->job.back_end == MO_ON_DEVICE ? classes->device : cpu;
   bool reruns = work->job.verify || work->job.record != 0;
-  work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
-  work->environments = calloc(work->n_environments, sizeof(*work->environments));
+  const uint32_t n = work->n_sets * work->n_environments;
+  work->environment_rows = calloc(n, sizeof(*work->environment_rows));
+  work->environments = calloc(n, sizeof(*work->environments));
   if (reruns)
     work->finished = calloc((size_t)work->n_designs * work->n_environments, 1);
   if (work->environment_rows == NULL || work->environments == NULL ||
       (reruns && work->finished == NULL))
     return MO_ERR_NO_MEMORY;
-  error = mo_environments_read(reader, id, work->n_environments, work->environments,
-                               work->environment_rows);
+  error = mo_environments_read(reader, id, n, work->environments, work->environment_rows);
   if (error == MO_OK)
     error = load_designs(reader, id, work);
-  if (error == MO_OK && work->n_runs > 1)
+  if (error == MO_OK && work->n_runs * work->n_sets > 1)
     error = repeat_designs(work);
   if (error == MO_OK && reruns && before == work->fingerprint)
     error = load_finished(reader, id, work);

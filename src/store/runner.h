@@ -89,17 +89,18 @@ struct mo_classes {
 /* One evaluation with everything that its run needs. */
 struct mo_work {
   struct mo_job job;
-  int64_t controller, environment_set; /* rows; set 0: none */
+  int64_t controller, sets[MO_SUITE_TASKS]; /* rows; sets: (n_sets); 0: listed environments */
   /* Its class; and the class of bodies that devices leave to the workers or, with a tolerance, of
    * the rungs in float64. */
   int64_t fingerprint, workers;
   /* n_designs: without designs that were skipped. If errors are estimated, each of these occurs
    * once per run (score_ladder.h), run after run: design i belongs to run
-   * i / (n_designs / n_runs). */
-  uint32_t n_designs, n_environments, n_runs;
+   * i / (n_designs / n_runs). In a suite each occurs once per set, set after set, and has the
+   * n_environments of set i / (n_designs / n_sets). A job has only one run or only one set. */
+  uint32_t n_designs, n_environments, n_runs, n_sets;
   int64_t physics_rows[MO_LADDER_RUNS_MAX]; /* (n_runs) */
-  int64_t *environment_rows;                /* (n_environments) */
-  struct mo_environment *environments;      /* (n_environments) */
+  int64_t *environment_rows;                /* (n_sets, n_environments) */
+  struct mo_environment *environments;      /* (n_sets, n_environments) */
   int64_t *genotype_rows;                   /* (n_designs) */
   uint32_t *positions;                      /* (n_designs) ascending: places in the request */
   struct mo_bits *genotypes;                /* (n_designs) */

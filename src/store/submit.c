@@ -194,17 +194,21 @@ int mo_store_group(struct mo_store *store, int64_t id, uint32_t first, const str
 
 /* ---- evaluations ---- */
 
+/* The set, or the sets of the suite, of a submission. */
+struct sets {
+  int64_t rows[MO_SUITE_TASKS], n_environments;
+  uint32_t n; /* 0: environments are listed */
+};
+
 /* Finds the rows that a submission refers to. */
 static int resolve(struct mo_connection *writer, const struct mo_evaluation_request *request,
-                   int64_t *controller, int64_t *physics, int64_t *set, int64_t *n_environments,
-                   bool *warns)
+                   int64_t *controller, int64_t *physics, struct sets *sets, bool *warns)
 {
   enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
   struct mo_physics completed = request->physics;
   struct mo_warning warnings[MO_PHYSICS_WARNINGS_MAX];
   int error = mo_controller_find(writer, request->controller, controller, &sensor, &completed);
-  *set = 0;
-  *n_environments = request->n_environments;
+  *sets = (struct sets){.n_environments = request->n_environments};
   *warns = mo_warn_of_physics(&completed, warnings) > 0;
   if (error == MO_OK)
     error = mo_physics_row(writer, &completed, request->precision, sensor, physics);
@@ -216,7 +220,8 @@ static int resolve(struct mo_connection *writer, const struct mo_evaluation_requ
     error = mo_physics_row(writer, &setting.physics, setting.precision, sensor, &row);
   }
   return error == MO_OK && request->environment_set != NULL
-             ? mo_environment_set_find(writer, request->environment_set, set, n_environments)
+             ? mo_suite_find(writer, request->environment_set, sets->rows, &sets->n,
+                             &sets->n_environments)
              : error;
 }
 
@@ -226,30 +231,34 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
       "INSERT INTO evaluations(job,controller,controller_name,physics,"
       "environment_set,n_designs,n_environments,verify,record,record_stride,"
       "done,cached,diverged,n_skipped,best,random_seed,random_first,n_waiting,n_displaced,"
-      "measures,tolerance)"
+      "measures,tolerance,suite)"
       " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0,?11,?12,"
-      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17,?18,?19)";
+      "CASE WHEN ?14>0 THEN ?13 END,?15,?16,?17,?18,?19,?20)";
   const struct mo_evaluation_request *request = any;
   const bool waits = request->forms == NULL;
   const char *name = strncmp(request->controller, "sha256:", 7) == 0 ? "" : request->controller;
   struct mo_connection *writer = &store->writer;
-  int64_t controller, physics, set, n_environments;
+  int64_t controller, physics;
+  struct sets sets;
   bool warns;
-  int error = resolve(writer, request, &controller, &physics, &set, &n_environments, &warns);
+  int error = resolve(writer, request, &controller, &physics, &sets, &warns);
+  const int64_t set = sets.n == 1 ? sets.rows[0] : 0;
   if (error == MO_OK)
     error = mo_job_insert(writer, &request->job, MO_JOB_EVALUATION, id);
   if (error == MO_OK)
     error = mo_sql_do(
         writer, sql, mo_int(*id), mo_int(controller), mo_string(name), mo_int(physics), mo_int(set),
-        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(n_environments),
+        mo_int((int64_t)request->n_designs + request->n_skipped), mo_int(sets.n_environments),
         mo_int(request->verify), mo_int(request->record), mo_int(request->record_stride),
         mo_int(request->n_skipped), mo_int(request->best), mo_int((int64_t)request->random.seed),
         mo_int(request->random.count), mo_int(request->random.first),
         mo_int(waits ? request->n_designs : 0), mo_int(request->n_displaced),
-        mo_int(request->measures), mo_real(request->tolerance));
+        mo_int(request->measures), mo_real(request->tolerance),
+        mo_string(sets.n > 1 ? request->environment_set : NULL));
   if (error == MO_OK)
-    error =
-        mo_environments_insert(writer, *id, set, request->environments, request->n_environments);
+    error = sets.n > 1 ? mo_suite_insert(writer, *id, sets.rows, sets.n)
+                       : mo_environments_insert(writer, *id, set, request->environments,
+                                                request->n_environments);
   if (error == MO_OK && waits && request->random.count == 0)
     error = insert_waiting(writer, *id, request);
   if (error == MO_OK && !waits)
@@ -262,10 +271,11 @@ static int insert(struct mo_store *store, const void *any, int64_t *id)
                             "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\","
                             "\"rollouts_total\":%llu}",
                             (long long)*id,
-                            (unsigned long long)request->n_designs * (uint64_t)n_environments *
+                            (unsigned long long)request->n_designs * (uint64_t)sets.n_environments *
                                 mo_ladder_runs(request->n_displaced, request->tolerance));
   /* Most submissions cannot have a warning, and need not be read back. */
-  return error == MO_OK && (set == 0 || warns) ? mo_run_announce_warnings(store, *id, true) : error;
+  return error == MO_OK && (sets.n == 0 || warns) ? mo_run_announce_warnings(store, *id, true)
+                                                  : error;
 }
 
 int mo_store_submit(struct mo_store *store, const struct mo_evaluation_request *request,

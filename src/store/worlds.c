@@ -33,12 +33,13 @@ static int read_all(struct mo_store *store, const char *sql, struct mo_values va
                     struct mo_environment **environments, uint32_t *ret_n)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_environment *all = calloc(MO_ENVIRONMENTS_MAX, sizeof(*all));
+  struct mo_environment *all = calloc(MO_SUITE_ENVIRONMENTS_MAX, sizeof(*all));
   uint32_t n = 0;
   int error = all != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   sqlite3_stmt *row = mo_sql_rows_with(reader, &error, sql, values);
   while (mo_sql_next(reader, row, &error))
-    error = n < MO_ENVIRONMENTS_MAX ? mo_column_environment(row, 0, 1, &all[n++]) : MO_ERR_CORRUPT;
+    error = n < MO_SUITE_ENVIRONMENTS_MAX ? mo_column_environment(row, 0, 1, &all[n++])
+                                          : MO_ERR_CORRUPT;
   if (error == MO_OK && n == 0)
     error = MO_ERR_NOT_FOUND;
   if (error != MO_OK) {

@@ -1,4 +1,4 @@
-/* suite.c: the named sets of environments: the paper's test set, and the suite morpho-12.
+/* suite.c: the named sets of environments: the paper's test set, and those of the suite morpho-12.
  *
  * Each task of the suite has ten worlds to select with and 64 that are held out. World i of task k
  * comes from the stream (MO_SUITE_SEED, SUITE, k, i); held-out worlds are i = 64 … 127. Numbers are
@@ -49,6 +49,12 @@ const char *const mo_set_words[] = {"paper-test",
                                     NULL};
 _Static_assert(sizeof(mo_set_words) / sizeof(*mo_set_words) == 2 + 2 * TASKS,
                "each task has two sets");
+
+const char *const mo_suite_words[] = {"morpho-12", "morpho-12-held-out", NULL};
+const char *const mo_suite_task_words[] = {"photo", "photo-auc", "walk", "rough",  "up",
+                                           "down",  "hurdle",    "gap",  "circle", "shuttle",
+                                           "path",  "damage",    NULL};
+_Static_assert(MO_SUITE_TASKS == TASKS, "the contract names every task");
 
 /* ---- drawing ---- */
 
@@ -206,4 +212,14 @@ uint32_t mo_environment_set(int set, struct mo_environment environments[MO_SET_E
   for (uint32_t i = 0; i < n; i++)
     draw_world((set - 1) / 2, (is_held_out ? HELD_OUT_FIRST : 0) + i, &environments[i]);
   return n;
+}
+
+uint32_t mo_suite_environments(int i)
+{
+  return i < 0 ? 0 : MO_SUITE_TASKS * (uint32_t)(i == 0 ? SELECTION : HELD_OUT);
+}
+
+const char *mo_suite_set(int i, uint32_t task)
+{
+  return mo_set_words[1 + 2 * task + (uint32_t)i];
 }

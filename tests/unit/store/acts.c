@@ -450,7 +450,7 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
                                    .n_masses = 8,
                                    .recording = {.stride = 10, .com_m = part->com_m}};
   part->design = (struct mo_saved_design){work->genotype_rows[design], work->controller,
-                                          work->physics_rows[0],       work->environment_set,
+                                          work->physics_rows[0],       work->sets[0],
                                           life->fingerprint,           life->fingerprint};
   if (evaluation->state == MO_JOB_QUEUED && n == 0)
     part->updates[n_updates++] = (struct mo_job_update){.job = evaluation->id,

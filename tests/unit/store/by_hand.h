@@ -111,10 +111,10 @@ static inline int run_by_hand(int64_t id, double (*loss)(uint32_t n, uint32_t k)
     }
     designs[n] =
         (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics_rows[0],
-                                 work->environment_set,  fingerprint,      fingerprint};
+                                 work->sets[0],          fingerprint,      fingerprint};
   }
   save.designs = designs;
-  save.n_designs = work->environment_set != 0 ? work->n_designs : 0;
+  save.n_designs = work->sets[0] != 0 ? work->n_designs : 0;
   updates[1].done = updates[1].total = (uint64_t)work->n_designs * work->n_environments;
   error = save_and_wait(&save);
   if (error == MO_OK && (!updates[0].applied || !updates[1].applied))

@@ -135,9 +135,28 @@ static void terrains(void)
   }
 }
 
+/* The sets of a suite are those of its tasks, in order. */
+static void suites(void)
+{
+  CHECK_INT(mo_words_count(mo_suite_words), 2);
+  CHECK_INT(mo_words_count(mo_suite_task_words), MO_SUITE_TASKS);
+  CHECK_INT(mo_suite_environments(-1), 0);
+  for (int s = 0; s < 2; s++) {
+    uint32_t n = 0;
+    for (uint32_t t = 0; t < MO_SUITE_TASKS; t++) {
+      char name[64];
+      snprintf(name, sizeof(name), "morpho-12-%s%s", mo_suite_task_words[t],
+               s == 1 ? "-held-out" : "");
+      CHECK_TEXT(mo_suite_set(s, t), name);
+      n += draw(name);
+    }
+    CHECK_INT(mo_suite_environments(s), n);
+  }
+}
+
 static const struct check_case cases[] = {
     {"sets are frozen", frozen},         {"held-out worlds are others", held_out},
     {"lights that stand still", photo},  {"paths and shuttles", legs},
-    {"terrains of the tasks", terrains},
+    {"terrains of the tasks", terrains}, {"suites", suites},
 };
 CHECK_MAIN(cases)
