@@ -1,7 +1,5 @@
-/* cmd_suite.c: suite run: scores designs in all tasks of the suite morpho-12.
- *
- * One evaluation for each task. The server keeps their scores, so a run that was interrupted is
- * simply repeated: whatever is stored is not computed again. */
+/* cmd_suite.c: suite run, show, picture: designs in all tasks of the suite morpho-12, as one
+ * evaluation of the service. */
 #include <math.h>
 #include <string.h>
 
@@ -12,106 +10,160 @@ static const char *const tasks[] = {"photo",  "photo-auc", "walk",   "rough",   
                                     "hurdle", "gap",       "circle", "shuttle", "path", "damage"};
 enum { TASKS = sizeof(tasks) / sizeof(*tasks) };
 
-/* Returns the value of a result in the unit of its task; NaN: a rollout diverged. */
-static double value_of(const json_t *result)
+/* Returns the mean of the numbers that rows have at a place, or null; *n: how many have one. */
+static json_t *mean_of(const json_t *rows, const char *place, size_t *n)
 {
-  const json_t *value = json_object_get(result, "value");
-  if (value == NULL) /* `photo` has no value of its own */
-    return 1 - real_at(result, "score");
-  return json_is_number(value) ? json_number_value(value) : NAN;
+  const json_t *row;
+  double sum = 0;
+  size_t i;
+  *n = 0;
+  json_array_foreach(rows, i, row)
+  {
+    const double value = real_at(row, place);
+    if (isfinite(value)) {
+      sum += value;
+      ++*n;
+    }
+  }
+  return real_or_null(sum / (double)*n); /* of none: 0 / 0 */
 }
 
-/* Adds the values of one task to the rows, one for each result. */
-static void add_values(json_t *rows, const char *task, const json_t *results)
+/* Makes the row with the means over the designs. `fewest`: how many designs the mean of a task
+ * has. */
+static json_t *make_means(const json_t *rows, size_t *fewest)
 {
-  const json_t *result;
-  size_t i;
+  json_t *values = json_object();
+  size_t n;
+  *fewest = json_array_size(rows);
+  for (int t = 0; t < TASKS; t++) {
+    json_object_set_new(values, tasks[t],
+                        json_pack("{s:o}", "value",
+                                  mean_of(rows, path_to("tasks.%s.value", tasks[t]), &n)));
+    *fewest = n < *fewest ? n : *fewest;
+  }
+  return json_pack("{s:s, s:o, s:{s:o}}", "robot", "mean", "tasks", values, "tasks_mean", "loss",
+                   mean_of(rows, "tasks_mean.loss", &n));
+}
+
+static void print_suite(struct ctl *ctl, const json_t *evaluation)
+{
+  char columns[TASKS * 56 + 160] = "design=[{robot}|skipped]";
+  const json_t *results = json_object_get(evaluation, "results"), *result;
+  size_t left_out = 0, fewest, i;
+  if (ctl->json) {
+    print_json(evaluation);
+    return;
+  }
+  if (results == NULL) /* too many for one reply */
+    results = collect(ctl, path_to("/v1/evaluations/%s/results", text_of(evaluation, "id")), 0);
+  json_t *rows = keep(json_copy((json_t *)results));
+  json_array_foreach(results, i, result) left_out +=
+      json_array_size(json_object_get(json_object_get(result, "tasks_mean"), "left_out")) > 0;
+  const size_t n = json_array_size(rows);
+  json_t *means = make_means(rows, &fewest);
+  if (n > 1)
+    json_array_append(rows, means);
+  json_decref(means);
+  for (int t = 0; t < TASKS; t++)
+    snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns),
+             "|>%s=[{tasks.%s.value:.3f}]", tasks[t], tasks[t]);
+  snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns),
+           "|>mean loss=[{tasks_mean.loss:.3f}]");
+  print_table(stdout, ctl, rows, columns);
   json_array_foreach(results, i, result)
   {
-    if (json_array_size(rows) <= i)
-      json_array_append_new(
-          rows, json_pack("{s:O?, s:O?, s:o}", "robot", json_object_get(result, "robot"), "fault",
-                          json_object_get(result, "fault"), "values", json_object()));
-    const double value = value_of(result);
-    json_object_set_new(json_object_get(json_array_get(rows, i), "values"), task,
-                        isfinite(value) ? json_real(value) : json_null());
+    const json_t *without = json_object_get(json_object_get(result, "tasks_mean"), "left_out");
+    if (json_array_size(without) > 0 && json_is_string(json_object_get(result, "robot")))
+      fprintf(stderr, "The mean loss of %s leaves out %s, in which a rollout diverged.\n",
+              text_of(result, "robot"), words_of(without));
   }
+  if (left_out > 0 && n > 1)
+    fprintf(stderr, "The means leave out %zu of %zu designs, in some task: skipped, or diverged.\n",
+            n - fewest, n);
+  if (ctl->quiet)
+    return;
+  fprintf(stderr, "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: "
+                  "m of way. Larger is better; 0 is standing still. Mean loss: over the tasks; "
+                  "smaller is better; 1 is standing still.\n");
+  print_from(stderr, evaluation,
+             "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from the "
+             "store; morphoctl suite picture {id} draws it");
 }
 
-/* Replaces ids by the robots that were scored, so that every task scores the same orientation. */
-static void pin_robots(json_t *designs, const json_t *rows)
-{
-  const json_t *row;
-  size_t i;
-  json_array_foreach(rows, i, row)
-  {
-    json_t *robot = json_object_get(row, "robot");
-    if (json_is_string(robot))
-      json_array_set_new(designs, i, json_pack("{s:O}", "id", robot));
-  }
-}
+/* ---- suite run ---- */
 
-/* Adds the means over the designs that have all values as a last row. Returns the number of the
- * others. */
-static size_t add_means(json_t *rows)
+/* Makes the request; *path: where to post it. */
+static json_t *make_request(struct ctl *ctl, const char **path)
 {
-  const json_t *row;
-  json_t *means = json_object();
-  double sums[TASKS] = {0};
-  size_t i, n = 0;
-  json_array_foreach(rows, i, row)
-  {
-    const json_t *values = json_object_get(row, "values");
-    int known = 0;
-    while (known < TASKS && json_is_number(json_object_get(values, tasks[known])))
-      known++;
-    for (int t = 0; t < TASKS && known == TASKS; t++)
-      sums[t] += json_number_value(json_object_get(values, tasks[t]));
-    n += known == TASKS;
+  const char *campaign = option_text(ctl, "campaign", NULL),
+             *set = option_is_set(ctl, "held-out") ? "morpho-12-held-out" : "morpho-12";
+  json_t *request = keep(json_pack("{s:s}", "environments", set));
+  if (campaign == NULL) {
+    const json_t *random = random_of(ctl, "seed", RANDOM_BODIES_MAX);
+    if (option_is_set(ctl, "count"))
+      fail(STATUS_USAGE, "--count needs --campaign ID, the campaign whose champions to score");
+    if (random != NULL && ctl->n_operands == 0)
+      json_object_set(request, "random", (json_t *)random);
+    else
+      json_object_set(request, "designs", given_designs(ctl, 0, random).list);
+    request_fill(ctl, request);
+    *path = "/v1/evaluations";
+    return request;
   }
-  const size_t left_out = json_array_size(rows) - n;
-  for (int t = 0; t < TASKS; t++)
-    json_object_set_new(means, tasks[t], n > 0 ? json_real(sums[t] / (double)n) : json_null());
-  json_array_append_new(rows, json_pack("{s:s, s:o}", "robot", "mean", "values", means));
-  return left_out;
-}
-
-static void print_values(const struct ctl *ctl, const json_t *rows)
-{
-  char columns[TASKS * 48 + 32] = "design={robot}";
-  for (int t = 0; t < TASKS; t++)
-    snprintf(columns + strlen(columns), sizeof(columns) - strlen(columns), "|>%s=[{values.%s:.3f}]",
-             tasks[t], tasks[t]);
-  print_table(stdout, ctl, rows, columns);
+  static const char *const ours[] = {"random", "seed",      "first",    "physics", "precision",
+                                     "repair", "on-fault",  "weight",   "device",  "experiment",
+                                     NULL};
+  for (const char *const *name = ours; *name != NULL; name++)
+    if (option_is_set(ctl, *name))
+      fail(STATUS_USAGE,
+           "--%s cannot be combined with --campaign, whose champions have the physics of the "
+           "campaign",
+           *name);
+  if (ctl->n_operands > 0)
+    fail(STATUS_USAGE, "give either designs or --campaign");
+  json_object_set_new(request, "count", json_integer(option_number(ctl, "count", 1, 1000, 12)));
+  request_fill(ctl, request); /* controller, label */
+  *path = path_to("/v1/campaigns/%s/champions", job_id(campaign));
+  return request;
 }
 
 void run_suite(struct ctl *ctl)
 {
-  struct designs designs = given_designs(ctl, 0, random_of(ctl, "seed", DESIGNS_MAX));
-  const char *ending = option_is_set(ctl, "held-out") ? "-held-out" : "";
-  json_t *rows = keep(json_array()), *evaluations = keep(json_object());
-  for (int t = 0; t < TASKS; t++) {
-    json_t *request = keep(json_pack("{s:O, s:s++}", "designs", designs.list, "environments",
-                                     "morpho-12-", tasks[t], ending));
-    request_fill(ctl, request);
-    const json_t *evaluation = evaluate(ctl, "/v1/evaluations", request, true);
+  const bool wait = !option_is_set(ctl, "no-wait");
+  const char *path;
+  const json_t *request = make_request(ctl, &path),
+               *evaluation = evaluate(ctl, path, request, wait);
+  if (wait) {
     expect_success("job", evaluation);
-    add_values(rows, tasks[t], json_object_get(evaluation, "results"));
-    if (t == 0)
-      pin_robots(designs.list, rows);
-    json_object_set(evaluations, tasks[t], json_object_get(evaluation, "id"));
-  }
-  if (ctl->json) {
-    print_json(keep(json_pack("{s:O, s:O}", "evaluations", evaluations, "designs", rows)));
+    print_suite(ctl, evaluation);
     return;
   }
-  const size_t left_out = json_array_size(rows) > 1 ? add_means(rows) : 0;
-  print_values(ctl, rows);
-  if (left_out > 0)
-    fprintf(stderr, "The means leave out %zu of %zu designs: skipped, or diverged in a task.\n",
-            left_out, json_array_size(rows) - 1);
-  if (!ctl->quiet)
-    fprintf(stderr,
-            "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: m of "
-            "way. Larger is better; 0 is standing still.\n");
+  if (ctl->json)
+    print_json(evaluation);
+  else
+    print_from(stdout, evaluation, "{id}");
+  if (!ctl->json && !ctl->quiet)
+    print_from(stderr, evaluation,
+               "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
+               "rollouts; morphoctl watch {id}; then morphoctl suite show {id}");
+}
+
+/* ---- suite show, suite picture ---- */
+
+void run_suite_show(struct ctl *ctl)
+{
+  const json_t *evaluation = get_json(ctl, "/v1/evaluations/%s", job_id(ctl->operands[0]));
+  if (json_object_get(evaluation, "suite") == NULL)
+    fail(STATUS_USAGE, "evaluation %s is not in a suite; morphoctl job show %s shows it",
+         ctl->operands[0], ctl->operands[0]);
+  expect_success("job", evaluation);
+  print_suite(ctl, evaluation);
+}
+
+void run_suite_picture(struct ctl *ctl)
+{
+  static const char *const parameters[] = {"designs", "theme", "width", NULL};
+  const char *id = job_id(ctl->operands[0]),
+             *path = path_with(ctl, path_to("/v1/evaluations/%s/picture.svg", id), parameters);
+  save_reply(ctl, path, "image/svg+xml", option_text(ctl, "output", path_to("suite-%s.svg", id)));
 }

@@ -47,6 +47,8 @@ json_t *evaluate(struct ctl *ctl, const char *path, const json_t *request, bool 
 
 /* ---- cmd_suite.c ---- */
 void run_suite(struct ctl *ctl);
+void run_suite_show(struct ctl *ctl);
+void run_suite_picture(struct ctl *ctl);
 
 /* ---- cmd_eval.c ---- */
 

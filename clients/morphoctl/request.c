@@ -229,7 +229,8 @@ struct designs given_designs(struct ctl *ctl, size_t first, const json_t *random
 
 static bool is_set(const char *name)
 {
-  return strcmp(name, "paper-test") == 0 || strncmp(name, "morpho-12-", 10) == 0;
+  return strcmp(name, "paper-test") == 0 || strcmp(name, "morpho-12") == 0 ||
+         strncmp(name, "morpho-12-", 10) == 0;
 }
 
 static void fill_environments(const struct ctl *ctl, json_t *request)

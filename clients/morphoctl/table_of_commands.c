@@ -411,13 +411,28 @@ static const struct option_spec suite_options[] = {
     RULES(""),
     {"held-out", 0, NULL,
      "The 64 held-out worlds of each task, for reports, instead of the ten to select with."},
-    {"random", 0, "N", "Score N random bodies in addition to the given ones, up to 10,000."},
+    {"campaign", 0, "ID",
+     "Score the champions of this campaign, with its physics and the controller that scored them "
+     "unless --controller is given."},
+    {"count", 'n', "N", "--campaign: this many champions, 1 to 1000 (default: 12)."},
+    {"random", 0, "N", "Score N random bodies in addition to the given ones."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},
+    {"no-wait", 0, NULL, "Print the id as soon as the evaluation is stored."},
     {WEIGHT},
     {DEVICE},
     {LABEL},
     {EXPERIMENT},
+    {KEY("evaluation")},
+    {NULL}};
+static const struct option_spec suite_picture_options[] = {
+    {"output", 'o', "FILE", "Write it here; - is standard output (default: suite-ID.svg)."},
+    {"designs", 0, "LIST",
+     "Up to 6 designs by their number, from 0, separated by commas (default: the 6 with the least "
+     "mean loss)."},
+    {"theme", 0, "THEME", "light (default) or dark."},
+    {"width", 0, "PIXELS",
+     "Width, 320 to 2000 (default: 760). Below 620, the legend is below the axes."},
     {NULL}};
 
 const struct command commands[] = {
@@ -431,10 +446,13 @@ const struct command commands[] = {
      "(distance to the light at the end) / (at the start): lower is better, 1 is standing still.",
      eval_options},
     {"suite run", "[DESIGN]...", "Score designs in all tasks of the suite morpho-12.", run_suite,
-     "Makes one evaluation for each task and prints the mean values in its unit, larger is better. "
-     "A DESIGN is as for eval. Scores are stored: an interrupted run can be repeated, and computes "
-     "only what is missing.",
+     "A DESIGN is as for eval. The suite is one evaluation of the service, which continues if this "
+     "command or the service is interrupted; job cancel stops it. Prints the mean values in the "
+     "unit of each task, larger is better, and the mean loss over the tasks.",
      suite_options},
+    {"suite show", "ID", "Show the table of an evaluation in the suite.", run_suite_show},
+    {"suite picture", "ID", "Draw an evaluation in the suite as an SVG file.", run_suite_picture,
+     "An axis for each task, and a polygon for each design.", suite_picture_options},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.", run_verify,
      "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
      "stored. For an id without an orientation, every stored orientation is verified.",

@@ -1,12 +1,9 @@
 """Tasks: in requests, by name and spelled out; values, hashes, storage and refusals."""
 
-import json
 import math
-import subprocess
 
 import pytest
 
-from ctl import MORPHOCTL
 from service import DESIGN, run
 from test_worlds import roll, scene
 
@@ -262,30 +259,6 @@ def test_the_suite_is_in_every_service(service):
     reply = service.request("POST", "/v1/evaluations",
                             {"designs": [DESIGN], "environments": "morpho-12-fly"})
     assert reply.status == 422 and "/v1/environment-sets" in reply.json()["errors"][0]["detail"]
-
-
-def test_the_suite_in_one_command(service):
-    """morphoctl suite run prints every task once, with the values of the evaluations."""
-    command = [str(MORPHOCTL), "--server", f"http://{service.host}:{service.port}", "suite", "run",
-               "--random", "2", "--seed", "7", "-p", "n_steps=200"]
-    done = json.loads(subprocess.run([*command, "--json"], check=True, capture_output=True,
-                                     text=True).stdout)
-    assert len(done["evaluations"]) == 12 and len(done["designs"]) == 2
-    for task, id in done["evaluations"].items():
-        results = service.get(f"/v1/evaluations/{id}")["results"]
-        for row, result in zip(done["designs"], results):
-            assert row["robot"] == result["robot"]
-            assert row["values"][task] == pytest.approx(result.get("value", 1 - result["score"]))
-    shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-    assert shown.split()[:4] == ["design", "photo", "photo-auc", "walk"] and "mean" in shown
-    ids = [row["robot"] for row in done["designs"]]
-    shown = subprocess.run([*command[:-6], *ids, "-", "--on-fault", "skip", "-p", "n_steps=200"],
-                           check=True, capture_output=True, text=True,
-                           input='{"cells": [[0, 0, 0], [3, 3, 3]]}')
-    assert "The means leave out 1 of 3 designs" in shown.stderr
-    table = [line.split() for line in shown.stdout.splitlines()]
-    assert float(table[-1][3]) == pytest.approx(
-        (float(table[1][3]) + float(table[2][3])) / 2, abs=1e-3)
 
 
 def test_the_worlds_of_a_set_are_counted_and_measured(service):

@@ -8,11 +8,6 @@ from typing import Any
 from ._wire import given
 
 
-SUITE = ("photo", "photo-auc", "walk", "rough", "up", "down", "hurdle", "gap", "circle", "shuttle",
-         "path", "damage")
-"""The tasks of the suite morpho-12, in order."""
-
-
 class Task(dict[str, Any]):
     """A task as it is sent and as the service reports it: a dictionary of `guide` and `objective`.
 

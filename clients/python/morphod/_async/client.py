@@ -21,7 +21,6 @@ from ..player import Player
 from ..results import Controller
 from ..scenes import MEDIA_TYPE, Environments, Scene
 from ..scores import Entered, blocks
-from ..tasks import SUITE
 from ..weights import write_safetensors
 from .._wire import WAIT_S, Request, given as _given, without_none
 from . import comparing
@@ -164,25 +163,16 @@ class AsyncClient:
                     controller: str = "default", physics: Physics | None = None,
                     weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
                     label: str | None = None, experiment: str | None = None) -> pd.DataFrame:
-        """Scores bodies in all tasks of the suite morpho-12 (docs/suite.md), one evaluation each.
-        Returns the mean values in the unit of each task, larger is better: a row for each robot,
-        and a column for each task; NaN if a rollout diverged. `held_out` takes the 64 held-out
-        worlds of each task, for reports, in place of the ten to select with. An id without an
-        orientation has the one of the first task in all of them. Scores are stored: repeating an
-        interrupted run computes only what is missing."""
-        bodies = list(bodies)
-        columns: dict[str, Any] = {}
-        robots: list[str | None] = []
-        for task in SUITE:
-            done = await self.evaluate(bodies, f"morpho-12-{task}{'-held-out' if held_out else ''}",
-                                       controller=controller, physics=physics, weight=weight,
-                                       device=device, label=label, experiment=experiment)
-            columns[task] = done.values.mean(axis=1)
-            robots = done.robots
-            # Every task scores the same orientation: the one that an id had in the first.
-            bodies = [robot or body for robot, body in zip(robots, bodies)]
-        table: pd.DataFrame = pandas().DataFrame(columns, index=robots)
-        return table.rename_axis("robot")
+        """Scores bodies in all tasks of the suite morpho-12 (docs/suite.md), as one evaluation.
+        Returns its `suite_table()`: the mean values in the unit of each task, larger is better, and
+        the mean loss. `held_out` takes the 64 held-out worlds of each task, for reports, in place
+        of the ten to select with. To submit it without waiting, use
+        `evaluate(bodies, "morpho-12", wait=False)`; for a campaign's champions, the campaign's
+        `evaluate_champions("morpho-12")`."""
+        done = await self.evaluate(bodies, "morpho-12-held-out" if held_out else "morpho-12",
+                                   controller=controller, physics=physics, weight=weight,
+                                   device=device, label=label, experiment=experiment)
+        return await done.suite_table()
 
     async def evaluate_random(self, count: int, seed: int = 1, *, first: int = 0,
                               environments: Environments = "paper-test",

@@ -18,7 +18,7 @@ from ..player import Player, player_of
 from ..progress import Bar, doing
 from ..results import Controller, Result, losses_of, measures_of, units_of, values_of
 from ..scenes import MEDIA_TYPE, Scene, read_npy
-from .._wire import WAIT_S, Request
+from .._wire import WAIT_S, Request, given
 from .connection import AsyncConnection
 
 if TYPE_CHECKING:
@@ -213,6 +213,13 @@ class AsyncJob:
         return reply
 
 
+class Svg(str):
+    """The text of an SVG file. Notebooks show the picture."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)
+
+
 _CLIMB = ("reached", "estimated_error", "dt_s", "precision")
 _ERRORS = ("low", "high", "discretization", "rounding", "standard_error", "bifurcates")
 
@@ -316,6 +323,40 @@ class AsyncEvaluation(AsyncJob):
 
     def __iter__(self) -> Iterator[Result]:
         return (self[place] for place in range(len(self)))
+
+    async def suite_table(self) -> pd.DataFrame:
+        """Returns the scores of an evaluation in a suite: a row for each robot, a column for each
+        task with the mean value in its unit, larger is better (NaN if a rollout diverged or the
+        body was skipped), and `mean_loss`, over the tasks that have a loss; `left_out` names the
+        others."""
+        with reading():
+            if "suite" not in self.data:
+                raise MorphodError(f"evaluation {self.id} is not in a suite: table() reads its "
+                                   "results")
+            names = [task["task"] for task in self.data["suite"]["tasks"]]
+        self._require_success() if self.ended else self._results
+        rows = self.data["results"] if "results" in self.data else [
+            row async for row in self._connection.pages(f"{self._list}/{self.id}/results")]
+        with reading():
+            columns: dict[str, Any] = {
+                name: np.array([row["tasks"][name]["value"] for row in rows], dtype=np.float64)
+                for name in names}
+            columns["mean_loss"] = np.array([row["tasks_mean"]["loss"] for row in rows],
+                                            dtype=np.float64)
+            columns["left_out"] = [tuple(row["tasks_mean"]["left_out"]) for row in rows]
+            table: pd.DataFrame = pandas().DataFrame(columns, index=[row["robot"] for row in rows])
+        return table.rename_axis("robot")
+
+    async def picture(self, designs: Sequence[int] | None = None, *,
+                      theme: Literal["light", "dark"] = "light", width: int = 760) -> Svg:
+        """Returns a picture of an evaluation in a suite, as the text of an SVG file, which
+        notebooks show: an axis for each task, and a polygon for each of up to 6 designs (default:
+        those with the least mean loss)."""
+        reply = await self._connection.send(Request.get(
+            f"{self._list}/{self.id}/picture.svg", accept="image/svg+xml",
+            designs=None if designs is None else ",".join(map(str, designs)), theme=theme,
+            width=width))
+        return Svg(reply.content.decode())
 
     async def table(self, *, whole: bool = False) -> pd.DataFrame:
         """Returns the results of any number of designs, read in pages: number (of the design, from
@@ -572,6 +613,20 @@ class AsyncCampaign(AsyncJob):
             Request.get(f"/v1/campaigns/{self.id}/champions", count=count))
         with reading():
             return frame(found["items"])
+
+    async def evaluate_champions(self, environments: str = "morpho-12", count: int = 12, *,
+                                 controller: str | None = None, label: str | None = None,
+                                 wait: bool = True) -> AsyncEvaluation:
+        """Scores the champions in a named set of environments or a suite, with the physics of the
+        campaign and, unless `controller` is given, the controller that scored them. With
+        `wait=False` it returns at once, when the evaluation is durable."""
+        request = Request.submit(f"/v1/campaigns/{self.id}/champions", given(
+            count=count, environments=environments, controller=controller, label=label),
+            wait_s=WAIT_S if wait else 0)
+        evaluation = AsyncEvaluation(self._connection, await self._connection.json(request))
+        if wait:
+            await evaluation.wait()
+        return evaluation
 
     async def phylogeny(self, lineages: bool = False) -> Phylogeny:
         """Returns every design ever born; with `lineages`, only the living and their ancestors."""
