@@ -36,9 +36,9 @@ static json_t *make_means(const json_t *rows, size_t *fewest)
   size_t n;
   *fewest = json_array_size(rows);
   for (int t = 0; t < TASKS; t++) {
-    json_object_set_new(values, tasks[t],
-                        json_pack("{s:o}", "value",
-                                  mean_of(rows, path_to("tasks.%s.value", tasks[t]), &n)));
+    json_object_set_new(
+        values, tasks[t],
+        json_pack("{s:o}", "value", mean_of(rows, path_to("tasks.%s.value", tasks[t]), &n)));
     *fewest = n < *fewest ? n : *fewest;
   }
   return json_pack("{s:s, s:o, s:{s:o}}", "robot", "mean", "tasks", values, "tasks_mean", "loss",
@@ -110,9 +110,9 @@ static json_t *make_request(struct ctl *ctl, const char **path)
     *path = "/v1/evaluations";
     return request;
   }
-  static const char *const ours[] = {"random", "seed",      "first",    "physics", "precision",
-                                     "repair", "on-fault",  "weight",   "device",  "experiment",
-                                     NULL};
+  static const char *const ours[] = {"random",    "seed",       "first",    "physics",
+                                     "precision", "repair",     "on-fault", "weight",
+                                     "device",    "experiment", NULL};
   for (const char *const *name = ours; *name != NULL; name++)
     if (option_is_set(ctl, *name))
       fail(STATUS_USAGE,

@@ -25,8 +25,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   struct mo_submission job; /* priority −1: not given */
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
-  bool has_tasks, has_random, estimates_error;
-  bool takes_suites; /* of mo_suite_words, as environments */
+  bool has_tasks, has_random, estimates_error, takes_suites; /* takes_suites: as environments */
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
@@ -47,8 +46,8 @@ extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_tas
     mo_controller_field;
 /* on_fault and repair, together and separately. Read them ahead of the designs. */
 extern const struct mo_fields mo_design_rules_fields, mo_on_fault_fields, mo_repair_fields;
-extern const struct mo_field_own mo_label_field; /* of struct mo_parts */
-extern const struct mo_field_own mo_name_field; /* of a controller: MO_NAME_BYTES_MAX + 1 bytes */
+/* A label of struct mo_parts; a controller's name: MO_NAME_BYTES_MAX + 1 bytes. */
+extern const struct mo_field_own mo_label_field, mo_name_field;
 
 /* Reads the design at `place` of a request by its rules: adds it to the genotypes, as given and not
  * placed, unless it was skipped. Returns false if memory runs out. */

@@ -52,8 +52,7 @@ struct mo_suite_polygon {
   struct mo_suite_scores scores;
 };
 #define MO_SUITE_POLYGONS_MAX 6
-/* Draws an axis for each task, and a polygon for each design, as SVG. Colors are custom properties
- * of the dashboard's CSS, with those of a theme where they are not defined. */
+/* Draws an axis for each task, and a polygon for each design, as SVG. */
 void mo_suite_draw(struct mo_text *text, const char *title, const struct mo_suite_polygon *polygons,
                    uint32_t n, const struct mo_suite_axis axes[MO_SUITE_TASKS], uint32_t width_px,
                    bool is_dark);

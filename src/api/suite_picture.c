@@ -1,8 +1,7 @@
 /* suite_picture.c: the picture of an evaluation in a suite: an axis for each task and a polygon for
- * each design, as SVG.
- *
- * The dashboard puts the picture into its page, where the custom properties of its CSS give the
- * colors. Elsewhere these are not defined, and the fallbacks count: those of one theme. */
+ * each design, as SVG. The colors are those of the dashboard's themes
+ * (clients/dashboard/style.css).
+ */
 #include <math.h>
 #include <stdio.h>
 
@@ -14,17 +13,16 @@
 #define NARROW_PX  76 /* the same in a narrow picture */
 #define RADIUS_MAX 190
 #define RINGS      3
+#define FILLED_MAX 3 /* more filled polygons hide each other */
 #define TOP_PX     78
 #define ROW_PX     40 /* of the legend */
 
 static const struct {
-  const char *name, *light, *dark;
-} colors[] = {{"panel", "#ffffff", "#1b2027"},  {"grid", "#e3e8ee", "#2b333c"},
-              {"line", "#d5dbe3", "#313a44"},   {"text", "#181d23", "#e9edf2"},
-              {"muted", "#566270", "#9aa6b4"},  {"blue", "#1b62b8", "#5aa6f0"},
-              {"orange", "#b86200", "#f3a536"}, {"green", "#1c7a4b", "#5cc78f"},
-              {"pink", "#9b3d8f", "#dd86cf"},   {"gray", "#6b7785", "#8d99a7"},
-              {"bad", "#b3261e", "#ff8a80"}};
+  const char *light, *dark;
+} colors[] = {{"#ffffff", "#1b2027"}, {"#e3e8ee", "#2b333c"}, {"#d5dbe3", "#313a44"},
+              {"#181d23", "#e9edf2"}, {"#566270", "#9aa6b4"}, {"#1b62b8", "#5aa6f0"},
+              {"#b86200", "#f3a536"}, {"#1c7a4b", "#5cc78f"}, {"#9b3d8f", "#dd86cf"},
+              {"#6b7785", "#8d99a7"}, {"#b3261e", "#ff8a80"}};
 enum { PANEL, GRID, LINE, TEXT, MUTED, FIRST_POLYGON };
 _Static_assert(sizeof(colors) / sizeof(*colors) == FIRST_POLYGON + MO_SUITE_POLYGONS_MAX,
                "each polygon has a color");
@@ -38,7 +36,7 @@ struct picture {
 /* Writes the attribute that paints an element, "fill" or "stroke". */
 static void paint(const struct picture *picture, const char *attribute, int color)
 {
-  mo_text_format(picture->text, " %s=\"var(--%s, %s)\"", attribute, colors[color].name,
+  mo_text_format(picture->text, " %s=\"%s\"", attribute,
                  picture->is_dark ? colors[color].dark : colors[color].light);
 }
 
@@ -96,13 +94,14 @@ static void draw_axis(const struct picture *picture, uint32_t t, const struct mo
 
 /* A value below 0 is at the center, one that is missing leaves a gap. */
 static void draw_polygon(const struct picture *picture, const struct mo_suite_polygon *polygon,
-                         int color, const struct mo_suite_axis *axes)
+                         int color, bool is_filled, const struct mo_suite_axis *axes)
 {
   const double *values = polygon->scores.values;
   const bool is_whole = polygon->scores.n_left_out == 0;
+  is_filled = is_filled && is_whole;
   mo_text_format(picture->text, "<path stroke-width=\"2\" stroke-linejoin=\"round\"%s",
-                 is_whole ? " fill-opacity=\"0.08\"" : " fill=\"none\"");
-  if (is_whole)
+                 is_filled ? " fill-opacity=\"0.08\"" : " fill=\"none\"");
+  if (is_filled)
     paint(picture, "fill", color);
   paint(picture, "stroke", color);
   mo_text_add(picture->text, " d=\"");
@@ -178,7 +177,7 @@ void mo_suite_draw(struct mo_text *text, const char *title, const struct mo_suit
   for (uint32_t t = 0; t < MO_SUITE_TASKS; t++)
     draw_axis(&picture, t, &axes[t]);
   for (uint32_t i = 0; i < n; i++) {
-    draw_polygon(&picture, &polygons[i], FIRST_POLYGON + (int)i, axes);
+    draw_polygon(&picture, &polygons[i], FIRST_POLYGON + (int)i, n <= FILLED_MAX, axes);
     write_legend(&picture, &polygons[i], FIRST_POLYGON + (int)i, is_wide ? across + 8 : 16,
                  legend + ROW_PX * i);
   }

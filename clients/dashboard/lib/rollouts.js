@@ -20,6 +20,9 @@ async function environmentsAt(path) {
   return (await lists.get(path)).items;
 }
 
+/** Returns whether a name is that of a suite, all sets of whose tasks an evaluation is in. */
+export const isSuite = (name) => /^morpho-12(-held-out)?$/.test(name);
+
 /** Loads the environments of a named set. */
 export const environmentSet = (name) =>
   environmentsAt(`v1/environment-sets/${encodeURIComponent(name)}`);
@@ -102,7 +105,7 @@ export async function worldOfSet(set, controller = DEFAULT_CONTROLLER) {
 export async function worldOfJob(kind, job) {
   const physics = job.settings?.physics ?? job.physics;
   const named = job.settings?.environments ?? job.environments;
-  const set = typeof named === 'string' ? named : null;
+  const set = typeof named === 'string' && !isSuite(named) ? named : null;
   const environments = await (set ? environmentSet(set)
     : environmentsAt(`v1/${kind}s/${encodeURIComponent(job.id)}/environments`));
   const file = job.result?.controller ?? job.controller;
@@ -111,13 +114,20 @@ export async function worldOfJob(kind, job) {
     set, environments, physics, precision: job.precision,
     controller: file?.sha256 ? `sha256:${file.sha256}` : DEFAULT_CONTROLLER,
     words: `World of ${kind} ${job.id}: ` +
-      `${set ?? `${countOf(environments.length, 'custom environment')}`}, ` +
+      `${typeof named === 'string' ? named
+        : countOf(environments.length, 'custom environment')}, ` +
       `${tasks && `task ${tasks}, `}` +
       `${physics.n_steps} steps of ${physics.dt_s} s, ` +
       `integrator ${physics.integrator}, ` +
       `${job.precision === 'float64' ? 'float64, ' : ''}` +
       `controller ${file?.name ?? file?.sha256?.slice(0, 12) ?? DEFAULT_CONTROLLER}`,
   };
+}
+
+/** Loads the environments of a campaign, which never change. */
+export function environmentsOfCampaign({ id, group, settings: { environments } }) {
+  return typeof environments === 'string' ? environmentSet(environments)
+    : environmentsAt(`v1/campaigns/${encodeURIComponent(group?.id ?? id)}/environments`);
 }
 
 /** Simulates designs of a campaign in the first environment of its world. */

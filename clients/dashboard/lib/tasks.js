@@ -1,7 +1,7 @@
 /** Tasks: the choice that forms offer, their pictures, and scores in the unit of a task. */
 
 import { svg } from './dom.js';
-import { score } from './format.js';
+import { countOf, score } from './format.js';
 
 /** Ground of the tasks in forms: flat, then rougher and rougher. */
 const ROUGH = [0.02, 0.04, 0.06];
@@ -81,6 +81,46 @@ export const meters = (value) => (value === null || !Number.isFinite(value) ? '�
  * @param {{value?: number|null, unit?: string, loss?: number|null}} rollout
  */
 export const resultOf = ({ value, unit, loss }) => (unit === 'm' ? meters(value) : score(loss));
+
+/**
+ * Returns the name of the task of a job in a few words: of a set of the suite its name, or else the
+ * objectives of the environments.
+ * @param {string|{count: number}} named a set, or how many environments are listed
+ * @param {{task?: {objective: string, guide: {kind: string}}}[]} environments
+ */
+export function taskNameOf(named, environments) {
+  const set = typeof named === 'string' ? /^morpho-12-(.+?)(-held-out)?$/.exec(named) : null;
+  return set ? set[1] : taskWords(environments) || 'photo';
+}
+
+/** Describes where a training learns: in a set, in listed environments, or in random ones. */
+export function worldsOfTraining({ settings: { environments, tasks } }) {
+  if (tasks) {
+    const names = tasks.map((task) => taskWords([{ task }]) || 'photo');
+    return `random terrains, with the tasks ${[...new Set(names)].map((name) => {
+      const n = names.filter((other) => other === name).length;
+      return n > 1 ? `${n} × ${name}` : name;
+    }).join(', ')}`;
+  }
+  if (typeof environments === 'string') return `environments of ${environments}`;
+  return environments ? countOf(environments.count, 'listed environment')
+    : 'random terrains and lights';
+}
+
+/** Formats a value in the unit of its task: meters, or a share. */
+export const inUnit = (value, unit) => (value === null || value === undefined ? '–'
+  : unit === 'm' ? meters(value) : value.toFixed(3));
+
+/** Units at the end of the names of measures; the longest of them come first. */
+const MEASURED = [['_rad_per_s', 'rad/s'], ['_m_per_s', 'm/s'], ['_per_s', '1/s'], ['_rad', 'rad'],
+  ['_m', 'm'], ['_j', 'J']];
+
+/** Returns the name of a measure in words, with its unit: "mean speed, m/s". */
+export function measureTitle(name) {
+  const [ending, unit] = MEASURED.find(([end]) => name.endsWith(end)) ?? ['', ''];
+  const words = name.slice(0, name.length - ending.length).replaceAll('_', ' ');
+  return unit ? `${words}, ${unit}` : words;
+}
 
 /** Describes the tasks of environments in a word, or returns "" if all are `photo`. */
 export function taskWords(environments) {

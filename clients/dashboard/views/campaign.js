@@ -7,8 +7,8 @@ import { coalesced } from '../lib/events.js';
 import { ago, count, countOf, inOwnUnit, percent, score, voxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
 import { may } from '../lib/rights.js';
-import { rollOfCampaign, worldOfJob } from '../lib/rollouts.js';
-import { measureOf, meters } from '../lib/tasks.js';
+import { environmentsOfCampaign, rollOfCampaign, worldOfJob } from '../lib/rollouts.js';
+import { measureOf, meters, taskNameOf } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { breedButton, startButton } from './forms.js';
 import {
@@ -37,7 +37,7 @@ async function mountList(main, app) {
   const stop = new AbortController();
   const body = h('tbody');
   const panel = h('section.panel.scroll', {}, table(
-    ['', 'Campaign', 'State', 'Population', 'Progress', 'Best score', 'Created'], body,
+    ['', 'Campaign', 'Task', 'State', 'Population', 'Progress', 'Best score', 'Created'], body,
     (name) => /Population|Best/.test(name)));
   const start = may('submit') ? '; the button above starts one' : '';
   const none = h('p.empty', {}, 'No campaign yet. A campaign evolves a population of designs ' +
@@ -45,6 +45,29 @@ async function mountList(main, app) {
   const { compare, box } = comparing(app, 'campaigns', 'Compare');
   const opened = new Set(); // groups with visible replicates
   let items = [];
+  const tasks = new Map(); // of the groups: the name of the task, and how to show its scores
+
+  /** Formats the best score, in the unit of the task if that is meters. */
+  function bestOf(job, best) {
+    if (best === Infinity) return '–';
+    const own = job.study?.own_score ?? null;
+    if (own) return inOwnUnit(own, best);
+    const measure = tasks.get(job.group.id)?.measure;
+    return measure ? [meters(measure.valueOf(best)), h('div.muted', {}, `loss ${score(best)}`)]
+      : score(best);
+  }
+
+  /** Loads the environments of the groups that are new in the list. */
+  async function findTasks() {
+    await Promise.all(items.filter(({ group }) => !tasks.has(group.id)).map(async (job) => {
+      tasks.set(job.group.id, null); // once
+      const environments = await environmentsOfCampaign(job).catch(() => null);
+      if (environments) {
+        tasks.set(job.group.id, { measure: measureOf(environments),
+          name: taskNameOf(job.settings.environments, environments) });
+      }
+    }));
+  }
 
   /** Returns a row of cells for a campaign, or for the replicates of one request. */
   function cellsOf({ job, members, isMember }) {
@@ -64,13 +87,14 @@ async function mountList(main, app) {
       members && opened.has(job.group.id) ? h('td') : box(all[0]),
       h(`td.main${isMember ? '.member' : ''}`, {}, link, h('div.row.muted', {}, about,
         members ? expander(job.group.id, titleOf(job)) : null)),
+      h('td', { 'data-name': 'Task' }, tasks.get(job.group.id)?.name ?? ''),
       h('td', {}, states.map((same) => (members
         ? h(`span.state.${same[0].state}`, {}, `${same.length} ${stateOf(same[0])}`)
         : stateChip(same[0])))),
       h('td.right', { 'data-name': 'Population' }, count(job.settings.population)),
       h('td.wide', {}, progressBar(slowest),
         isSpread ? h('div.muted', {}, 'the slowest one') : null),
-      h('td.right', { 'data-name': 'Best score' }, best === Infinity ? '–' : score(best)),
+      h('td.right', { 'data-name': 'Best score' }, bestOf(job, best)),
       h('td', {}, ago(job.created_at)),
     ];
   }
@@ -106,6 +130,7 @@ async function mountList(main, app) {
   async function refresh() {
     const page = await getJson('v1/campaigns?limit=200', { signal: stop.signal });
     items = page.items.map((job) => ({ ...job, kind: 'campaign' }));
+    await findTasks();
     show();
   }
 

@@ -9,11 +9,12 @@ import {
   ago, bytes, count, countOf, score, scoreBy, scoreOf, shellWord, voxels as inVoxels,
 } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
-import { environmentSet, roll } from '../lib/rollouts.js';
+import { environmentSet, isSuite, roll } from '../lib/rollouts.js';
 import { meters } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
 import { JobParts, shortProgress, titleOf } from './jobs.js';
+import { ResultPanels } from './results.js';
 import { announced, copyButton } from './share.js';
 
 const PAGE = 48;
@@ -42,6 +43,8 @@ class Wall {
     /** Further parameters of the stage: the controller, or the world of the scores. */
     this.options = {};
     this.chosen = new Map(app.remembered().chosen); // {id, row} by genotype
+    /** Called after each change of the selection. */
+    this.changed = () => {};
     this.element = h('div.grid.small');
     this.watch = button('Watch selected', () => app.go('stage', {
       designs: [...this.chosen.keys()].join(','), ...this.options,
@@ -68,6 +71,7 @@ class Wall {
         card.setAttribute('aria-pressed', String(on));
         this.#offer();
         this.app.remember({ chosen: [...this.chosen] });
+        this.changed();
       },
       ondblclick: () => this.app.go(`designs/${robot}`),
     }, picture(genotype), h('strong.number', {}, shown),
@@ -175,6 +179,8 @@ async function mountEvaluation(main, id, app) {
   const about = h('p.muted');
   const record = h('p.muted', { hidden: true });
   const notes = h('div.stack', { hidden: true });
+  const panels = new ResultPanels(app, stop.signal);
+  wall.changed = () => panels.draw([...wall.chosen.values()].map(({ row }) => row));
   let done = false, isLarge = false;
   let best = []; // rows, best first
 
@@ -216,6 +222,7 @@ async function mountEvaluation(main, id, app) {
       const knowsBest = job.best !== null && !isCut;
       const last = knowsBest ? order[job.best - 1]?.score ?? Infinity : -Infinity;
       wall.add(order.map((one) => ({ ...one, isBest: isAmong(one, last) })));
+      panels.show(job, order);
       if (job.best !== null) {
         note(`The best ${count(job.best)} were requested; ${count(job.rollouts_cut)} rollouts of ` +
           'the others were not computed. A score after ≥ is a lower bound.');
@@ -242,14 +249,17 @@ async function mountEvaluation(main, id, app) {
       python: `print(m.evaluation(${id}).${isLarge ? 'table' : 'frame'}())`,
     })))), h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble, about,
     record, notes, parts.remark, parts.row),
-  h('section.panel', { 'aria-label': 'Results' }, wall.element));
+  panels.element, h('section.panel', { 'aria-label': 'Results' }, wall.element));
   await refresh();
   const later = coalesced(refresh, stop.signal);
   return {
     update(event) {
       if (event.type === 'reset' || event.job === id) later();
     },
-    unmount: () => stop.abort(),
+    unmount() {
+      stop.abort();
+      panels.destroy();
+    },
   };
 }
 
@@ -259,7 +269,7 @@ const isAmong = ({ score: own, lower_bound: isBound }, last) =>
 
 /** Describes in words where designs are scored. */
 const placesOf = (environments) => (typeof environments === 'string'
-  ? `in the environments of ${environments}`
+  ? `in ${isSuite(environments) ? 'all tasks' : 'the environments'} of ${environments}`
   : `in ${countOf(environments.count ?? environments.length, 'custom environment')}`);
 
 async function mountDesign(main, id, app) {

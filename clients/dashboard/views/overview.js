@@ -3,8 +3,12 @@
 import { LinkError, getJson, shared, withQuery } from '../lib/api.js';
 import { Chart } from '../lib/chart.js';
 import { button, fill, h, patch, patchRow, say, table as tableOf, tile } from '../lib/dom.js';
-import { ago, bytes, count, countOf, duration, number, percent, shellWord } from '../lib/format.js';
+import {
+  ago, bytes, count, countOf, duration, number, percent, score, shellWord,
+} from '../lib/format.js';
 import { may } from '../lib/rights.js';
+import { environmentsOfCampaign } from '../lib/rollouts.js';
+import { measureOf, meters, taskNameOf, worldsOfTraining } from '../lib/tasks.js';
 import { startButton } from './forms.js';
 import { copyButton } from './share.js';
 import { JobParts, JobTable, linkOf, titleOf } from './jobs.js';
@@ -139,10 +143,13 @@ export async function mount(main, path, parameters, app) {
     const parts = new JobParts(() => refresh());
     const { chip, bar, trouble, actions, weightField, rate } = parts;
     const link = h('a');
-    const card = h('article.panel.stack', {}, h('div.title', {}, h('h2', {}, link), chip), bar,
-      trouble, h('div.row', {}, actions, weightField, rate));
+    const about = h('p.muted');
+    const card = h('article.panel.stack', {}, h('div.title', {}, h('h2', {}, link), chip), about,
+      bar, trouble, h('div.row', {}, actions, weightField, rate));
     return Object.assign(card, { show(job) {
       parts.update(job);
+      say(about, job.about);
+      about.hidden = !job.about;
       link.href = linkOf(job);
       say(link, titleOf(job));
     } });
@@ -151,7 +158,21 @@ export async function mount(main, path, parameters, app) {
   /** Loads the job with its phase, rate and time left, which the list omits. */
   async function whole(job) {
     const full = await get(`v1/${job.kind}s/${job.id}`);
-    return { ...full, kind: job.kind };
+    return { ...full, kind: job.kind, about: await aboutOf(job.kind, full) };
+  }
+
+  /** Describes what a job does: its task, and a campaign's best score in the unit of the task. */
+  async function aboutOf(kind, job) {
+    if (kind === 'training') return worldsOfTraining(job);
+    if (kind === 'evaluation') {
+      return job.suite ? `all tasks of ${job.suite.name}` : '';
+    }
+    const environments = await environmentsOfCampaign(job);
+    const name = taskNameOf(job.settings.environments, environments);
+    const best = job.newest?.score.quantiles.p0 ?? null;
+    if (best === null || job.study?.own_score) return name;
+    const measure = measureOf(environments);
+    return `${name}: best ${measure ? meters(measure.valueOf(best)) : score(best)}`;
   }
 
   async function showLoad() {

@@ -11,6 +11,7 @@ import { ago, bytes, count, number, percent, score, signed } from '../lib/format
 import { may } from '../lib/rights.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { CONFIDENCE, compareCrossed } from '../lib/statistics.js';
+import { taskWords, worldsOfTraining } from '../lib/tasks.js';
 import { Player } from '../stage/player.js';
 import { startButton } from './forms.js';
 import {
@@ -244,11 +245,21 @@ async function mountOne(main, id, parameters, app) {
 
   let isRunning = false;
   let batch = 0;
+  let worlds = null; // the tasks of listed environments, in words
   async function showHead() {
     const job = asJob(await get(`v1/trainings/${id}`));
+    if (worlds === null) {
+      worlds = ''; // once
+      // Validation uses all listed environments.
+      if (job.settings.environments?.count) {
+        const { environments } = await get(`v1/trainings/${id}/held-out`);
+        worlds = taskWords(environments) || 'photo';
+      }
+    }
     parts.update(job);
     say(heading, titleOf(job));
-    say(about, `${job.trainingKind}, into ${job.name ?? 'no name'}`);
+    say(about, `${job.trainingKind}, into ${job.name ?? 'no name'}; learns in ` +
+      worldsOfTraining(job) + (worlds ? `: ${worlds}` : ''));
     app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);
     isRunning = job.state === 'running';
     batch = job.settings.batch;

@@ -2,10 +2,12 @@
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/internal.h"
+#include "store/worlds.h"
 
-#define NEWEST 20 /* schema */
-/* Takes back what versions 18 to 20 added. */
-#define WITHOUT_20 "ALTER TABLE campaign_losses DROP COLUMN measures;"
+#define NEWEST 21 /* schema */
+/* Takes back what versions 18 to 21 added. */
+#define WITHOUT_21 "ALTER TABLE evaluations DROP COLUMN suite;"
+#define WITHOUT_20 "ALTER TABLE campaign_losses DROP COLUMN measures;" WITHOUT_21
 #define WITHOUT_19 "ALTER TABLE evaluations DROP COLUMN tolerance;" WITHOUT_20
 #define WITHOUT_18 "DROP TABLE measures; ALTER TABLE evaluations DROP COLUMN measures;" WITHOUT_19
 
@@ -186,6 +188,44 @@ static void opens_version_19(void)
   CHECK_INT(outside_integer(column), 1);
 }
 
+/* Those before version 21 are in one set; afterwards, they can be in a suite, whose work has each
+ * design once per set, with the environments of that set. */
+static void opens_version_before_suites(void)
+{
+  struct mo_evaluation_request submission = draw_evaluation(2, 3);
+  const struct mo_classes classes = {.cpu = {1, 1}, .device = 1};
+  struct mo_work *work = NULL;
+  submission.environment_set = "morpho-12-walk";
+  const int64_t old = submit_evaluation(&submission);
+  REQUIRE(old > 0);
+  REQUIRE_OK(reopen_after(WITHOUT_21 "PRAGMA user_version=20"));
+  CHECK_TEXT(job_of(old).environment_set, "morpho-12-walk");
+  CHECK_INT(job_of(old).rollouts_total, 3 * 10);
+  submission.environment_set = "morpho-12-held-out";
+  const int64_t next = submit_evaluation(&submission);
+  REQUIRE(next > 0);
+  CHECK_TEXT(job_of(next).environment_set, "morpho-12-held-out");
+  CHECK_INT(job_of(next).rollouts_total, 3 * 12 * 64);
+  REQUIRE_OK(mo_store_load_work(store, next, &classes, &work));
+  CHECK_INT(work->n_sets, MO_SUITE_TASKS);
+  CHECK_INT(work->n_environments, 64);
+  CHECK_INT(work->n_designs, 3 * MO_SUITE_TASKS);
+  for (uint32_t set = 0; set < MO_SUITE_TASKS; set++) {
+    struct mo_environment *expected = NULL;
+    uint32_t n = 0;
+    REQUIRE_OK(mo_store_environment_set(store, mo_suite_set(1, set), &expected, &n));
+    CHECK_INT(n, 64);
+    CHECK(memcmp(&work->environments[set * n], expected, n * sizeof(*expected)) == 0);
+    CHECK(work->genotype_rows[3 * set] == work->genotype_rows[0]);
+    CHECK(set == 0 || work->sets[set] != work->sets[set - 1]);
+    free(expected);
+  }
+  mo_work_free(work);
+  close_store();
+  CHECK_INT(outside_integer("PRAGMA user_version"), NEWEST);
+  CHECK_INT(outside_integer("SELECT count(*) FROM job_environments"), 10 + 768);
+}
+
 /* Noise replaces the root page of a table or an index; the header and the schema stay. */
 static void names_damaged_pages(void)
 {
@@ -310,6 +350,7 @@ static const struct check_case cases[] = {
     {"opens a folder of version 17", opens_version_17},
     {"opens a folder of version 18", opens_version_18},
     {"opens a folder of version 19", opens_version_19},
+    {"opens a folder from before suites", opens_version_before_suites},
     {"reports contradictions", reports_what_contradicts_itself},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
