@@ -37,9 +37,8 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   const char *environment_set;         /* of mo_set_words, mo_suite_words; NULL: "paper-test" */
   struct mo_random_bodies random;      /* count 0: none */
 };
-/* controller, label, experiment, priority, weight, device. */
-extern const struct mo_fields mo_parts_fields;
-extern const struct mo_fields mo_weight_fields; /* of one double */
+/* controller, label, experiment, priority, weight, device; and only a weight, one double. */
+extern const struct mo_fields mo_parts_fields, mo_weight_fields;
 /* Fields of struct mo_parts: 1 to MO_DESIGNS_MAX designs; a word of mo_set_words or 1 to
  * MO_ENVIRONMENTS_MAX environments, or only their tasks, of which a request has one. */
 extern const struct mo_field_own mo_designs_field, mo_environments_field, mo_tasks_field,

@@ -133,9 +133,9 @@ def test_refusals(service):
         error, = reply.json()["errors"]
         assert reply.status == 422 and error["pointer"] == f"/{name}"
         assert "morpho-12-walk" in error["detail"]
+    tuned = {"kind": "finetune", "name": "f", "designs": [DESIGN]}
     for path, request in (("/v1/campaigns", {"mode": "zero-shot", "preset": "demo"}),
-                          ("/v1/rollouts", {"designs": [DESIGN]}),
-                          ("/v1/trainings", {"kind": "finetune", "name": "f", "designs": [DESIGN]})):
+                          ("/v1/rollouts", {"designs": [DESIGN]}), ("/v1/trainings", tuned)):
         reply = service.request("POST", path, {**request, "environments": "morpho-12-held-out"},
                                 headers={"Accept": "application/json"})
         error = reply.json()["errors"][0]
@@ -216,7 +216,8 @@ def test_the_picture(service):
     lines = picture.findall(f"{SVG}line")
     center, end = float(lines[0].get("y1")), float(lines[0].get("y2"))
     value = job["results"][best[0]]["tasks"]["photo"]["value"]
-    assert (center - float(dot.get("cy"))) / (center - end) == pytest.approx(max(value, 0), abs=0.01)
+    share = (center - float(dot.get("cy"))) / (center - end)
+    assert share == pytest.approx(max(value, 0), abs=0.01)
     assert "#1b2027" not in reply.body.decode()
     chosen = service.request("GET", path + "?designs=7,1&theme=dark&width=360").body.decode()
     picture = xml.etree.ElementTree.fromstring(chosen)

@@ -96,7 +96,8 @@ export function taskNameOf(named, environments) {
 /** Describes where a training learns: in a set, in listed environments, or in random ones. */
 export function worldsOfTraining({ settings: { environments, tasks } }) {
   if (tasks) {
-    const names = tasks.map((task) => taskWords([{ task }]) || 'photo');
+    const names = tasks.map((task) => (task.objective === 'reach' && task.guide.kind === 'fixed'
+      ? 'photo' : taskWords([{ task }])));
     return `random terrains, with the tasks ${[...new Set(names)].map((name) => {
       const n = names.filter((other) => other === name).length;
       return n > 1 ? `${n} × ${name}` : name;

@@ -24,7 +24,7 @@ from .imports import read_bodies
 from .local import LocalClient, local
 from .phylogenies import Phylogeny
 from .player import Player
-from .results import Asked, Batch, Climb, Controller, Result, ScoreError
+from .results import Asked, Batch, Climb, Controller, Result, ScoreError, Svg
 from .scenes import Rollout, Scene
 from .scores import Entered
 from .tasks import Task
@@ -40,7 +40,7 @@ __all__ = [
     "CampaignComparison", "Campaigns", "Client", "Climb", "ConflictError", "Controller",
     "ControllerComparison", "Entered", "Evaluation", "Fleet", "InvalidError", "Job", "JobError",
     "LocalClient", "MorphodError", "NotFoundError", "Objective", "Phylogeny", "Player", "Result",
-    "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Task", "Training",
+    "Rollout", "Scene", "ScoreError", "Study", "StudyObjective", "Svg", "Task", "Training",
     "UnreachableError", "WaitError", "World", "local", "read_bodies", "read_safetensors",
     "read_world", "write_safetensors",
 ]

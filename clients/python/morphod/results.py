@@ -326,3 +326,10 @@ class Controller:
 
     def __repr__(self) -> str:
         return f"<Controller {self.name or self.data.get('sha256', 'without a name')}>"
+
+
+class Svg(str):
+    """The text of an SVG file. Notebooks show the picture."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)

@@ -16,7 +16,7 @@ from ..frames import frame, frame_of_columns, pandas
 from ..phylogenies import Phylogeny
 from ..player import Player, player_of
 from ..progress import Bar, doing
-from ..results import Controller, Result, losses_of, measures_of, units_of, values_of
+from ..results import Controller, Result, Svg, losses_of, measures_of, units_of, values_of
 from ..scenes import MEDIA_TYPE, Scene, read_npy
 from .._wire import WAIT_S, Request, given
 from .connection import AsyncConnection
@@ -213,13 +213,6 @@ class AsyncJob:
         return reply
 
 
-class Svg(str):
-    """The text of an SVG file. Notebooks show the picture."""
-
-    def _repr_svg_(self) -> str:
-        return str(self)
-
-
 _CLIMB = ("reached", "estimated_error", "dt_s", "precision")
 _ERRORS = ("low", "high", "discretization", "rounding", "standard_error", "bifurcates")
 
@@ -334,7 +327,9 @@ class AsyncEvaluation(AsyncJob):
                 raise MorphodError(f"evaluation {self.id} is not in a suite: table() reads its "
                                    "results")
             names = [task["task"] for task in self.data["suite"]["tasks"]]
-        self._require_success() if self.ended else self._results
+        if not self.ended:
+            raise MorphodError(f"evaluation {self.id} is {self.state}: wait() for its results")
+        self._require_success()
         rows = self.data["results"] if "results" in self.data else [
             row async for row in self._connection.pages(f"{self._list}/{self.id}/results")]
         with reading():
