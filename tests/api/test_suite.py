@@ -41,9 +41,10 @@ def suite(service, *arguments, **how):
                           **{"check": True, **how})
 
 
-def test_one_evaluation_scores_all_tasks(service):
+def test_one_evaluation_scores_all_tasks(start):
     """It has the losses of twelve evaluations, grouped by task, with the means; it is one job, and
     each design is ranked in the sets of the tasks."""
+    service = start()
     whole_rollouts = {**SHORT, "physics": {}}  # rankings have the default physics
     job = run(service, whole_rollouts)
     assert job["environments"] == "morpho-12" and job["rollouts_total"] == 3 * 120
