@@ -127,7 +127,7 @@ void mo_api_get_suite_picture(struct mo_request *request)
 {
   static const char *const themes[] = {"light", "dark", NULL};
   struct mo_api *api = mo_api_of(request);
-  uint32_t numbers[MO_SUITE_POLYGONS_MAX];
+  uint32_t numbers[MO_SUITE_POLYGONS_MAX] = {0};
   struct mo_text text = {0};
   struct mo_job job;
   int64_t id, width_px = 760;

@@ -472,8 +472,9 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define TASKS                                                                                      \
   TASK("photo")                                                                                    \
   TASK("photo-auc")                                                                                \
-  TASK("walk") TASK("rough") TASK("up") TASK("down") TASK("hurdle") TASK("gap") TASK("circle")     \
-      TASK("shuttle") TASK("path") TASK("damage") " tasks_mean.loss:n tasks_mean.left_out"
+  TASK("walk")                                                                                     \
+  TASK("rough") TASK("up") TASK("down") TASK("hurdle") TASK("gap") TASK("circle") TASK("shuttle")  \
+      TASK("path") TASK("damage") " tasks_mean.loss:n tasks_mean.left_out"
 #define RESULTS                                                                                    \
   "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
   "masses:n"                                                                                       \
