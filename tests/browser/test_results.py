@@ -54,6 +54,34 @@ def test_a_suite_has_a_picture_and_a_table(service, browser):
     assert browser.faults() == []
 
 
+def test_a_form_starts_the_suite(service, browser):
+    """The form of an evaluation offers the suite, with its rollouts and commands; that of a
+    campaign does not."""
+    browser.open("")
+    browser.click("New evaluation")
+    browser.until("document.querySelector('dialog[open] form')")
+    browser.run("document.querySelector(\".tasks input[value='morpho-12']\").click();"
+                "const text = document.querySelector('dialog textarea');"
+                f"text.value = '{service.get('/v1/designs?limit=1')['items'][0]['id']}@0';"
+                "text.dispatchEvent(new Event('input', { bubbles: true }))")
+    browser.until("document.querySelector('dialog').innerText.includes('Up to 120 rollouts')")
+    browser.click("Copy as a command", "dialog button")
+    browser.until("document.querySelectorAll('dialog[open] pre').length === 3")
+    curl, shell, python = browser.texts("dialog pre")
+    assert '"environments":"morpho-12"' in curl and "morphoctl suite run " in shell
+    assert "--environments" not in shell and '"environments": "morpho-12"' in python
+    browser.run("document.querySelectorAll('dialog')[1].close()")
+    browser.click("Start", "dialog button")
+    browser.until(DRAWN)
+    browser.open("")
+    browser.click("New campaign")
+    browser.until("document.querySelector('dialog[open] form')")
+    assert "morpho-12" not in browser.run(
+        "return [...document.querySelectorAll('.tasks input')].map((e) => e.value)")
+    browser.run("document.querySelector('dialog').close()")
+    assert browser.faults() == []
+
+
 def test_measures_and_flags(service, browser):
     """A column for each measure, with its unit, and the flags."""
     job = service.evaluate({"designs": [DESIGN, TALL], "physics": {"n_steps": 200},

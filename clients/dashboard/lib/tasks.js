@@ -38,6 +38,13 @@ export const TASKS = [
     flight: 'M42 24H48M44 20L48 24L44 28' },
 ];
 
+/** All tasks of the suite, which only evaluations are in. */
+export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
+  about: 'ten worlds of each (morpho-12)',
+  environments: 'morpho-12', count: 120, light: [32, 18],
+  way: 'M32 4L40 9L47 18L40 25L32 31L25 26L15 18L23 9Z',
+  ground: 'M32 4V31M15 18H47M23 9L40 25M40 9L25 26' };
+
 /**
  * Returns the picture of a task.
  * @param {{way: string, light: number[], points?: number[][], ground?: string, flight?: string}}

@@ -7,7 +7,7 @@ import { button, h, say } from '../lib/dom.js';
 import { commandsOf } from '../lib/commands.js';
 import { count, duration, shellWord } from '../lib/format.js';
 import { may } from '../lib/rights.js';
-import { TASKS, taskPicture } from '../lib/tasks.js';
+import { SUITE, TASKS, taskPicture } from '../lib/tasks.js';
 import { announced, copyDialog } from './share.js';
 
 /**
@@ -113,7 +113,9 @@ function morphoctlOf(kind, request, learnedOn) {
     if (request[name] === undefined || ['kind', 'mode'].includes(name)) continue;
     words.push(`--${name}`, String(request[name]));
   }
-  if (request.environments) words.push('--environments', '-');
+  const isSuite = typeof request.environments === 'string';
+  if (isSuite && kind === 'evaluation') words.splice(0, 1, 'suite', 'run');
+  else if (request.environments) words.push('--environments', '-');
   if (learnedOn) return [...words, ...learnedOn].map(shellWord).join(' ');
   const designs = request.designs ?? request.initial?.designs ?? [];
   return [...words, ...designs.map(({ id, voxels }) => id ?? voxels)].map(shellWord).join(' ');
@@ -198,9 +200,9 @@ class LearnedOn {
 
 /** The choice of a task, by a picture and a sentence. */
 class TaskChoice {
-  constructor(onChange) {
-    this.chosen = TASKS[0];
-    this.element = h('fieldset.tasks.wide', {}, h('legend', {}, 'Task'), TASKS.map((task) =>
+  constructor(tasks, onChange) {
+    this.chosen = tasks[0];
+    this.element = h('fieldset.tasks.wide', {}, h('legend', {}, 'Task'), tasks.map((task) =>
       h('label.task', {}, h('input', {
         type: 'radio', name: 'task', value: task.name, checked: task === this.chosen,
         onchange: () => {
@@ -212,6 +214,11 @@ class TaskChoice {
 
   get environments() {
     return this.chosen.environments;
+  }
+
+  /** How many environments these are; undefined: the default set. */
+  get count() {
+    return this.chosen.count ?? this.chosen.environments?.length;
   }
 }
 
@@ -281,7 +288,8 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const more = h('details.wide', {}, h('summary', {}, 'More'),
     h('div.fields', {}, others.map(({ element }) => element)));
   const estimate = h('p.wide.muted', { 'aria-live': 'polite' });
-  const tasks = kind === 'training' || fixed.environments ? null : new TaskChoice(adapt);
+  const offered = kind === 'evaluation' ? [...TASKS, SUITE] : TASKS;
+  const tasks = kind === 'training' || fixed.environments ? null : new TaskChoice(offered, adapt);
   /** Explains the field in focus; screen readers read it with the field. */
   const hint = h('p.hint.wide.muted', { 'aria-hidden': 'true' });
 
@@ -329,7 +337,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
   const copy = (request) => copyDialog(commandsOf({
     path: `v1/${kind}s`, body: request,
     morphoctl: morphoctlOf(kind, request, learnedOn?.words()),
-    input: request.environments && JSON.stringify(request.environments),
+    input: Array.isArray(request.environments) ? JSON.stringify(request.environments) : undefined,
   }));
 
   /** Shows what empty fields stand for with the current choices. */
@@ -349,7 +357,7 @@ export async function startDialog(app, kind, fixed = {}, proposed = {}) {
       inputOf('generations').placeholder = PRESETS[preset]?.[mode] ?? 'as the preset says';
     }
     say(estimate, estimateOf(designsScored(), isUsual() ? rolloutSeconds : null,
-      threads?.n_threads, tasks?.environments?.length));
+      threads?.n_threads, tasks?.count));
   }
 
   /** Returns whether the rollouts are like those that were measured. */
