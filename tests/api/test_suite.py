@@ -108,6 +108,10 @@ def test_what_a_mean_leaves_out(service):
         assert result["tasks"]["walk"]["value"] is None
     assert diverged["tasks"]["walk"]["diverged"] == 10
     assert job["suite"]["tasks"][2]["left_out"] == 2
+    picture = service.request("GET", f"/v1/evaluations/{job['id']}/picture.svg?designs=0,1")
+    words = [text.text for text in
+             xml.etree.ElementTree.fromstring(picture.body).iter(f"{SVG}text")]
+    assert words.count("no score") == 2 and "0: skipped" in words
     job = run(service, {"designs": [{"cells": [[0, 0, 0], [3, 3, 3]]}, DESIGN],
                         "environments": "morpho-12", "on_fault": "skip", "physics": PHYSICS})
     walk = job["suite"]["tasks"][2]

@@ -223,6 +223,7 @@ async function mountEvaluation(main, id, app) {
       const last = knowsBest ? order[job.best - 1]?.score ?? Infinity : -Infinity;
       wall.add(order.map((one) => ({ ...one, isBest: isAmong(one, last) })));
       panels.show(job, order);
+      wall.changed(); // the selection may be from an earlier visit
       if (job.best !== null) {
         note(`The best ${count(job.best)} were requested; ${count(job.rollouts_cut)} rollouts of ` +
           'the others were not computed. A score after ≥ is a lower bound.');

@@ -74,7 +74,7 @@ class SuitePicture {
     app.themeListeners.add(this.redraw);
   }
 
-  /** Draws these designs, or the best ones if there are none. @param {number[]} [designs] */
+  /** Draws the first of these designs, by position. @param {number[]} [designs] */
   draw(designs = this.designs) {
     this.designs = designs.slice(0, POLYGONS_MAX);
     this.refresh().catch((error) => {
@@ -141,6 +141,7 @@ export class ResultPanels {
     this.app = app;
     this.signal = signal;
     this.picture = null;
+    this.best = [];
     this.element = h('div.stack', { hidden: true });
   }
 
@@ -153,12 +154,12 @@ export class ResultPanels {
       job.tolerance ? tolerancesTable(job, rows) : null,
       job.measures ? measuresTable(job, rows) : null);
     this.element.hidden = !this.element.childElementCount;
-    this.picture?.draw();
+    this.best = rows.map(({ row }) => row);
   }
 
   /** Draws these designs in the picture, by position; the best ones if there are none. */
-  draw(rows) {
-    this.picture?.draw(rows);
+  draw(chosen) {
+    this.picture?.draw(chosen.length ? chosen : this.best);
   }
 
   destroy() {
