@@ -468,13 +468,14 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
   " measures.contact_back_share:n measures.contact_left_share:n"                                   \
   " measures.contact_right_share:n measures.hops_per_s:n measures.work_j:n"                        \
   " measures.cost_of_transport:n measures.peak_strain:n measures.inverted_voxels:n flags"
-#define TASK(NAME) " tasks." NAME ".loss:n tasks." NAME ".value:n"
 #define TASKS                                                                                      \
-  TASK("photo")                                                                                    \
-  TASK("photo-auc")                                                                                \
-  TASK("walk")                                                                                     \
-  TASK("rough") TASK("up") TASK("down") TASK("hurdle") TASK("gap") TASK("circle") TASK("shuttle")  \
-      TASK("path") TASK("damage") " tasks_mean.loss:n tasks_mean.left_out"
+  " tasks.photo.loss:n tasks.photo.value:n tasks.photo-auc.loss:n tasks.photo-auc.value:n"         \
+  " tasks.walk.loss:n tasks.walk.value:n tasks.rough.loss:n tasks.rough.value:n"                   \
+  " tasks.up.loss:n tasks.up.value:n tasks.down.loss:n tasks.down.value:n"                         \
+  " tasks.hurdle.loss:n tasks.hurdle.value:n tasks.gap.loss:n tasks.gap.value:n"                   \
+  " tasks.circle.loss:n tasks.circle.value:n tasks.shuttle.loss:n tasks.shuttle.value:n"           \
+  " tasks.path.loss:n tasks.path.value:n tasks.damage.loss:n tasks.damage.value:n"                 \
+  " tasks_mean.loss:n tasks_mean.left_out"
 #define RESULTS                                                                                    \
   "number:n id:d robot genotype:g score:n lower_bound:n losses diverged voxels:n footprint:n "     \
   "masses:n"                                                                                       \
