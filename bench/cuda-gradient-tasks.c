@@ -34,7 +34,7 @@ static void make_guided_scene(struct scene *s, uint32_t n)
     if (kind < TASK_CASES)
       environment->task = task_case(kind);
     if (kind == PROFILE || (kind < TASK_CASES && turn % 3 == 1)) {
-      environment->n_profile = MO_TERRAIN_HEIGHTS; /* the drawn heights one after the other */
+      environment->n_profile = MO_TERRAIN_HEIGHTS; /* the grid's heights as a profile */
       environment->profile_spacing_m = 0.2;
     }
     if (kind == DAMAGE || (kind < TASK_CASES && turn % 3 == 2))

@@ -45,7 +45,7 @@ static struct guided make_guided(uint32_t n, uint64_t seed)
     mo_environment_held_out(seed, i, g.environments + i);
     g.environments[i].task = task_case(i % TASK_CASES);
     if (i / TASK_CASES % 2 == 1) {
-      g.environments[i].n_profile = MO_TERRAIN_HEIGHTS; /* the drawn heights one after the other */
+      g.environments[i].n_profile = MO_TERRAIN_HEIGHTS; /* the grid's heights as a profile */
       g.environments[i].profile_spacing_m = 0.2;
     }
     if (i / TASK_CASES % 4 > 1)

@@ -2,9 +2,9 @@
  *
  * The controller computes its outputs every 16 ms whatever the step, so that all steps approximate
  * the same motion. Each body's gradient of its loss (float64, no bound on the adjoints) is compared
- * with Richardson's limit, which extrapolates the two smallest steps by the order of the
- * integrator, and so is the mean gradient of all bodies, by which learning goes. The limits of the
- * two integrators are compared, too: their contact laws differ (docs/model.md). */
+ * with Richardson's limit, extrapolated from the two smallest steps. So is the mean gradient of all
+ * bodies, which learning uses. The limits of the two integrators are compared, too: their contact
+ * laws differ (docs/model.md). */
 #include "bench.h"
 
 #include <math.h>
@@ -22,7 +22,7 @@ static const double horizons_s[] = {0.208, 1.008, 4}; /* whole periods */
 
 /* How one gradient differs from its limit. */
 struct deviation {
-  double away;  /* 1 − cosine */
+  double angle; /* 1 − cosine */
   double norm;  /* ratio of the norms */
   double error; /* norm of the difference, relative to the limit's norm */
 };
@@ -85,14 +85,13 @@ static bool differentiate(const struct sweep *s, uint32_t robot, int integrator,
   return counts.diverged_robots == 0 && counts.zeroed_robots == 0 && square > 0;
 }
 
-/* Halving the step halves the error of `paper`, and quarters that of `split`. Writes the limit over
- * the last of the gradients (STEPS). */
-static void extrapolate(int integrator, double *const *gradients, size_t n)
+/* Writes the limit over the last of the gradients (STEPS). Halving the step halves the error of the
+ * gradient with both integrators, although the motion of `split` is of second order. */
+static void extrapolate(double *const *gradients, size_t n)
 {
-  const double shrinks = integrator == MO_INTEGRATOR_SPLIT ? 4 : 2;
   double *last = gradients[STEPS - 1];
   for (size_t p = 0; p < n; p++)
-    last[p] = (shrinks * last[p] - gradients[STEPS - 2][p]) / (shrinks - 1);
+    last[p] = 2 * last[p] - gradients[STEPS - 2][p];
 }
 
 static void *run_share(void *argument)
@@ -112,7 +111,7 @@ static void *run_share(void *argument)
       continue;
     for (int m = 0; m < INTEGRATORS; m++) {
       double *const *own = gradients + m * STEPS;
-      extrapolate(m, own, n);
+      extrapolate(own, n);
       for (int k = 0; k < STEPS - 1; k++)
         s->deviations[(i * INTEGRATORS + (uint32_t)m) * (STEPS - 1) + (uint32_t)k] =
             deviation_of(own[k], own[STEPS - 1], n);
@@ -133,16 +132,16 @@ static void *run_share(void *argument)
 static void print_row(const struct sweep *s, const char *name, const struct deviation *first,
                       size_t stride, double *before, struct deviation mean)
 {
-  double *away = bench_zeros(s->n, sizeof(double)), *norm = bench_zeros(s->n, sizeof(double)),
+  double *angle = bench_zeros(s->n, sizeof(double)), *norm = bench_zeros(s->n, sizeof(double)),
          *error = bench_zeros(s->n, sizeof(double));
   uint32_t count = 0, alike = 0;
   for (uint32_t i = 0; i < s->n; i++)
     if (s->usable[i]) {
       const struct deviation *d = first + i * stride;
-      away[count] = d->away;
+      angle[count] = d->angle;
       norm[count] = d->norm;
       error[count++] = d->error;
-      alike += d->away < 0.01;
+      alike += d->angle < 0.01;
     }
   if (count > 0) {
     char order[16] = "";
@@ -150,12 +149,12 @@ static void print_row(const struct sweep *s, const char *name, const struct devi
     if (before != NULL && *before > 0)
       snprintf(order, sizeof(order), "%.2f", log2(*before / middle));
     printf("  %-16s %9.1e %8.4f %9.1e %6.0f %% %6s | %9.1e %8.4f\n", name,
-           bench_median(away, count), bench_median(norm, count), middle, 100.0 * alike / count,
-           order, mean.away, mean.norm);
+           bench_median(angle, count), bench_median(norm, count), middle, 100.0 * alike / count,
+           order, mean.angle, mean.norm);
     if (before != NULL)
       *before = middle;
   }
-  free(away);
+  free(angle);
   free(norm);
   free(error);
 }

@@ -78,16 +78,17 @@ static void print_suite(struct ctl *ctl, const json_t *evaluation)
               text_of(result, "robot"), words_of(without));
   }
   if (left_out > 0 && n > 1)
-    fprintf(stderr, "The means leave out %zu of %zu designs, in some task: skipped, or diverged.\n",
+    fprintf(stderr,
+            "Some task means leave out up to %zu of %zu designs, which were skipped or diverged.\n",
             n - fewest, n);
   if (ctl->quiet)
     return;
-  fprintf(stderr, "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: m of height; the others: "
-                  "m of way. Larger is better; 0 is standing still. Mean loss: over the tasks; "
-                  "smaller is better; 1 is standing still.\n");
+  fprintf(stderr, "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: meters climbed; the "
+                  "others: meters traveled. Larger is better; a robot that stands still gets 0. "
+                  "Mean loss over the tasks: smaller is better; standing still gives 1.\n");
   print_from(stderr, evaluation,
-             "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from the "
-             "store; morphoctl suite picture {id} draws it");
+             "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them cached; "
+             "morphoctl suite picture {id} draws it");
 }
 
 /* ---- suite run ---- */
@@ -110,17 +111,17 @@ static json_t *make_request(struct ctl *ctl, const char **path)
     *path = "/v1/evaluations";
     return request;
   }
-  static const char *const ours[] = {"random",    "seed",       "first",    "physics",
-                                     "precision", "repair",     "on-fault", "weight",
-                                     "device",    "experiment", NULL};
-  for (const char *const *name = ours; *name != NULL; name++)
+  static const char *const excluded[] = {"random",    "seed",       "first",    "physics",
+                                         "precision", "repair",     "on-fault", "weight",
+                                         "device",    "experiment", NULL};
+  for (const char *const *name = excluded; *name != NULL; name++)
     if (option_is_set(ctl, *name))
       fail(STATUS_USAGE,
-           "--%s cannot be combined with --campaign, whose champions have the physics of the "
-           "campaign",
+           "--%s cannot be combined with --campaign, which determines the designs and their "
+           "settings",
            *name);
   if (ctl->n_operands > 0)
-    fail(STATUS_USAGE, "give either designs or --campaign");
+    fail(STATUS_USAGE, "give designs or --campaign, not both");
   json_object_set_new(request, "count", json_integer(option_number(ctl, "count", 1, 1000, 12)));
   request_fill(ctl, request); /* controller, label */
   *path = path_to("/v1/campaigns/%s/champions", job_id(campaign));
@@ -144,7 +145,7 @@ void run_suite(struct ctl *ctl)
     print_from(stdout, evaluation, "{id}");
   if (!ctl->json && !ctl->quiet)
     print_from(stderr, evaluation,
-               "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
+               "Accepted evaluation {id}: {n_designs} design{n_designs:s}, {rollouts_total} "
                "rollouts; morphoctl watch {id}; then morphoctl suite show {id}");
 }
 

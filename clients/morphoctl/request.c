@@ -100,7 +100,6 @@ void request_fill_record(const struct ctl *ctl, json_t *request, const char *usu
     json_array_append_new(list, json_string("masses"));
 }
 
-/* Adds one "key=value" of --physics. */
 void request_fill_measures(const struct ctl *ctl, json_t *request)
 {
   const char *measures = option_text(ctl, "measures", NULL);
@@ -117,6 +116,7 @@ void request_fill_measures(const struct ctl *ctl, json_t *request)
     json_array_append_new(list, json_string(word));
 }
 
+/* Adds one "key=value" of --physics. */
 static void fill_setting(json_t *physics, const char *text)
 {
   static const struct {

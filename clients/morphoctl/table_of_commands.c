@@ -414,7 +414,7 @@ static const struct option_spec suite_options[] = {
     {"campaign", 0, "ID",
      "Score the champions of this campaign, with its physics and the controller that scored them "
      "unless --controller is given."},
-    {"count", 'n', "N", "--campaign: this many champions, 1 to 1000 (default: 12)."},
+    {"count", 'n', "N", "With --campaign: number of champions, 1 to 1000 (default: 12)."},
     {"random", 0, "N", "Score N random bodies in addition to the given ones."},
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"first", 0, "N", "Start with this body of the seed's 1,000,000 (default: 0)."},

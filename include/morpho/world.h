@@ -156,12 +156,14 @@ extern const char *const mo_set_words[]; /* NULL after the last */
 uint32_t mo_environment_set(int i, struct mo_environment environments[MO_SET_ENVIRONMENTS_MAX]);
 
 /* The suites: "morpho-12", the sets to select with of its twelve tasks, in order, and
- * "morpho-12-held-out", their held-out sets. All sets of a suite have equally many environments. */
+ * "morpho-12-held-out", their held-out sets. All sets of a suite have the same number of
+ * environments. */
 #define MO_SUITE_TASKS            12
 #define MO_SUITE_ENVIRONMENTS_MAX (MO_SUITE_TASKS * MO_SET_ENVIRONMENTS_MAX)
 extern const char *const mo_suite_words[];      /* NULL after the last */
 extern const char *const mo_suite_task_words[]; /* (MO_SUITE_TASKS), NULL after the last */
-/* Returns the number of environments of all sets of suite number i of mo_suite_words; i < 0: 0. */
+/* Returns the number of environments of all sets of suite number i of mo_suite_words; 0 if i is
+ * negative. */
 uint32_t mo_suite_environments(int i);
 /* Returns the word of mo_set_words for a task of a suite. */
 const char *mo_suite_set(int i, uint32_t task);

@@ -279,7 +279,7 @@ static void check_study(struct mo_json *json, const struct mo_parsed_campaign *p
     mo_json_fault_at(json, 0, "/exclude_pretraining", "%s", words);
 }
 
-/* Checks the measures, and the one to select by. The racing is negative unless it was given. */
+/* Checks the measures, and the one to select by. `racing` is negative if the request omits it. */
 static void check_measures(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   const struct mo_campaign_record *record = &parsed->request.record;

@@ -79,9 +79,10 @@ static int check(struct mo_json *json, void *any)
   const bool is_suite =
       parts->environment_set != NULL && mo_word_index(mo_suite_words, parts->environment_set) >= 0;
   if (parts->environments != NULL)
-    mo_json_fault_at(json, 0, "/environments",
-                     "must be the name of a set or suite, such as morpho-12; evaluate the "
-                     "champions' robots in listed environments");
+    mo_json_fault_at(
+        json, 0, "/environments",
+        "must name a set or suite, such as morpho-12; for your own environments, submit "
+        "the champions to POST /v1/evaluations");
   if (parts->no_controller)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (is_suite && request->record != NOT_GIVEN && request->record != 0)

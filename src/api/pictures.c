@@ -10,7 +10,7 @@
 #include "http/field.h"
 #include "store/worlds.h"
 
-#define STEPS_OF_AXIS 3 /* of the scale of its loss: 3 m of way, 0.3 m of height */
+#define AXIS_SCALES 3 /* of the loss: 3 m traveled, 0.3 m climbed */
 
 /* Chooses the ends of the axes: the same for tasks whose values have the same scale, so that they
  * can be compared, and usually the same for all pictures. */
@@ -19,7 +19,7 @@ static void choose_axes(const enum mo_objective objectives[MO_SUITE_TASKS],
                         struct mo_suite_axis axes[MO_SUITE_TASKS])
 {
   for (uint32_t t = 0; t < MO_SUITE_TASKS; t++) {
-    const double scale = mo_objective_scale(objectives[t]), step = STEPS_OF_AXIS * scale;
+    const double scale = mo_objective_scale(objectives[t]), step = AXIS_SCALES * scale;
     double top = 0;
     for (uint32_t other = 0; other < MO_SUITE_TASKS; other++)
       for (uint32_t i = 0; i < n && mo_objective_scale(objectives[other]) == scale; i++)
@@ -47,7 +47,7 @@ static int read_numbers(struct mo_request *request, const struct mo_job *job, ui
   }
   if (n < 0)
     mo_reply_bad_parameter(request, "designs",
-                           "must be up to 6 numbers of designs, from 0, separated by commas");
+                           "must be up to 6 design numbers, starting at 0, separated by commas");
   return n;
 }
 
@@ -147,9 +147,9 @@ void mo_api_get_suite_picture(struct mo_request *request)
                      "The evaluation is %s; it has a picture once it has succeeded.",
                      mo_job_state_name(job.state));
   else if (n == 0 && !mo_results_fit(&job))
-    mo_reply_bad_parameter(request, "designs",
-                           "must name up to 6 designs, because the evaluation has too many to "
-                           "find the best of them");
+    mo_reply_bad_parameter(
+        request, "designs",
+        "is required: this evaluation has too many designs to rank; name up to 6");
   else if (n >= 0) {
     const int error = draw(api, &job, numbers, n, (uint32_t)width_px, theme == 1, &text);
     if (error != MO_OK || text.failed) {

@@ -150,7 +150,7 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
                      MO_HEIGHT_LIMIT_M);
 }
 
-/* Returns the word that a string is; NULL: none. */
+/* Returns the matching word, or NULL. */
 static const char *find_word(const char *const *words, struct mo_json_slice name)
 {
   while (*words != NULL && !mo_json_is(name, *words))

@@ -125,7 +125,7 @@ struct mo_parsed_telling {
   struct mo_parts parts;         /* genotypes: of the children */
   struct mo_workspace workspace; /* which they must fit; of the study, like has_scores, measures */
   bool has_children, has_scores; /* has_scores: each child must have a score */
-  uint32_t measures;             /* that the service computes, whose names are taken */
+  uint32_t measures;             /* computed by the service; clients cannot use their names */
 };
 int mo_tell_parse(const char *text, size_t size, const struct mo_campaign_record *study,
                   struct mo_parsed_telling *parsed, struct mo_faults *faults);

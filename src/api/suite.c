@@ -1,5 +1,5 @@
 /* suite.c: see suite.h. The environments of a suite are those of its tasks, task after task,
- * equally many of each. */
+ * the same number of each. */
 #include "api/suite.h"
 
 #include <math.h>

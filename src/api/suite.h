@@ -1,4 +1,4 @@
-/* suite.h: what an evaluation in a suite says: the score of each design in each task. */
+/* suite.h: scores of an evaluation in a suite, per design and task. */
 #ifndef MORPHO_API_SUITE_H
 #define MORPHO_API_SUITE_H
 

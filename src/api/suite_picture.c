@@ -182,6 +182,6 @@ void mo_suite_draw(struct mo_text *text, const char *title, const struct mo_suit
                  legend + ROW_PX * i);
   }
   write_words(&picture, 16, below - 14, MUTED, 11, "",
-              "Larger is better. The center is standing still.");
+              "Farther out is better. The center is 0 (standing still) or less.");
   mo_text_add(text, "</svg>");
 }

@@ -225,9 +225,9 @@ static const char *check_design(const struct mo_reading *reading,
       design->died > reading->campaign.generation)
     return "birth and death generations are out of order";
   if (design->n_measures != n_means_of(reading))
-    return "the design must have the measures that the campaign names";
+    return "expected exactly the measures that the campaign names";
   if (record->select_by.is_set && !is_score_of_measure(record, design))
-    return "the score is not that of the measure";
+    return "the score does not match the mean of the measure in select_by";
   if (design->score < 0 && !record->select_by.is_set)
     return "a score must be at least 0";
   if (design->is_cut && (n == 0 || design->died != design->born || !isfinite(design->score)))

@@ -406,7 +406,7 @@ int mo_bundle_read_design(struct mo_bundle_lines *lines, const char *line, size_
   if (error != MO_OK)
     return error;
   if (design->n_measures > MO_DESIGN_MEASURES_MAX)
-    return mo_fail(message, MO_ERR_FORMAT, "there are too many measures");
+    return mo_fail(message, MO_ERR_FORMAT, "too many measures");
   design->form = mo_genotype_form(&design->genotype);
   if (lines->is_checked)
     return MO_OK;
@@ -482,7 +482,8 @@ static int check_measures(const struct mo_campaign_score *score, uint32_t n, boo
     for (unsigned m = 0; m < MO_MEASURES; m++) {
       const double value = score->measures[k][m], in_one = mo_measure_info[m].steps_in_one;
       if (!isnan(value) && (score->diverged_steps[k] > 0 || rint(value * in_one) / in_one != value))
-        return mo_fail(message, MO_ERR_FORMAT, "%s of rollout %u is not rounded, or it diverged",
+        return mo_fail(message, MO_ERR_FORMAT,
+                       "%s of rollout %u is not a multiple of its step, or the rollout diverged",
                        mo_measure_info[m].name, k);
     }
   return MO_OK;

@@ -175,8 +175,7 @@ int mo_bundle_scores_end(const struct mo_bundle_scores *scores, double score, bo
   bool is_whole;
   if (!check_means(scores, is_cut, means))
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the measures of design %u are not the means of those of its rollouts",
-                   scores->number);
+                   "the measures of design %u are not the means over its rollouts", scores->number);
   if (scores->selects_by_measure)
     return MO_OK;
   for (uint32_t a = 0; a < scores->n; a++)

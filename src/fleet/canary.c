@@ -56,7 +56,7 @@ static void set_task(uint32_t lane, struct mo_environment *environment)
   const uint32_t first = MO_BLOCK_LANES - (uint32_t)(sizeof(words) / sizeof(*words));
   if (lane >= first)
     mo_task_named(mo_word_index(mo_task_words, words[lane - first]), environment);
-  if (lane % 4 == 1) { /* the drawn heights one after the other */
+  if (lane % 4 == 1) { /* the grid's heights as a profile */
     environment->n_profile = MO_TERRAIN_HEIGHTS;
     environment->profile_spacing_m = 0.1;
   }

@@ -40,8 +40,8 @@ static int check(struct mo_fleet *fleet, const struct mo_session *session,
       return mo_fail(message, MO_ERR_FORMAT, "result %u: the sum has %u parameters, got %u", i,
                      lease->content.n_parameters, result->n_parameters);
     if ((result->measures != NULL) != lease->content.has_measures)
-      return mo_fail(message, MO_ERR_FORMAT, "result %u: the lease %s measures", i,
-                     lease->content.has_measures ? "requires" : "has no");
+      return mo_fail(message, MO_ERR_FORMAT, "result %u: measures are %s", i,
+                     lease->content.has_measures ? "missing" : "unexpected");
     for (uint32_t row = 0; row < result->n_rows; row++)
       if (result->diverged_steps[row] > lease->content.physics.scheme.n_steps)
         return mo_fail(message, MO_ERR_FORMAT,

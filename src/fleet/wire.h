@@ -37,8 +37,8 @@
 #define MO_WIRE_RESULTS_MAX 8      /* in a message */
 #define MO_WIRE_ROWS_MAX    131072 /* in a lease */
 #define MO_WIRE_MEASURED_MAX                                                                       \
-  16384                                    /* in a lease with measures, whose rows are 15 times as \
-                                              long */
+  16384                                    /* in a lease with measures: each row is about 15 times \
+                                              as large */
 #define MO_WIRE_ENVIRONMENTS_MAX 4096      /* in a lease */
 #define MO_WIRE_WORDS_MAX        16        /* in a genotype: 1024 voxels */
 #define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* in a gradient */

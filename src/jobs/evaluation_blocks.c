@@ -99,7 +99,7 @@ static uint32_t set_of(const struct mo_work *work, uint32_t design)
   return design / (work->n_designs / work->n_sets);
 }
 
-/* Returns the rows of the environments of a row of the grid. */
+/* Returns the database ids of the environments of one design in the grid. */
 static const int64_t *environments_of(const struct mo_work *work, uint32_t design)
 {
   return &work->environment_rows[(size_t)set_of(work, design) * work->n_environments];

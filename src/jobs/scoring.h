@@ -20,8 +20,7 @@ struct mo_grid {
   const struct mo_bits *genotypes;           /* (n_designs) placed */
   const struct mo_environment *environments; /* (n_sets, n_environments) */
   uint32_t n_designs, n_environments;
-  uint32_t n_sets; /* a multiple of so many designs: the first ones are in the first set of
-                      environments, and so on; 0: one set */
+  uint32_t n_sets; /* design d has the environments of set d / (n_designs / n_sets); 0: one set */
   uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
   uint8_t *left;   /* (n_designs) cells that are not done */
   uint32_t cursor; /* no earlier design has an open cell, except the designs in `again` */

@@ -22,8 +22,8 @@ int mo_text_row(struct mo_connection *writer, enum mo_texts table, const char *t
 /* Finds a named set and its size. MO_ERR_NOT_FOUND. */
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
                             int64_t *n);
-/* Finds the sets of a suite, whose rows are returned (MO_SUITE_TASKS), and the number of all their
- * environments; or a set, as a suite of one. MO_ERR_NOT_FOUND. */
+/* Returns the rows of the sets of a suite (MO_SUITE_TASKS of them) and the total number of
+ * environments. A single set counts as a suite of one. MO_ERR_NOT_FOUND. */
 int mo_suite_find(struct mo_connection *connection, const char *name, int64_t *rows,
                   uint32_t *n_sets, int64_t *n);
 /* Inserts the environments of a job: those of the sets, set after set. */

@@ -64,7 +64,7 @@ static const struct mo_fields stored_own = MO_FIELDS(stored_own_rows);
 static const struct mo_field campaign_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
     {"measures", MO_FIELD_OWN, 0, AT(measures), .own = &mo_measures_field, .unit = "",
-     .help = "measures of each design, besides its score"},
+     .help = "measures to compute for each design, in addition to its score"},
     {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
      .own = &mo_select_by_field, .unit = "", .help = "the measure to select by; null: the loss"},
 };

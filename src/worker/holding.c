@@ -12,7 +12,7 @@
 
 #define SLOTS_PER_WORKER 2
 #define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* per message: 8 MB, which the daemon accepts */
-#define MEASURED_ROWS    15                     /* as long as a row with measures */
+#define MEASURED_ROWS    15                     /* plain rows as large as one with measures */
 #define SLOTS_OF_DEVICES 16384                  /* about two chunks */
 
 enum lease_state {

@@ -168,6 +168,16 @@ def test_evaluations(start):
                   re.M).group(1)) > 0
 
 
+def test_suites(start):
+    """Devices compute all tasks of a suite."""
+    suite = {"designs": DESIGNS[:3], "environments": "morpho-12", "physics": {"n_steps": 100}}
+    expected = run(start(), "evaluations", suite)["results"]
+    ended = run(start(*FLAGS, environment=fake(devices=2)), "evaluations",
+                {**suite, "device": "cuda"})
+    assert ended["device"] == "cuda" and ended["results"] == expected
+    assert len(expected[0]["tasks"]) == 12
+
+
 @pytest.mark.parametrize("integrator", ["paper", "split"])
 def test_devices_compute_both_integrators(start, integrator):
     service = start(*FLAGS, environment=fake(devices=1))

@@ -27,7 +27,7 @@ def test_the_campaign(browser, study):
     numbers = browser.texts(".card strong.number")
     assert numbers[0] == "-2 m/s" and set(numbers) == {"-2 m/s", "-1.25 m/s", "-0.5 m/s"}
     page = browser.run("return document.querySelector('main').innerText")
-    assert "speed_lost, m/s" in page and "from the client, not computed by the service" in page
+    assert "speed_lost, m/s" in page and "sent by the client" in page
     assert "ranked by speed_lost, which its client computes" in page
     assert "Meters walked" not in page
     assert browser.faults() == []
@@ -46,6 +46,6 @@ def test_the_phylogeny(browser, study):
 def test_it_is_not_compared_with_scores_of_the_service(browser, service, study):
     browser.open(f"campaigns/{study}?compare={service.study}")
     browser.until("document.querySelector('main').innerText.includes('cannot be compared')")
-    assert "speed_lost, from the client; the score of the service" in browser.run(
+    assert "speed_lost; the mean loss" in browser.run(
         "return document.querySelector('main').innerText")
     assert browser.faults() == []

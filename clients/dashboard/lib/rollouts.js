@@ -20,7 +20,7 @@ async function environmentsAt(path) {
   return (await lists.get(path)).items;
 }
 
-/** Returns whether a name is that of a suite, all sets of whose tasks an evaluation is in. */
+/** Returns whether a name is a suite (all twelve sets) rather than a single set. */
 export const isSuite = (name) => /^morpho-12(-held-out)?$/.test(name);
 
 /** Loads the environments of a named set. */

@@ -50,7 +50,7 @@ async function mountList(main, app) {
   /** Formats the best score, in the unit of the task if that is meters. */
   function bestOf(job, best) {
     if (best === Infinity) return '–';
-    const own = job.study?.own_score ?? null;
+    const own = job.own_score ?? null;
     if (own) return inOwnUnit(own, best);
     const measure = tasks.get(job.group.id)?.measure;
     return measure ? [meters(measure.valueOf(best)), h('div.muted', {}, `loss ${score(best)}`)]
@@ -175,7 +175,8 @@ async function mountOne(main, id, parameters, app) {
     scores: new Chart({
       ...(own
         ? { title: own.unit ? `${own.name}, ${own.unit}` : own.name, yText: shown,
-          note: 'lower is better; from the client, not computed by the service' }
+          note: `lower is better; ${campaign.study
+            ? 'sent by the client' : 'the mean of a measure, negated for max'}` }
         : measure
         ? { title: `Meters ${measure.verb}`, note: 'higher is better; from the mean loss',
           yText: meters }

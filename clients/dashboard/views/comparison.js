@@ -19,8 +19,8 @@ export const DASHES = [[], [6, 4], [2, 3], [9, 3, 2, 3]];
 function differenceOf(one, other) {
   const [own, otherOwn] = [one, other].map(({ campaign }) => campaign.own_score ?? null);
   if (own?.name !== otherOwn?.name || own?.unit !== otherOwn?.unit) {
-    return `what they are ranked by (${[own, otherOwn].map((score) => (score
-      ? `${score.name}, from the client` : 'the score of the service')).join('; ')})`;
+    return `their scores (${[own, otherOwn].map((score) => score?.name ?? 'the mean loss')
+      .join('; ')})`;
   }
   const [a, b] = [one, other].map(({ campaign }) => campaign.settings.physics);
   const setting = Object.keys({ ...a, ...b }).find((name) => a[name] !== b[name]);

@@ -170,7 +170,7 @@ export async function mount(main, path, parameters, app) {
     const environments = await environmentsOfCampaign(job);
     const name = taskNameOf(job.settings.environments, environments);
     const best = job.newest?.score.quantiles.p0 ?? null;
-    if (best === null || job.study?.own_score) return name;
+    if (best === null || job.own_score) return name;
     const measure = measureOf(environments);
     return `${name}: best ${measure ? meters(measure.valueOf(best)) : score(best)}`;
   }

@@ -129,7 +129,7 @@ export class PhylogenyCanvas {
     const span = Math.log(worst / best) || 1;
     let rank = (value) => (value > 0
       ? 1 - Math.min(1, Math.max(0, Math.log(value / best) / span)) : 0);
-    if (columns.own_score) { // from the client of a study: any numbers, on a linear scale
+    if (columns.own_score) { // any numbers, on a linear scale
       [best, worst] = [Infinity, -Infinity];
       for (const value of scores) [best, worst] = [Math.min(best, value), Math.max(worst, value)];
       rank = (value) => (worst > best ? (worst - value) / (worst - best) : 1);

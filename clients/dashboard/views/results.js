@@ -1,6 +1,6 @@
 /**
- * What an evaluation says besides its scores: the picture and the table of a suite, measures with
- * flags, and how each design reached its tolerance.
+ * Panels of an evaluation in addition to its scores: the picture and the table of a suite,
+ * measures with flags, and how each design reached its tolerance.
  */
 
 import { request, shared, withQuery } from '../lib/api.js';
@@ -48,10 +48,10 @@ function suiteTable(job, rows) {
   if (tasks[0].unit !== undefined) {
     lines.push(h('tr.total', {}, h('th', { scope: 'row' }, `mean of ${count(job.n_designs)}`),
       tasks.map((one) => cell([inUnit(one.mean_value, one.unit),
-        one.left_out ? h('div.muted', {}, `without ${one.left_out}`) : null])), cell('')));
+        one.left_out ? h('div.muted', {}, `${one.left_out} left out`) : null])), cell('')));
   }
   return panel(`Tasks of ${job.suite.name}`,
-    `${shownOf(rows, job.n_designs)}; larger is better, 0 is standing still; photo, photo-auc ` +
+    `${shownOf(rows, job.n_designs)}; larger is better, standing still gives 0; photo, photo-auc ` +
     'and damage: share of the distance to the light',
     ['Design', ...tasks.map(({ task }) => task), 'Mean loss'], lines);
 }
@@ -109,7 +109,7 @@ function measuresTable(job, rows) {
   const flagged = rows.filter(({ flags }) => flags?.length).length;
   return panel('Measures',
     `means over the environments; ${shownOf(rows, job.n_designs)}` +
-    (flagged ? `, ${flagged} with flags` : ', none with flags'),
+    (flagged ? `, ${flagged} flagged` : ', none flagged'),
     ['Design', ...job.measures.map(measureTitle), 'Flags'], rows.map((one) => h('tr', {},
       linkTo(one), job.measures.map((name) => cell(number(one.measures?.[name]))),
       h('td', {}, one.flags?.length ? h('span.flag', {}, one.flags.join(', ')) : '–'))));
@@ -123,7 +123,7 @@ const settingOf = ({ dt_s: dt, precision }) =>
 function tolerancesTable(job, rows) {
   const reached = rows.filter(({ tolerance }) => tolerance?.reached).length;
   return panel(`Tolerance ${number(job.tolerance)}`,
-    `${reached} of ${rows.length} shown reach it`,
+    `${reached} of the ${rows.length} designs shown are within tolerance`,
     ['Design', 'Score', 'Reached', 'Estimated error', 'Chosen rung', 'Rungs: score ± error'],
     rows.map((one) => {
       const { tolerance } = one;

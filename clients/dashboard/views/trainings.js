@@ -258,7 +258,7 @@ async function mountOne(main, id, parameters, app) {
     }
     parts.update(job);
     say(heading, titleOf(job));
-    say(about, `${job.trainingKind}, into ${job.name ?? 'no name'}; learns in ` +
+    say(about, `${job.trainingKind}${job.name ? ` → ${job.name}` : ''}; trains on ` +
       worldsOfTraining(job) + (worlds ? `: ${worlds}` : ''));
     app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);
     isRunning = job.state === 'running';

@@ -24,7 +24,7 @@ static __device__ __forceinline__ float3 light_of(const mo_course &course, doubl
                      (float)(light_m[1] - MO_WORLD_CENTER_M), (float)light_m[2]);
 }
 
-/* Keeps the track of an instant. */
+/* Stores the track of an instant. */
 static __device__ __forceinline__ void keep_track(const guided_row &row, const mo_track &track)
 {
   if (threadIdx.x % 32 == 0)
@@ -41,7 +41,7 @@ static __device__ __forceinline__ void keep_adjoint(const guided_row &row,
   __syncwarp();
 }
 
-/* Returns the light of an instant whose track is kept. */
+/* Returns the light at an instant from its stored track. */
 static __device__ __noinline__ float3 guided_light(const guided_row row, double t_s)
 {
   return light_of(course_of(row), t_s, *row.track);
