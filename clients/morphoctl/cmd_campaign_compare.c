@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "commands.h"
+#include "differences.h"
 #include "stats.h"
 
 enum { SIDES_MAX = 8, REPLICATES_MAX = 100 };
@@ -64,27 +65,7 @@ static void choose_members(struct ctl *ctl, const json_t *campaign, bool alone, 
                      json_object_get(campaign, "label"), "replicates", names, "left_out", early));
 }
 
-/* ---- differences of settings ---- */
-
-/* Appends {"setting", "values": [of a, of b]} for each member that differs between two objects.
- * place: path of the objects, "" or ending with a dot. */
-static void find_differences(json_t *found, const char *place, const json_t *a, const json_t *b)
-{
-  json_t *all = keep(json_copy((json_t *)a));
-  const char *name;
-  json_t *value;
-  json_object_update_missing(all, (json_t *)b);
-  json_object_foreach(all, name, value)
-  {
-    const json_t *one = json_object_get(a, name), *other = json_object_get(b, name);
-    const char *setting = keep(format_text("%s%s", place, name));
-    if (json_is_object(one) && json_is_object(other))
-      find_differences(found, keep(format_text("%s.", setting)), one, other);
-    else if (!json_equal(one, other))
-      json_array_append_new(
-          found, json_pack("{s:s, s:[O?, O?]}", "setting", setting, "values", one, other));
-  }
-}
+/* ---- settings ---- */
 
 /* Returns the settings that scores depend on, except the seed: members for find_differences. */
 static json_t *conditions_of(struct ctl *ctl, const json_t *campaign)
@@ -105,24 +86,14 @@ static json_t *conditions_of(struct ctl *ctl, const json_t *campaign)
                         json_is_object(own) ? own : NULL));
 }
 
-static const char *short_text(const json_t *value)
-{
-  const char *text =
-      value == NULL
-          ? "-"
-          : keep(json_dumps(value, JSON_COMPACT | JSON_ENCODE_ANY | JSON_REAL_PRECISION(15)));
-  return strlen(text) <= 40 ? text : keep(format_text("%.37s...", text));
-}
-
 /* Adds to a side the settings that differ from the first side. Ends the program if their scores
  * cannot be compared. */
 static void add_differences(struct side *side, const json_t *first, const json_t *own,
                             const char *a, const char *b)
 {
-  json_t *found = keep(json_array());
+  json_t *found = differences_of(first, own);
   const json_t *one;
   size_t i;
-  find_differences(found, "", first, own);
   json_array_foreach(found, i, one)
   {
     const char *setting = text_of(one, "setting");
@@ -147,16 +118,6 @@ static void add_differences(struct side *side, const json_t *first, const json_t
           short_text(value_at(one, "values.1")));
   }
   json_object_set(side->json, "differences", found);
-}
-
-static void print_settings_that_differ(const struct ctl *ctl, const struct side *side)
-{
-  const json_t *one;
-  size_t i;
-  json_array_foreach(json_object_get(side->json, "differences"), i, one)
-      print_fact(ctl, "differs", "campaign %s in %s: %s, not %s", text_of(side->json, "campaign"),
-                 text_of(one, "setting"), short_text(value_at(one, "values.1")),
-                 short_text(value_at(one, "values.0")));
 }
 
 /* ---- scores ---- */
@@ -253,7 +214,9 @@ static void print_comparison(const struct ctl *ctl, const struct side *sides, si
         strcmp(text_of(one, "state"), "failed") == 0 ? "ended by a failure" : "cancelled");
   }
   for (size_t i = 1; i < n; i++)
-    print_settings_that_differ(ctl, &sides[i]);
+    print_setting_differences(ctl,
+                              keep(format_text("campaign %s", text_of(sides[i].json, "campaign"))),
+                              json_object_get(sides[i].json, "differences"));
   for (size_t i = 1; i < n; i++)
     print_verdict(&sides[0], &sides[i]);
 }

@@ -551,7 +551,8 @@ const struct command commands[] = {
     {"train compare", "A B", "Compare two controllers on held-out designs.", run_train_compare,
      "Scores both controllers on designs and environments that no pretraining draws, and shows the "
      "mean difference with its 95 % confidence interval (Student t), which holds for other designs "
-     "in other environments. Lower scores are better.",
+     "in other environments. Lower scores are better. Settings of their trainings that differ are "
+     "listed.",
      train_compare_options},
     {"campaign start", "zero-shot|few-shot|simultaneous|study [DESIGN]...", "Evolve a population.",
      run_campaign_start,

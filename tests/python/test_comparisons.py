@@ -100,7 +100,30 @@ def test_controllers(m, ctl):  # noqa: F811
     before = len(m.jobs())
     with pytest.raises(morphod.NotFoundError):
         m.compare_controllers("default", "no-such", **size)
+    same = training.data["controller"]["sha256"]
+    with pytest.raises(morphod.MorphodError, match="are the same controller"):
+        m.compare_controllers(training, f"sha256:{same}", **size)
     assert len(m.jobs()) == before, "both names are checked first"
+
+
+def test_controllers_whose_trainings_differ(m):
+    size = {"designs": 6, "environments": 3}
+    common = {"steps": 1, "validation": {"every_steps": 0}}
+    first = m.pretrain(name="first", batch=4, physics={"n_steps": 40}, **common)
+    second = m.pretrain(name="second", batch=2, seed=7, physics={"n_steps": 30, "integrator":
+                                                                 "paper"}, **common)
+    first.wait()
+    second.wait()
+    found = m.compare_controllers(first, "second", physics={"n_steps": 40}, **size)
+    differences = {one["setting"]: one["values"] for one in found.differences}
+    assert differences["settings.batch"] == [4, 2], differences
+    assert differences["settings.physics.n_steps"] == [40, 30]
+    assert differences["settings.physics.integrator"] == ["split", "paper"]
+    assert "seed" not in differences and len(differences) == 3, differences
+    assert "second differs in settings.batch: 2, not 4\n" in repr(found)
+    found = m.compare_controllers("default", "second", physics={"n_steps": 40}, **size)
+    assert [found.data[side]["training_known"] for side in "ab"] == [False, True]
+    assert "not known: how default was trained\n" in repr(found)
 
 
 def test_intervals():

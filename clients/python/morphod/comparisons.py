@@ -70,8 +70,11 @@ class ControllerComparison:
     `difference` is the mean of b's scores minus a's, over the `pairs` designs that diverged with
     neither controller. `low` and `high` are its 95 % interval for other designs and other
     environments. `verdict` says whether b is "better", "worse" or "undecided". `improved` designs
-    are better with b, and `sign_test_p` is the p of a sign test. `data` has the names of `morphoctl
-    train compare --json`.
+    are better with b, and `sign_test_p` is the p of a sign test. `differences` are the settings of
+    their trainings that differ, except the seed, as {"setting", "values"}: they, too, may explain
+    the difference. If a controller's file does not say how it was trained, `training_known` of that
+    side is false and only sensors and control periods are compared. `data` has the names of
+    `morphoctl train compare --json`.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:
@@ -83,8 +86,17 @@ class ControllerComparison:
         self.improved: int = data["improved"]
         self.sign_test_p: float = data["sign_test_p"]
         self.verdict: str = data["verdict"]
+        self.differences: list[dict[str, Any]] = data["differences"]
 
     def __repr__(self) -> str:
+        a, b = self.data["a"]["controller"], self.data["b"]["controller"]
+        lines = [f"{b} differs in {one['setting']}: {short(one['values'][1])}, not "
+                 f"{short(one['values'][0])}" for one in self.differences]
+        lines += [f"not known: how {self.data[side]['controller']} was trained"
+                  for side in "ab" if not self.data[side]["training_known"]]
+        return "\n".join([*lines, self._verdict()])
+
+    def _verdict(self) -> str:
         a, b = self.data["a"]["controller"], self.data["b"]["controller"]
         if self.pairs < 2:
             return "Too few designs have a score with both controllers to say which is better."
@@ -117,6 +129,40 @@ def differences_of(a: Mapping[str, Any], b: Mapping[str, Any], place: str = ""
         elif one != other:
             found.append({"setting": f"{place}{name}", "values": [one, other]})
     return found
+
+
+def recipe_of(controller: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Returns the settings of a controller's training; None if its file does not have them."""
+    try:
+        recipe = json.loads(controller["metadata"].get("morphod.settings", ""))
+    except ValueError:
+        return None
+    return recipe if isinstance(recipe, dict) else None
+
+
+def training_differences(controllers: Sequence[Mapping[str, Any]],
+                         recipes: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
+    """Returns what differs between two controllers and their trainings, except the seed."""
+    conditions = []
+    for controller, recipe in zip(controllers, recipes):
+        of_one: dict[str, Any] = {"sensor": controller["sensor"]}
+        if None in recipes:
+            of_one["control_period_s"] = controller["control_period_s"]
+        else:
+            of_one.update((name.removeprefix("morphod."), value)
+                          for name, value in controller["metadata"].items()
+                          if name.startswith("morphod.")
+                          and name not in ("morphod.seed", "morphod.code"))
+            of_one["settings"] = recipe
+        conditions.append(of_one)
+    return differences_of(*conditions)
+
+
+def require_two_controllers(a: str, b: str, controllers: Sequence[Mapping[str, Any]]) -> None:
+    """Raises an error if both names mean one controller."""
+    if controllers[0]["sha256"] == controllers[1]["sha256"]:
+        raise MorphodError(f"{a} and {b} are the same controller "
+                           f"(sha256:{controllers[0]['sha256']}): there is nothing to compare")
 
 
 def short(value: Any) -> str:

@@ -538,6 +538,10 @@ def test_train_compare():
     _, _, seen = ask(known[:2] + [reply(404, {"title": "T", "detail": "D"})],
                          "train compare old no-such", status=3)
     assert [s[0] for s in seen] == ["GET"] * 3, seen
+    # One controller under two names is refused before anything is computed, too.
+    same = [{"name": name, "sha256": "e" * 64} for name in ("old", "new")]
+    _, err, seen = ask([held_out, *same], "train compare old new", status=3)
+    assert "old and new are the same controller (sha256:eee" in err and len(seen) == 3, err
     for scores, verdict, words in (
         ([0.5, 0.6, 0.5, 0.6, 0.5], "better", "b is better than a"),
         ([1.5, 1.6, 1.5, 1.6, 1.5], "worse", "b is worse than a"),
@@ -545,6 +549,49 @@ def test_train_compare():
         replies = known + [scored("8", [1.0] * 5), scored("9", scores)]
         assert json.loads(ask(replies, "train compare a b --json")[0])["verdict"] == verdict
         assert words in ask(replies, "train compare a b")[0]
+
+
+def test_train_compare_names_settings_that_differ():
+    """From the metadata of both controllers; the seed is left out."""
+    def controller(name, settings, **more):
+        metadata = {"morphod.kind": "pretrain", "morphod.seed": name, "morphod.code": name,
+                    "morphod.settings": json.dumps(settings), "note": name, **more}
+        return {"name": name, "sha256": name * 64, "sensor": "inverse_sqrt",
+                "control_period_s": settings["physics"].get("control_period_s"),
+                "metadata": metadata}
+
+    held_out = {"designs": [{"voxels": VOXELS}] * 5,
+                "environments": [{"light_xy_m": [1, 2], "terrain_sigma_m": 0, "seed": 1}] * 2}
+    scores = [scored("8", [1.0] * 5), scored("9", [0.5] * 5)]
+    physics = {"n_steps": 20, "dt_s": 0.004}
+    a = controller("a", {"batch": 8, "schedule": {"peak": 0.002}, "physics": physics})
+    b = controller("b", {"batch": 16, "schedule": {"peak": 0.001}, "tasks": 2, "physics": {
+        **physics, "control_period_s": 0.016, "integrator": "split"}},
+                   **{"morphod.environments_crc64": "12"})
+    replies = [held_out, a, b, *scores]
+    out = ask(replies, "train compare a b")[0]
+    lines = re.findall(r"^differs +b in (.*)$", out, re.M)
+    assert sorted(lines) == [
+        'environments_crc64: "12", not -', "settings.batch: 16, not 8",
+        "settings.physics.control_period_s: 0.016, not -",
+        'settings.physics.integrator: "split", not -',
+        "settings.schedule.peak: 0.001, not 0.002", "settings.tasks: 2, not -"
+    ], out
+    assert re.search("^note +b learned in 2 tasks of its own", out, re.M), out
+    assert "b is better than a" in out and "not known" not in out
+    found = json.loads(ask(replies, "train compare a b --json")[0])
+    assert {"setting": "settings.batch", "values": [8, 16]} in found["differences"]
+    assert len(found["differences"]) == 6 and found["a"]["training_known"] is True
+    # Without settings in one of the files, only what the service itself knows is compared.
+    for metadata in ({}, {"morphod.settings": "[1]"}, {"morphod.settings": "{"}):
+        untrained = {**a, "metadata": metadata}
+        out = ask([held_out, untrained, b, *scores], "train compare a b")[0]
+        assert re.findall(r"^differs +b in (.*)$", out, re.M) == ["control_period_s: 0.016, not -"]
+        assert re.search("^not known +how a was trained", out, re.M), out
+    found = json.loads(ask([held_out, untrained, b, *scores], "train compare a b --json")[0])
+    assert [found[side]["training_known"] for side in "ab"] == [False, True]
+    out = ask([held_out, a, {**a, "sha256": "f" * 64}, *scores], "train compare a b")[0]
+    assert "differs" not in out, out
 
 
 def test_watch_reports_what_happened():

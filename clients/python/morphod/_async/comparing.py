@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..comparisons import (CONFIDENCE, CampaignComparison, ControllerComparison, crossed,
-                           differences_of, require_comparable, welch)
+                           differences_of, recipe_of, require_comparable, require_two_controllers,
+                           training_differences, welch)
 from ..errors import MorphodError, reading
 from .._wire import Request
 from .connection import AsyncConnection
@@ -107,26 +108,33 @@ async def compare_controllers(client: AsyncClient, a: str | AsyncTraining, b: st
     """Compares two controllers. held_out: seed, numbers of designs and environments."""
     seed, designs, environments = held_out
     sources = [await _controller_of(client, one) for one in (a, b)]
+    controllers = [about for _, _, about in sources]
+    with reading():
+        require_two_controllers(sources[0][1], sources[1][1], controllers)
+        recipes = [recipe_of(about) for about in controllers]
+        differences = training_differences(controllers, recipes)
     bodies, worlds = await client.held_out(seed, designs=designs, environments=environments)
     scored = [await client.evaluate(bodies, worlds, controller=controller, **settings)
-              for controller, _ in sources]
+              for controller, _, _ in sources]
     found = crossed(scored[0].losses, scored[1].losses)
     sides = {}
-    for side, (_, name), evaluation in zip("ab", sources, scored):
+    for side, (_, name, _), recipe, evaluation in zip("ab", sources, recipes, scored):
         with reading():
             sides[side] = {
                 "controller": name, "sha256": evaluation.data["controller"]["sha256"],
                 "evaluation": evaluation.id, "mean_score": found.pop(f"mean_{side}"),
                 "designs_diverged": sum(math.isnan(row.score) for row in evaluation),
-                "rollouts_diverged": sum(len(row.data["diverged"]) for row in evaluation)}
+                "rollouts_diverged": sum(len(row.data["diverged"]) for row in evaluation),
+                "training_known": recipe is not None}
     return ControllerComparison({
-        **sides, "confidence": CONFIDENCE, **found,
+        **sides, "differences": differences, "confidence": CONFIDENCE, **found,
         "held_out": {"seed": seed, "designs": designs, "environments": environments}})
 
 
 async def _controller_of(client: AsyncClient, source: str | AsyncTraining
-                         ) -> tuple[str, str]:
-    """Returns a reference to a controller that exists, and its name."""
+                         ) -> tuple[str, str, dict[str, Any]]:
+    """Returns a reference to a controller that exists, its name, and the service's reply about it.
+    """
     if isinstance(source, AsyncTraining):
         await source.refresh()
         with reading():
@@ -134,6 +142,7 @@ async def _controller_of(client: AsyncClient, source: str | AsyncTraining
             if result is None:
                 raise MorphodError(f"training {source.id} has no controller yet: wait() for its "
                                    "end")
-            return f"sha256:{result['sha256']}", str(result["name"])
-    await client.request("GET", f"/v1/controllers/{source}")
-    return source, source
+            source, name = f"sha256:{result['sha256']}", str(result["name"])
+    else:
+        name = source
+    return source, name, await client.request("GET", f"/v1/controllers/{source}")
