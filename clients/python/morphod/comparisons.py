@@ -155,7 +155,7 @@ def training_differences(controllers: Sequence[Mapping[str, Any]],
                           and name not in ("morphod.seed", "morphod.code"))
             of_one["settings"] = recipe
         conditions.append(of_one)
-    return differences_of(*conditions)
+    return differences_of(conditions[0], conditions[1])
 
 
 def require_two_controllers(a: str, b: str, controllers: Sequence[Mapping[str, Any]]) -> None:
