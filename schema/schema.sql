@@ -152,7 +152,8 @@ CREATE INDEX set_scores_best ON set_scores(ranking, score, genotype);
 -- runs the job; updates from other epochs are refused. submitted_by: the name of the token that the
 -- submission came with; NULL: it came without one. experiment: what the job belongs to. worker_s,
 -- device_s: seconds that workers and devices have computed for it, up to its last event. State 6:
--- being deleted, in steps of bounded size; for readers the job is gone.
+-- being deleted, in steps of bounded size; for readers the job is gone. Or, with an epoch below 0,
+-- being imported, in such steps, too: for readers it is not there yet.
 CREATE TABLE jobs(
   id INTEGER PRIMARY KEY AUTOINCREMENT,
   kind INTEGER NOT NULL,

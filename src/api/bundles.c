@@ -136,16 +136,20 @@ static void reply_entered(struct mo_request *request, const struct mo_bundle_imp
 }
 
 /* Replies with the reason why a bundle is refused. */
-static void reply_refusal(struct mo_request *request, int error, const struct mo_message *message)
+static void reply_refusal(struct mo_request *request, int error,
+                          const struct mo_bundle_import *import, const struct mo_message *message)
 {
   struct mo_faults faults = {0};
+  const char *stored = import->has_begun
+                           ? "no campaign was stored, but some of its designs and scores may be"
+                           : "nothing was stored";
   if (error == MO_ERR_FORMAT || error == MO_ERR_INVALID || error == MO_ERR_LIMIT) {
     mo_faults_add(&faults, MO_FAULT_BODY, "", "%s",
                   message->text[0] != '\0' ? message->text
                                            : "the replicates of a group have different worlds");
-    mo_reply_problem(request, 422, &faults, "The bundle was refused, and nothing was stored.");
+    mo_reply_problem(request, 422, &faults, "The bundle was refused, and %s.", stored);
   } else if (error == MO_ERR_CONFLICT) {
-    mo_reply_problem(request, 409, NULL, "The bundle was refused, and nothing was stored: %s.",
+    mo_reply_problem(request, 409, NULL, "The bundle was refused, and %s: %s.", stored,
                      message->text);
   } else {
     mo_reply_error(request, error, "bundle");
@@ -174,7 +178,7 @@ void mo_api_post_bundle(struct mo_request *request)
   import->context = request;
   const int error = mo_bundle_import(import, mode == 0, &message);
   if (error != MO_OK)
-    reply_refusal(request, error, &message);
+    reply_refusal(request, error, import, &message);
   else
     reply_entered(request, import);
   free(import);

@@ -1,5 +1,5 @@
-/* bundle_import.c: imports the campaigns of a bundle. The bundle is read at least twice: first all
- * of it is checked and compared with the store, then it is imported. */
+/* bundle_import.c: imports the campaigns of a bundle. The bundle is read twice: first all of it is
+ * checked and compared with the store, then it is imported. */
 #include "exchange/bundle_import.h"
 
 #include <stdlib.h>
@@ -12,7 +12,7 @@ struct entry {
   struct mo_bundle_import *import;
   struct mo_message *message;
   struct mo_import_comparison rows;            /* in the first read */
-  struct mo_import *open;                      /* in the second read, in the writer's transaction */
+  struct mo_import *open;                      /* in the second read */
   uint32_t at;                                 /* campaigns so far */
   bool is_own[MO_BUNDLE_CAMPAIGNS];            /* the campaign ran here */
   struct mo_text lasting[MO_BUNDLE_CAMPAIGNS]; /* the part of a campaign that never changes */
@@ -89,13 +89,28 @@ static int compare_score(void *context, const struct mo_campaign_score *score)
 {
   struct entry *entry = context;
   const int error = mo_compare_score(entry->import->store, &entry->rows, score);
+  if (error == MO_ERR_LIMIT)
+    return mo_fail(entry->message, MO_ERR_FORMAT,
+                   "the scores of a campaign are of too many classes");
   return error == MO_ERR_CONFLICT ? refuse_score(entry, score->number) : error;
+}
+
+static int refuse_evaluation(const struct entry *entry,
+                             const struct mo_imported_evaluation *evaluation)
+{
+  return mo_fail(entry->message, MO_ERR_FORMAT,
+                 "the bundle lacks losses for rollouts that evaluation %lld recorded",
+                 (long long)evaluation->source.job);
 }
 
 static int compare_evaluation(void *context, const struct mo_imported_evaluation *evaluation)
 {
   struct entry *entry = context;
-  return mo_compare_evaluation(entry->import->store, &entry->rows, evaluation);
+  const int found = mo_compare_evaluation(entry->import->store, &entry->rows, evaluation);
+  if (found != 0)
+    return found;
+  const int error = mo_compare_losses(entry->import->store, &entry->rows, evaluation);
+  return error == MO_ERR_NOT_FOUND ? refuse_evaluation(entry, evaluation) : error;
 }
 
 static int compare_rollout(void *context, const struct mo_saved_trajectory *rollout)
@@ -149,17 +164,24 @@ static int enter_controller(void *context, const struct mo_controller *controlle
   return mo_import_controller(entry->open, controller, sha256, size);
 }
 
+/* Writes the rows of a campaign that still wait. */
+static int flush(struct entry *entry)
+{
+  const int error = mo_import_flush(entry->open);
+  return error == MO_ERR_CONFLICT ? refuse_score(entry, mo_import_conflict(entry->open)) : error;
+}
+
 static int enter_campaign(void *context, const struct mo_imported_campaign *campaign)
 {
   struct entry *entry = context;
   int64_t *id = &entry->import->ids[entry->at];
-  int error =
-      mo_import_find(entry->open, &campaign->source, entry->is_own[entry->at] ? *id : 0, id);
+  int error = flush(entry);
+  if (error != MO_OK)
+    return error;
+  error = mo_import_find(entry->open, &campaign->source, entry->is_own[entry->at] ? *id : 0, id);
   entry->import->entered[entry->at] = error == MO_ERR_NOT_FOUND;
   if (error == MO_ERR_NOT_FOUND)
     error = mo_import_campaign(entry->open, campaign, id);
-  else if (error == MO_OK)
-    error = 0;
   const bool entered = entry->import->entered[entry->at++];
   return error != MO_OK ? error : entered;
 }
@@ -184,12 +206,11 @@ static int enter_step(void *context, const struct mo_campaign_step *step)
 static int enter_evaluation(void *context, const struct mo_imported_evaluation *evaluation)
 {
   struct entry *entry = context;
-  const int error = mo_import_evaluation(entry->open, evaluation);
-  return error == MO_ERR_NOT_FOUND
-             ? mo_fail(entry->message, MO_ERR_FORMAT,
-                       "the bundle lacks losses for rollouts that evaluation %lld recorded",
-                       (long long)evaluation->source.job)
-             : error;
+  int error = flush(entry);
+  if (error != MO_OK)
+    return error;
+  error = mo_import_evaluation(entry->open, evaluation);
+  return error == MO_ERR_NOT_FOUND ? refuse_evaluation(entry, evaluation) : error;
 }
 
 static int enter_rollout(void *context, const struct mo_saved_trajectory *rollout)
@@ -200,14 +221,12 @@ static int enter_rollout(void *context, const struct mo_saved_trajectory *rollou
 static int enter_score(void *context, const struct mo_campaign_score *score)
 {
   struct entry *entry = context;
-  bool is_new = false;
-  const int error = mo_import_score(entry->open, score, &is_new);
-  entry->import->n_scores += is_new ? score->n : 0;
-  return error == MO_ERR_CONFLICT ? refuse_score(entry, score->number) : error;
+  const int error = mo_import_score(entry->open, score);
+  return error == MO_ERR_CONFLICT ? refuse_score(entry, mo_import_conflict(entry->open)) : error;
 }
 
-/* Imports the whole bundle, in the writer's transaction. */
-static int enter_all(void *context, struct mo_import *open)
+/* Imports the whole bundle. */
+static int enter_all(struct entry *entry)
 {
   static const struct mo_bundle_sink sink = {.controller = enter_controller,
                                              .campaign = enter_campaign,
@@ -217,14 +236,21 @@ static int enter_all(void *context, struct mo_import *open)
                                              .score = enter_score,
                                              .evaluation = enter_evaluation,
                                              .rollout = enter_rollout};
-  struct entry *entry = context;
   struct mo_bundle_summary *again = calloc(1, sizeof(*again));
   if (again == NULL)
     return MO_ERR_NO_MEMORY;
-  entry->open = open;
+  int error = mo_import_open(entry->import->store, is_over, entry, &entry->open);
   entry->at = 0;
-  entry->import->n_scores = 0;
-  const int error = read_bundle(entry, sink, &entry->import->summary, again);
+  entry->import->has_begun = error == MO_OK;
+  if (error == MO_OK)
+    error = read_bundle(entry, sink, &entry->import->summary, again);
+  if (error == MO_OK)
+    error = flush(entry);
+  if (error == MO_OK)
+    error = mo_import_finish(entry->open);
+  if (error == MO_OK)
+    entry->import->n_scores = mo_import_losses(entry->open);
+  mo_import_close(entry->open);
   free(again);
   return error;
 }
@@ -240,7 +266,7 @@ static int enter(struct entry *entry)
   int error = read_bundle(entry, files, NULL, again);
   free(again);
   if (error == MO_ERR_EXHAUSTED)
-    error = mo_store_import(store, enter_all, entry);
+    error = enter_all(entry);
   mo_store_import_end(store);
   return error;
 }

@@ -17,10 +17,11 @@ struct mo_bundle_import {
   bool entered[MO_BUNDLE_CAMPAIGNS]; /* by this import; the others existed already */
   bool is_new;                       /* the import added something */
   uint64_t n_scores;                 /* losses that were new */
+  bool has_begun;                    /* to store; without an error, `is_new` */
 };
 /* Checks all of a bundle and compares it with the store. If `enters`, stores the campaigns that are
- * not here in one transaction. MO_ERR_FORMAT, MO_ERR_CONFLICT: the message says what is wrong, and
- * nothing was stored. */
+ * not here, all or none (store/imports.h). MO_ERR_FORMAT, MO_ERR_CONFLICT: the message says what is
+ * wrong. `has_begun`: some designs and scores may have been stored before an error. */
 int mo_bundle_import(struct mo_bundle_import *import, bool enters, struct mo_message *message);
 
 #endif

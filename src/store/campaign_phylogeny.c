@@ -298,8 +298,8 @@ int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_gen
 {
   static const char sql[] =
       "SELECT d.job,d.number FROM designs x CROSS JOIN genotypes g ON g.design=x.id CROSS JOIN"
-      " campaign_designs d ON d.genotype=g.id WHERE x.form=?1 AND d.job>?2"
-      " ORDER BY d.job LIMIT ?3";
+      " campaign_designs d ON d.genotype=g.id CROSS JOIN jobs j ON j.id=d.job AND j.state<6"
+      " WHERE x.form=?1 AND d.job>?2 ORDER BY d.job LIMIT ?3";
   uint8_t bytes[MO_BITS_BYTES];
   mo_encode_genotype(form->words, bytes);
   return mo_read_page(

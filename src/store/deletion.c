@@ -4,7 +4,10 @@
  * recordings. Then checkpoint files and rows are deleted, at most ROWS_MAX per transaction, so that
  * a campaign of a million designs delays other writes only by milliseconds. Each step finds its
  * work in the database, so a restart continues it. On a full disk the first transaction may use the
- * reserve, and files are deleted; the other steps wait until there is space. */
+ * reserve, and files are deleted; the other steps wait until there is space.
+ *
+ * The jobs of an import that did not end are in state 6, too (import_state.h), and are deleted in
+ * the same way. */
 #include "store/deletion.h"
 
 #include <stdlib.h>
@@ -12,6 +15,7 @@
 #include "base/clock.h"
 #include "store/checkpoint_files.h"
 #include "store/credible.h"
+#include "store/import_state.h"
 #include "store/recordings.h"
 #include "store/runs.h"
 
@@ -130,9 +134,17 @@ struct round {
   uint64_t n; /* rows deleted, or jobs marked */
 };
 
+/* Only an evaluation of an import still has recordings here. */
+static int drop_recordings(struct mo_connection *writer, int64_t id)
+{
+  int64_t bytes = 0;
+  const int error = mo_recordings_drop(writer, id, &bytes);
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error; /* not an evaluation */
+}
+
 static int delete_some(struct mo_store *store, void *arguments)
 {
-  static const char next_sql[] = "SELECT id FROM jobs WHERE state=6 AND NOT EXISTS("
+  static const char next_sql[] = "SELECT id FROM jobs WHERE state=6 AND epoch>=0 AND NOT EXISTS("
                                  "SELECT 1 FROM checkpoints WHERE job=id) ORDER BY id LIMIT 1";
   struct mo_connection *writer = &store->writer;
   struct round *round = arguments;
@@ -141,6 +153,7 @@ static int delete_some(struct mo_store *store, void *arguments)
   while (error == MO_OK && round->n < ROWS_MAX &&
          (error = mo_sql_find(writer, &id, next_sql)) == MO_OK) {
     size_t part = 0;
+    error = drop_recordings(writer, id);
     while (part < sizeof(parts) / sizeof(parts[0]) && error == MO_OK && round->n < ROWS_MAX) {
       error = mo_sql_do(writer, parts[part], mo_int(id));
       const int n = error == MO_OK ? sqlite3_changes(writer->db) : 0;
@@ -237,9 +250,23 @@ int mo_store_delete_job(struct mo_store *store, int64_t id, struct mo_deleted *d
   return MO_OK;
 }
 
+/* One round: nothing is left afterwards. */
+static int forget(struct mo_store *store, void *arguments)
+{
+  (void)arguments;
+  return mo_import_forget(store, NULL);
+}
+
+void mo_import_abandon(struct mo_store *store)
+{
+  if (mo_write_urgent(store, mo_import_forget, NULL) == MO_OK)
+    run(store, delete_some);
+}
+
 void mo_upkeep_begin(struct mo_store *store)
 {
   store->aged_left = EXPIRE_MAX;
+  run(store, forget);
   run(store, delete_some);
   run(store, expire);
   mo_recordings_check(store);

@@ -2,6 +2,7 @@
  * each row is looked up by its content. */
 #include "store/import_compare.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -10,6 +11,8 @@
 #include "store/measures.h"
 #include "store/scores.h"
 #include "store/store.h"
+
+#define CLASSES_MAX 1000 /* of the scores of a campaign */
 
 /* Turns a row that was not found into row 0. */
 static int absent(int error, int64_t *row)
@@ -34,6 +37,8 @@ int mo_compare_campaign(struct mo_store *store, struct mo_import_comparison *row
   rows->fingerprint[0] = '\0';
   rows->class = 0;
   rows->n = 0;
+  rows->n_scores = 0;
+  rows->n_classes = 0;
   if (campaign->has_controller)
     error = absent(mo_sql_find(reader, &rows->controller, controller_sql,
                                mo_hash(&campaign->controller_sha256)),
@@ -77,13 +82,60 @@ int mo_compare_design(struct mo_store *store, struct mo_import_comparison *rows,
   return absent(mo_sql_find(reader, row, sql, mo_blob(bits, sizeof(bits))), row);
 }
 
+/* Returns the place of a class in the bundle's list; n_classes if it is not there. */
+static uint32_t find_class(const struct mo_import_comparison *rows, const char *fingerprint)
+{
+  uint32_t i = rows->n_classes; /* most lines have the newest one */
+  while (i > 0 && strcmp(rows->classes[i - 1], fingerprint) != 0)
+    i--;
+  return i > 0 ? i - 1 : rows->n_classes;
+}
+
+static int add_class(struct mo_import_comparison *rows, const char *fingerprint)
+{
+  if (rows->n_classes == CLASSES_MAX)
+    return MO_ERR_LIMIT;
+  if (rows->n_classes == rows->classes_room) {
+    const uint32_t room = 2 * rows->classes_room + 4;
+    char(*grown)[MO_FINGERPRINT_BYTES] = realloc(rows->classes, room * sizeof(*grown));
+    if (grown == NULL)
+      return MO_ERR_NO_MEMORY;
+    rows->classes = grown;
+    rows->classes_room = room;
+  }
+  snprintf(rows->classes[rows->n_classes++], MO_FINGERPRINT_BYTES, "%s", fingerprint);
+  return MO_OK;
+}
+
+static int note_score(struct mo_import_comparison *rows, const struct mo_campaign_score *score)
+{
+  const uint32_t class = find_class(rows, score->fingerprint);
+  const int error = class == rows->n_classes ? add_class(rows, score->fingerprint) : MO_OK;
+  if (error != MO_OK)
+    return error;
+  if (rows->n_scores == rows->scores_room) {
+    const size_t room = 2 * rows->scores_room + 4096;
+    struct mo_compared_score *grown = realloc(rows->scores, room * sizeof(*grown));
+    if (grown == NULL)
+      return MO_ERR_NO_MEMORY;
+    rows->scores = grown;
+    rows->scores_room = room;
+  }
+  struct mo_compared_score *noted = &rows->scores[rows->n_scores++];
+  *noted = (struct mo_compared_score){.number = score->number, .class = class};
+  for (uint32_t k = 0; k < score->n; k++)
+    noted->environments |= UINT64_C(1) << score->environments[k];
+  return MO_OK;
+}
+
 int mo_compare_score(struct mo_store *store, struct mo_import_comparison *rows,
                      const struct mo_campaign_score *score)
 {
   static const char sql[] = "SELECT id FROM fingerprints WHERE text=?1";
   struct mo_score stored[MO_BLOCK_LANES];
-  if (!may_have_scores(rows) || rows->genotypes[score->number] == 0)
-    return MO_OK;
+  const int noted = note_score(rows, score);
+  if (noted != MO_OK || !may_have_scores(rows) || rows->genotypes[score->number] == 0)
+    return noted;
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   if (strcmp(rows->fingerprint, score->fingerprint) != 0) {
     const int error =
@@ -115,8 +167,72 @@ int mo_compare_evaluation(struct mo_store *store, struct mo_import_comparison *r
                           const struct mo_imported_evaluation *evaluation)
 {
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  const int error = mo_source_evaluation(reader, mo_store_id(store), evaluation, &rows->evaluation);
+  const int error =
+      mo_source_evaluation(reader, mo_store_id(store), false, evaluation, &rows->evaluation);
   return error == MO_OK ? 1 : error == MO_ERR_NOT_FOUND ? 0 : error;
+}
+
+/* Returns the environments in which the bundle has losses of a design, of either class. */
+static uint64_t environments_of(const struct mo_import_comparison *rows, uint32_t number,
+                                uint32_t class, uint32_t other)
+{
+  size_t first = 0, end = rows->n_scores;
+  uint64_t found = 0;
+  while (first < end) {
+    const size_t middle = first + (end - first) / 2;
+    if (rows->scores[middle].number < number)
+      first = middle + 1;
+    else
+      end = middle;
+  }
+  for (; first < rows->n_scores && rows->scores[first].number == number; first++)
+    if (rows->scores[first].class == class || rows->scores[first].class == other)
+      found |= rows->scores[first].environments;
+  return found;
+}
+
+/* Finds the classes of an evaluation; 0: not stored. */
+static int find_stored_classes(struct mo_connection *reader,
+                               const struct mo_imported_evaluation *evaluation,
+                               struct mo_saved_design *design)
+{
+  static const char sql[] = "SELECT id FROM fingerprints WHERE text=?1";
+  const int error =
+      absent(mo_sql_find(reader, &design->fingerprint, sql, mo_string(evaluation->fingerprint)),
+             &design->fingerprint);
+  return error == MO_OK
+             ? absent(mo_sql_find(reader, &design->workers, sql, mo_string(evaluation->workers)),
+                      &design->workers)
+             : error;
+}
+
+int mo_compare_losses(struct mo_store *store, const struct mo_import_comparison *rows,
+                      const struct mo_imported_evaluation *evaluation)
+{
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
+  const uint32_t class = find_class(rows, evaluation->fingerprint),
+                 other = find_class(rows, evaluation->workers), n = evaluation->n_environments;
+  struct mo_saved_design design = {.controller = rows->controller, .physics = rows->physics};
+  struct mo_score stored[MO_ENVIRONMENTS_MAX];
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  uint64_t needed = 0;
+  int error = find_stored_classes(reader, evaluation, &design);
+  for (uint32_t k = 0; k < n; k++) {
+    needed |= UINT64_C(1) << evaluation->environments[k];
+    environments[k] = rows->environments[evaluation->environments[k]];
+  }
+  for (uint32_t i = 0; i < evaluation->n_designs && error == MO_OK; i++) {
+    const uint32_t number = evaluation->numbers[i];
+    const uint64_t known = environments_of(rows, number, class, other);
+    if ((needed & ~known) == 0)
+      continue;
+    design.genotype = number < rows->n ? rows->genotypes[number] : 0;
+    error = mo_losses_read(reader, &design, environments, n, stored);
+    for (uint32_t k = 0; k < n && error == MO_OK; k++)
+      if (!stored[k].known && (known >> evaluation->environments[k] & 1) == 0)
+        error = MO_ERR_NOT_FOUND;
+  }
+  return error;
 }
 
 static bool same_recording(const struct mo_trajectory *stored,
@@ -152,4 +268,6 @@ int mo_compare_rollout(struct mo_store *store, const struct mo_import_comparison
 void mo_compare_end(struct mo_import_comparison *rows)
 {
   free(rows->genotypes);
+  free(rows->scores);
+  free(rows->classes);
 }

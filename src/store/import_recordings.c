@@ -130,14 +130,14 @@ int mo_store_recorded_evaluation(struct mo_store *store, int64_t campaign, int64
 
 /* ---- import ---- */
 
-int mo_source_evaluation(struct mo_connection *connection, uint64_t own,
+int mo_source_evaluation(struct mo_connection *connection, uint64_t own, bool hidden,
                          const struct mo_imported_evaluation *evaluation, int64_t *id)
 {
 #define OF_TIMES "j.kind=?2 AND j.created_us=?3 AND j.started_us=?4 AND j.finished_us=?5"
   static const char own_sql[] = "SELECT j.id FROM jobs j WHERE j.id=?1 AND j.state<6 AND " OF_TIMES
                                 " AND NOT EXISTS(SELECT 1 FROM imports WHERE job=?1)";
   static const char sql[] = "SELECT i.job FROM imports i JOIN jobs j ON j.id=i.job"
-                            " WHERE i.digest IN (?1,?6) AND " OF_TIMES;
+                            " WHERE i.digest IN (?1,?6) AND (j.state<6 OR ?7) AND " OF_TIMES;
 #undef OF_TIMES
   const struct mo_import_source *source = &evaluation->source;
   const struct mo_value kind = mo_int(MO_JOB_EVALUATION), created = mo_int(evaluation->created_us),
@@ -154,7 +154,7 @@ int mo_source_evaluation(struct mo_connection *connection, uint64_t own,
            (long long)source->job);
   mo_sha256_of(text, strlen(text), &older);
   return mo_sql_find(connection, id, sql, mo_hash(&source->digest), kind, created, started,
-                     finished, mo_hash(&older));
+                     finished, mo_hash(&older), mo_int(hidden));
 }
 
 static int insert_job(struct mo_import *import, const struct mo_imported_evaluation *evaluation)
@@ -162,13 +162,15 @@ static int insert_job(struct mo_import *import, const struct mo_imported_evaluat
   static const char sql[] =
       "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
       "finished_us,error,weight,back_end,experiment,note)"
-      " VALUES(?1,?2,1,1,0,0,?3,?4,?5,?6,0,1,?7,nullif(?8,''),nullif(?9,''))";
-  return mo_sql_insert(&import->store->writer, &import->evaluation, sql, mo_int(MO_JOB_EVALUATION),
-                       mo_int(MO_JOB_SUCCEEDED),
-                       evaluation->has_label ? mo_string(evaluation->label) : mo_null(),
-                       mo_int(evaluation->created_us), mo_int(evaluation->started_us),
-                       mo_int(evaluation->finished_us), mo_int(evaluation->back_end),
-                       mo_string(evaluation->experiment), mo_string(evaluation->note));
+      " VALUES(?1,6,1,1,?2,0,?3,?4,?5,?6,0,1,?7,nullif(?8,''),nullif(?9,''))";
+  const int error =
+      mo_sql_insert(&import->store->writer, &import->evaluation, sql, mo_int(MO_JOB_EVALUATION),
+                    mo_int(MO_IMPORT_EPOCH(MO_JOB_SUCCEEDED)),
+                    evaluation->has_label ? mo_string(evaluation->label) : mo_null(),
+                    mo_int(evaluation->created_us), mo_int(evaluation->started_us),
+                    mo_int(evaluation->finished_us), mo_int(evaluation->back_end),
+                    mo_string(evaluation->experiment), mo_string(evaluation->note));
+  return error == MO_OK ? mo_import_hide(import->store, import->evaluation) : error;
 }
 
 /* Returns whether the environments are the same as in the campaign's named set. */
@@ -197,38 +199,6 @@ static int insert_evaluation(struct mo_import *import,
                    mo_int(classes->fingerprint), mo_int(classes->workers));
 }
 
-/* Inserts the designs, and reads the divergence steps of their rollouts. All their losses must be
- * stored. */
-static int insert_designs(struct mo_import *import, const struct mo_imported_evaluation *evaluation,
-                          struct mo_saved_design *design)
-{
-  static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
-  static const char diverged_sql[] = "UPDATE evaluations SET diverged=?2 WHERE job=?1";
-  struct mo_connection *writer = &import->store->writer;
-  struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  int64_t environments[MO_ENVIRONMENTS_MAX], n_diverged = 0;
-  const uint32_t n = evaluation->n_environments;
-  int error = MO_OK;
-  for (uint32_t k = 0; k < n; k++)
-    environments[k] = import->environments[evaluation->environments[k]];
-  for (uint32_t i = 0; i < evaluation->n_designs && error == MO_OK; i++) {
-    error = mo_sql_find(writer, &design->genotype, sql, mo_int(import->id),
-                        mo_int(evaluation->numbers[i]));
-    if (error == MO_OK)
-      error = mo_design_insert(writer, import->evaluation, i, design->genotype);
-    if (error == MO_OK)
-      error = mo_losses_read(writer, design, environments, n, scores);
-    for (uint32_t k = 0; k < n && error == MO_OK; k++) {
-      import->diverged_steps[(size_t)i * n + k] = scores[k].diverged_step;
-      n_diverged += scores[k].diverged_step != 0;
-      error = scores[k].known ? MO_OK : MO_ERR_NOT_FOUND;
-    }
-  }
-  return error == MO_OK
-             ? mo_sql_do(writer, diverged_sql, mo_int(import->evaluation), mo_int(n_diverged))
-             : error;
-}
-
 static int insert_environments(struct mo_import *import,
                                const struct mo_imported_evaluation *evaluation)
 {
@@ -241,46 +211,69 @@ static int insert_environments(struct mo_import *import,
   return error;
 }
 
-int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation)
+int mo_enter_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation)
 {
   struct mo_connection *writer = &import->store->writer;
-  struct mo_saved_design design = {.controller = import->controller, .physics = import->physics};
-  int error =
-      mo_source_evaluation(writer, mo_store_id(import->store), evaluation, &import->evaluation);
+  struct mo_saved_design *classes = &import->classes;
+  int error = mo_source_evaluation(writer, mo_store_id(import->store), true, evaluation,
+                                   &import->evaluation);
   if (error != MO_ERR_NOT_FOUND)
     return error;
-  free(import->diverged_steps);
-  import->recorded_environments = evaluation->n_environments;
-  import->diverged_steps = calloc((size_t)evaluation->n_designs * evaluation->n_environments,
-                                  sizeof(*import->diverged_steps));
-  if (import->diverged_steps == NULL)
-    return MO_ERR_NO_MEMORY;
-  error = mo_text_row(writer, MO_FINGERPRINTS, evaluation->fingerprint, &design.fingerprint);
+  *classes = (struct mo_saved_design){.controller = import->controller, .physics = import->physics};
+  import->n_inserted = 0;
+  error = mo_text_row(writer, MO_FINGERPRINTS, evaluation->fingerprint, &classes->fingerprint);
   if (error == MO_OK && evaluation->workers[0] != '\0')
-    error = mo_text_row(writer, MO_FINGERPRINTS, evaluation->workers, &design.workers);
+    error = mo_text_row(writer, MO_FINGERPRINTS, evaluation->workers, &classes->workers);
   if (error == MO_OK)
     error = insert_job(import, evaluation);
   if (error == MO_OK)
-    error = insert_evaluation(import, evaluation, &design);
+    error = insert_evaluation(import, evaluation, classes);
   if (error == MO_OK)
     error = insert_environments(import, evaluation);
   if (error == MO_OK)
-    error = insert_designs(import, evaluation, &design);
-  if (error == MO_OK)
     error = mo_source_insert(import, import->evaluation, &evaluation->source);
-  if (error == MO_OK)
-    error = mo_run_announce(import->store, import->evaluation, MO_JOB_EVALUATION, "job.finished",
-                            MO_JOB_SUCCEEDED, "");
   return error == MO_OK ? 1 : error;
 }
 
-int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout)
+int mo_enter_evaluation_designs(struct mo_import *import,
+                                const struct mo_imported_evaluation *evaluation, int64_t until_us)
+{
+  static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
+  static const char diverged_sql[] = "UPDATE evaluations SET diverged=diverged+?2 WHERE job=?1";
+  struct mo_connection *writer = &import->store->writer;
+  struct mo_saved_design design = import->classes;
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  int64_t environments[MO_ENVIRONMENTS_MAX], n_diverged = 0;
+  const uint32_t n = evaluation->n_environments;
+  int error = MO_OK;
+  for (uint32_t k = 0; k < n; k++)
+    environments[k] = import->environments[evaluation->environments[k]];
+  do {
+    const uint32_t i = import->n_inserted;
+    error = mo_sql_find(writer, &design.genotype, sql, mo_int(import->id),
+                        mo_int(evaluation->numbers[i]));
+    if (error == MO_OK)
+      error = mo_design_insert(writer, import->evaluation, i, design.genotype);
+    if (error == MO_OK)
+      error = mo_losses_read(writer, &design, environments, n, scores);
+    for (uint32_t k = 0; k < n && error == MO_OK; k++) {
+      import->diverged_steps[(size_t)i * n + k] = scores[k].diverged_step;
+      n_diverged += scores[k].diverged_step != 0;
+      error = scores[k].known ? MO_OK : MO_ERR_NOT_FOUND; /* all their losses must be stored */
+    }
+  } while (error == MO_OK && ++import->n_inserted < evaluation->n_designs &&
+           mo_clock_us() < until_us);
+  return error == MO_OK
+             ? mo_sql_do(writer, diverged_sql, mo_int(import->evaluation), mo_int(n_diverged))
+             : error;
+}
+
+int mo_enter_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout)
 {
   struct mo_saved_trajectory own = *rollout;
   own.job = import->evaluation;
   own.diverged_step =
       import->diverged_steps[(size_t)own.design_position * import->recorded_environments +
                              own.environment_position];
-  atomic_store(&import->store->heartbeat_us, mo_clock_us());
   return mo_trajectories_insert(&import->store->writer, &own, 1);
 }

@@ -1,12 +1,11 @@
-/* imports.c: see imports.h. It writes the same rows as mo_store_submit_campaign and
- * mo_store_campaign_commit, except that times and origins come from the source. */
+/* imports.c: the rows of an import, except those of recordings. They are the same as those of
+ * mo_store_submit_campaign and mo_store_campaign_commit, except that times and origins come from
+ * the source. import_pieces.c calls this in transactions of the writer. */
 #include "store/imports.h"
 
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/clock.h"
 #include "store/campaign_rows.h"
 #include "store/contents.h"
 #include "store/controller_rows.h"
@@ -16,35 +15,7 @@
 #include "store/rows.h"
 #include "store/scores.h"
 
-/* ---- the transaction ---- */
-
-struct call {
-  int (*run)(void *context, struct mo_import *import);
-  void *context;
-};
-
-static int import_all(struct mo_store *store, void *arguments)
-{
-  const struct call *call = arguments;
-  struct mo_import *import = calloc(1, sizeof(*import));
-  if (import == NULL)
-    return MO_ERR_NO_MEMORY;
-  import->store = store;
-  import->now_us = mo_clock_wall_us();
-  const int error = call->run(call->context, import);
-  free(import->diverged_steps);
-  free(import);
-  return error;
-}
-
-int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
-                    void *context)
-{
-  const int error = mo_write(store, import_all, &(struct call){run, context});
-  if (error == MO_OK)
-    mo_recordings_check(store);
-  return error;
-}
+/* ---- files of weights ---- */
 
 void mo_store_import_begin(struct mo_store *store)
 {
@@ -74,37 +45,25 @@ int mo_store_import_own(struct mo_store *store, const struct mo_import_source *s
              : MO_ERR_NOT_FOUND;
 }
 
-static int find(struct mo_connection *connection, const struct mo_import_source *source,
-                int64_t *id)
-{
-  static const char sql[] = "SELECT job FROM imports WHERE digest=?1";
-  return mo_sql_find(connection, id, sql, mo_hash(&source->digest));
-}
-
 int mo_store_import_find(struct mo_store *store, const struct mo_import_source *source, int64_t *id)
 {
+  static const char sql[] =
+      "SELECT i.job FROM imports i JOIN jobs j ON j.id=i.job WHERE i.digest=?1 AND j.state<6";
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
-  return find(reader, source, id);
+  return mo_sql_find(reader, id, sql, mo_hash(&source->digest));
 }
 
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
                    int64_t *id)
 {
-  static const char sql[] = "SELECT id FROM jobs WHERE id=?1 AND state<6";
-  struct mo_connection *writer = &import->store->writer;
-  const int error = own > 0 ? mo_sql_find(writer, id, sql, mo_int(own)) : MO_ERR_NOT_FOUND;
-  return error == MO_ERR_NOT_FOUND ? find(writer, source, id) : error;
+  static const char own_sql[] = "SELECT id FROM jobs WHERE id=?1 AND state<6";
+  static const char sql[] = "SELECT job FROM imports WHERE digest=?1"; /* also a hidden one */
+  MO_SCOPED struct mo_connection *reader = mo_reader_acquire(import->store);
+  const int error = own > 0 ? mo_sql_find(reader, id, own_sql, mo_int(own)) : MO_ERR_NOT_FOUND;
+  return error == MO_ERR_NOT_FOUND ? mo_sql_find(reader, id, sql, mo_hash(&source->digest)) : error;
 }
 
 /* ---- rows ---- */
-
-int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
-                         const struct mo_sha256 *sha256, size_t size)
-{
-  int64_t row = 0;
-  return mo_controller_content_row(&import->store->writer, controller, sha256, size, import->now_us,
-                                   &row);
-}
 
 static int controller_row(struct mo_connection *writer, const struct mo_sha256 *sha256,
                           int64_t *row)
@@ -131,12 +90,14 @@ static int insert_job(struct mo_import *import, const struct mo_imported_campaig
   static const char sql[] =
       "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
       "finished_us,error,weight,back_end,experiment,note)"
-      " VALUES(?1,?2,0,1,0,0,?3,?4,?5,?6,0,?7,?8,nullif(?9,''),nullif(?10,''))";
-  return mo_sql_insert(
-      &import->store->writer, &import->id, sql, mo_int(MO_JOB_CAMPAIGN), mo_int(campaign->state),
+      " VALUES(?1,6,0,1,?2,0,?3,?4,?5,?6,0,?7,?8,nullif(?9,''),nullif(?10,''))";
+  const int error = mo_sql_insert(
+      &import->store->writer, &import->id, sql, mo_int(MO_JOB_CAMPAIGN),
+      mo_int(MO_IMPORT_EPOCH(campaign->state)),
       campaign->has_label ? mo_string(campaign->label) : mo_null(), mo_int(campaign->created_us),
       mo_int(campaign->started_us), mo_int(campaign->finished_us), mo_real(campaign->weight),
       mo_int(campaign->back_end), mo_string(campaign->experiment), mo_string(campaign->note));
+  return error == MO_OK ? mo_import_hide(import->store, import->id) : error;
 }
 
 static int insert_run(struct mo_import *import, const struct mo_imported_campaign *campaign)
@@ -186,15 +147,6 @@ int mo_source_insert(struct mo_import *import, int64_t id, const struct mo_impor
                    mo_int(source->job), mo_hash(&source->digest), mo_int(import->now_us));
 }
 
-static int announce(struct mo_import *import, const struct mo_import_source *source)
-{
-  char more[96];
-  snprintf(more, sizeof(more), ",\"store\":\"%016llx\",\"campaign\":\"%lld\"",
-           (unsigned long long)source->store, (long long)source->job);
-  return mo_run_announce(import->store, import->id, MO_JOB_CAMPAIGN, "campaign.imported",
-                         MO_JOB_SUCCEEDED, more);
-}
-
 static int insert_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
                            int64_t group)
 {
@@ -240,8 +192,7 @@ static int insert_environments(struct mo_import *import,
              : error;
 }
 
-int mo_import_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
-                       int64_t *id)
+int mo_enter_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign)
 {
   const struct mo_campaign_settings *settings = &campaign->record.settings;
   int64_t *group = group_of(import, campaign->record.group);
@@ -257,22 +208,12 @@ int mo_import_campaign(struct mo_import *import, const struct mo_imported_campai
     error = insert_campaign(import, campaign, *group);
   if (error == MO_OK)
     error = insert_environments(import, campaign, *group);
-  *id = import->id;
-  if (error == MO_OK)
-    error = mo_source_insert(import, import->id, &campaign->source);
-  return error == MO_OK ? announce(import, &campaign->source) : error;
+  return error == MO_OK ? mo_source_insert(import, import->id, &campaign->source) : error;
 }
 
-/* Shows the watchdog that the writer is making progress in its long transaction. */
-static void beat(struct mo_import *import)
-{
-  atomic_store(&import->store->heartbeat_us, mo_clock_us());
-}
-
-int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design)
+int mo_enter_design(struct mo_import *import, const struct mo_campaign_design *design)
 {
   int64_t genotype = 0;
-  beat(import);
   const int error = mo_genotype_row(&import->store->writer, design->form.words,
                                     design->genotype.words, import->now_us, &genotype);
   return error == MO_OK ? mo_campaign_design_row(&import->store->writer, import->id, genotype,
@@ -280,9 +221,9 @@ int mo_import_design(struct mo_import *import, const struct mo_campaign_design *
                         : error;
 }
 
-int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
-                         const struct mo_descent *births, const struct mo_campaign_member *members,
-                         uint32_t n_members)
+int mo_enter_generation(struct mo_import *import, const struct mo_campaign_generation *row,
+                        const struct mo_descent *births, const struct mo_campaign_member *members,
+                        uint32_t n_members)
 {
   static const char sql[] =
       "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
@@ -310,9 +251,8 @@ int mo_import_generation(struct mo_import *import, const struct mo_campaign_gene
   return error;
 }
 
-int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step)
+int mo_enter_step(struct mo_import *import, const struct mo_campaign_step *step)
 {
-  beat(import);
   return mo_row_write(&import->store->writer, MO_CAMPAIGN_STEPS, import->id, step);
 }
 
@@ -348,7 +288,7 @@ static int insert_measures(struct mo_import *import, const struct mo_campaign_sc
              : error;
 }
 
-int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new)
+int mo_enter_score(struct mo_import *import, const struct mo_campaign_score *score)
 {
   static const char sql[] = "SELECT genotype FROM campaign_designs WHERE job=?1 AND number=?2";
   struct mo_connection *writer = &import->store->writer;
@@ -356,7 +296,8 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
   struct mo_condition condition;
   int64_t genotype = 0, origin = 0;
   double sum = 0;
-  beat(import);
+  bool is_new = false;
+  import->conflict = score->number;
   int error = mo_sql_find(writer, &genotype, sql, mo_int(import->id), mo_int(score->number));
   if (error == MO_OK)
     error = find_condition(import, score, &origin, &condition);
@@ -365,10 +306,11 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
                               stored);
   if (error == MO_OK)
     error = mo_losses_insert(import->store, &condition, genotype, origin, score->losses,
-                             score->diverged_steps, score->computed_us, is_new);
+                             score->diverged_steps, score->computed_us, &is_new);
   if (error == MO_OK && score->measures != NULL)
     error = insert_measures(import, score, &condition, genotype);
-  if (error != MO_OK || !*is_new || import->set == 0)
+  import->n_losses += error == MO_OK && is_new ? score->n : 0;
+  if (error != MO_OK || !is_new || import->set == 0)
     return error;
   bool is_whole = score->n == import->n_environments;
   for (uint32_t k = 0; k < score->n; k++) {

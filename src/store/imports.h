@@ -1,5 +1,9 @@
-/* imports.h: campaigns of other stores, imported completely in one transaction, or not at all. The
- * caller has checked the data. Threads and errors as in store.h. */
+/* imports.h: campaigns of other stores, imported completely or not at all. The caller has checked
+ * the data. Threads and errors as in store.h.
+ *
+ * An import writes short transactions, so that other writes can go between them. The last one shows
+ * all of its jobs, which readers do not see before. If it ends without that one, the rows of its
+ * jobs are deleted (deletion.h); controllers, environments, designs and scores stay. */
 #ifndef MORPHO_STORE_IMPORTS_H
 #define MORPHO_STORE_IMPORTS_H
 
@@ -105,16 +109,22 @@ int mo_store_import_find(struct mo_store *store, const struct mo_import_source *
 /* Between these two calls, files of weights without rows are kept. */
 void mo_store_import_begin(struct mo_store *store);
 void mo_store_import_end(struct mo_store *store);
-/* Writes a file of weights, before the transaction. */
+/* Writes a file of weights, before its row. */
 int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
                          const uint8_t *bytes, size_t size);
 
 struct mo_import;
-/* Runs `run` in one transaction of the writer, perhaps several times; all other writes wait. */
-int mo_store_import(struct mo_store *store, int (*run)(void *context, struct mo_import *import),
-                    void *context);
-/* Only inside `run`. mo_import_find: finds job `own` (0: none), the source itself, if that still
- * exists; otherwise like mo_store_import_find. */
+/* Begins an import, for one thread. Waits for another import to be closed, at most until
+ * is_over(context), with MO_ERR_CANCELLED. */
+int mo_import_open(struct mo_store *store, bool (*is_over)(void *context), void *context,
+                   struct mo_import **import);
+/* Writes what is left, and then shows all jobs of the import in one transaction. */
+int mo_import_finish(struct mo_import *import);
+/* Frees the import. Without a successful mo_import_finish, its jobs are deleted. */
+void mo_import_close(struct mo_import *import);
+
+/* Finds job `own` (0: none), the source itself, if it exists; otherwise like mo_store_import_find,
+ * also in this import. */
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
                    int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
@@ -122,20 +132,22 @@ int mo_import_controller(struct mo_import *import, const struct mo_controller *c
 /* Begins a campaign. The calls below belong to it. */
 int mo_import_campaign(struct mo_import *import, const struct mo_imported_campaign *campaign,
                        int64_t *id);
+/* A row is copied, and may be written by a later call, which then returns the error. births:
+ * (row->n_children) operator and parents. MO_ERR_CONFLICT: another loss is stored for a rollout of
+ * design mo_import_conflict(import). A rollout's job and step must be the evaluation's. */
 int mo_import_design(struct mo_import *import, const struct mo_campaign_design *design);
-/* births: (row->n_children) operator and parents. */
 int mo_import_generation(struct mo_import *import, const struct mo_campaign_generation *row,
                          const struct mo_descent *births, const struct mo_campaign_member *members,
                          uint32_t n_members);
 int mo_import_step(struct mo_import *import, const struct mo_campaign_step *step);
-/* MO_ERR_CONFLICT: another loss is stored for the same rollout. *is_new: it was not stored. */
-int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score, bool *is_new);
-/* Begins an evaluation of the campaign's designs, after all scores; the rollouts that follow belong
- * to it. Returns 1, or 0 if it exists already. MO_ERR_NOT_FOUND: the campaign lacks one of its
- * losses.
- */
-int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
-/* Imports a recording. Its job and step must be the evaluation's. */
+int mo_import_score(struct mo_import *import, const struct mo_campaign_score *score);
 int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout);
+/* Writes the rows that have been copied so far. */
+int mo_import_flush(struct mo_import *import);
+/* Begins an evaluation of the campaign's designs, after mo_import_flush; rollouts that follow
+ * belong to it. Returns 1, or 0 if it exists already. MO_ERR_NOT_FOUND: it lacks a loss. */
+int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
+uint32_t mo_import_conflict(const struct mo_import *import);
+uint64_t mo_import_losses(const struct mo_import *import); /* so far, not stored before */
 
 #endif

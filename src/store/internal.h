@@ -47,7 +47,7 @@ struct mo_store {
 
   /* Readers. */
   pthread_mutex_t readers_mutex;
-  pthread_cond_t reader_free;
+  pthread_cond_t reader_free, import_closed;
   struct mo_connection *readers; /* (n_readers + 1) the last is the scheduler's */
   uint32_t n_readers;
 
@@ -70,14 +70,14 @@ struct mo_store {
   int64_t last_upkeep_us, credible_us, credible_at_us;    /* as stored, and mo_clock_us() then */
   unsigned aged_left; /* jobs and recordings that may still expire before the next upkeep */
   void (*upkeep)(struct mo_store *store); /* between batches; nullable */
-  bool reserve_whole;
+  bool reserve_whole, is_importing;
   pthread_mutex_t excluded_mutex;    /* held while a file of excluded bodies is written */
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
                                         anything is written */
   /* Read lock: from the write of a file of weights to the commit of its row. Write lock: from the
    * deletion of a row to the deletion of its file. */
   pthread_rwlock_t controllers_lock;
-  pthread_mutex_t listeners_mutex;
+  pthread_mutex_t imports_mutex, listeners_mutex; /* imports_mutex guards is_importing */
   struct {
     int handle;
     mo_store_listener call;

@@ -395,6 +395,8 @@ static struct mo_store *create_store(const struct mo_store_config *config, char 
       .excluded_mutex = PTHREAD_MUTEX_INITIALIZER,
       .checkpoints_mutex = PTHREAD_MUTEX_INITIALIZER,
       .controllers_lock = PTHREAD_RWLOCK_INITIALIZER,
+      .imports_mutex = PTHREAD_MUTEX_INITIALIZER,
+      .import_closed = PTHREAD_COND_INITIALIZER,
       .listeners_mutex = PTHREAD_MUTEX_INITIALIZER};
   store->readers = calloc(store->n_readers + 1, sizeof(*store->readers));
   if (store->database_path == NULL || store->controllers_path == NULL ||

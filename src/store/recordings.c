@@ -50,14 +50,15 @@ static double path_of(const struct mo_saved_trajectory *trajectory)
 }
 
 /* Stores a trajectory and adds its bytes to *bytes. A trajectory that is already stored stays
- * unchanged. If its job was deleted in the meantime, the new trajectory is dropped. */
+ * unchanged. If its job was deleted in the meantime, the new trajectory is dropped; a job that is
+ * being imported (epoch < 0) takes it. */
 static int insert(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory,
                   uint64_t *bytes)
 {
   static const char sql[] = "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,"
                             "frames,n_masses,diverged_step,com,masses,actuation,contacts,path_m)"
                             " SELECT ?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12"
-                            " FROM jobs WHERE id=?1 AND state<>6";
+                            " FROM jobs WHERE id=?1 AND (state<6 OR epoch<0)";
   unsigned channels = 0;
   const int error = mo_sql_do(
       writer, sql, mo_int(trajectory->job), mo_int(trajectory->design_position),
@@ -138,10 +139,10 @@ static int remove_oldest(struct mo_store *store, void *arguments)
   static const char sum_sql[] = "SELECT value FROM meta WHERE key='recorded bytes'";
   static const char oldest_sql[] =
       "SELECT e.job FROM evaluations e JOIN jobs j ON j.id=e.job"
-      " WHERE e.recorded_bytes>0 AND j.state>=3 ORDER BY e.job LIMIT 1";
+      " WHERE e.recorded_bytes>0 AND j.state BETWEEN 3 AND 5 ORDER BY e.job LIMIT 1";
   static const char aged_sql[] =
       "SELECT e.job FROM evaluations e JOIN jobs j ON j.id=e.job WHERE e.recorded_bytes>0"
-      " AND j.state>=3 AND j.finished_us<?1 AND j.archived_us=0 AND j.note IS NULL"
+      " AND j.state BETWEEN 3 AND 5 AND j.finished_us<?1 AND j.archived_us=0 AND j.note IS NULL"
       " AND NOT EXISTS(SELECT 1 FROM imports WHERE job=e.job AND imported_us>=?1)"
       " ORDER BY e.job LIMIT 1";
   struct removal *removal = arguments;
