@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import datetime
 import os
 import pathlib
@@ -11,23 +10,20 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..bodies import (BodyLike, OnFault, Repair, designs_of, packed, requests_of, voxels_of,
-                      warn_of_ids, warn_of_lost)
+from ..bodies import BodyLike, OnFault, Repair, designs_of, voxels_of, warn_of_ids
 from ..comparisons import CampaignComparison, ControllerComparison
 from ..errors import MorphodError, reading
-from ..frames import frame, pandas
+from ..frames import frame
 from ..objectives import Plan
-from ..player import Player
-from ..results import Controller
-from ..scenes import MEDIA_TYPE, Environments, Scene
+from ..scenes import Environments
 from ..scores import Entered, blocks
-from ..weights import write_safetensors
-from .._wire import WAIT_S, Request, given as _given, without_none
+from .._wire import Request, given as _given, without_none
 from . import comparing
 from .connection import AsyncConnection
 from .fleet import AsyncFleet
-from .handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncTraining, curves,
-                      curves_of, interrupted, player, world_of)
+from .handles import AsyncCampaign, AsyncCampaigns, AsyncTraining, curves, curves_of
+from .learning import Learning
+from .scoring import DESIGNS_MAX, Physics, Scoring
 from .studies import AsyncStudy
 
 if TYPE_CHECKING:
@@ -36,21 +32,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-Physics = Mapping[str, Any] | Literal["paper"]
-"""Physics settings of a request: some of them, or all of those of the paper."""
-_DESIGNS_MAX = 10000
-_LARGE_MAX = 1000000
 _RANDOM_BODIES_MAX = 1000000
-_LOOK_UP_S = 5.0
-"""How long an interrupted call looks for the job that continues."""
 
 
-def _measures(measures: Literal[True] | Sequence[str] | None) -> Any:
-    """As the service wants them, which refuses a single text."""
-    return measures if measures is None or isinstance(measures, (bool, str)) else list(measures)
-
-
-class AsyncClient:
+class AsyncClient(Scoring, Learning):
     """A client of a morphod service.
 
     `server` is `http://host:port`, `https://…` or `unix:/path`; the default is $MORPHOD_SERVER, or
@@ -80,178 +65,7 @@ class AsyncClient:
         address = self._connection.address
         return f"{type(self).__name__}({'unix:' + address.unix if address.unix else address.url!r})"
 
-    # ---- scores ----
-
-    async def evaluate(self, bodies: Iterable[BodyLike] | NDArray[Any],
-                       environments: Environments = "paper-test", *,
-                       controller: str = "default",
-                       record: Sequence[str] = (), record_stride: int = 10,
-                       physics: Physics | None = None,
-                       precision: Literal["float32", "float64"] = "float32",
-                       priority: Literal["interactive", "batch"] | None = None,
-                       weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
-                       label: str | None = None, experiment: str | None = None,
-                       verify: bool = False, best: int | None = None, error: bool = False,
-                       measures: Literal[True] | Sequence[str] | None = None,
-                       tolerance: float | None = None,
-                       repair: Repair | None = None, on_fault: OnFault = "refuse",
-                       wait: bool = True) -> AsyncEvaluation:
-        """Scores up to 1,000,000 bodies (see `Body.of`; an array (n, 6, 6, 4) is fastest). With
-        more than 10,000, no body is skipped or repaired, ids need an orientation, nothing is
-        recorded, and `table()` reads the results in pages. To score random bodies without sending
-        them, see `evaluate_random`.
-
-        `wait=False` returns at once, when the evaluation is durable. `record` accepts "com" and
-        "masses", which are recorded every `record_stride` steps. `physics` overrides single
-        settings, such as `{"dt_s": 0.001, "n_steps": 4000}`, or is "paper" for those of the paper.
-        `repair="largest"` keeps the largest piece of bodies that are not in one piece.
-        `on_fault="skip"` skips invalid bodies; their results have a `fault` and NaN. `best=10`
-        computes complete scores only for the ten best; the others are cut short, and have lower
-        bounds. `error=True` estimates the error of each score, at six times the cost: see
-        `Result.error`. `tolerance=0.01` chooses time step and precision for each design, so that
-        its score has at most that estimated error: see `Result.tolerance`. `measures` requests
-        numbers that describe each rollout, such as `["displacement_m", "work_j"]`, or all with
-        True: see `measures` of the evaluation and of `Result`. An id without an orientation is
-        scored in the orientation with the best stored score, or else in the canonical one;
-        `Result.orientation` says which.
-        """
-        designs, lost, faults = requests_of(bodies, on_fault)
-        if not 0 < len(designs) <= _LARGE_MAX:
-            raise ValueError(f"an evaluation needs 1 to {_LARGE_MAX} bodies, got {len(designs)}")
-        is_large = len(designs) > _DESIGNS_MAX
-        if is_large:
-            designs = packed(designs)
-            warn_of_lost(lost)  # results in pages do not have it
-        value: dict[str, Any] = {
-            "designs": designs, "environments": environments, "controller": controller,
-            "precision": precision, "weight": weight, "device": device, "verify": verify,
-            "on_fault": on_fault,
-            **_given(physics=physics, priority=priority, label=label, experiment=experiment,
-                     repair=repair, best=best, error=error or None, tolerance=tolerance,
-                     measures=_measures(measures)),
-        }
-        if record:
-            value.update(record=list(record), record_stride=record_stride)
-        request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
-        try:
-            data = await self._connection.json(request)
-        except KeyboardInterrupt:
-            raise await self._interrupted(request) from None
-        evaluation = AsyncEvaluation(self._connection, data, lost, faults)
-        if wait:
-            await evaluation.wait()
-            if not is_large and "results" in evaluation.data:
-                evaluation._check(designs)
-        return evaluation
-
-    async def _interrupted(self, request: Request) -> KeyboardInterrupt:
-        """Returns the exception for an interrupted submission. The key finds the job, if there is
-        one."""
-        connection = copy.copy(self._connection)
-        connection.retry_s, request.timeout_s = 0.0, _LOOK_UP_S
-        request.headers.pop("Prefer", None)
-        try:
-            found = AsyncEvaluation(connection, await connection.json(request))
-            return interrupted(found)
-        except MorphodError:
-            return KeyboardInterrupt("if the evaluation was accepted, it continues: client.jobs() "
-                                     "or morphoctl job list shows it")
-        finally:
-            await connection.close()
-
-    async def suite(self, bodies: Iterable[BodyLike] | NDArray[Any], *, held_out: bool = False,
-                    controller: str = "default", physics: Physics | None = None,
-                    weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
-                    label: str | None = None, experiment: str | None = None) -> pd.DataFrame:
-        """Scores bodies in all tasks of the suite morpho-12 (docs/suite.md), as one evaluation.
-        Returns its `suite_table()`: the mean values in the unit of each task, larger is better, and
-        the mean loss. `held_out` takes the 64 held-out worlds of each task, for reports, in place
-        of the ten to select with. To submit it without waiting, use
-        `evaluate(bodies, "morpho-12", wait=False)`; for a campaign's champions, the campaign's
-        `evaluate_champions("morpho-12")`."""
-        done = await self.evaluate(bodies, "morpho-12-held-out" if held_out else "morpho-12",
-                                   controller=controller, physics=physics, weight=weight,
-                                   device=device, label=label, experiment=experiment)
-        return await done.suite_table()
-
-    async def evaluate_random(self, count: int, seed: int = 1, *, first: int = 0,
-                              environments: Environments = "paper-test",
-                              controller: str = "default",
-                              physics: Physics | None = None,
-                              precision: Literal["float32", "float64"] = "float32",
-                              weight: float = 1.0, device: Literal["auto", "cpu", "cuda"] = "auto",
-                              label: str | None = None, experiment: str | None = None,
-                              best: int | None = None, error: bool = False,
-                              measures: Literal[True] | Sequence[str] | None = None,
-                              tolerance: float | None = None,
-                              wait: bool = True) -> AsyncEvaluation:
-        """Scores the bodies of `random_bodies(count, seed, first=first)` without sending them: up
-        to 1,000,000 in one evaluation, with one `best` for all. The service first draws and stores
-        them; until then the evaluation is queued. `error`, `tolerance` and `measures` as in
-        `evaluate`.
-
-        With more than 10,000 bodies, `table()` reads the results in pages; `table(whole=True)`
-        reads only those that are not lower bounds.
-        """
-        value: dict[str, Any] = {
-            "random": {"count": count, "seed": seed, "first": first},
-            "environments": environments, "controller": controller, "precision": precision,
-            "weight": weight, "device": device,
-            **_given(physics=physics, label=label, experiment=experiment, best=best,
-                     error=error or None, tolerance=tolerance, measures=_measures(measures)),
-        }
-        request = Request.submit("/v1/evaluations", value, wait_s=WAIT_S if wait else 0)
-        try:
-            data = await self._connection.json(request)
-        except KeyboardInterrupt:
-            raise await self._interrupted(request) from None
-        evaluation = AsyncEvaluation(self._connection, data)
-        if wait:
-            await evaluation.wait()
-        return evaluation
-
-    async def evaluation(self, id: str | int) -> AsyncEvaluation:
-        """Returns the evaluation with an id."""
-        data = await self._connection.json(Request.get(f"/v1/evaluations/{id}"))
-        return AsyncEvaluation(self._connection, data)
-
-    async def rollouts(self, bodies: Iterable[BodyLike] | NDArray[Any],
-                       environments: Environments = "paper-test", *,
-                       controller: str = "default", record: Sequence[str] = ("masses", ),
-                       record_stride: int = 10, physics: Physics | None = None,
-                       precision: Literal["float32", "float64"] = "float32",
-                       repair: Repair | None = None) -> Scene:
-        """Computes up to 64 rollouts and their recordings without storing them, for viewers and
-        editors. The losses are the same as in an evaluation, bit for bit. A warning about the
-        physics is issued as a `UserWarning`."""
-        request = Request.post("/v1/rollouts", without_none({
-            "designs": designs_of(bodies), "environments": environments, "controller": controller,
-            "record": list(record), "record_stride": record_stride, "precision": precision,
-            "physics": physics, "repair": repair,
-        }), accept=MEDIA_TYPE)
-        scene = Scene((await self._connection.send(request)).content)
-        for warning in scene.warnings:
-            warnings.warn(warning, stacklevel=2)
-        return scene
-
-    async def show(self, bodies: Iterable[BodyLike] | NDArray[Any],
-                   environments: Environments = "paper-test", *,
-                   environment: int = 0, controller: str = "default",
-                   physics: Physics | None = None, repair: Repair | None = None,
-                   title: str = "Robots of morphod") -> Player:
-        """Returns robots that walk in one environment: a player for notebooks, which `save` writes
-        as one HTML file."""
-        if isinstance(environments, str):
-            known = await self._connection.json(Request.get(f"/v1/environment-sets/{environments}"))
-            world: Mapping[str, Any] = world_of(known, environment)
-        elif -len(environments) <= environment < len(environments):
-            world = environments[environment]
-        else:
-            raise MorphodError(f"there is no environment {environment}: {len(environments)} are "
-                               "given, counted from 0")
-        scene = await self.rollouts(bodies, [world], controller=controller,
-                                    record_stride=8, physics=physics, repair=repair)
-        return await player(self._connection, scene, title)
+    # ---- bodies and designs ----
 
     async def random_bodies(self, count: int, seed: int | None = None, *,
                             first: int = 0) -> NDArray[np.bool_]:
@@ -263,9 +77,9 @@ class AsyncClient:
             raise ValueError(f"a seed has the bodies 0 to {_RANDOM_BODIES_MAX - 1}, got {first} to "
                              f"{first + count - 1}; count is at least 1")
         made: list[dict[str, Any]] = []
-        for place in range(first, first + count, _DESIGNS_MAX):
+        for place in range(first, first + count, DESIGNS_MAX):
             made += await self._make("random", {
-                "first": place, "count": min(first + count - place, _DESIGNS_MAX), "seed": seed})
+                "first": place, "count": min(first + count - place, DESIGNS_MAX), "seed": seed})
         return self._voxels(made)
 
     async def mutate(self, bodies: Iterable[BodyLike] | NDArray[Any], seed: int | None = None, *,
@@ -496,80 +310,6 @@ class AsyncClient:
         if not is_last:
             raise MorphodError(f"{path} ends early: its last block is missing")
         return entered
-
-    # ---- trainings and controllers ----
-
-    async def pretrain(self, *, preset: Literal["workstation", "phototaxis", "paper"] | None = None,
-                       environments: Environments | None = None, name: str | None = None,
-                       label: str | None = None, **settings: Any) -> AsyncTraining:
-        """Starts the training of a controller on an endless stream of random bodies, in random
-        worlds or in these `environments`, of which each robot of a step gets one. `settings` are
-        those of the contract (docs/learning.md), such as `steps`, `batch`, `tasks=["walk"]`."""
-        return await self._train("pretrain", settings, preset=preset, environments=environments,
-                                 name=name, label=label)
-
-    async def finetune(self, bodies: Iterable[BodyLike] | NDArray[Any] | None = None, *,
-                       preset: Literal["workstation", "paper"] | None = None,
-                       environments: Environments | None = None, name: str | None = None,
-                       label: str | None = None, **settings: Any) -> AsyncTraining:
-        """Starts the training of a controller on bodies, or on a `population` of the service such
-        as `{"campaign": "12"}`; `environments` as in `pretrain`."""
-        if bodies is not None:
-            settings["designs"] = designs_of(bodies)
-        return await self._train("finetune", settings, preset=preset, environments=environments,
-                                 name=name, label=label)
-
-    async def _train(self, kind: str, settings: dict[str, Any], **given: Any) -> AsyncTraining:
-        value = {"kind": kind, **_given(**given), **settings}
-        data = await self._connection.json(Request.submit("/v1/trainings", value))
-        with reading():
-            warn_of_ids(data.get("notes") or ())
-        return AsyncTraining(self._connection, data)
-
-    async def training(self, id: str | int) -> AsyncTraining:
-        """Returns the training with an id."""
-        data = await self._connection.json(Request.get(f"/v1/trainings/{id}"))
-        return AsyncTraining(self._connection, data)
-
-    async def controllers(self) -> pd.DataFrame:
-        """Returns a table of the controllers that have a name."""
-        return frame([row async for row in self._connection.pages("/v1/controllers")])
-
-    async def controller(self, name: str = "default") -> Controller:
-        """Returns a controller by its name, or by `sha256:` and its hash."""
-        data = await self._connection.json(Request.get(f"/v1/controllers/{name}"))
-        reply = await self._connection.send(
-            Request.get(f"/v1/controllers/{name}/file", accept="application/octet-stream"))
-        return Controller(data, reply.content)
-
-    async def put_controller(self, name: str,
-                             source: (str | os.PathLike[str] | bytes | Mapping[str, Any] |
-                                      Controller),
-                             metadata: Mapping[str, str] | None = None) -> Controller:
-        """Stores a controller under a name: a safetensors file, its bytes, or its tensors by name,
-        such as the `state_dict` of `Controller.torch()` (with `metadata`, which includes the
-        `sensor`)."""
-        if isinstance(source, Controller):
-            content = source.content
-        elif isinstance(source, bytes):
-            content = source
-        elif isinstance(source, Mapping):
-            content = write_safetensors(source, metadata)
-        else:
-            content = pathlib.Path(source).read_bytes()
-        request = Request("PUT", f"/v1/controllers/{name}/file", content=content,
-                          headers={"Content-Type": "application/octet-stream"})
-        return Controller(await self._connection.json(request), content)
-
-    async def held_out(self, seed: int = 1, *, designs: int = 64, environments: int = 16
-                       ) -> tuple[NDArray[np.bool_], list[dict[str, Any]]]:
-        """Returns bodies (designs, 6, 6, 4) and environments that no training draws; always the
-        same for a seed."""
-        found = await self._connection.json(Request.get(
-            "/v1/held-out", seed=seed, designs=designs, environments=environments))
-        with reading():
-            return (voxels_of(design["voxels"] for design in found["designs"]),
-                    list(found["environments"]))
 
     async def compare_controllers(self, a: str | AsyncTraining, b: str | AsyncTraining, *,
                                   seed: int = 1, designs: int = 64, environments: int = 16,
