@@ -191,6 +191,11 @@ def streams(service, n):
     return held
 
 
+def await_no_connections(service):
+    """Waits until the readiness checks have closed their connections."""
+    until(lambda: service.metric("morphod_http_connections") == 1)  # the one that asks
+
+
 def ended(sock):
     """Returns whether the service has closed it without a reply."""
     sock.settimeout(PATIENCE_S)
@@ -240,19 +245,18 @@ def test_idle_connections_give_way_oldest_first(start):
 
 def test_requests_that_stop_coming_give_way(start):
     service = start("--max-connections=8")
-    time.sleep(0.5)
+    await_no_connections(service)
     held = [half(dial(service), 1000, 10) for _ in range(4)]
     held += [dial(service) for _ in range(3)]
     for sock in held[4:]:
         sock.sendall(b"GET /v1/jobs HTTP/1.1\r\n")
-    time.sleep(1.5)
     for _ in range(7):
         assert streams(service, 1)
 
 
 def test_kept_connections_are_for_health(start, tmp_path):
     service = start("--max-connections=64", listen=("127.0.0.1:0", f"unix:{tmp_path}/socket"))
-    time.sleep(0.5)
+    await_no_connections(service)
     held = streams(service, 56)
     for _ in range(20):  # more often than there are kept connections
         for path in ("/healthz", "/readyz", "/metrics"):
@@ -289,7 +293,7 @@ def test_half_sent_bodies_give_way_to_whole_ones(start):
     service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service), 1000000, 600000) for _ in range(4)]
     for _ in range(20):
-        held[0].sendall(b" " * 17000)  # this one continues slowly
+        held[0].sendall(b" " * 17000)  # this one continues slowly: its pace is what counts
         time.sleep(0.5)
         if (last := whole(service, 900000)) == 202:
             break
@@ -345,7 +349,7 @@ def test_unread_replies_take_half_of_the_memory(start):
 def test_half_sent_bodies_of_all_users_give_way(start):
     service = start("--max-body=1M", "--max-controller=1M", "--max-bundle=1M")
     held = [half(dial(service, uid), 1000000, 600000) for uid in USERS for _ in range(4)]
-    time.sleep(0.5)
+    time.sleep(0.5)  # no metric shows that all of them have arrived; they give way after a second
     assert whole(service, 1000) == 202  # from the memory reserved for small ones
     until(lambda: whole(service, 900000) == 202)
     assert not all(is_quiet(sock) for sock in held)

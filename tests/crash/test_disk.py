@@ -3,6 +3,7 @@ there is room."""
 import contextlib
 import os
 import pathlib
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -72,13 +73,19 @@ def test_full_disk(one, small_disk, seed):
     one.end()
 
 
+def failed_writes(one):
+    text = one.get("/metrics").text
+    return int(re.search(r"^morphod_store_operations_failed_total (\d+)", text, re.M)[1])
+
+
 def test_full_disk_while_it_computes(one, small_disk, seed):
     """The disk fills up while scores are being saved: the job waits, and ends when there is
     room."""
     one.start()
     job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
     filler = fill(small_disk)
-    time.sleep(2)
+    one.until(lambda: failed_writes(one) > 0)
+    assert one.get("/readyz").status_code == 503
     assert one.process.poll() is None, one.tail()
     assert one.get("/healthz").status_code == 200
     filler.unlink()
@@ -145,9 +152,8 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     one.until(lambda: all("no space" in (campaign(job)["reason"] or "") for job in jobs))
     for k in range(30):  # the log may still have a few free pages
         one.act(first, "pause")
-        time.sleep(0.3)
         ask("resume", first, 200, 202, 507)
-        time.sleep(0.3)  # the others try again every second
+        time.sleep(0.3)  # the others try again every second, which may free pages again
         if k >= 4 and held() < whole:
             break
     assert one.get("/readyz").status_code == 503

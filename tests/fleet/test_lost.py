@@ -64,14 +64,13 @@ def scene(daemon, worker):
     one = daemon("one", workers=1, compute="fleet", fleet_listen="127.0.0.1:0").start()
     victim = worker(fleet_address(one), "victim")
     one.until(lambda: one.json("/v1/fleet")["n_sessions"] == 1)
-    time.sleep(0.3)  # it waits for leases
     one.submit(VALUE, "campaigns")
     one.until(lambda: one.json("/v1/fleet")["leases"] == 2, every_s=0.002)
     victim.process.send_signal(signal.SIGSTOP)
     stopped = time.monotonic()
     witness = Witness(one)
     witness.take()
-    time.sleep(0.1)
+    time.sleep(0.1)  # a lease that is given out too early comes at once
     assert witness.moment is None
     return one, victim, witness, stopped
 

@@ -80,9 +80,9 @@ def test_a_forked_process_opens_its_own_stream_of_events(m):
     if child == 0:
         found = [int(event["id"]) for event, _ in zip(events, range(8))]
         os._exit(found != numbers[1:])
-    time.sleep(0.5)
-    assert [int(event["id"]) for event, _ in zip(events, range(8))] == numbers[1:]
+    # If both read one stream, the child has taken all of it by now.
     assert os.waitpid(child, 0)[1] == 0
+    assert [int(event["id"]) for event, _ in zip(events, range(8))] == numbers[1:]
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
@@ -185,7 +185,9 @@ def test_an_interrupt_names_the_continuing_job(service, m, tmp_path, what, noun)
     before = set(m.jobs().get("id", ()))
     until(lambda: (m.jobs(state="running")["id"].tolist() if len(m.jobs(state="running")) else [])
           and set(m.jobs()["id"]))
-    time.sleep(0.3)
+    # It knows the job's id once it waits for the end, or reads events.
+    until(lambda: service.metric("morphod_http_requests_in_flight") >= 2
+          or service.metric("morphod_event_streams") >= 1)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=PATIENCE_S)
     open_jobs = m.jobs()
@@ -236,7 +238,7 @@ def test_a_service_ends_with_its_process_not_with_a_thread(tmp_path):
         thread = threading.Thread(target=lambda: found.append(morphod.local(**LOCAL)))
         thread.start()
         thread.join()
-        time.sleep(0.3)
+        time.sleep(0.1)  # a service that ended with the thread would end at once
         m = found[0]
         child = os.fork()
         if child == 0:

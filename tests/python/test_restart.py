@@ -34,8 +34,7 @@ def test_kill_and_restart_under_a_client(start, tmp_path):
         nonlocal service
         while len(kills) < 8 and not stop.wait(1.5):  # so that a slow machine also gets to the end
             service.stop(signal.SIGKILL)
-            socket.unlink(missing_ok=True)
-            time.sleep(0.3)
+            socket.unlink(missing_ok=True)  # nothing listens until the next one has started
             service = run()
             kills.append(time.monotonic())
 
