@@ -44,8 +44,10 @@ void run_list(struct ctl *ctl)
   static const char *const orders[] = {"id", "score", NULL};
   static const char *const states[] = {"queued", "running",   "paused", "succeeded",
                                        "failed", "cancelled", NULL};
-  static const char *const filters[] = {"state", "label", "submitted-by", "experiment", "archived",
-                                        "group", "sort",  "order",        "controller", NULL};
+  static const char *const filters[] = {"state",      "label",        "submitted-by", "experiment",
+                                        "archived",   "group",        "sort",         "order",
+                                        "controller", "environments", "physics",      NULL};
+  static const char *const physics[] = {"default", "paper", NULL};
   const struct list *list = lists;
   while (strcmp(list->command, ctl->command->name) != 0)
     list++;
@@ -54,6 +56,7 @@ void run_list(struct ctl *ctl)
   const char *group = option_text(ctl, "group", NULL);
   const int64_t limit = option_number(ctl, "limit", 1, 1000000, list->limit);
   option_word(ctl, "state", states, NULL);
+  option_word(ctl, "physics", physics, NULL);
   if (group != NULL)
     job_id(group);
   json_t *items = collect(ctl, path_with(ctl, list->path, filters),

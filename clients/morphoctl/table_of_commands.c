@@ -139,6 +139,9 @@ static const struct option_spec design_list_options[] = {
      "best first, a row per orientation."},
     {"order", 0, "ascending|descending", "descending: newest or worst first."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
+    {"environments", 'e', "SET", "Set of environments of the scores (default: paper-test)."},
+    {"physics", 'p', "default|paper",
+     "Physics of the scores: those of requests that set none (default), or the paper's."},
     {"limit", 'n', "N", "Maximum number (default: 100)."},
     {UNLIMITED},
     {NULL}};

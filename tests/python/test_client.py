@@ -558,6 +558,11 @@ def test_events_from_the_beginning(m):
 def test_designs_and_jobs(m):
     m.evaluate([DESIGN])
     assert m.designs(limit=1)["score"].tolist()[0] <= 1
+    m.evaluate([[[1, 1, 0], [1, 2, 0]]], physics="paper")
+    paper = m.designs(physics="paper", limit=1)
+    assert paper["score"].tolist() == [row["score"] for row in m.request(
+        "GET", "/v1/designs", sort="score", physics="paper", limit=1)["items"]]
+    assert paper["id"].tolist() != m.designs(limit=1)["id"].tolist()
     assert set(m.jobs(kind="evaluation")["kind"]) == {"evaluation"}
     assert m.request("GET", "/v1/threads")["n_threads"] == 1 and m.version()
 

@@ -133,7 +133,8 @@ class AsyncClient(Scoring, Learning):
     async def designs(self, *, sort: Literal["id", "score"] = "score", limit: int = 100,
                       **filters: Any) -> pd.DataFrame:
         """Returns a table of designs that were ever scored; sorted by score, the best come first.
-        `filters` are those of GET /v1/designs, such as `controller`."""
+        `filters` are those of GET /v1/designs, such as `controller`, `environments`, and
+        `physics="paper"` for scores under the paper's physics."""
         rows = []
         async for row in self._connection.pages("/v1/designs", limit=min(limit, 1000), sort=sort,
                                                 **filters):
