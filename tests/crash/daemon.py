@@ -184,6 +184,11 @@ class Daemon:
             time.sleep(every_s)
         return seen
 
+    def failed_writes(self):
+        """Returns the number of writes that failed, such as those on a full disk."""
+        text = self.get("/metrics").text
+        return int(re.search(r"^morphod_store_operations_failed_total (\d+)", text, re.M)[1])
+
     def finish(self, job, kind="evaluations", timeout_s=900):
         """Waits for the end of a job and returns it."""
         return self.awaited(f"/v1/{kind}/{job}", lambda now: now["state"] in ENDED, timeout_s, 0.05)

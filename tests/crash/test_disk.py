@@ -3,7 +3,6 @@ there is room."""
 import contextlib
 import os
 import pathlib
-import re
 import shutil
 import sqlite3
 import subprocess
@@ -73,18 +72,13 @@ def test_full_disk(one, small_disk, seed):
     one.end()
 
 
-def failed_writes(one):
-    text = one.get("/metrics").text
-    return int(re.search(r"^morphod_store_operations_failed_total (\d+)", text, re.M)[1])
-
-
 def test_full_disk_while_it_computes(one, small_disk, seed):
     """The disk fills up while scores are being saved: the job waits, and ends when there is
     room."""
     one.start()
     job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
     filler = fill(small_disk)
-    one.until(lambda: failed_writes(one) > 0)
+    one.until(lambda: one.failed_writes() > 0)
     assert one.get("/readyz").status_code == 503
     assert one.process.poll() is None, one.tail()
     assert one.get("/healthz").status_code == 200
