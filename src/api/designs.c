@@ -179,13 +179,16 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
   mo_reply_text(request, error, &text, "page");
 }
 
-static bool is_class(const char *text)
+bool mo_query_class(struct mo_request *request, const char **class)
 {
-  const size_t n = strlen(text);
-  for (size_t i = 0; i < n; i++)
-    if (text[i] < ' ' || text[i] > '~')
-      return false;
-  return n > 0 && n < MO_FINGERPRINT_BYTES;
+  const char *text = mo_query(request, "class");
+  bool is_good = text == NULL || (text[0] != '\0' && strlen(text) < MO_FINGERPRINT_BYTES);
+  for (const char *c = text; c != NULL && *c != '\0'; c++)
+    is_good = is_good && *c >= ' ' && *c <= '~';
+  if (!is_good)
+    mo_reply_bad_parameter(request, "class", "must be a fingerprint, as shown with scores");
+  *class = text;
+  return is_good;
 }
 
 /* Returns the class to rank by default: the class of the devices, which compute large batches, or
@@ -203,7 +206,7 @@ void mo_api_list_designs(struct mo_request *request)
                            *const orders[] = {"ascending", "descending", NULL},
                            *const kinds[] = {"default", "paper", NULL};
   const char *cursor = mo_query(request, "cursor"), *named = mo_query(request, "controller");
-  const char *class = mo_query(request, "class");
+  const char *class = NULL;
   struct mo_store *store = mo_api_of(request)->store;
   struct mo_design_query query = {.physics = mo_default_physics(), .precision = MO_FLOAT32};
   size_t limit;
@@ -223,10 +226,8 @@ void mo_api_list_designs(struct mo_request *request)
     return;
   if (kind == 1)
     query.physics = mo_paper_physics();
-  if (class != NULL && !is_class(class)) {
-    mo_reply_bad_parameter(request, "class", "must be a fingerprint, as shown with scores");
+  if (!mo_query_class(request, &class))
     return;
-  }
   if (cursor != NULL && !read_cursor(cursor, &query)) {
     mo_reply_bad_parameter(
         request, "cursor",

@@ -69,6 +69,9 @@ static inline struct mo_api *mo_api_of(const struct mo_request *request)
 void mo_api_get_table(struct mo_request *request); /* for all lists: calls the handler that makes
                                                       the pages */
 
+/* Reads the parameter `class` (designs.c); NULL: not given. Returns false if it has replied. */
+bool mo_query_class(struct mo_request *request, const char **class);
+
 /* The topic of a request that waits for the pending batch of a study, not for the end of the job.
  */
 #define MO_WAIT_BATCH(id) ((id) + (INT64_C(1) << 62))

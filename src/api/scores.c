@@ -38,6 +38,17 @@ static int write_more(void *context, struct mo_text *text)
   return error != MO_OK ? error : !export->block->is_last;
 }
 
+/* Returns whether the text begins with a date and a time of day, in 19 characters. */
+static bool begins_with_time(const char *text)
+{
+  static const char form[] = "0000-00-00T00:00:00";
+  size_t i = 0;
+  while (form[i] != '\0' &&
+         (form[i] == '0' ? text[i] >= '0' && text[i] <= '9' : text[i] == form[i]))
+    i++;
+  return form[i] == '\0';
+}
+
 /* Reads a time in the format of replies, with any number of decimals; the fraction is ignored. */
 static bool read_since(struct mo_request *request, int64_t *since_us)
 {
@@ -45,8 +56,8 @@ static bool read_since(struct mo_request *request, int64_t *since_us)
   struct tm parts = {0};
   if (value == NULL)
     return true;
-  const char *end = strptime(value, "%Y-%m-%dT%H:%M:%S", &parts);
-  if (end != NULL && *end == '.')
+  const char *end = begins_with_time(value) ? strptime(value, "%Y-%m-%dT%H:%M:%S", &parts) : NULL;
+  if (end != NULL && *end == '.' && end[1] >= '0' && end[1] <= '9')
     end += 1 + strspn(end + 1, "0123456789");
   if (end == NULL || strcmp(end, "Z") != 0) {
     mo_reply_bad_parameter(request, "since", "must be a time in UTC, such as 2026-11-21T11:34:04Z");
@@ -60,10 +71,10 @@ void mo_api_get_scores(struct mo_request *request)
 {
   static const char *const types[] = {MO_ARCHIVE_TYPE, "application/octet-stream", NULL};
   struct mo_api *api = mo_api_of(request);
-  struct mo_score_query query = {.controller = mo_query(request, "controller"),
-                                 .fingerprint = mo_query(request, "class")};
+  struct mo_score_query query = {.controller = mo_query(request, "controller")};
   int form;
-  if (!mo_accept(request, types, &form) || !read_since(request, &query.since_us))
+  if (!mo_accept(request, types, &form) || !mo_query_class(request, &query.fingerprint) ||
+      !read_since(request, &query.since_us))
     return;
   struct export *export = calloc(1, sizeof(*export));
   int error = MO_ERR_NO_MEMORY;

@@ -147,7 +147,9 @@ def test_which_scores(home, start, file):
     assert found[0] >= every - 1 and found[2] == 0
     assert rows("?since=2020-01-01T00:00:00Z") == every
     assert rows("?since=2120-01-01T00:00:00.123Z") == 0
-    home.refuses("/v1/scores", "?since=yesterday", "?since=2026-01-01", "?odd=1")
+    home.refuses("/v1/scores", "?since=yesterday", "?since=2026-01-01", "?odd=1", "?class=",
+                 "?since=2026-1-1T0:0:0Z", "?since=2026-01-01T00:00:00.Z",
+                 "?since=2026-01-01T00:00:00-02:00")
     home.refuses("/v1/scores", "?controller=nobody", status=404)
     assert home.request("GET", "/v1/scores", headers={"Accept": "text/csv"}).status == 406
     nothing = enter(start(), fetch(home, "?since=2120-01-01T00:00:00Z"))
