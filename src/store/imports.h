@@ -106,16 +106,14 @@ int mo_store_import_find(struct mo_store *store, const struct mo_import_source *
 
 /* ---- import into a store ---- */
 
-/* Between these two calls, files of weights without rows are kept. */
+/* Files of weights are written before their rows; between these calls they are kept. */
 void mo_store_import_begin(struct mo_store *store);
 void mo_store_import_end(struct mo_store *store);
-/* Writes a file of weights, before its row. */
 int mo_store_import_file(struct mo_store *store, const struct mo_sha256 *sha256,
                          const uint8_t *bytes, size_t size);
 
 struct mo_import;
-/* Begins an import, for one thread. Waits for another import to be closed, at most until
- * is_over(context), with MO_ERR_CANCELLED. */
+/* Begins an import, for one thread. Waits for another one, at most until is_over(context). */
 int mo_import_open(struct mo_store *store, bool (*is_over)(void *context), void *context,
                    struct mo_import **import);
 /* Writes what is left, and then shows all jobs of the import in one transaction. */
@@ -123,8 +121,7 @@ int mo_import_finish(struct mo_import *import);
 /* Frees the import. Without a successful mo_import_finish, its jobs are deleted. */
 void mo_import_close(struct mo_import *import);
 
-/* Finds job `own` (0: none), the source itself, if it exists; otherwise like mo_store_import_find,
- * also in this import. */
+/* Finds job `own` (0: none) if it exists; otherwise like mo_store_import_find, also in itself. */
 int mo_import_find(struct mo_import *import, const struct mo_import_source *source, int64_t own,
                    int64_t *id);
 int mo_import_controller(struct mo_import *import, const struct mo_controller *controller,
@@ -144,8 +141,8 @@ int mo_import_score(struct mo_import *import, const struct mo_campaign_score *sc
 int mo_import_rollout(struct mo_import *import, const struct mo_saved_trajectory *rollout);
 /* Writes the rows that have been copied so far. */
 int mo_import_flush(struct mo_import *import);
-/* Begins an evaluation of the campaign's designs, after mo_import_flush; rollouts that follow
- * belong to it. Returns 1, or 0 if it exists already. MO_ERR_NOT_FOUND: it lacks a loss. */
+/* Begins an evaluation, after mo_import_flush; rollouts that follow belong to it. Returns 1, or 0
+ * if it exists already. MO_ERR_NOT_FOUND: it lacks a loss. */
 int mo_import_evaluation(struct mo_import *import, const struct mo_imported_evaluation *evaluation);
 uint32_t mo_import_conflict(const struct mo_import *import);
 uint64_t mo_import_losses(const struct mo_import *import); /* so far, not stored before */
