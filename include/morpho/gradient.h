@@ -10,7 +10,8 @@
  * positions and velocities,
  *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂)
  * is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start + 1e-8
- * m, or, if the objective's value is in meters, the unit in its loss: 1 m or 0.1 m. If m > bound,
+ * m, or, if the objective's value is in meters, the unit in its loss: 1 m or 0.1 m; 1 m for
+ * `efficient` and for sums. If m > bound,
  * MO_ADJOINT_CLIP     scales both by bound/m; MO_ADJOINT_RESTART  resets both, as if the rollout
  * ended there: ∂/∂v = 0, and ∂/∂x is
  *                       restart_weight times that of the distance to the light, over d0, at the
@@ -84,8 +85,9 @@ void mo_gradient_counts_add(struct mo_gradient_counts *sum,
  * three rollouts.
  *
  * MO_ERR_INVALID: no controller, a controller of another workspace, an option that is not finite,
- * or an unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range; MO_ERR_NO_MEMORY.
- * On error nothing is written. */
+ * or an unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range;
+ * MO_ERR_UNSUPPORTED: a task without a gradient (mo_task_check_gradient); MO_ERR_NO_MEMORY. On
+ * error nothing is written. */
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
                           const struct mo_environment *environment,
                           const struct mo_physics *physics,
@@ -140,7 +142,8 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
  * Range).
  *
  * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
- * (n). pause, counts nullable (counts are added to). MO_ERR_INVALID (a body of another workspace,
+ * (n). pause, counts nullable (counts are added to). MO_ERR_UNSUPPORTED as above, MO_ERR_INVALID (a
+ * body of another workspace,
  * invalid options, an invalid control period or one of more than MO_GRADIENT_PERIOD_MAX steps),
  * MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *pack,

@@ -50,7 +50,7 @@ struct mo_guide {
 };
 
 /* What the score is. Each has a loss (at least 0, 1 for a body that does nothing, lower is better)
- * and a value (larger is better, 0 for a body that does nothing). */
+ * and a value (larger is better, 0 for a body that does nothing). Stored by these numbers. */
 enum mo_objective {
   MO_OBJECTIVE_REACH = 0, /* distance to the light at the end over that at the start; fixed, moving
                            */
@@ -58,14 +58,32 @@ enum mo_objective {
   MO_OBJECTIVE_TRAVEL,    /* way in the direction of the heading; ahead, turning */
   MO_OBJECTIVE_FOLLOW,    /* progress on the path, less the mean distance from it; path */
   MO_OBJECTIVE_CLIMB,     /* height that the center of mass has gained; any guide */
-  MO_OBJECTIVE_PURSUE     /* the same as approach, for a light that moves; moving */
+  MO_OBJECTIVE_PURSUE,    /* the same as approach, for a light that moves; moving */
+  MO_OBJECTIVE_EFFICIENT, /* displacement, less MO_EFFICIENT_FLOOR_M, per work; any guide */
+  MO_OBJECTIVE_JUMP,      /* largest height that the center of mass gains; any guide */
+  MO_OBJECTIVE_SUM = 255  /* a weighted sum of objectives and measures (measure.h) */
 };
-extern const char *const mo_objective_words[]; /* "reach", "approach", …, NULL */
+extern const char *const mo_objective_words[]; /* "reach", "approach", …, NULL; not of the sum */
+
+#define MO_EFFICIENT_FLOOR_M 0.2  /* way that does not count */
+#define MO_EFFICIENT_LEAST_J 1.0  /* less work than this counts as this much */
+#define MO_JUMP_FROM_S       0.4  /* earlier heights do not count; the end always does */
+#define MO_JUMP_SIDEWAYS     0.5  /* height that a meter of displacement takes away, in m */
+#define MO_JUMP_SOFTNESS_M   0.02 /* of the smooth maximum that gradients have */
+
+/* The terms of a sum. The service accepts at most this many. */
+#define MO_TERMS_MAX       8
+#define MO_TERM_WEIGHT_MAX 1e6 /* of |weight| */
+#define MO_TERM_MEASURE    256 /* this number + a measure is that measure */
 
 /* All zero: the light is fixed, and the robot is to reach it. */
 struct mo_task {
   struct mo_guide guide;
   enum mo_objective objective;
+  uint32_t n_terms; /* of MO_OBJECTIVE_SUM, 1 … MO_TERMS_MAX; otherwise 0. Unused terms are 0 */
+  uint32_t terms[MO_TERMS_MAX]; /* enum mo_objective, or MO_TERM_MEASURE + enum mo_measure;
+                                   ascending, none twice */
+  double weights[MO_TERMS_MAX]; /* not 0 */
 };
 
 /* Returns whether the light is fixed and the objective is `reach`. */
@@ -78,7 +96,18 @@ bool mo_guide_has_light(const struct mo_guide *guide);
  * MO_ERR_INVALID or MO_ERR_RANGE; message (nullable) says which field is wrong and what to do. */
 int mo_task_check(const struct mo_task *task, struct mo_message *message);
 
-/* Returns the unit of an objective's value: "m", or "" for a number without a unit. */
+/* Checks whether a gradient exists: not for a sum with a measure that has no derivative.
+ * MO_ERR_UNSUPPORTED; message (nullable) lists the terms that a gradient can have. */
+int mo_task_check_gradient(const struct mo_task *task, struct mo_message *message);
+
+/* Returns whether a task's value depends on the work of the springs. */
+bool mo_task_needs_work(const struct mo_task *task);
+/* Returns the measures, as bits, that a sum has among its terms and that have no derivative. */
+uint32_t mo_task_measures(const struct mo_task *task);
+/* Returns the name of a term: that of an objective or a measure; NULL: a sum cannot have it. */
+const char *mo_term_name(uint32_t term);
+
+/* Returns the unit of an objective's value: "m", "m/kJ", or "" for a number without a unit. */
 const char *mo_objective_unit(enum mo_objective objective);
 /* Returns the scale of the loss exp(−value / scale), in the unit of the value; 0: the loss is
  * 1 − value. */

@@ -49,8 +49,9 @@ static struct mo_physics physics_of(uint32_t body)
 }
 
 /* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
- * fourth lane has a profile, and every fourth has damage. */
-static void set_task(uint32_t lane, struct mo_environment *environment)
+ * fourth lane has a profile, and every fourth has damage. On processors two have a sum, which
+ * devices do not compute. Robots of the gradients have the first lanes. */
+static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
   const uint32_t first = MO_BLOCK_LANES - (uint32_t)(sizeof(words) / sizeof(*words));
@@ -62,6 +63,20 @@ static void set_task(uint32_t lane, struct mo_environment *environment)
   }
   if (lane % 4 == 3)
     environment->damage = (struct mo_damage){1 + lane % MO_OCTANTS, 0.1};
+  if (lane == 2 && back_end == MO_ON_CPU)
+    environment->task = (struct mo_task){.objective = MO_OBJECTIVE_SUM,
+                                         .n_terms = 4,
+                                         .terms = {MO_OBJECTIVE_EFFICIENT, MO_OBJECTIVE_JUMP,
+                                                   MO_TERM_MEASURE + MO_MEASURE_PATH_LENGTH,
+                                                   MO_TERM_MEASURE + MO_MEASURE_WORK},
+                                         .weights = {1, 0.5, 0.1, -1e-5}};
+  if (lane == 6 && back_end == MO_ON_CPU)
+    environment->task =
+        (struct mo_task){.objective = MO_OBJECTIVE_SUM,
+                         .n_terms = 3,
+                         .terms = {MO_OBJECTIVE_REACH, MO_TERM_MEASURE + MO_MEASURE_TILT,
+                                   MO_TERM_MEASURE + MO_MEASURE_PEAK_STRAIN},
+                         .weights = {1, -0.1, -1}};
 }
 
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)
@@ -89,7 +104,7 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .back_end = back_end};
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
-      set_task(e, &canary->environments[b][e]);
+      set_task(e, back_end, &canary->environments[b][e]);
       block->environments[e] = &canary->environments[b][e];
     }
   }

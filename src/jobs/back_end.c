@@ -130,6 +130,15 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
                                                        : "the service has no devices");
 }
 
+const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
+{
+  for (uint32_t i = 0; environments != NULL && i < n; i++)
+    if (environments[i].task.objective > MO_OBJECTIVE_PURSUE)
+      return "devices cannot compute the objectives \"efficient\" and \"jump\" and weighted sums "
+             "yet; request \"cpu\" or \"auto\", or environments with other objectives";
+  return NULL;
+}
+
 int mo_back_end_check(struct mo_jobs *jobs, enum mo_back_end back_end)
 {
   return back_end == MO_ON_CPU || serves_devices(jobs) ? MO_OK : MO_ERR_DEVICE;

@@ -154,7 +154,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
       jobs, &request.job,
       record->measures != 0 ? "devices do not compute measures; request \"cpu\" or \"auto\", or "
                               "leave out measures and select_by"
-                            : NULL,
+                            : mo_back_end_unsuited(request.environments, record->n_environments),
       true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);

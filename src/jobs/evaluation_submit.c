@@ -68,12 +68,13 @@ static int choose(struct mo_jobs *jobs, struct mo_evaluation_request *request,
   job->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   const bool suits = !is_interactive && request->precision == MO_FLOAT32 && request->record == 0 &&
                      request->n_displaced == 0 && request->measures == 0;
-  error = mo_back_end_choose(jobs, job,
-                             suits ? NULL
-                                   : "devices compute only float32 batches without record, "
-                                     "error, tolerance or measures; request \"cpu\" or "
-                                     "\"auto\", or leave those out",
-                             n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
+  error = mo_back_end_choose(
+      jobs, job,
+      suits ? mo_back_end_unsuited(request->environments, request->n_environments)
+            : "devices compute only float32 batches without record, "
+              "error, tolerance or measures; request \"cpu\" or "
+              "\"auto\", or leave those out",
+      n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, message);
   if (error == MO_OK && bytes > jobs->config.max_recorded_bytes)
     error = mo_fail(message, MO_ERR_LIMIT,
                     "the recordings would take %llu bytes, and the limit is %llu; record less, or "

@@ -109,6 +109,37 @@ static void pull_springs_adjoint(const struct mo_reference *r, uint32_t step,
   }
 }
 
+/* The work at the start of a control period: work += k / 2 · max(after² − before², 0) over the
+ * springs, which depends on the new outputs, on the previous ones, and on the positions. */
+static void work_adjoint(const struct mo_reference *r, uint32_t step,
+                         const struct mo_step_tape *tape, struct mo_adjoint *adjoint)
+{
+  const struct mo_body *body = r->body;
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
+  const double d_work = adjoint->course.d_work * constants.stiffness_n_per_m;
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    if (mo_damage_lasts(r->cut, r->cut_step, step, s))
+      continue;
+    const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
+    double d[3];
+    for (int axis = 0; axis < 3; axis++)
+      d[axis] = tape->position_m[a + axis] - tape->position_m[b + axis];
+    const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]),
+                 rest = body->spring_rest_m[s], reach = rest * constants.actuation;
+    const double before = length - rest * (1 + constants.actuation * tape->previous[s]),
+                 after = length - rest * (1 + constants.actuation * tape->control.output[s]);
+    if (!(after * after > before * before))
+      continue;
+    adjoint->d_output[s] -= d_work * after * reach;
+    adjoint->d_previous[s] += d_work * before * reach;
+    const double d_length = d_work * (after - before);
+    for (int axis = 0; axis < 3 && length > 0; axis++) {
+      adjoint->d_position[a + axis] += d_length * d[axis] / length;
+      adjoint->d_position[b + axis] -= d_length * d[axis] / length;
+    }
+  }
+}
+
 static void move_masses_adjoint(const struct mo_reference *r, uint32_t step,
                                 const struct mo_step_tape *tape, struct mo_adjoint *adjoint)
 {
@@ -152,6 +183,8 @@ void mo_adjoint_step(const struct mo_reference *r, uint32_t step, struct mo_step
   pull_springs_adjoint(r, step, tape, adjoint);
   if (step % r->control_steps != 0)
     return;
+  if (r->works && step > 0)
+    work_adjoint(r, step, tape, adjoint);
   memset(adjoint->d_input, 0, r->controller->n_inputs * sizeof(double));
   mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs,
                          adjoint->d_output, &tape->control, adjoint->d_input);

@@ -119,6 +119,9 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
   for (uint32_t e = 0; e < n_environments; e++) {
     run.constants[e] = mo_scene_constants(environments[e], physics);
     run.breaks |= environments[e]->damage.cut != 0;
+    if (mo_task_needs_work(&environments[e]->task))
+      run.observations |= MO_OBSERVE_SPRINGS;
+    run.observations |= mo_observations(mo_task_measures(&environments[e]->task));
   }
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)

@@ -17,7 +17,15 @@ struct mo_course {
   uint32_t n_periods; /* control periods, of which the last may be shorter */
 };
 
-/* The state of a task at an instant. */
+/* What a task adds up besides the sum of struct mo_track. */
+struct mo_tally {
+  double sums[5];     /* of a sum's terms: course.c numbers them */
+  double peak_m;      /* jump: largest height of the center of mass at the instants that count */
+  double soft;        /* jump: sum over these instants of exp((height − peak_m) / softness) */
+  uint32_t n_heights; /* jump: number of these instants */
+};
+
+/* The state of a task at an instant. Devices compute no task that has a tally. */
 struct mo_track {
   double com_m[3];
   double sum;       /* over the periods that have ended: way, or distances */
@@ -32,11 +40,28 @@ struct mo_track {
     MO_TRACK_MOVED, /* it changes with the center of mass at this instant */
     MO_TRACK_SET    /* it is an end of the leg */
   } along_is;
+#ifndef __CUDACC__
+  struct mo_tally tally;
+#endif
 };
 
-/* ∂loss/∂ what lasts from one instant to the next. */
+/* What a rollout knows besides its track. */
+struct mo_observed {
+  double work_j;          /* measure work_j without rounding; unused by tasks that do not need it */
+  const double *measures; /* (MO_MEASURES) of which those of mo_task_measures count, without
+                             rounding; NULL if there are none */
+};
+
+/* ∂loss/∂ what lasts from one instant to the next, and what that depends on. */
 struct mo_course_adjoint {
   double d_sum, d_along;
+#ifndef __CUDACC__
+  double d_sums[5], d_peak; /* of a sum's terms; of a jump */
+  double d_work;            /* per J; 0 for tasks that do not need the work */
+  struct mo_tally tally;    /* at the end */
+  double loss;              /* that is differentiated: mo_course_soft_loss */
+  double work_j;
+#endif
 };
 
 /* Begins a course: *track is its state at the start. Borrows the environment. */
@@ -54,16 +79,23 @@ void mo_course_light(const struct mo_course *course, double t_s, const struct mo
 
 /* Sets loss and value of an outcome whose other members are set; track: at the end. */
 void mo_course_finish(const struct mo_course *course, const struct mo_track *track,
-                      struct mo_outcome *outcome);
+                      const struct mo_observed *observed, struct mo_outcome *outcome);
+
+/* Returns the loss that gradients are of: that of mo_course_finish, with a smooth maximum in place
+ * of the largest height. */
+double mo_course_soft_loss(const struct mo_course *course, const struct mo_track *track,
+                           const struct mo_observed *observed);
 
 /* Begins the backward pass at the end of the rollout: sets the adjoint and d_com, ∂loss/∂ the
- * center of mass there. before: at the instant before the end. */
+ * center of mass there. before: at the instant before the end. Only for tasks that
+ * mo_task_check_gradient accepts. */
 void mo_course_end_back(const struct mo_course *course, const struct mo_track *before,
-                        const struct mo_track *track, double loss,
+                        const struct mo_track *track, double work_j,
                         struct mo_course_adjoint *adjoint, double d_com[3]);
 
 /* Runs an instant backward, from ∂loss/∂ the light that was placed there: the adjoint becomes
- * that before the instant; sets d_com. before: NULL at the start of the rollout. */
+ * that before the instant; sets d_com. before: NULL at the start of the rollout; track[1] is at the
+ * next instant. */
 void mo_course_back(const struct mo_course *course, double t_s, const struct mo_track *before,
                     const struct mo_track *track, const double d_light[3],
                     struct mo_course_adjoint *adjoint, double d_com[3]);
@@ -71,7 +103,7 @@ void mo_course_back(const struct mo_course *course, double t_s, const struct mo_
 /* Restarts the backward pass (gradient.h) within the control period that began with `track`, where
  * the center of mass is com_m: sets d_com, weight · the gradient as if the rollout ended there. */
 void mo_course_restart(const struct mo_course *course, double t_s, const struct mo_track *track,
-                       const double com_m[3], double loss, double weight,
-                       struct mo_course_adjoint *adjoint, double d_com[3]);
+                       const double com_m[3], double weight, struct mo_course_adjoint *adjoint,
+                       double d_com[3]);
 
 #endif

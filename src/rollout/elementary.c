@@ -1,4 +1,4 @@
-/* elementary.c: sin and exp computed only with IEEE operations (fast.h). They are in a file of
+/* elementary.c: sin, exp and log computed only with IEEE operations (fast.h). They are in a file of
  * their own, so that programs that run no kernel link no kernel. */
 #include "rollout/fast.h"
 
@@ -36,4 +36,20 @@ double mo_fast_exp(double x)
   for (int i = 14; i > 0; i--) /* Horner: 1 + r/1 (1 + r/2 (1 + …)) */
     sum = 1.0 + r / i * sum;
   return ldexp(sum, (int)n);
+}
+
+double mo_fast_log(double x)
+{
+  int exponent;
+  double m = frexp(x, &exponent);
+  if (m < 0.70710678118654752440) {
+    m *= 2;
+    exponent--;
+  }
+  /* log m = 2 artanh(s) = 2 (s + s³/3 + s⁵/5 + …), |s| < 0.172 */
+  const double s = (m - 1) / (m + 1), square = s * s;
+  double sum = 0;
+  for (int i = 23; i > 1; i -= 2)
+    sum = square * (1.0 / i + sum);
+  return exponent * 0x1.62e42fefa2p-1 + (exponent * 0x1.9ef35793c7673p-41 + 2 * (s + s * sum));
 }

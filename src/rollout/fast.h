@@ -54,7 +54,7 @@ struct mo_fast_run {
   struct mo_constants constants[MO_LANES]; /* of the environments */
   const struct mo_recording *recordings;
   const struct mo_measuring *measuring; /* NULL: no measures */
-  unsigned observations;                /* measuring.h; 0: no measures */
+  unsigned observations;                /* measuring.h, for measures and for tasks; 0: nothing */
   const struct mo_pause_point *pause;
   struct mo_outcome *outcomes;
   /* Scratch, carved by block.c. */
@@ -82,7 +82,7 @@ struct mo_fast_run {
   void *terrain; /* (lanes, MO_CELLS, 4) */
   uint32_t *contacts; /* (n_masses) bits of the lanes that touched the terrain, in steps that end
                        * at a frame or that the measures observe; undefined in other steps */
-  /* For measures only: measuring.h has the first two. */
+  /* Only if something is observed: measuring.h has the first two. */
   double (*rows)[3];    /* (n_masses) */
   uint8_t (*halves)[2]; /* (n_masses) */
   void *turn_rows;      /* (n_masses, 2) reals: what the yaw needs of `rows` */
@@ -139,10 +139,11 @@ mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision);
 mo_gradient_function *mo_gradient_find(enum mo_isa isa);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
-/* Compute sin and exp from only IEEE operations, so that the bits do not depend on which variant
- * the C library chooses for the processor. Within 2 ulp of the exact value for |x| ≤ 1e6 and −700 ≤
- * x ≤ 0 respectively. */
+/* Compute sin, exp and the natural logarithm from only IEEE operations, so that the bits do not
+ * depend on which variant the C library chooses for the processor. Within 2 ulp of the exact value
+ * for |x| ≤ 1e6, −700 ≤ x ≤ 0 and normal x > 0 respectively. */
 double mo_fast_sin(double x);
 double mo_fast_exp(double x);
+double mo_fast_log(double x);
 
 #endif

@@ -27,7 +27,6 @@ struct gradient {
   struct mo_adjoint adjoint;
   double *d_parameters; /* (n_parameters) of this robot */
   struct mo_goal goal;  /* if the task is not plain, only its scale is used */
-  double loss;
   struct mo_gradient_counts counts;
 };
 
@@ -58,7 +57,8 @@ static int allocate(struct gradient *g)
   g->n_state = 2 * n + body->n_springs;
   const uint32_t periods = ((uint32_t)ceil(sqrt((double)n_steps)) + period - 1) / period;
   g->segment = periods * period;
-  const size_t states = (size_t)(segments(g) + 1) * g->n_state, step = 3 * n + body->n_springs,
+  const size_t states = (size_t)(segments(g) + 1) * g->n_state,
+               step = 3 * n + 2 * (size_t)body->n_springs,
                tapes = g->segment * step + periods * pass;
   g->memory = calloc(states + tapes + 3 * n + 2 * (size_t)body->n_springs + controller->n_inputs +
                          controller->n_parameters,
@@ -71,7 +71,11 @@ static int allocate(struct gradient *g)
   for (uint32_t p = 0; p < periods; p++, memory += pass)
     g->control[p] = mo_controller_tape_place(controller, body->n_springs, memory);
   for (uint32_t s = 0; s < g->segment; s++, memory += step)
-    g->steps[s] = (struct mo_step_tape){memory, memory + n, memory + 2 * n, memory + 3 * n,
+    g->steps[s] = (struct mo_step_tape){memory,
+                                        memory + n,
+                                        memory + 2 * n,
+                                        memory + 3 * n,
+                                        memory + 3 * n + body->n_springs,
                                         g->control[s / period]};
   g->states = g->memory + tapes;
   g->adjoint.d_position = g->states + states;
@@ -127,7 +131,7 @@ static void start_at_end(struct gradient *g)
   const struct mo_course *course = &g->reference.course;
   const struct mo_track *end = g->reference.tracks + course->n_periods;
   double d_com[3];
-  mo_course_end_back(course, end - 1, end, g->loss, &g->adjoint.course, d_com);
+  mo_course_end_back(course, end - 1, end, g->reference.work_j, &g->adjoint.course, d_com);
   mo_adjoint_start_at(&g->reference, d_com, &g->adjoint);
 }
 
@@ -138,7 +142,7 @@ static void restart(struct gradient *g, uint32_t step, const double com_m[3])
   const uint32_t k = step / r->control_steps;
   double d_com[3];
   mo_course_restart(&r->course, k * r->control_steps * r->physics->scheme.dt_s, r->tracks + k,
-                    com_m, g->loss, g->options->restart_weight, &g->adjoint.course, d_com);
+                    com_m, g->options->restart_weight, &g->adjoint.course, d_com);
   mo_adjoint_start_at(r, d_com, &g->adjoint);
 }
 
@@ -240,6 +244,8 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
   if (controller == NULL)
     return MO_ERR_INVALID;
   int r = mo_gradient_options_check(options);
+  if (r == MO_OK)
+    r = mo_task_check_gradient(&environment->task, NULL);
   if (r < 0)
     return r;
   struct gradient g = {.options = options, .probe = probe, .counts = {.robots = 1}};
@@ -249,10 +255,10 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
   r = allocate(&g);
   if (r == MO_OK) {
     mo_reference_run(&g.reference, keep_state, &g, outcome);
+    mo_reference_finish(&g.reference, NULL, outcome);
     g.goal = mo_goal_of(environment, outcome->com_start_m);
     if (g.reference.tracks != NULL)
       g.goal.scale_m = g.reference.course.scale_m;
-    g.loss = outcome->loss;
     if (outcome->diverged_step != 0)
       g.counts.diverged_robots++;
     else if (!run_backward(&g, outcome))

@@ -94,6 +94,9 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_pack *p
   for (uint32_t i = 0; i < n; i++)
     if (!mo_workspace_equal(robots[i].body->workspace, pack->workspace))
       return MO_ERR_INVALID;
+  for (uint32_t i = 0; i < n; i++)
+    if (mo_task_check_gradient(&robots[i].environment->task, NULL) != MO_OK)
+      return MO_ERR_UNSUPPORTED;
   struct mo_gradient_counts block = {0};
   struct mo_gradient_run run = {.memory = memory,
                                 .pack = pack,

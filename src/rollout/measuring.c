@@ -132,21 +132,24 @@ static void finish_springs(const struct mo_observer *o, double *values)
   values[MO_MEASURE_INVERTED_VOXELS] = o->inverted;
 }
 
-void mo_observer_finish(const struct mo_observer *observer, uint32_t set, bool diverged,
-                        const double up[3], double values[MO_MEASURES])
+void mo_observer_finish(const struct mo_observer *observer, bool diverged, const double up[3],
+                        double observed[MO_MEASURES])
 {
-  double all[MO_MEASURES];
   for (int k = 0; k < MO_MEASURES; k++)
-    all[k] = NAN;
-  if (!diverged) {
-    finish_motion(observer, up, all);
-    finish_contacts(observer, all);
-    finish_springs(observer, all);
-  }
+    observed[k] = NAN;
+  if (diverged)
+    return;
+  finish_motion(observer, up, observed);
+  finish_contacts(observer, observed);
+  finish_springs(observer, observed);
+}
+
+void mo_measures_round(uint32_t set, const double observed[MO_MEASURES], double values[MO_MEASURES])
+{
   for (int k = 0; k < MO_MEASURES; k++) {
     const double steps = mo_measure_info[k].steps_in_one;
     const bool wanted = (set >> k & 1) != 0;
-    values[k] = wanted ? rint(all[k] * steps) / steps + 0.0 : NAN; /* + 0.0: never −0 */
+    values[k] = wanted ? rint(observed[k] * steps) / steps + 0.0 : NAN; /* + 0.0: never −0 */
   }
 }
 

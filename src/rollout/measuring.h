@@ -53,9 +53,13 @@ void mo_observer_begin(struct mo_observer *observer, const struct mo_body *body,
 /* Continues to an instant after the start. */
 void mo_observe(struct mo_observer *observer, const struct mo_pose *pose);
 
-/* Writes the measures in the set; the others become NaN. up: F_xz, F_yz, F_zz at the end. */
-void mo_observer_finish(const struct mo_observer *observer, uint32_t set, bool diverged,
-                        const double up[3], double values[MO_MEASURES]);
+/* Writes all measures, without rounding; those that were not observed are undefined. up: F_xz,
+ * F_yz, F_zz at the end. */
+void mo_observer_finish(const struct mo_observer *observer, bool diverged, const double up[3],
+                        double observed[MO_MEASURES]);
+/* Rounds the measures in the set; the others become NaN. */
+void mo_measures_round(uint32_t set, const double observed[MO_MEASURES],
+                       double values[MO_MEASURES]);
 
 /* Computes each mass's row of the pseudo-inverse of the masses at rest, (n_masses, 3): the sum over
  * the masses of position ⊗ row is F. Rows sum to 0, so it does not matter where positions are

@@ -82,6 +82,25 @@ bool mo_reference_blends(const struct mo_reference *r, uint32_t step)
          step % r->control_steps == 0;
 }
 
+/* Adds the work of the actuators at the start of a control period: what the energy of each spring
+ * gains where new outputs replace the previous ones, if it gains. */
+static void work(struct mo_reference *r, uint32_t step)
+{
+  const struct mo_body *body = r->body;
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    if (mo_damage_lasts(r->cut, r->cut_step, step, s))
+      continue;
+    const double *a = r->position_m + 3 * (size_t)body->spring_a[s],
+                 *b = r->position_m + 3 * (size_t)body->spring_b[s], rest = body->spring_rest_m[s];
+    const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+    const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+    const double before = length - rest * (1 + constants.actuation * r->tape->previous[s]),
+                 after = length - rest * (1 + constants.actuation * r->output[s]);
+    r->work_j += 0.5 * constants.stiffness_n_per_m * fmax(after * after - before * before, 0);
+  }
+}
+
 /* Sets what the springs pull with. */
 static void activate(struct mo_reference *r, uint32_t step)
 {
@@ -89,6 +108,7 @@ static void activate(struct mo_reference *r, uint32_t step)
   for (uint32_t s = 0; s < r->body->n_springs; s++) {
     const double output = r->tape->control.output[s];
     r->tape->activation[s] = blends ? 0.5 * (r->output[s] + output) : output;
+    r->tape->previous[s] = r->output[s];
     r->output[s] = output;
   }
 }
@@ -174,6 +194,8 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
     control(r, step);
   if (r->controller != NULL)
     activate(r, step);
+  if (r->works && r->controller != NULL && step > 0 && step % r->control_steps == 0)
+    work(r, step);
   pull_springs(r, step);
   move_masses(r, step);
   if (is_sane(r))
@@ -198,7 +220,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                periods = (physics->scheme.n_steps + (size_t)control_steps - 1) / control_steps;
   const bool plain = mo_task_is_plain(&environment->task);
   struct mo_track *tracks = plain ? NULL : calloc(periods + 1, sizeof(*tracks));
-  double *memory = calloc(6 * n + tape + bytes + 2 * (size_t)body->n_springs, sizeof(double));
+  double *memory = calloc(6 * n + tape + bytes + 3 * (size_t)body->n_springs, sizeof(double));
   if (memory == NULL || (!plain && tracks == NULL)) {
     free(memory);
     free(tracks);
@@ -210,6 +232,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                                      .physics = physics,
                                      .control_steps = control_steps,
                                      .tracks = tracks,
+                                     .works = mo_task_needs_work(&environment->task),
                                      .highest_m = mo_terrain_highest(environment),
                                      .position_m = memory,
                                      .velocity_m_per_s = memory + n,
@@ -217,9 +240,12 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                                      .output = memory + 6 * n,
                                      .tape = &reference->own};
   memory += 3 * n;
-  reference->own = (struct mo_step_tape){
-      memory, memory + n, memory + 2 * n, memory + 3 * n + body->n_springs, {0}};
-  memory += 3 * n + 2 * (size_t)body->n_springs;
+  reference->own = (struct mo_step_tape){.position_m = memory,
+                                         .velocity_m_per_s = memory + n,
+                                         .acceleration = memory + 2 * n,
+                                         .activation = memory + 3 * n + body->n_springs,
+                                         .previous = memory + 3 * n + 2 * (size_t)body->n_springs};
+  memory += 3 * n + 3 * (size_t)body->n_springs;
   reference->contacts = (uint8_t *)(memory + tape);
   reference->cut = reference->contacts + body->n_masses;
   reference->cut_step = mo_damage_step(environment, &physics->scheme);
@@ -255,12 +281,18 @@ void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint3
     visit(context, step + 1);
   }
   mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
-  if (r->tracks == NULL) {
+  if (r->tracks != NULL)
+    advance(r, r->course.n_periods, r->course.end_s);
+}
+
+void mo_reference_finish(const struct mo_reference *r, const double *measures,
+                         struct mo_outcome *outcome)
+{
+  const struct mo_observed observed = {.work_j = r->work_j, .measures = measures};
+  if (r->tracks == NULL)
     mo_scene_finish(outcome, r->environment);
-    return;
-  }
-  advance(r, r->course.n_periods, r->course.end_s);
-  mo_course_finish(&r->course, r->tracks + r->course.n_periods, outcome);
+  else
+    mo_course_finish(&r->course, r->tracks + r->course.n_periods, &observed, outcome);
 }
 
 struct recorder {
@@ -315,7 +347,9 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
   r = mo_reference_measures_init(&recorder.measures, &recorder.reference, light_m, measuring);
   if (r == MO_OK) {
     mo_reference_run(&recorder.reference, look, &recorder, outcome);
-    mo_reference_measures_finish(&recorder.measures, &recorder.reference, outcome);
+    const double *observed =
+        mo_reference_measures_finish(&recorder.measures, &recorder.reference, outcome);
+    mo_reference_finish(&recorder.reference, observed, outcome);
   }
   mo_reference_measures_done(&recorder.measures);
   mo_reference_done(&recorder.reference);

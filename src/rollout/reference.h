@@ -18,6 +18,7 @@ struct mo_step_tape {
   double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
   double *acceleration;     /* (n_masses, 3) m/s² by springs and gravity */
   double *activation;       /* (n_springs) what the springs pulled with */
+  double *previous;         /* (n_springs) the controller's outputs in the step before */
   struct mo_controller_tape control; /* over the body's springs; the steps of a control period share
                                         one */
 };
@@ -30,6 +31,8 @@ struct mo_reference {
   uint32_t control_steps;   /* in a control period */
   double light_m[3];        /* unless the task is plain, that of the latest control period */
   struct mo_course course;  /* unused by plain tasks */
+  bool works;               /* the task needs work_j */
+  double work_j;            /* of the actuators so far */
   struct mo_track *tracks;  /* (control periods + 1) at the start of each, and at the end; NULL if
                                the task is plain */
   double highest_m;         /* of the terrain */
@@ -68,8 +71,12 @@ struct mo_kick mo_reference_kick(const struct mo_reference *reference,
                                  const struct mo_constants *constants, uint32_t step);
 
 /* Runs all steps until a divergence. Calls visit(context, step) with the state before each step and
- * after the last one, also after a divergence. */
+ * after the last one, also after a divergence. Loss and value of the outcome are not set. */
 void mo_reference_run(struct mo_reference *reference, void (*visit)(void *context, uint32_t step),
                       void *context, struct mo_outcome *outcome);
+
+/* Sets loss and value after a run. measures: as in struct mo_observed; nullable. */
+void mo_reference_finish(const struct mo_reference *reference, const double *measures,
+                         struct mo_outcome *outcome);
 
 #endif

@@ -15,11 +15,15 @@ int mo_reference_measures_init(struct mo_reference_measures *measures,
 {
   const struct mo_body *body = reference->body;
   *measures = (struct mo_reference_measures){0};
-  if (measuring == NULL || measuring->set == 0)
+  const bool wanted = measuring != NULL && measuring->set != 0;
+  measures->set = mo_task_measures(&reference->environment->task);
+  if (wanted) {
+    measures->set |= measuring->set;
+    measures->wanted = measuring->set;
+    measures->values = measuring->values[0];
+  }
+  if (measures->set == 0)
     return MO_OK;
-  measures->set = measuring->set;
-  measures->values = measuring->values[0];
-  measures->observations = mo_observations(measuring->set);
   measures->rows = calloc(body->n_masses, sizeof(*measures->rows));
   measures->halves = calloc(body->n_masses, sizeof(*measures->halves));
   measures->output = calloc(body->n_springs, sizeof(*measures->output));
@@ -137,13 +141,13 @@ void mo_reference_observe(struct mo_reference_measures *measures,
   observe_contacts(m, r);
 }
 
-void mo_reference_measures_finish(struct mo_reference_measures *measures,
-                                  const struct mo_reference *reference,
-                                  const struct mo_outcome *outcome)
+const double *mo_reference_measures_finish(struct mo_reference_measures *measures,
+                                           const struct mo_reference *reference,
+                                           const struct mo_outcome *outcome)
 {
   struct mo_reference_measures *m = measures;
   if (m->set == 0)
-    return;
+    return NULL;
   struct mo_pose pose;
   double up[3] = {0, 0, 0};
   pose_of(m, reference->body, reference->position_m, &pose);
@@ -151,5 +155,8 @@ void mo_reference_measures_finish(struct mo_reference_measures *measures,
   for (uint32_t i = 0; i < reference->body->n_masses; i++)
     for (int axis = 0; axis < 3; axis++)
       up[axis] += m->rows[i][2] * reference->position_m[3 * (size_t)i + (size_t)axis];
-  mo_observer_finish(&m->observer, m->set, outcome->diverged_step != 0, up, m->values);
+  mo_observer_finish(&m->observer, outcome->diverged_step != 0, up, m->observed);
+  if (m->values != NULL)
+    mo_measures_round(m->wanted, m->observed, m->values);
+  return m->observed;
 }

@@ -7,9 +7,9 @@
 
 /* All zero: no measures. */
 struct mo_reference_measures {
-  uint32_t set;
-  double *values;
-  unsigned observations;
+  uint32_t set, wanted; /* what is observed; what `values` gets */
+  double *values;       /* where those of the set go; NULL: the task needs them, nobody else */
+  double observed[MO_MEASURES]; /* without rounding */
   struct mo_observer observer;
   double (*rows)[3];    /* (n_masses) mo_measuring_frame */
   uint8_t (*halves)[2]; /* (n_masses) mo_measuring_halves */
@@ -29,8 +29,10 @@ void mo_reference_measures_done(struct mo_reference_measures *measures);
 void mo_reference_observe(struct mo_reference_measures *measures,
                           const struct mo_reference *reference, uint32_t step);
 
-void mo_reference_measures_finish(struct mo_reference_measures *measures,
-                                  const struct mo_reference *reference,
-                                  const struct mo_outcome *outcome);
+/* Writes the measures that are wanted. Returns all of them without rounding, valid as long as
+ * `measures`; NULL: nothing was observed. */
+const double *mo_reference_measures_finish(struct mo_reference_measures *measures,
+                                           const struct mo_reference *reference,
+                                           const struct mo_outcome *outcome);
 
 #endif

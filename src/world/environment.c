@@ -34,7 +34,7 @@ static const struct mo_field task_rows[] = {
     {PAIRS(points_m, MO_GUIDE_POINTS_MAX), .since = 2},
     {PAIRS(velocity_m_per_s, 1), .since = 2},
     {PAIRS(center_m, 1), .since = 2},
-    {"objective", MO_FIELD_WORD, 0, AT(task.objective), .words = mo_objective_words, .since = 2},
+    {"objective", MO_FIELD_COUNT, 0, AT(task.objective), .since = 2},
 };
 #undef NUMBER
 #undef PAIRS
@@ -48,7 +48,27 @@ static const struct mo_field damage_rows[] = {
     {"cut", MO_FIELD_COUNT, 0, AT(damage.cut), .since = 4},
     {"cut_at_s", MO_FIELD_NUMBER, 0, AT(damage.time_s), .since = 4},
 };
+/* The same for sums. */
+#define TERM(i)                                                                                    \
+  {                                                                                                \
+    "term_" #i, MO_FIELD_COUNT, 0, AT(task.terms[i]), .since = 5                                   \
+  }
+static const struct mo_field sum_rows[] = {
+    {"n_terms", MO_FIELD_COUNT, 0, AT(task.n_terms), .since = 5},
+    TERM(0),
+    TERM(1),
+    TERM(2),
+    TERM(3),
+    TERM(4),
+    TERM(5),
+    TERM(6),
+    TERM(7),
+    {"weights", MO_FIELD_NUMBERS, 0, AT(task.weights), .n = MO_TERMS_MAX, .since = 5},
+};
+_Static_assert(MO_TERMS_MAX == 8, "each term has a row");
+#undef TERM
 #undef AT
+static const struct mo_fields sum_fields = MO_FIELDS(sum_rows);
 static const struct mo_fields damage_fields = MO_FIELDS(damage_rows);
 static const struct mo_fields profile_fields = MO_FIELDS(profile_rows);
 static const struct mo_fields task_fields = MO_FIELDS(task_rows);
@@ -57,6 +77,7 @@ static const struct mo_field rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &task_fields, .since = 2},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &profile_fields, .since = 3},
     {NULL, MO_FIELD_INLINE, 0, 0, .group = &damage_fields, .since = 4},
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &sum_fields, .since = 5},
 };
 const struct mo_fields mo_environment_fields = MO_FIELDS(rows);
 
@@ -64,7 +85,11 @@ const struct mo_environment mo_environment_defaults = {0};
 
 unsigned mo_environment_version(const struct mo_environment *environment)
 {
-  return mo_fields_version(&mo_environment_fields, environment, &mo_environment_defaults);
+  /* Objectives that versions before 5 do not have are packed in this one. */
+  const unsigned least = environment->task.objective > MO_OBJECTIVE_PURSUE ? 5 : 1;
+  const unsigned version =
+      mo_fields_version(&mo_environment_fields, environment, &mo_environment_defaults);
+  return version > least ? version : least;
 }
 
 /* The shape of the terrain; *where: the number of what is wrong. */

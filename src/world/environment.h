@@ -17,8 +17,9 @@ enum { MO_PLACE_LIGHT, MO_PLACE_HEIGHTS }; /* its first rows */
 bool mo_place_has(const struct mo_environment *environment, size_t row);
 
 /* The whole environment, for hashed encodings and the messages of workers: its packed form
- * (base/fields.h) has 66 float64, from version 2 on the task, and from version 3 on the shape of
- * the terrain. task_json.h: in JSON. */
+ * (base/fields.h) has 66 float64, from version 2 on the task, from version 3 on the shape of the
+ * terrain, from version 4 on the damage, and from version 5 on the terms of a sum. task_json.h: in
+ * JSON. */
 extern const struct mo_fields mo_environment_fields;
 /* The value that a newly added field has where it is not given. */
 extern const struct mo_environment mo_environment_defaults;

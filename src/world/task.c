@@ -1,13 +1,15 @@
 /* task.c: the words, units and bounds of tasks. */
+#include <morpho/measure.h>
 #include <morpho/world.h>
 
 #include <math.h>
 #include <stddef.h>
+#include <stdio.h>
 #include <string.h>
 
 const char *const mo_guide_words[] = {"fixed", "ahead", "turning", "path", "moving", NULL};
-const char *const mo_objective_words[] = {"reach", "approach", "travel", "follow",
-                                          "climb", "pursue",   NULL};
+const char *const mo_objective_words[] = {"reach",  "approach",  "travel", "follow", "climb",
+                                          "pursue", "efficient", "jump",   NULL};
 
 /* Sets of guides. */
 #define GUIDE(kind) (1U << MO_GUIDE_##kind)
@@ -25,8 +27,11 @@ static const struct {
     [MO_OBJECTIVE_FOLLOW] = {GUIDE(PATH), "path", "m", 1},
     [MO_OBJECTIVE_CLIMB] = {EVERY, "any", "m", 0.1},
     [MO_OBJECTIVE_PURSUE] = {GUIDE(MOVING), "moving", "", 0},
+    [MO_OBJECTIVE_EFFICIENT] = {EVERY, "any", "m/kJ", 0.1},
+    [MO_OBJECTIVE_JUMP] = {EVERY, "any", "m", 0.1},
 };
 #define OBJECTIVES (sizeof(objectives) / sizeof(*objectives))
+#define SUM_SCALE  1.0
 
 bool mo_task_is_plain(const struct mo_task *task)
 {
@@ -40,16 +45,101 @@ const char *mo_objective_unit(enum mo_objective objective)
 
 double mo_objective_scale(enum mo_objective objective)
 {
-  return objectives[objective].scale;
+  return objective == MO_OBJECTIVE_SUM ? SUM_SCALE : objectives[objective].scale;
 }
 
 double mo_objective_value(enum mo_objective objective, double loss)
 {
-  const double scale = objectives[objective].scale;
+  const double scale = mo_objective_scale(objective);
   if (!isfinite(loss))
     return -(double)INFINITY;
   return scale > 0 ? -scale * log(loss) : 1 - loss;
 }
+
+/* ---- the terms of a sum ---- */
+
+#define TERM(measure) (1U << MO_MEASURE_##measure)
+/* Measures that may have no value, or that are good or bad on both sides of 0. */
+#define NO_TERMS (TERM(HEADING_ERROR) | TERM(COST_OF_TRANSPORT) | TERM(SIDEWAYS))
+/* Measures that have a derivative. */
+#define SMOOTH                                                                                     \
+  (TERM(DISPLACEMENT) | TERM(PATH_LENGTH) | TERM(MEAN_SPEED) | TERM(STRAIGHTNESS) |                \
+   TERM(MEAN_HEIGHT) | TERM(WORK))
+
+const char *mo_term_name(uint32_t term)
+{
+  if (term < OBJECTIVES)
+    return mo_objective_words[term];
+  if (term < MO_TERM_MEASURE || term - MO_TERM_MEASURE >= MO_MEASURES ||
+      (NO_TERMS >> (term - MO_TERM_MEASURE) & 1) != 0)
+    return NULL;
+  return mo_measure_info[term - MO_TERM_MEASURE].name;
+}
+
+bool mo_task_needs_work(const struct mo_task *task)
+{
+  bool needs = task->objective == MO_OBJECTIVE_EFFICIENT;
+  for (uint32_t i = 0; i < task->n_terms; i++)
+    needs = needs || task->terms[i] == MO_OBJECTIVE_EFFICIENT ||
+            task->terms[i] == MO_TERM_MEASURE + MO_MEASURE_WORK;
+  return needs;
+}
+
+uint32_t mo_task_measures(const struct mo_task *task)
+{
+  uint32_t set = 0;
+  for (uint32_t i = 0; i < task->n_terms; i++)
+    if (task->terms[i] >= MO_TERM_MEASURE)
+      set |= UINT32_C(1) << (task->terms[i] - MO_TERM_MEASURE);
+  return set & ~SMOOTH;
+}
+
+int mo_task_check_gradient(const struct mo_task *task, struct mo_message *message)
+{
+  const uint32_t set = mo_task_measures(task);
+  char list[512];
+  size_t used = 0;
+  if (set == 0)
+    return MO_OK;
+  for (uint32_t term = 0; term < MO_TERM_MEASURE + MO_MEASURES; term++)
+    if (term < OBJECTIVES ||
+        (term >= MO_TERM_MEASURE && (SMOOTH >> (term - MO_TERM_MEASURE) & 1) != 0))
+      used += (size_t)snprintf(list + used, sizeof(list) - used, "%s%s", used > 0 ? ", " : "",
+                               mo_term_name(term));
+  return mo_fail(message, MO_ERR_UNSUPPORTED,
+                 "%s has no derivative; for learning, the terms of an objective may be %s",
+                 mo_measure_info[__builtin_ctz(set)].name, list);
+}
+
+static int check_terms(const struct mo_task *task, struct mo_message *message)
+{
+  const uint32_t n = task->n_terms;
+  if (task->objective == MO_OBJECTIVE_SUM ? n < 1 || n > MO_TERMS_MAX : n != 0)
+    return mo_fail(message, MO_ERR_RANGE, "a sum must have at least 1 and at most %d terms, got %u",
+                   MO_TERMS_MAX, n);
+  for (uint32_t i = 0; i < MO_TERMS_MAX; i++) {
+    const uint32_t term = task->terms[i];
+    const double weight = task->weights[i];
+    if (i >= n) {
+      if (term != 0 || weight != 0)
+        return mo_fail(message, MO_ERR_INVALID, "what a sum does not use must be 0");
+      continue;
+    }
+    const char *name = mo_term_name(term);
+    if (name == NULL || (i > 0 && term <= task->terms[i - 1]))
+      return mo_fail(message, MO_ERR_INVALID, "the terms of a sum must be known and ascending");
+    if (!isfinite(weight) || weight == 0)
+      return mo_fail(message, MO_ERR_INVALID, "the weight of %s must be a finite number but 0",
+                     name);
+    if (fabs(weight) > MO_TERM_WEIGHT_MAX)
+      return mo_fail(message, MO_ERR_RANGE,
+                     "the weight of %s must be at least %g and at most %g, got %g", name,
+                     -MO_TERM_WEIGHT_MAX, MO_TERM_WEIGHT_MAX, weight);
+  }
+  return MO_OK;
+}
+
+/* ---- guides ---- */
 
 bool mo_guide_has_light(const struct mo_guide *guide)
 {
@@ -173,18 +263,30 @@ static int check_kind(const struct mo_guide *guide, struct mo_message *message)
   return error;
 }
 
+static int check_fit(const struct mo_guide *guide, uint32_t objective, struct mo_message *message)
+{
+  if ((objectives[objective].guides >> guide->kind & 1) == 0)
+    return mo_fail(message, MO_ERR_INVALID, "objective %s needs a guide that is %s, got %s",
+                   mo_objective_words[objective], objectives[objective].words,
+                   mo_guide_words[guide->kind]);
+  return MO_OK;
+}
+
 int mo_task_check(const struct mo_task *task, struct mo_message *message)
 {
   const struct mo_guide *guide = &task->guide;
   if ((unsigned)guide->kind > MO_GUIDE_MOVING)
     return mo_fail(message, MO_ERR_INVALID, "unknown kind of guide %d", (int)guide->kind);
-  if ((unsigned)task->objective >= OBJECTIVES)
+  if ((unsigned)task->objective >= OBJECTIVES && task->objective != MO_OBJECTIVE_SUM)
     return mo_fail(message, MO_ERR_INVALID, "unknown objective %d", (int)task->objective);
-  if ((objectives[task->objective].guides >> guide->kind & 1) == 0)
-    return mo_fail(message, MO_ERR_INVALID, "objective %s needs a guide that is %s, got %s",
-                   mo_objective_words[task->objective], objectives[task->objective].words,
-                   mo_guide_words[guide->kind]);
-  const int error = check_kind(guide, message);
+  int error = check_terms(task, message);
+  if (error == MO_OK && task->objective != MO_OBJECTIVE_SUM)
+    error = check_fit(guide, task->objective, message);
+  for (uint32_t i = 0; i < task->n_terms && error == MO_OK; i++)
+    if (task->terms[i] < OBJECTIVES)
+      error = check_fit(guide, task->terms[i], message);
+  if (error == MO_OK)
+    error = check_kind(guide, message);
   if (error != MO_OK)
     return error;
   /* So that equal tasks have equal hashes. */

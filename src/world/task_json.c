@@ -1,6 +1,8 @@
 /* task_json.c: see task_json.h. */
 #include "world/task_json.h"
 
+#include <morpho/measure.h>
+
 #include <math.h>
 #include <string.h>
 
@@ -170,12 +172,114 @@ static void complete_guide(struct mo_environment *environment, unsigned given)
 
 /* ---- reading ---- */
 
+/* Adds a term in its place. Returns its index, or −1 if it is there already. A sum that is full
+ * loses its last term, which the caller notices by the number of terms. */
+static int add_term(struct mo_task *task, uint32_t term, double weight)
+{
+  uint32_t at = 0;
+  while (at < task->n_terms && task->terms[at] < term)
+    at++;
+  if (at < task->n_terms && task->terms[at] == term)
+    return -1;
+  for (uint32_t i = task->n_terms < MO_TERMS_MAX ? task->n_terms : MO_TERMS_MAX - 1; i > at; i--) {
+    task->terms[i] = task->terms[i - 1];
+    task->weights[i] = task->weights[i - 1];
+  }
+  task->n_terms += task->n_terms < MO_TERMS_MAX;
+  if (at < MO_TERMS_MAX) {
+    task->terms[at] = term;
+    task->weights[at] = weight;
+  }
+  return (int)at;
+}
+
+/* Reads the weight of the term `key`. */
+static void read_term(struct mo_json *json, struct mo_json_slice key, struct mo_task *task)
+{
+  struct mo_text text = {0};
+  double weight = 0;
+  for (uint32_t term = 0; term < MO_TERM_MEASURE + MO_MEASURES; term++) {
+    const char *name = mo_term_name(term);
+    if (name == NULL || !mo_json_is(key, name)) {
+      if (name != NULL)
+        mo_text_format(&text, "%s%s", text.size > 0 ? ", " : "", name);
+      continue;
+    }
+    mo_text_free(&text);
+    if (!mo_json_bounded(json, -MO_TERM_WEIGHT_MAX, MO_TERM_WEIGHT_MAX, &weight))
+      return;
+    if (weight == 0)
+      mo_json_fault(json, "must not be 0; leave the term out");
+    else if (add_term(task, term, weight) < 0)
+      mo_json_fault(json, "is given twice");
+    return;
+  }
+  bool is_measure = false;
+  for (int m = 0; m < MO_MEASURES; m++)
+    is_measure = is_measure || mo_json_is(key, mo_measure_info[m].name);
+  mo_json_fault(json, "%s; the terms are %s",
+                is_measure ? "cannot be weighed, because it may have no value or is good on "
+                             "neither side of 0"
+                           : "neither an objective nor a measure",
+                text.failed ? "others" : text.data);
+  mo_text_free(&text);
+  mo_json_skip(json);
+}
+
+/* Reads a word, or the weights of a sum. */
+static void read_objective(struct mo_json *json, void *value)
+{
+  struct mo_task *task = value, sum = *task;
+  const unsigned depth = json->depth, faults = json->faults->n;
+  struct mo_json_slice key;
+  uint32_t n = 0;
+  if (mo_json_peek(json) == MO_JSON_STRING) {
+    char list[MO_WORDS_BYTES];
+    if (!mo_json_string(json, &key))
+      return;
+    for (int i = 0; mo_objective_words[i] != NULL; i++)
+      if (mo_json_is(key, mo_objective_words[i])) {
+        task->objective = (enum mo_objective)i;
+        return;
+      }
+    mo_json_fault_at(json, depth, "", "must be an object with weights or %s, got \"%.*s\"",
+                     mo_words_list(mo_objective_words, list), key.size > 64 ? 64 : (int)key.size,
+                     key.bytes);
+    return;
+  }
+  if (!mo_json_object(json))
+    return;
+  sum.objective = MO_OBJECTIVE_SUM;
+  for (; mo_json_member(json, &key); n++)
+    read_term(json, key, &sum);
+  if (json->stop || json->faults->n > faults)
+    return;
+  if (n < 1 || n > MO_TERMS_MAX)
+    mo_json_fault_at(json, depth, "", "must have 1 to %d weights, got %u", MO_TERMS_MAX, n);
+  else
+    *task = sum;
+}
+
+static void write_objective(struct mo_text *text, const void *value)
+{
+  const struct mo_task *task = value;
+  if (task->objective != MO_OBJECTIVE_SUM) {
+    mo_text_format(text, "\"%s\"", mo_word(mo_objective_words, (unsigned)task->objective));
+    return;
+  }
+  mo_text_object(text);
+  for (uint32_t i = 0; i < task->n_terms; i++)
+    mo_text_member_number(text, mo_term_name(task->terms[i]), task->weights[i]);
+  mo_text_add(text, "}");
+}
+
+static const struct mo_field_own objective_own = {.read = read_objective, .write = write_objective};
 static const struct mo_field objective_row = {"objective",
-                                              MO_FIELD_WORD,
+                                              MO_FIELD_OWN,
                                               0,
-                                              offsetof(struct mo_task, objective),
-                                              .words = mo_objective_words,
+                                              0,
                                               .unit = "",
+                                              .own = &objective_own,
                                               .help = "what the score is"};
 static const struct mo_fields objective_field = {&objective_row, 1};
 

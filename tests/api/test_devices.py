@@ -143,6 +143,11 @@ def test_evaluations(start):
                   {"task": "walk", "damage": {"octant": 0, "time_s": 1}}):
         assert run(service, "evaluations",
                    {**LARGE, "device": "cuda", "environments": [world]})["device"] == "cuda"
+    for world, word in (({"task": {"objective": "jump"}, "light_xy_m": [4, 2.5]}, "jump"),
+                        ({"task": {"guide": {"kind": "ahead"}, "objective": {"travel": 1}}},
+                         "weighted sums")):
+        assert word in refused(service, "evaluations",
+                               {**LARGE, "device": "cuda", "environments": [world]})
     for more in ({"record": ["com"]}, {"precision": "float64"}, {"priority": "interactive"}):
         refused(service, "evaluations", {**LARGE, "device": "cuda", **more})
         if more != {"priority": "interactive"}:

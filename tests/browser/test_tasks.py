@@ -14,7 +14,8 @@ def test_a_form_offers_tasks(service, browser):
     browser.click("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
     names = browser.run("return [...document.querySelectorAll('.tasks input')].map((e) => e.value)")
-    assert names == ["photo", "walk", "climb", "circle", "path", "shuttle", "pursue"]
+    assert names == ["photo", "walk", "climb", "circle", "path", "shuttle", "pursue", "efficient",
+                     "jump"]
     assert browser.run("return document.querySelectorAll('.tasks svg').length") == len(names)
     browser.run("document.querySelector('.tasks input[value=walk]').click()")
     browser.run("const form = document.querySelector('dialog form');"

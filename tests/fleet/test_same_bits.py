@@ -76,7 +76,9 @@ def test_tasks(daemon, worker, seed):
     tasks = ["walk", "climb", "circle", "path", "shuttle", "pursue"]
     worlds = [{"task": task} for task in tasks] + [
         {"task": "photo-auc", "light_xy_m": [4, 3]},
-        {"light_xy_m": [4, 3], "terrain_sigma_m": 0.05, "seed": 1}]
+        {"light_xy_m": [4, 3], "terrain_sigma_m": 0.05, "seed": 1}] + [
+        {"task": {"guide": {"kind": "ahead"}, "objective": objective}} for objective in (
+            "efficient", "jump", {"travel": 1, "peak_strain": -1})]
     results, rollouts = scored_elsewhere(daemon, worker, {
         "designs": bodies(seed, 30), "physics": {"n_steps": 500}, "priority": "batch",
         "environments": worlds})

@@ -44,7 +44,7 @@ FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "gnut
 PUBLIC = {
     "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
     "task.h": "world",
-    "controller.h": "controller", "measure.h": "rollout", "rollout.h": "rollout",
+    "controller.h": "controller", "measure.h": "world", "rollout.h": "rollout",
     "gradient.h": "rollout",
     "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute",
     "learning.h": "learning", "evolution.h": "evolution"

@@ -62,11 +62,13 @@ def test_values_of_tasks(m, tmp_path):
     assert scene[0].unit == "m" and scene[0].more["lights_m"].shape[1] == 3
     kinds = [morphod.Task.ahead(1.0), morphod.Task.turning(-1.0, distance_m=2),
              morphod.Task.path([(3, 2.5)], objective="climb"),
-             morphod.Task.moving([4, 3], velocity_m_per_s=[0.1, 0]), morphod.Task.fixed("approach")]
+             morphod.Task.moving([4, 3], velocity_m_per_s=[0.1, 0]), morphod.Task.fixed("approach"),
+             morphod.Task.ahead(objective={"travel": 1, "work_j": -2e-5}),
+             morphod.Task.fixed("jump")]
     made = m.evaluate([ONE], [task.environment(**(
         {"light_xy_m": [4, 3]} if task["guide"]["kind"] == "fixed" else {})) for task in kinds],
         physics={"n_steps": 20})
-    assert made.units == ["m", "m", "m", "", ""] and np.isfinite(made.values).all()
+    assert made.units == ["m", "m", "m", "", "", "", "m"] and np.isfinite(made.values).all()
     path = m.evaluate([ONE], [{"task": "path"}], physics={"n_steps": 200})
     path.show().save(tmp_path / "player.html")
     assert '"points": [[3.5, 2.5]' in (tmp_path / "player.html").read_text()

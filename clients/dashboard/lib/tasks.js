@@ -36,6 +36,13 @@ export const TASKS = [
   { name: 'pursue', title: 'Pursue', about: 'stay close to a light that flees at 0.3 m/s',
     environments: onRoughGround('pursue'), way: 'M8 24H34', light: [52, 24],
     flight: 'M42 24H48M44 20L48 24L44 28' },
+  { name: 'efficient', title: 'Walk on little energy', about: 'meters per kilojoule of the springs',
+    environments: onRoughGround({ guide: { kind: 'ahead' }, objective: 'efficient' }),
+    way: 'M8 26H46', light: [56, 26], ground: 'M8 31H24' },
+  { name: 'jump', title: 'Jump', about: 'on the spot; the light circles once per second',
+    environments: [{ task: { guide: { kind: 'moving', light_xy_m: [4, 2.5], turn_rad_per_s: 6.28 },
+      objective: 'jump' } }],
+    way: 'M28 32V10M24 15L28 10L32 15', light: [52, 22], ground: 'M14 33H42' },
 ];
 
 /** All tasks of the suite, which only evaluations are in. */
@@ -62,8 +69,8 @@ export function taskPicture({ way, light, points = [], ground, flight }) {
 }
 
 /** Values of objectives that are measured in meters, from losses: −scale · ln(loss). */
-const SCALES_M = { travel: 1, follow: 1, climb: 0.1 };
-const VERBS = { travel: 'walked', follow: 'followed', climb: 'climbed' };
+const SCALES_M = { travel: 1, follow: 1, climb: 0.1, jump: 0.1 };
+const VERBS = { travel: 'walked', follow: 'followed', climb: 'climbed', jump: 'jumped' };
 
 /**
  * Returns how to show the scores of a job in meters: its verb, and a function that turns a mean
@@ -84,10 +91,18 @@ export const meters = (value) => (value === null || !Number.isFinite(value) ? '�
   : `${value.toFixed(Math.abs(value) < 0.995 ? 3 : 2)} m`);
 
 /**
- * Formats the result of a rollout: its value in meters, or its loss.
+ * Formats the result of a rollout: its value with its unit, or its loss.
  * @param {{value?: number|null, unit?: string, loss?: number|null}} rollout
  */
-export const resultOf = ({ value, unit, loss }) => (unit === 'm' ? meters(value) : score(loss));
+export const resultOf = ({ value = null, unit, loss }) => {
+  if (unit === 'm') return meters(value);
+  return unit === 'm/kJ' && value !== null ? `${value.toFixed(3)} m/kJ` : score(loss);
+};
+
+/** Returns an objective in words: its name, or "1 travel − 0.001 work_j". */
+const objectiveWords = (objective) => (typeof objective === 'string' ? objective
+  : Object.entries(objective).map(([term, weight], i) => (
+    `${weight < 0 ? '− ' : i > 0 ? '+ ' : ''}${Math.abs(weight)} ${term}`)).join(' '));
 
 /**
  * Returns the name of the task of a job in a few words: of a set of the suite its name, or else the
@@ -133,6 +148,6 @@ export function measureTitle(name) {
 /** Describes the tasks of environments in a word, or returns "" if all are `photo`. */
 export function taskWords(environments) {
   const words = new Set(environments.map(({ task }) => (task
-    ? `${task.objective} (${task.guide.kind})` : '')));
+    ? `${objectiveWords(task.objective)} (${task.guide.kind})` : '')));
   return [...words].filter(Boolean).join(', ');
 }

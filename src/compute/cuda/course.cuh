@@ -259,6 +259,7 @@ MO_COURSE void course_begin(struct mo_course *course, const struct mo_environmen
   case MO_OBJECTIVE_TRAVEL:
   case MO_OBJECTIVE_FOLLOW: course->scale_m = MO_COURSE_TRAVEL_M; break;
   case MO_OBJECTIVE_CLIMB: course->scale_m = MO_COURSE_CLIMB_M; break;
+  default: break; /* refused: plan.c */
   }
 }
 
@@ -315,6 +316,7 @@ MO_COURSE struct course_result course_finish(const struct mo_course *course,
     result.value = track->before_m + track->along_m - track->sum / course->n_periods;
     break;
   case MO_OBJECTIVE_CLIMB: result.value = track->com_m[2] - course->start_m[2]; break;
+  default: break; /* refused: plan.c */
   }
   x = fmin(fmax(-result.value / course->scale_m, -MO_COURSE_EXPONENT_MAX), MO_COURSE_EXPONENT_MAX);
   result.loss = x <= 0 ? course_exp(x) : 1 / course_exp(-x);
@@ -388,6 +390,7 @@ MO_COURSE void course_end_back(const struct mo_course *course, const struct mo_t
     adjoint->d_sum = loss / course->scale_m / course->n_periods;
     break;
   case MO_OBJECTIVE_CLIMB: d_com[2] = -loss / course->scale_m; break;
+  default: break; /* refused: plan.c */
   }
   course_sum_back(course, course->end_s, before, track, adjoint->d_sum, d_com);
   course_progress_back(track, adjoint, d_com);
@@ -438,6 +441,7 @@ MO_COURSE void course_restart(const struct mo_course *course, double t_s,
     course_add_facing(-weight * loss / course->scale_m, track, d_com);
     break;
   case MO_OBJECTIVE_CLIMB: d_com[2] = -weight * loss / course->scale_m; break;
+  default: break; /* refused: plan.c */
   }
 }
 

@@ -63,6 +63,12 @@ static inline num tanh_(num a)
   LANES(a.t[k] * (1 - r.v * r.v));
 }
 
+static inline num log_(num a)
+{
+  num r = {.v = log(a.v)};
+  LANES(a.t[k] / a.v);
+}
+
 static num parameter(const struct second_parameters *theta, size_t at, int lane)
 {
   num r = con(theta->value[at]);
@@ -146,10 +152,14 @@ struct course {
   double start[3]; /* center of mass */
   num com[3];
   double facing[2];
-  num along, sum;
-  double before; /* length of the finished legs */
+  num along, last[2]; /* last: center of mass at the instant before */
+  double before;      /* length of the finished legs */
   uint32_t leg, n;
-  double distance; /* to the light at the start */
+  double distance;                        /* to the light at the start */
+  num way, away, off, path, height, work; /* sums that the terms of a task need */
+  num soft;    /* of exp((height − that at the start) / 0.02 m) where heights count */
+  double peak; /* the largest of these heights */
+  uint32_t n_heights;
 };
 
 struct second {
@@ -231,22 +241,6 @@ static void control_all(struct second *s)
     s->activation[i] = tanh_(s->activation[i]);
 }
 
-static void control_step(struct second *s, uint32_t step, bool computes)
-{
-  const uint32_t n = s->setup->body->n_springs;
-  s->activation_now = s->activation;
-  if (!computes)
-    return;
-  memcpy(s->previous, s->activation, n * sizeof(num));
-  sense_all(s, step);
-  control_all(s);
-  if (s->setup->physics->scheme.integrator != MO_INTEGRATOR_SPLIT || step == 0)
-    return;
-  for (uint32_t i = 0; i < n; i++)
-    s->previous[i] = scaled(add(s->activation[i], s->previous[i]), 0.5);
-  s->activation_now = s->previous;
-}
-
 /* Returns whether spring k is in an octant, by the middle of the spring and that of the body. */
 static bool is_inside(const struct mo_body *body, uint32_t k, unsigned octant)
 {
@@ -263,6 +257,46 @@ static bool is_inside(const struct mo_body *body, uint32_t k, unsigned octant)
       return false;
   }
   return true;
+}
+
+/* Work of the actuators: the energy that new outputs give to springs, where they give some. */
+static void add_work(struct second *s, uint32_t step)
+{
+  const struct mo_body *body = s->setup->body;
+  const struct mo_physics *physics = s->setup->physics;
+  const struct mo_damage *damage = &s->setup->environment->damage;
+  const bool broken = damage->cut != 0 && step * physics->scheme.dt_s > damage->time_s - 1e-9;
+  for (uint32_t k = 0; k < body->n_springs; k++) {
+    if (broken && is_inside(body, k, damage->cut - 1))
+      continue;
+    const num *a = s->p + 3 * body->spring_a[k], *b = s->p + 3 * body->spring_b[k];
+    const num d[3] = {sub(a[0], b[0]), sub(a[1], b[1]), sub(a[2], b[2])};
+    const num length = root(square_sum(d));
+    const double rest = body->spring_rest_m[k], reach = rest * physics->constants.actuation;
+    const num before = sub(sub(length, con(rest)), scaled(s->previous[k], reach));
+    const num after = sub(sub(length, con(rest)), scaled(s->activation[k], reach));
+    const num gain = sub(mul(after, after), mul(before, before));
+    if (val(gain) > 0)
+      s->course.work = add(s->course.work, scaled(gain, physics->constants.stiffness_n_per_m / 2));
+  }
+}
+
+static void control_step(struct second *s, uint32_t step, bool computes)
+{
+  const uint32_t n = s->setup->body->n_springs;
+  s->activation_now = s->activation;
+  if (!computes)
+    return;
+  memcpy(s->previous, s->activation, n * sizeof(num));
+  sense_all(s, step);
+  control_all(s);
+  if (step > 0)
+    add_work(s, step);
+  if (s->setup->physics->scheme.integrator != MO_INTEGRATOR_SPLIT || step == 0)
+    return;
+  for (uint32_t i = 0; i < n; i++)
+    s->previous[i] = scaled(add(s->activation[i], s->previous[i]), 0.5);
+  s->activation_now = s->previous;
 }
 
 static void pull_all(struct second *s, uint32_t step)
@@ -418,10 +452,41 @@ static void place_light(struct second *s, double t)
   s->light[2] = terrain(environment, s->light[0], s->light[1], NULL, NULL);
 }
 
-/* An instant at time t: places the light, and adds to the sums. */
-static void instant(struct second *s, double t, bool first)
+static bool has_term(const struct mo_task *task, uint32_t term)
 {
-  const enum mo_objective objective = s->setup->environment->task.objective;
+  for (uint32_t i = 0; i < task->n_terms; i++)
+    if (task->terms[i] == term)
+      return true;
+  return (uint32_t)task->objective == term;
+}
+
+static num height_of(const struct second *s)
+{
+  const struct course *c = &s->course;
+  return sub(c->com[2], terrain(s->setup->environment, c->com[0], c->com[1], NULL, NULL));
+}
+
+/* The roots of distances that are 0 have no derivative: only those that count are taken. */
+static void add_distances(struct second *s)
+{
+  static const uint32_t paths[] = {MO_MEASURE_PATH_LENGTH, MO_MEASURE_MEAN_SPEED,
+                                   MO_MEASURE_STRAIGHTNESS};
+  const struct mo_task *task = &s->setup->environment->task;
+  struct course *c = &s->course;
+  if (has_term(task, MO_OBJECTIVE_APPROACH) || has_term(task, MO_OBJECTIVE_PURSUE))
+    c->away = add(c->away, distance_to_light(s));
+  if (has_term(task, MO_OBJECTIVE_FOLLOW))
+    c->off = add(c->off, off_leg(s, face_leg(s)));
+  for (int i = 0; i < 3; i++)
+    if (has_term(task, MO_TERM_MEASURE + paths[i])) {
+      c->path = add(c->path, length_of(sub(c->com[0], c->last[0]), sub(c->com[1], c->last[1])));
+      break;
+    }
+}
+
+/* An instant at time t: places the light, and adds to the sums. end: of the rollout. */
+static void instant(struct second *s, double t, bool first, bool end)
+{
   const uint32_t n = s->setup->body->n_masses;
   struct course *c = &s->course;
   const num before[2] = {c->com[0], c->com[1]};
@@ -433,8 +498,10 @@ static void instant(struct second *s, double t, bool first)
     if (first)
       c->start[axis] = val(c->com[axis]);
   }
-  for (int k = 0; k < 2 && !first && objective == MO_OBJECTIVE_TRAVEL; k++)
-    c->sum = add(c->sum, scaled(sub(c->com[k], before[k]), c->facing[k]));
+  c->last[0] = before[0];
+  c->last[1] = before[1];
+  for (int k = 0; k < 2 && !first; k++)
+    c->way = add(c->way, scaled(sub(c->com[k], before[k]), c->facing[k]));
   place_light(s, t);
   if (first) {
     c->before = -val(c->along);
@@ -442,28 +509,86 @@ static void instant(struct second *s, double t, bool first)
     return;
   }
   c->n++;
-  if (objective == MO_OBJECTIVE_APPROACH || objective == MO_OBJECTIVE_PURSUE)
-    c->sum = add(c->sum, distance_to_light(s));
-  else if (objective == MO_OBJECTIVE_FOLLOW)
-    c->sum = add(c->sum, off_leg(s, face_leg(s)));
+  add_distances(s);
+  c->height = add(c->height, height_of(s));
+  if (t > 0.4 - 1e-9 || end) {
+    const num height = sub(c->com[2], con(c->start[2]));
+    c->peak = c->n_heights++ == 0 ? val(height) : fmax(c->peak, val(height));
+    c->soft = add(c->soft, exp_(scaled(height, 1 / 0.02)));
+  }
 }
 
-/* The loss if the rollout ends at time t. */
+/* The value of a term at the end, with the smooth maximum of heights; *truth: with the true one. */
+static num value_of(const struct second *s, double t, uint32_t term, double *truth)
+{
+  const struct course *c = &s->course;
+  const double n = c->n;
+  num value = con(NAN);
+  num way = con(0);
+  if (term == MO_OBJECTIVE_EFFICIENT || term == MO_OBJECTIVE_JUMP ||
+      term == MO_TERM_MEASURE + MO_MEASURE_DISPLACEMENT ||
+      term == MO_TERM_MEASURE + MO_MEASURE_STRAIGHTNESS)
+    way = length_of(sub(c->com[0], con(c->start[0])), sub(c->com[1], con(c->start[1])));
+  switch (term) {
+  case MO_OBJECTIVE_REACH: value = sub(con(1), div_(distance_to_light(s), con(c->distance))); break;
+  case MO_OBJECTIVE_APPROACH:
+  case MO_OBJECTIVE_PURSUE: value = sub(con(1), scaled(c->away, 1 / (c->distance * n))); break;
+  case MO_OBJECTIVE_TRAVEL: value = c->way; break;
+  case MO_OBJECTIVE_FOLLOW:
+    value = sub(add(c->along, con(c->before)), scaled(c->off, 1 / n));
+    break;
+  case MO_OBJECTIVE_CLIMB: value = sub(c->com[2], con(c->start[2])); break;
+  case MO_OBJECTIVE_EFFICIENT: {
+    const num kilo = scaled(val(c->work) > 1 ? c->work : con(1), 1e-3);
+    value = val(way) > 0.2 ? div_(sub(way, con(0.2)), kilo) : con(0);
+    break;
+  }
+  case MO_OBJECTIVE_JUMP:
+    value = sub(scaled(log_(scaled(c->soft, 1.0 / c->n_heights)), 0.02), scaled(way, 0.5));
+    *truth = c->peak - 0.5 * val(way);
+    return value;
+  case MO_TERM_MEASURE + MO_MEASURE_DISPLACEMENT: value = way; break;
+  case MO_TERM_MEASURE + MO_MEASURE_PATH_LENGTH: value = c->path; break;
+  case MO_TERM_MEASURE + MO_MEASURE_MEAN_SPEED: value = scaled(c->path, 1 / t); break;
+  case MO_TERM_MEASURE + MO_MEASURE_STRAIGHTNESS: value = div_(way, c->path); break;
+  case MO_TERM_MEASURE + MO_MEASURE_MEAN_HEIGHT: value = scaled(c->height, 1 / n); break;
+  case MO_TERM_MEASURE + MO_MEASURE_WORK: value = c->work; break;
+  }
+  *truth = val(value);
+  return value;
+}
+
+/* The loss if the rollout ends at time t: its value has the true maximum of heights, its
+ * derivatives are those with the smooth one. */
 static num loss_at(const struct second *s, double t)
 {
   struct second end = *s;
-  const struct course *c = &end.course;
-  instant(&end, t, t == 0);
-  switch (s->setup->environment->task.objective) {
-  case MO_OBJECTIVE_REACH: return div_(distance_to_light(&end), con(c->distance));
+  const struct mo_task *task = &s->setup->environment->task;
+  double scale = 1, truth = 0, part;
+  instant(&end, t, t == 0, true);
+  switch (task->objective) {
+  case MO_OBJECTIVE_REACH: return div_(distance_to_light(&end), con(end.course.distance));
   case MO_OBJECTIVE_APPROACH:
-  case MO_OBJECTIVE_PURSUE: return scaled(c->sum, 1 / (c->distance * c->n));
-  case MO_OBJECTIVE_TRAVEL: return exp_(scaled(c->sum, -1));
+  case MO_OBJECTIVE_PURSUE:
+    return scaled(end.course.away, 1 / (end.course.distance * end.course.n));
+  case MO_OBJECTIVE_CLIMB:
+  case MO_OBJECTIVE_JUMP:
+  case MO_OBJECTIVE_EFFICIENT: scale = 0.1; break;
+  case MO_OBJECTIVE_TRAVEL:
   case MO_OBJECTIVE_FOLLOW:
-    return exp_(sub(scaled(c->sum, 1.0 / c->n), add(c->along, con(c->before))));
-  case MO_OBJECTIVE_CLIMB: return exp_(scaled(sub(con(c->start[2]), c->com[2]), 10));
+  case MO_OBJECTIVE_SUM: break;
   }
-  return con(NAN);
+  num value = con(0);
+  if (task->objective != MO_OBJECTIVE_SUM)
+    value = value_of(&end, t, task->objective, &truth);
+  for (uint32_t i = 0; i < task->n_terms; i++) {
+    value = add(value, scaled(value_of(&end, t, task->terms[i], &part), task->weights[i]));
+    truth += task->weights[i] * part;
+  }
+  num loss = exp_(scaled(value, -1 / scale));
+  if (has_term(task, MO_OBJECTIVE_JUMP))
+    loss.v = exp(-truth / scale);
+  return loss;
 }
 
 /* ---- the start and the run ---- */
@@ -516,7 +641,7 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
   s.activation = s.hidden + 512;
   s.previous = s.activation + body->n_springs;
   place_body(&s);
-  instant(&s, 0, true);
+  instant(&s, 0, true, false);
   const struct mo_scheme *scheme = &setup->physics->scheme;
   const long held =
       scheme->control_period_s > 0 ? lround(scheme->control_period_s / scheme->dt_s) : 1;
@@ -527,7 +652,7 @@ int dual_rollout(const struct second_setup *setup, const struct second_parameter
     if (step == setup->physics->scheme.n_steps)
       break;
     if (step > 0 && step % held == 0)
-      instant(&s, step * scheme->dt_s, false);
+      instant(&s, step * scheme->dt_s, false, false);
     control_step(&s, step, step % held == 0);
     pull_all(&s, step);
     if (scheme->integrator == MO_INTEGRATOR_SPLIT)

@@ -116,6 +116,10 @@ static void sin_and_exp(void)
     CHECK_NEAR(mo_fast_sin(x), sin(x), 5e-16);
     const double e = -i * 0.0035;
     CHECK_NEAR(mo_fast_exp(e) / exp(e), 1.0, 5e-16);
+    const double far = exp(e), near = 1 + x * 1e-5;
+    CHECK_NEAR(mo_fast_log(far), log(far), 5e-16 * fabs(e));
+    if (near > 0)
+      CHECK_NEAR(mo_fast_log(near), log(near), 5e-16 * fabs(log(near)));
   }
   CHECK(mo_fast_exp(-800.0) == 0.0);
 }
@@ -594,7 +598,7 @@ static void names(void)
 static const struct check_case cases[] = {
     {"names of instruction sets", names},
     {"tanh", tanh_of_every_exponent},
-    {"sin and exp", sin_and_exp},
+    {"sin, exp and log", sin_and_exp},
     {"products bit for bit", products},
     {"a lane's bits do not depend on other lanes", lanes_keep_to_themselves},
     {"close to the reference", close_to_reference},

@@ -519,7 +519,8 @@ static void turns(void)
           {2 * cos(angle), 2 * sin(angle)}};
       mo_observe(&observer, &pose);
     }
-    mo_observer_finish(&observer, MO_MEASURES_ALL, false, up, values);
+    mo_observer_finish(&observer, false, up, values);
+    mo_measures_round(MO_MEASURES_ALL, values, values);
     CHECK_NEAR(values[MO_MEASURE_YAW_RATE], sign * 0.3 / 0.016, 1e-6);
     CHECK_NEAR(values[MO_MEASURE_DISPLACEMENT], 0.75, 1e-9);
     CHECK_NEAR(values[MO_MEASURE_PATH_LENGTH], 1.25, 1e-9);

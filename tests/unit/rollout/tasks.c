@@ -137,6 +137,7 @@ static double oracle_value(const struct oracle *o, const double *com, double *lo
   case MO_OBJECTIVE_TRAVEL: value = o->sum; break;
   case MO_OBJECTIVE_FOLLOW: value = progress(o) - o->progress_at_start - o->sum / o->n; break;
   case MO_OBJECTIVE_CLIMB: value = com[2] - o->start[2]; break;
+  default: break; /* objectives.c has the others */
   }
   const bool in_meters = *mo_objective_unit(o->environment->task.objective) == 'm';
   const double unit_m = o->environment->task.objective == MO_OBJECTIVE_CLIMB ? 0.1 : 1;

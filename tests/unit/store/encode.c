@@ -153,6 +153,40 @@ static void encodes_damage(void)
   CHECK_INT(mo_environment_check(&environment, NULL), MO_ERR_INVALID);
 }
 
+/* Objectives that came later: environments with the others keep their bytes. */
+static void encodes_objectives(void)
+{
+  struct mo_environment environment = {.light_xy_m = {4, 2}}, found;
+  uint8_t bytes[MO_ENVIRONMENT_BYTES_MAX], other[MO_ENVIRONMENT_BYTES_MAX];
+  struct mo_sha256 hash;
+  environment.task.objective = MO_OBJECTIVE_PURSUE - 1;
+  const size_t earlier = mo_encode_environment(&environment, bytes);
+  environment.task.objective = MO_OBJECTIVE_JUMP;
+  const size_t size = mo_encode_environment(&environment, bytes);
+  CHECK(size > earlier && size <= sizeof(bytes));
+  REQUIRE_OK(mo_decode_environment(bytes, size, &found));
+  CHECK(found.task.objective == MO_OBJECTIVE_JUMP && found.task.n_terms == 0);
+  mo_environment_hash(&environment, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash),
+             "6641b45d55586eebb97a8c8fbc243238661dab937dbd7797bb7aa494135c6337");
+  environment.task =
+      (struct mo_task){.objective = MO_OBJECTIVE_SUM,
+                       .n_terms = 2,
+                       .terms = {MO_OBJECTIVE_REACH, MO_TERM_MEASURE + MO_MEASURE_WORK},
+                       .weights = {1, -0.001}};
+  CHECK_INT(mo_encode_environment(&environment, other), size);
+  REQUIRE_OK(mo_decode_environment(other, size, &found));
+  CHECK(found.task.objective == MO_OBJECTIVE_SUM && found.task.n_terms == 2 &&
+        found.task.terms[1] == MO_TERM_MEASURE + MO_MEASURE_WORK &&
+        found.task.weights[1] == -0.001);
+  mo_environment_hash(&environment, &hash);
+  CHECK_TEXT(MO_SHA256_HEX(&hash),
+             "52f08aade5fdaab4b5f25563153fa889b2834e56b48e87198d70febaf5bad4f8");
+  environment.task.weights[1] = 0; /* a row that somebody wrote */
+  CHECK_INT(mo_decode_environment(other, mo_encode_environment(&environment, other), &found),
+            MO_ERR_CORRUPT);
+}
+
 static void refuses_other_bytes(void)
 {
   const struct mo_physics physics = mo_paper_physics();
@@ -198,6 +232,7 @@ static const struct check_case cases[] = {
     {"encodes environments", encodes_environments},
     {"encodes profiles", encodes_profiles},
     {"encodes damage", encodes_damage},
+    {"encodes objectives", encodes_objectives},
     {"refuses other bytes", refuses_other_bytes},
     {"hashes", hashes},
 };

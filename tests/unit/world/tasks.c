@@ -12,13 +12,18 @@ static const struct mo_guide guides[] = {
 /* Every pair of a guide and an objective is either accepted, or refused with both names. */
 static void pairs(void)
 {
-  static const char *const fits[] = {
-      "fixed moving", "fixed moving", "ahead turning", "path", "fixed ahead turning path moving",
-      "moving"};
+  static const char *const fits[] = {"fixed moving",
+                                     "fixed moving",
+                                     "ahead turning",
+                                     "path",
+                                     "fixed ahead turning path moving",
+                                     "moving",
+                                     "fixed ahead turning path moving",
+                                     "fixed ahead turning path moving"};
   CHECK(mo_guide_words[COUNT(guides)] == NULL && mo_objective_words[COUNT(fits)] == NULL);
   for (size_t o = 0; o < COUNT(fits); o++)
     for (size_t g = 0; g < COUNT(guides); g++) {
-      const struct mo_task task = {guides[g], (enum mo_objective)o};
+      const struct mo_task task = {.guide = guides[g], .objective = (enum mo_objective)o};
       struct mo_message message = {""};
       const bool fit = strstr(fits[o], mo_guide_words[g]) != NULL;
       CHECK_INT(mo_task_check(&task, &message), fit ? MO_OK : MO_ERR_INVALID);
@@ -70,7 +75,8 @@ static void bounds(void)
   for (size_t i = 0; i < COUNT(bad); i++) {
     struct mo_message message = {""};
     uint32_t where = 99;
-    environment.task = (struct mo_task){guides[bad[i].guide], MO_OBJECTIVE_CLIMB};
+    environment.task =
+        (struct mo_task){.guide = guides[bad[i].guide], .objective = MO_OBJECTIVE_CLIMB};
     CHECK_INT(mo_environment_check(&environment, &where), MO_OK);
     *bad[i].number = bad[i].value;
     CHECK_INT(mo_task_check(&environment.task, &message), bad[i].code);
@@ -81,18 +87,60 @@ static void bounds(void)
     environment.light_xy_m[1] = 0;
   }
   for (uint32_t n = 0; n <= MO_GUIDE_POINTS_MAX + 1; n += MO_GUIDE_POINTS_MAX + 1) {
-    environment.task = (struct mo_task){guides[3], MO_OBJECTIVE_FOLLOW};
+    environment.task = (struct mo_task){.guide = guides[3], .objective = MO_OBJECTIVE_FOLLOW};
     guide->n_points = n;
     CHECK_INT(mo_task_check(&environment.task, NULL), MO_ERR_RANGE);
   }
-  environment.task = (struct mo_task){{.kind = (enum mo_guide_kind)5}, MO_OBJECTIVE_CLIMB};
+  environment.task =
+      (struct mo_task){.guide = {.kind = (enum mo_guide_kind)5}, .objective = MO_OBJECTIVE_CLIMB};
   CHECK_INT(mo_task_check(&environment.task, NULL), MO_ERR_INVALID);
-  environment.task = (struct mo_task){.objective = (enum mo_objective)6};
+  environment.task = (struct mo_task){.objective = (enum mo_objective)8};
   CHECK_INT(mo_task_check(&environment.task, NULL), MO_ERR_INVALID);
+}
+
+/* Terms: known, ascending, each with a weight, each with a guide that it fits. */
+static void sums(void)
+{
+  const struct mo_task good = {.guide = guides[1],
+                               .objective = MO_OBJECTIVE_SUM,
+                               .n_terms = 2,
+                               .terms = {MO_OBJECTIVE_TRAVEL, MO_TERM_MEASURE + MO_MEASURE_WORK},
+                               .weights = {1, -0.001}};
+  struct mo_task bad;
+  struct mo_message message;
+  CHECK_INT(mo_task_check(&good, NULL), MO_OK);
+  CHECK(mo_task_needs_work(&good) && mo_task_measures(&good) == 0);
+  bad = good;
+  bad.terms[0] = MO_OBJECTIVE_FOLLOW;
+  CHECK_INT(mo_task_check(&bad, &message), MO_ERR_INVALID);
+  CHECK_TEXT(message.text, "objective follow needs a guide that is path, got ahead");
+  const struct {
+    uint32_t n, first, second;
+    double weight;
+    int code;
+  } tries[] = {{0, 2, 272, 1, MO_ERR_RANGE},     {9, 2, 272, 1, MO_ERR_RANGE},
+               {2, 272, 2, 1, MO_ERR_INVALID},   {2, 2, 2, 1, MO_ERR_INVALID},
+               {2, 2, 8, 1, MO_ERR_INVALID},     {2, 2, 255, 1, MO_ERR_INVALID},
+               {2, 2, 276, 1, MO_ERR_INVALID},   {2, 2, 272, 0, MO_ERR_INVALID},
+               {2, 2, 272, NAN, MO_ERR_INVALID}, {2, 2, 272, 2e6, MO_ERR_RANGE},
+               {1, 2, 272, 1, MO_ERR_INVALID},   {2, 2, 260, 1, MO_ERR_INVALID},
+               {2, 2, 273, 1, MO_ERR_INVALID},   {2, 2, 261, 1, MO_ERR_INVALID}};
+  for (size_t i = 0; i < COUNT(tries); i++) {
+    bad = good;
+    bad.n_terms = tries[i].n;
+    bad.terms[0] = tries[i].first;
+    bad.terms[1] = tries[i].second;
+    bad.weights[1] = tries[i].weight;
+    CHECK_INT(mo_task_check(&bad, NULL), tries[i].code);
+  }
+  bad = good;
+  bad.objective = MO_OBJECTIVE_TRAVEL;
+  CHECK_INT(mo_task_check(&bad, NULL), MO_ERR_RANGE);
 }
 
 static const struct check_case cases[] = {
     {"objectives fit guides", pairs},
     {"numbers are within their bounds", bounds},
+    {"sums: terms and weights", sums},
 };
 CHECK_MAIN(cases)

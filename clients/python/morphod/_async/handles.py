@@ -274,7 +274,8 @@ class AsyncEvaluation(AsyncJob):
     @property
     @reading()
     def units(self) -> list[str]:
-        """The unit of each environment's value: "m", or "" for a number without a unit."""
+        """The unit of each environment's value: "m", "m/kJ", or "" for a number without
+        a unit."""
         return units_of(self._results[0]["losses"]) if self._results else []
 
     @property
