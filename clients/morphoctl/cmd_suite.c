@@ -86,9 +86,10 @@ static void print_suite(struct ctl *ctl, const json_t *evaluation)
   fprintf(stderr, "photo, damage: 1 - d/d0; photo-auc: 1 - mean d/d0; up: meters climbed; the "
                   "others: meters traveled. Larger is better; a robot that stands still gets 0. "
                   "Mean loss over the tasks: smaller is better; standing still gives 1.\n");
-  print_from(stderr, evaluation,
-             "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them cached; "
-             "morphoctl suite picture {id} draws it");
+  print_from(
+      stderr, evaluation,
+      "evaluation {id}: {rollouts_total:,} rollouts, {rollouts_cached:,} of them from the store; "
+      "morphoctl suite picture {id} draws it");
 }
 
 /* ---- suite run ---- */
@@ -145,7 +146,7 @@ void run_suite(struct ctl *ctl)
     print_from(stdout, evaluation, "{id}");
   if (!ctl->json && !ctl->quiet)
     print_from(stderr, evaluation,
-               "Accepted evaluation {id}: {n_designs} design{n_designs:s}, {rollouts_total} "
+               "evaluation {id} is accepted: {n_designs} design{n_designs:s}, {rollouts_total} "
                "rollouts; morphoctl watch {id}; then morphoctl suite show {id}");
 }
 

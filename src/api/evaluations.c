@@ -299,6 +299,11 @@ void mo_api_get_results(struct mo_request *request)
     first = 0;
   if (error == MO_OK && first > job.n_designs)
     first = job.n_designs; /* after the last one */
+  if (error == MO_OK) {
+    const size_t most =
+        MEASURED_MAX / (job.n_environments * (2 + (uint64_t)__builtin_popcount(job.measures)));
+    limit = limit < most ? limit : most > 0 ? most : 1;
+  }
   uint32_t *numbers = malloc(limit * sizeof(*numbers));
   int64_t n = 0;
   if (numbers == NULL)

@@ -51,24 +51,32 @@ static int read_numbers(struct mo_request *request, const struct mo_job *job, ui
   return n;
 }
 
+/* The mean over fewer tasks is not comparable: designs with a loss in more tasks come first. */
+static bool is_better(const struct mo_suite_scores *a, const struct mo_suite_scores *b)
+{
+  return a->n_left_out != b->n_left_out ? a->n_left_out < b->n_left_out
+                                        : a->mean_loss < b->mean_loss;
+}
+
 /* Finds the designs with the least mean loss, the best first. Returns how many, or an error. */
 static int find_best(struct mo_api *api, int64_t id, const struct mo_environment *environments,
                      uint32_t numbers[MO_SUITE_POLYGONS_MAX])
 {
   struct mo_evaluation_results *results = NULL;
-  double losses[MO_SUITE_POLYGONS_MAX];
+  struct mo_suite_scores best[MO_SUITE_POLYGONS_MAX];
   int n = 0;
   const int error = mo_store_results(api->store, id, &results);
   for (uint32_t d = 0; error == MO_OK && d < results->n_designs; d++) {
-    const double loss = mo_suite_scores(results, d, environments).mean_loss;
-    if (!isfinite(loss) || (n == MO_SUITE_POLYGONS_MAX && loss >= losses[n - 1]))
+    const struct mo_suite_scores scores = mo_suite_scores(results, d, environments);
+    if (!isfinite(scores.mean_loss) ||
+        (n == MO_SUITE_POLYGONS_MAX && !is_better(&scores, &best[n - 1])))
       continue;
     int place = n < MO_SUITE_POLYGONS_MAX ? n++ : n - 1;
-    for (; place > 0 && loss < losses[place - 1]; place--) {
-      losses[place] = losses[place - 1];
+    for (; place > 0 && is_better(&scores, &best[place - 1]); place--) {
+      best[place] = best[place - 1];
       numbers[place] = numbers[place - 1];
     }
-    losses[place] = loss;
+    best[place] = scores;
     numbers[place] = d;
   }
   mo_evaluation_results_free(results);

@@ -263,6 +263,8 @@ int mo_study_compare(const char *text, size_t size, const struct mo_campaign_sta
       .parts.job = {.priority = (int)status->job.priority, .weight = status->job.weight},
       .preset = -1};
   struct mo_campaign_record given, known = in_numbers(&status->record);
+  if (status->record.select_by.is_set) /* its name is the service's */
+    known.own_score = parsed.request.record.own_score = (struct mo_own_score){.name = ""};
   comparison.error =
       mo_read_body(text, size, &mo_campaign_request_fields, &parsed, &parsed.parts, NULL, &read);
   if (parsed.request.record.select_by.is_set) /* it is among the measures, named there or not */

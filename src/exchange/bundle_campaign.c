@@ -404,6 +404,8 @@ static int read_score(struct mo_reading *reading, uint32_t n, const char *line, 
   int error = mo_bundle_read_score(reading->lines, line, size, &score, &words);
   if (error != MO_OK)
     return error == MO_ERR_FORMAT ? mo_reading_refuse(reading, n, words.text) : error;
+  if (score.measures != NULL && reading->campaign.record.measures == 0)
+    return mo_reading_refuse(reading, n, "the campaign names no measures");
   for (uint32_t k = 0; k < score.n; k++) {
     if (score.environments[k] >= reading->n_environments ||
         (places >> score.environments[k] & 1) != 0 ||

@@ -263,6 +263,8 @@ static int check_campaign(const void *any, struct mo_message *message)
     return mo_fail(message, MO_ERR_FORMAT, "/settings/mode: a bundle cannot hold studies");
   if (!campaign->has_controller && !mo_modes[record->settings.mode].starts_untrained)
     return mo_fail(message, MO_ERR_FORMAT, "/controller: this mode requires one");
+  if (record->measures != 0 && campaign->back_end == MO_ON_DEVICE)
+    return mo_fail(message, MO_ERR_FORMAT, "/back_end: devices compute no measures");
   return MO_OK;
 }
 

@@ -15,6 +15,8 @@
 #define SCORED_BYTES    ((uint64_t)4 << 10) /* a candidate's losses: computed, saved, found */
 #define DRAWING_BYTES   (3 * MIB)           /* for a thread that redraws bodies */
 
+#define STUDY_MEASURES_MAX 2000000
+
 /* ---- memory ---- */
 
 /* Adds the set of all excluded bodies, and a second set that separates the bodies of one part. The
@@ -48,9 +50,9 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
 {
   const struct mo_campaign_settings *settings = &record->settings;
   const uint64_t n = settings->population;
-  /* Of a candidate: those that are computed, and those that are found or committed. */
+  /* Of a candidate: those that are computed, those that are found, and those that are saved. */
   const uint64_t measures_bytes =
-      record->measures != 0 ? 2 * sizeof(double[MO_MEASURES]) * record->n_environments : 0;
+      record->measures != 0 ? 3 * sizeof(double[MO_MEASURES]) * record->n_environments : 0;
   struct mo_lineage lineage = {.n_parts = 0};
   int error = MO_OK;
   if (controller != NULL && settings->exclude_pretraining)
@@ -74,6 +76,21 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
 }
 
 /* ---- checks ---- */
+
+/* A reply with a batch of a study has all measures of its rollouts. */
+static int check_batch(const struct mo_campaign_record *record, struct mo_message *message)
+{
+  const uint64_t each =
+      (uint64_t)record->n_environments * (uint64_t)__builtin_popcount(record->measures);
+  if (mo_modes[record->settings.mode].makes_children ||
+      record->settings.population * each <= STUDY_MEASURES_MAX)
+    return MO_OK;
+  return mo_fail(
+      message, MO_ERR_LIMIT,
+      "a batch of %u designs with %llu measures each is too large for a reply; population "
+      "× environments × measures can be at most %d",
+      record->settings.population, (unsigned long long)each, STUDY_MEASURES_MAX);
+}
 
 /* Checks that the environment set and the initial campaign of the record exist, and counts the
  * environments of the set. */
@@ -158,6 +175,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
       true, message);
   if (error == MO_OK)
     error = check_references(jobs, record, message);
+  if (error == MO_OK)
+    error = check_batch(record, message);
   if (error == MO_OK)
     error = check_memory(jobs, record, request.controller, (enum mo_back_end)request.job.back_end,
                          message);

@@ -319,7 +319,7 @@ static int all_have_diverged(struct mo_connection *writer, const struct commit_a
   static const char sql[] = "SELECT best_score FROM campaigns WHERE job=?1";
   const struct mo_campaign_generation *now = &call->commit->row;
   sqlite3_stmt *row;
-  if (now->stats.n == 0 || now->stats.n_diverged < now->stats.n)
+  if (now->stats.n == 0 || now->stats.n_diverged < now->stats.n || now->rollouts_diverged == 0)
     return MO_OK;
   const int error = mo_sql_row(writer, &row, sql, mo_int(call->id));
   *ret = error == MO_OK && (now->generation == 0 || isfinite(sqlite3_column_double(row, 0)));

@@ -83,8 +83,12 @@ static int warn_of_generation(struct mo_connection *connection, struct mo_job *j
   bool found;
   sqlite3_stmt *row;
   int error = mo_row_newest(connection, MO_CAMPAIGN_GENERATIONS, job->id, &last, &found);
-  if (error == MO_OK && found)
+  if (error == MO_OK && found && last.rollouts_diverged > 0)
     warn_of_robots(job, "generation", last.generation, last.stats.n_diverged, last.stats.n);
+  else if (error == MO_OK && found && last.stats.n_diverged > last.stats.n / 2) /* select_by */
+    warn(job, "no_measure",
+         "%u of %u designs of generation %u have no value of the measure that selects them",
+         (unsigned)last.stats.n_diverged, (unsigned)last.stats.n, (unsigned)last.generation);
   if (error == MO_OK)
     error = mo_sql_row(connection, &row, sql, mo_int(job->id));
   if (error == MO_OK && sqlite3_column_int(row, 0) == MO_CAMPAIGN_EXHAUSTED)

@@ -177,6 +177,21 @@ def test_a_design_without_the_measure_is_last(service):
     assert scores == sorted(scores, key=lambda score: math.inf if score is None else score)
 
 
+def test_designs_without_the_measure_have_not_diverged(service):
+    value = run(service, "campaigns", CAMPAIGN | {
+        "select_by": {"measure": "cost_of_transport", "direction": "min"}, "generations": 1,
+        "physics": {"n_steps": 1}})
+    assert [warning["code"] for warning in value["warnings"]] == ["no_measure"]
+    assert "10 of 10 designs of generation 1" in value["warnings"][0]["detail"]
+
+
+def test_the_batch_of_a_study_is_bounded(service):
+    study = STUDY | {"environments": "morpho-12-walk-held-out", "measures": True}
+    reply = service.request("POST", "/v1/campaigns", study | {"population": 1563})
+    assert reply.status == 422 and "1563 designs" in reply.body.decode()
+    assert service.request("POST", "/v1/campaigns", study | {"population": 1562}).status == 202
+
+
 @pytest.mark.parametrize("more, pointer, words", [
     ({"measures": ["speed"]}, "/measures/0", "\"displacement_m\", \"path_length_m\""),
     ({"measures": []}, "/measures", "at least one"),
@@ -287,6 +302,11 @@ def test_a_study_is_found_by_its_measures(service):
                           ({"select_by": FAR | {"direction": "min"}}, "/select_by")):
         reply = service.request("POST", "/v1/campaigns", one | more)
         assert reply.status == 409 and pointer in reply.pointers(), reply.json()
+    # A client's own score is another setting, even under the name that the service uses.
+    scored = STUDY | {"label": "measured", "if_exists": "return", "measures": ["work_j"],
+                      "own_score": {"name": "-displacement_m", "unit": "m"}}
+    reply = service.request("POST", "/v1/campaigns", scored)
+    assert reply.status == 409, reply.json()
 
 
 def test_a_client_scores_by_measures(service):
@@ -372,10 +392,10 @@ def test_bundles_have_measures(service, start, bundle):
 
 
 @pytest.mark.parametrize("name, change, words", [
-    ("designs/", put("measures", lambda means: [means[0] + 1, *means[1:]]), "not the means of"),
+    ("designs/", put("measures", lambda means: [means[0] + 1, *means[1:]]), "not the means over"),
     ("designs/", put("measures", lambda means: means[1:]), "that the campaign names"),
     ("scores/", put("measures", lambda rows: [[0.5 ** 40, *rows[0][1:]], *rows[1:]]),
-     "displacement_m of rollout 0 is not rounded"),
+     "displacement_m of rollout 0 is not a multiple"),
     ("scores/", put("measures", lambda rows: rows[1:]), "all 20 measures of each"),
     ("scores/", put("measures", lambda rows: [rows[0][1:], *rows[1:]]),
      "all 20 measures of each")])
@@ -391,5 +411,5 @@ def test_another_score_of_a_measure_is_refused(service, start, bundle):
     reply = enter(start(), pack(altered(unpack(sent), "designs/",
                                         put("score", lambda score: score - 1))), "verify")
     assert reply.status == 422
-    assert "not that of the measure" in reply.json()["errors"][0]["detail"]
+    assert "does not match the mean of the measure" in reply.json()["errors"][0]["detail"]
 

@@ -37,6 +37,7 @@ const isStudy = (job) => (job.mode ?? job.campaign?.mode) === 'study';
 /** Warnings in a few words, by their codes. */
 const WARNED = {
   all_diverged: 'every robot diverged', diverged: 'robots diverged',
+  no_measure: 'designs have no value of the measure',
   exhausted: 'no unseen body is left', light_near_start: 'a light is near the start',
   unstable_step: 'the time step is too large', every_step: 'the controller acts in every step',
 };

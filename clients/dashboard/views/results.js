@@ -149,6 +149,7 @@ export class ResultPanels {
   show(job, results) {
     const rows = results.filter(({ robot }) => robot !== null).slice(0, ROWS_MAX);
     if (!rows.length) return;
+    this.picture?.destroy();
     if (job.suite) this.picture = new SuitePicture(this.app, job, this.signal);
     fill(this.element, this.picture?.element, job.suite ? suiteTable(job, rows) : null,
       job.tolerance ? tolerancesTable(job, rows) : null,
