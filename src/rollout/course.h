@@ -25,7 +25,8 @@ struct mo_tally {
   uint32_t n_heights; /* jump: number of these instants */
 };
 
-/* The state of a task at an instant. Devices compute no task that has a tally. */
+/* The state of a task at an instant. Devices compute no task that has a tally, but share the
+ * layout: the host makes their first states. */
 struct mo_track {
   double com_m[3];
   double sum;       /* over the periods that have ended: way, or distances */
@@ -40,9 +41,7 @@ struct mo_track {
     MO_TRACK_MOVED, /* it changes with the center of mass at this instant */
     MO_TRACK_SET    /* it is an end of the leg */
   } along_is;
-#ifndef __CUDACC__
   struct mo_tally tally;
-#endif
 };
 
 /* What a rollout knows besides its track. */
@@ -55,13 +54,11 @@ struct mo_observed {
 /* ∂loss/∂ what lasts from one instant to the next, and what that depends on. */
 struct mo_course_adjoint {
   double d_sum, d_along;
-#ifndef __CUDACC__
   double d_sums[5], d_peak; /* of a sum's terms; of a jump */
   double d_work;            /* per J; 0 for tasks that do not need the work */
   struct mo_tally tally;    /* at the end */
   double loss;              /* that is differentiated: mo_course_soft_loss */
   double work_j;
-#endif
 };
 
 /* Begins a course: *track is its state at the start. Borrows the environment. */

@@ -54,6 +54,7 @@ static inline struct both *make_both(const struct gradient_case *c)
   b->adjoint.d_previous = make_zeros(springs, sizeof(double));
   b->tape.acceleration = make_zeros(n, sizeof(double));
   b->tape.activation = make_zeros(springs, sizeof(double));
+  b->tape.previous = make_zeros(springs, sizeof(double));
   b->fast_d_activation = make_zeros(springs, sizeof(double));
   b->adjoint.d_input = make_zeros(c->controller->n_inputs, sizeof(double));
   b->tape.control =
