@@ -98,7 +98,10 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
   int kind = precision;
   h = mix(h, genotype, MO_DEFAULT_WORDS * sizeof(*genotype));
   const int talent = (int)(h >> 20 & 7);
-  h = mix(h, environment, offsetof(struct mo_environment, n_profile)); /* padding follows */
+  h = mix(h, environment, offsetof(struct mo_environment, task.n_terms));
+  h = mix(h, environment->task.terms, environment->task.n_terms * sizeof(*environment->task.terms));
+  h = mix(h, environment->task.weights,
+          environment->task.n_terms * sizeof(*environment->task.weights));
   if (environment->n_profile != 0)
     h = mix(h, &environment->profile_spacing_m, sizeof(environment->profile_spacing_m));
   if (environment->damage.cut != 0)
