@@ -44,14 +44,21 @@ const char *words_of(const json_t *list)
 
 const char *measure_columns(const json_t *measures)
 {
+  static const char letters[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_-";
   const char *columns = "", *name;
   const json_t *mean;
-  size_t n = 0;
-  json_object_foreach((json_t *)measures, name,
-                      mean) if (name[strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_")] ==
-                                    '\0' &&
-                                strlen(name) <= 48 && n++ < MEASURES_MAX) columns =
-      keep(format_text("%s|>%s=[{measures.%s:.4g}]", columns, name, name));
+  size_t n = 0, left_out = 0;
+  json_object_foreach((json_t *)measures, name, mean)
+  {
+    if (name[strspn(name, letters)] == '\0' && n < MEASURES_MAX) {
+      n++;
+      columns = keep(format_text("%s|>%s=[{measures.%s:.4g}]", columns, name, name));
+    } else {
+      left_out++;
+    }
+  }
+  if (left_out > 0)
+    fprintf(stderr, "%zu measures are not in the table; --json has them.\n", left_out);
   return columns;
 }
 

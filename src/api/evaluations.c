@@ -199,12 +199,19 @@ static int read_status(struct mo_store *store, int64_t id, union mo_job_status *
   return mo_store_job(store, id, &status->job);
 }
 
-bool mo_results_fit(const struct mo_job *job)
+/* Returns how many numbers a design may add to a reply that is not a short list of losses; 0: only
+ * those. */
+static uint64_t numbers_of_design(const struct mo_job *job)
 {
   const uint32_t each =
       (uint32_t)__builtin_popcount(job->measures) + (mo_suite_of(job) >= 0 ? 2 : 0);
+  return (uint64_t)job->n_environments * each;
+}
+
+bool mo_results_fit(const struct mo_job *job)
+{
   return job->n_designs <= MO_DESIGNS_MAX &&
-         (uint64_t)job->n_designs * job->n_environments * each <= MEASURED_MAX;
+         job->n_designs * numbers_of_design(job) <= MEASURED_MAX;
 }
 
 static int write_whole(struct mo_api *api, struct mo_text *text, const void *status,
@@ -299,11 +306,9 @@ void mo_api_get_results(struct mo_request *request)
     first = 0;
   if (error == MO_OK && first > job.n_designs)
     first = job.n_designs; /* after the last one */
-  if (error == MO_OK) {
-    const size_t most =
-        MEASURED_MAX / (job.n_environments * (2 + (uint64_t)__builtin_popcount(job.measures)));
-    limit = limit < most ? limit : most > 0 ? most : 1;
-  }
+  const uint64_t each = error == MO_OK ? numbers_of_design(&job) : 0;
+  if (each > 0 && limit * each > MEASURED_MAX)
+    limit = each < MEASURED_MAX ? MEASURED_MAX / each : 1;
   uint32_t *numbers = malloc(limit * sizeof(*numbers));
   int64_t n = 0;
   if (numbers == NULL)

@@ -50,7 +50,7 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
 {
   const struct mo_campaign_settings *settings = &record->settings;
   const uint64_t n = settings->population;
-  /* Of a candidate: those that are computed, those that are found, and those that are saved. */
+  /* Per candidate, three copies: computed, found, and saved. */
   const uint64_t measures_bytes =
       record->measures != 0 ? 3 * sizeof(double[MO_MEASURES]) * record->n_environments : 0;
   struct mo_lineage lineage = {.n_parts = 0};
@@ -77,8 +77,8 @@ int mo_campaign_need(struct mo_jobs *jobs, const struct mo_campaign_record *reco
 
 /* ---- checks ---- */
 
-/* A reply with a batch of a study has all measures of its rollouts. */
-static int check_batch(const struct mo_campaign_record *record, struct mo_message *message)
+/* A reply with a batch of a study holds every measure of every rollout. */
+static int check_study_reply(const struct mo_campaign_record *record, struct mo_message *message)
 {
   const uint64_t each =
       (uint64_t)record->n_environments * (uint64_t)__builtin_popcount(record->measures);
@@ -176,7 +176,7 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   if (error == MO_OK)
     error = check_references(jobs, record, message);
   if (error == MO_OK)
-    error = check_batch(record, message);
+    error = check_study_reply(record, message);
   if (error == MO_OK)
     error = check_memory(jobs, record, request.controller, (enum mo_back_end)request.job.back_end,
                          message);

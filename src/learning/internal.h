@@ -50,8 +50,6 @@ int mo_training_blank(const struct mo_training_settings *settings,
 /* training.c: allocates everything that a checkpoint holds, but fills in only the settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);
-/* training.c: allocates n environments of its own, to be filled in. */
-int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Returns 1 if a design is in one piece (and therefore not empty) and placed, else 0; or
  * MO_ERR_NO_MEMORY. */
 int mo_training_design_is_placed(const uint64_t *design);
@@ -75,10 +73,12 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);
 
-/* environments.c: a training's own environments as bytes: in their packed form, all in the first
- * version that has all their fields. They have at most sizeof(struct mo_environment) each. */
+/* environments.c: allocates n environments of the training's own, to be filled in. */
+int mo_training_allocate_environments(struct mo_training *training, uint32_t n);
 /* Gives a drawn environment another's task, and its light if the task moves the light. */
 void mo_training_give_task(const struct mo_environment *tasked, struct mo_environment *environment);
+/* A training's own environments as bytes: in their packed form, all in the first version that has
+ * all their fields. Each takes at most sizeof(struct mo_environment) bytes. */
 unsigned mo_training_environments_version(const struct mo_training *training);
 size_t mo_training_environments_bytes(const struct mo_training *training, unsigned version);
 void mo_training_environments_pack(const struct mo_training *training, unsigned version,

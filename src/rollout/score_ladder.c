@@ -22,13 +22,8 @@ uint32_t mo_ladder_cost(uint32_t n_displaced, double tolerance)
 struct mo_setting mo_ladder_rung(const struct mo_setting *first, uint32_t rung)
 {
   struct mo_setting of_rung = *first;
-  struct mo_scheme *scheme = &of_rung.physics.scheme;
-  if (rung == 0)
-    return of_rung;
-  if (scheme->control_period_s == 0)
-    scheme->control_period_s = scheme->dt_s;
-  scheme->dt_s /= 1U << rung;
-  scheme->n_steps <<= rung;
+  for (uint32_t k = 0; k < rung; k++)
+    of_rung.physics = mo_error_physics(&of_rung.physics, 1);
   if (rung >= MO_LADDER_FLOAT64)
     of_rung.precision = MO_FLOAT64;
   return of_rung;

@@ -200,20 +200,6 @@ static void take_part(const struct conditions *conditions, const struct mo_campa
   }
 }
 
-/* Returns whether all losses of a part are stored. */
-static int are_stored(struct mo_connection *writer, const struct part *part, int64_t genotype,
-                      bool *ret)
-{
-  const struct mo_saved_design design = mo_design_under(&part->condition, genotype, 0);
-  struct mo_score scores[MO_BLOCK_LANES];
-  const int error =
-      mo_losses_read(writer, &design, part->condition.environments, part->condition.n, scores);
-  *ret = true;
-  for (uint32_t k = 0; k < part->condition.n; k++)
-    *ret = *ret && scores[k].known;
-  return error;
-}
-
 /* Stores a part of a child's losses, and its measures. last: its block's newest condition. */
 static int insert_part(struct mo_store *store, struct part *part, int64_t genotype,
                        bool has_measures, struct mo_condition *last, int64_t now_us, bool *is_new)
@@ -221,7 +207,7 @@ static int insert_part(struct mo_store *store, struct part *part, int64_t genoty
   bool is_stored = false; /* the rollouts were perhaps computed only for their measures */
   int error = mo_condition_row_after(&store->writer, &part->condition, last);
   if (error == MO_OK && has_measures)
-    error = are_stored(&store->writer, part, genotype, &is_stored);
+    error = mo_losses_are_known(&store->writer, &part->condition, genotype, &is_stored);
   *is_new = false;
   if (error == MO_OK && !is_stored)
     error = mo_losses_insert(store, &part->condition, genotype, part->origin, part->losses,
@@ -312,14 +298,14 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
 }
 
 /* Returns whether all robots have diverged for the first time, that is, not all of the previous
- * generation. */
+ * generation. With select_by, robots without a value of the measure count, too. */
 static int all_have_diverged(struct mo_connection *writer, const struct commit_arguments *call,
                              bool *ret)
 {
   static const char sql[] = "SELECT best_score FROM campaigns WHERE job=?1";
   const struct mo_campaign_generation *now = &call->commit->row;
   sqlite3_stmt *row;
-  if (now->stats.n == 0 || now->stats.n_diverged < now->stats.n || now->rollouts_diverged == 0)
+  if (now->stats.n == 0 || now->stats.n_diverged < now->stats.n)
     return MO_OK;
   const int error = mo_sql_row(writer, &row, sql, mo_int(call->id));
   *ret = error == MO_OK && (now->generation == 0 || isfinite(sqlite3_column_double(row, 0)));

@@ -147,16 +147,9 @@ int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *bloc
 int mo_measures_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                          double (*values)[MO_MEASURES], uint32_t *n_measures)
 {
-  const void *environments = sqlite3_column_blob(statement, first + 4);
-  const int size = sqlite3_column_bytes(statement, first + 4);
   int64_t key[KEY_WORDS];
-  if (environments == NULL || size < 8 || size > 8 * MO_BLOCK_LANES || size % 8 != 0)
+  if (mo_condition_from_row(statement, first + 1, condition) != MO_OK)
     return MO_ERR_CORRUPT;
-  condition->controller = sqlite3_column_int64(statement, first + 1);
-  condition->physics = sqlite3_column_int64(statement, first + 2);
-  condition->fingerprint = sqlite3_column_int64(statement, first + 3);
-  condition->n = (uint32_t)size / 8;
-  memcpy(condition->environments, environments, (size_t)size);
   const size_t n_key = key_of(condition, sqlite3_column_int64(statement, first),
                               sqlite3_column_int64(statement, first + 5), key);
   return mo_unpack_measures(key, n_key, sqlite3_column_blob(statement, first + 6),

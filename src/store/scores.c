@@ -160,19 +160,26 @@ int mo_losses_replace(struct mo_store *store, const struct mo_condition *conditi
                       computed_us);
 }
 
+int mo_condition_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition)
+{
+  const void *environments = sqlite3_column_blob(statement, first + 3);
+  const int size = sqlite3_column_bytes(statement, first + 3);
+  if (environments == NULL || size < 8 || size > 8 * MO_BLOCK_LANES || size % 8 != 0)
+    return MO_ERR_CORRUPT;
+  condition->controller = sqlite3_column_int64(statement, first);
+  condition->physics = sqlite3_column_int64(statement, first + 1);
+  condition->fingerprint = sqlite3_column_int64(statement, first + 2);
+  condition->n = (uint32_t)size / 8;
+  memcpy(condition->environments, environments, (size_t)size);
+  return MO_OK;
+}
+
 int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                       double *losses, uint32_t *diverged_steps)
 {
-  const void *environments = sqlite3_column_blob(statement, first + 4);
-  const int size = sqlite3_column_bytes(statement, first + 4);
   int64_t key[KEY_WORDS];
-  if (environments == NULL || size < 8 || size > 8 * MO_BLOCK_LANES || size % 8 != 0)
+  if (mo_condition_from_row(statement, first + 1, condition) != MO_OK)
     return MO_ERR_CORRUPT;
-  condition->controller = sqlite3_column_int64(statement, first + 1);
-  condition->physics = sqlite3_column_int64(statement, first + 2);
-  condition->fingerprint = sqlite3_column_int64(statement, first + 3);
-  condition->n = (uint32_t)size / 8;
-  memcpy(condition->environments, environments, (size_t)size);
   size_t n_key = key_of(condition, sqlite3_column_int64(statement, first),
                         sqlite3_column_int64(statement, first + 5),
                         sqlite3_column_int64(statement, first + 6), key);
@@ -271,16 +278,15 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_b
                        key, 4, values, before.known ? sizeof(values) : sizeof(values[0]))));
 }
 
-/* Returns whether all losses of a block are stored, in any blocks. */
-static int find_losses(struct mo_connection *writer, const struct mo_saved_block *block,
-                       bool *are_known)
+int mo_losses_are_known(struct mo_connection *connection, const struct mo_condition *condition,
+                        int64_t genotype, bool *are_known)
 {
-  const struct mo_saved_design design = mo_design_under(&block->condition, block->genotype, 0);
+  const struct mo_saved_design design = mo_design_under(condition, genotype, 0);
   struct mo_score scores[MO_BLOCK_LANES];
   const int error =
-      mo_losses_read(writer, &design, block->condition.environments, block->condition.n, scores);
+      mo_losses_read(connection, &design, condition->environments, condition->n, scores);
   *are_known = true;
-  for (uint32_t k = 0; k < block->condition.n; k++)
+  for (uint32_t k = 0; k < condition->n; k++)
     *are_known = *are_known && scores[k].known;
   return error;
 }
@@ -295,8 +301,9 @@ static int insert_block(struct mo_store *store, const struct mo_saved_block *blo
     error = note_recomputed(&store->writer, block, i, &is_known);
     all_known = all_known && is_known;
   }
-  if (error == MO_OK && block->measures != NULL) /* perhaps only for its measures */
-    error = find_losses(&store->writer, block, &all_known);
+  if (error == MO_OK && block->measures != NULL &&
+      block->verify_job == 0) /* perhaps only for these */
+    error = mo_losses_are_known(&store->writer, &condition, block->genotype, &all_known);
   if (error != MO_OK || all_known)
     return error;
   error = mo_condition_row_after(&store->writer, &condition, last);

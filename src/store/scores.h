@@ -46,6 +46,9 @@ int mo_losses_insert(struct mo_store *store, const struct mo_condition *conditio
 int mo_losses_replace(struct mo_store *store, const struct mo_condition *condition,
                       int64_t genotype, const double *losses, const uint32_t *diverged_steps,
                       int64_t computed_us);
+/* Reads controller, physics, fingerprint and environments of a condition from four columns,
+ * starting at `first`. MO_ERR_CORRUPT. */
+int mo_condition_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition);
 /* Decodes a row of MO_SCORE_COLUMNS, starting at column `first`; losses and steps
  * (MO_BLOCK_LANES). */
 #define MO_SCORE_COLUMNS                                                                           \
@@ -56,6 +59,9 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
  * `fingerprint` or, where there are none, of the class `workers` (0: none). */
 int mo_losses_read(struct mo_connection *connection, const struct mo_saved_design *design,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
+/* Finds out whether the losses in all environments of a condition are stored, in any blocks. */
+int mo_losses_are_known(struct mo_connection *connection, const struct mo_condition *condition,
+                        int64_t genotype, bool *are_known);
 /* Compares a row with the stored losses of its rollouts, no matter which blocks they are in.
  * MO_ERR_CONFLICT: a stored loss has other bits. */
 int mo_losses_compare(struct mo_connection *connection, const struct mo_condition *condition,

@@ -76,19 +76,22 @@ static int warn_of_step(struct mo_connection *connection, struct mo_job *job,
   return error;
 }
 
-static int warn_of_generation(struct mo_connection *connection, struct mo_job *job)
+/* With select_by, designs without a value of the measure count as diverged. */
+static int warn_of_generation(struct mo_connection *connection, struct mo_job *job,
+                              const struct mo_campaign_record *record)
 {
   static const char sql[] = "SELECT ended,generation FROM campaigns WHERE job=?1";
   struct mo_campaign_generation last;
   bool found;
   sqlite3_stmt *row;
   int error = mo_row_newest(connection, MO_CAMPAIGN_GENERATIONS, job->id, &last, &found);
-  if (error == MO_OK && found && last.rollouts_diverged > 0)
+  if (error == MO_OK && found && !record->select_by.is_set)
     warn_of_robots(job, "generation", last.generation, last.stats.n_diverged, last.stats.n);
-  else if (error == MO_OK && found && last.stats.n_diverged > last.stats.n / 2) /* select_by */
+  else if (error == MO_OK && found && last.stats.n_diverged > last.stats.n / 2)
     warn(job, "no_measure",
-         "%u of %u designs of generation %u have no value of the measure that selects them",
-         (unsigned)last.stats.n_diverged, (unsigned)last.stats.n, (unsigned)last.generation);
+         "%u of %u designs of generation %u have no value of %s, or diverged; they rank last",
+         (unsigned)last.stats.n_diverged, (unsigned)last.stats.n, (unsigned)last.generation,
+         mo_measure_info[record->select_by.measure].name);
   if (error == MO_OK)
     error = mo_sql_row(connection, &row, sql, mo_int(job->id));
   if (error == MO_OK && sqlite3_column_int(row, 0) == MO_CAMPAIGN_EXHAUSTED)
@@ -204,7 +207,7 @@ int mo_job_warn(struct mo_connection *connection, struct mo_job *job, const void
   }
   case MO_JOB_CAMPAIGN: {
     const struct mo_campaign_record *campaign = record;
-    const int error = warn_of_generation(connection, job);
+    const int error = warn_of_generation(connection, job, campaign);
     warn_of_physics(job);
     return error == MO_OK ? warn_of_lights(connection, job, campaign->group) : error;
   }

@@ -129,8 +129,8 @@ static int check_terms(const struct mo_task *task, struct mo_message *message)
     if (name == NULL || (i > 0 && term <= task->terms[i - 1]))
       return mo_fail(message, MO_ERR_INVALID, "the terms of a sum must be known and ascending");
     if (!isfinite(weight) || weight == 0)
-      return mo_fail(message, MO_ERR_INVALID, "the weight of %s must be a finite number but 0",
-                     name);
+      return mo_fail(message, MO_ERR_INVALID,
+                     "the weight of %s must be a finite number other than 0", name);
     if (fabs(weight) > MO_TERM_WEIGHT_MAX)
       return mo_fail(message, MO_ERR_RANGE,
                      "the weight of %s must be at least %g and at most %g, got %g", name,

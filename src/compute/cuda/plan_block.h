@@ -59,7 +59,8 @@ struct mo_plan_pairs {
 #define MO_PLAN_LINK_PART(octant)  ((uint32_t)(1 + (octant)) << 20)
 #define MO_PLAN_LINK_PART_OF(link) ((link) >> 20)
 
-/* A mass: lattice coordinates, the start of its links, their number in units of MO_PLAN_LINKS. */
+/* A mass: lattice coordinates, the start of its links, and their number in units of
+ * MO_PLAN_LINKS. */
 #define MO_PLAN_MASS(x, y, z, quads, quad)                                                         \
   ((uint32_t)(x) | (uint32_t)(y) << 4 | (uint32_t)(z) << 8 | (uint32_t)(quads) << 12 |             \
    (uint32_t)(quad) << 16)

@@ -171,6 +171,7 @@ static void kernels(void)
           block_of(pack, body, list + l, 1, &physics, NULL, &one);
           CHECK(SAME(&one, &outcomes[l], 1));
           REQUIRE_OK(mo_rollout_reference(body, controller, list[l], &physics, NULL, NULL, &exact));
+          CHECK(isfinite(one.loss) && isfinite(one.value)); /* fmax ignores NaN */
           worst = fmax(worst, fmax(fabs(exact.loss - one.loss), fabs(exact.value - one.value)));
         }
       }
