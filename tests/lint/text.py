@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Checks the rules of docs/style.md that a program can check: lines of at most 100 columns, and
-words with a better alternative, also in identifiers.
+"""Checks the rules of docs/style.md that a program can check: lines of at most 100 columns, words
+with a better alternative, also in identifiers, and links to headings.
 
 Prints TAP: one line for each rule, and one that shows that each rule can fail. `text.py PATH…`
 checks only these files and folders."""
@@ -114,12 +114,30 @@ def in_file(check):
     return lambda path: check(path.read_text().splitlines())
 
 
+def anchors(path):
+    """Returns the anchors of the headings of a page."""
+    words = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", line.lstrip("#")).strip().lower()
+             for line in path.read_text().splitlines() if re.match("#+ ", line)]
+    return {re.sub(r"[^\w -]", "", one).replace(" ", "-") for one in words}
+
+
+def broken_links(path):
+    """Yields links of a page to headings that do not exist."""
+    for number, line in enumerate(path.read_text().splitlines() if path.suffix == ".md" else [], 1):
+        for page, anchor in re.findall(r"\]\(([^)#\s:]*)#([^)]+)\)", line):
+            target = path.parent / page if page else path
+            if target.suffix == ".md" and (not target.is_file() or
+                                           anchor not in anchors(target)):
+                yield number, f"no heading is {page}#{anchor}"
+
+
 # Each rule with its check and the folders that it holds in (None: all folders).
 RULES = {
     "lines have at most 100 columns": (wide_lines, None),
     "words": (in_file(worse_words), None),
     "words, strictly": (in_file(worse(STRICT_WORDS)), STRICT),
     "parts of names": (in_file(worse(NAMES, *PART)), STRICT),
+    "links name headings": (broken_links, None),
 }
 
 
@@ -143,7 +161,8 @@ def self_test():
     long = "word " * 21
     wrong = {
         "a.c": [long, "/* Starts anew. */", "int wish;", "// a grey line"],
-        "a.md": [long, "A reply is under way.", "It normalises.", "The centre of mass."],
+        "a.md": [long, "A reply is under way.", "It normalises.", "The centre of mass.",
+                 "# A b\n[a](#ab)", "[a](no-page.md#a)"],
         "a.build": [long],
         "script": [long, "echo for ever"],
         "a.js": [f"// {long}", "const comeInCrowds = 1;", "// The page tells its name."],
@@ -153,7 +172,8 @@ def self_test():
         "b.c": ["int come_in_crowds;", "/* Deaths out of turn. */", "/* There was no success. */"],
     }
     right = {
-        "a.md": [f"| {long}|", f"```sh\n{long}\n```", f"    {long}", "x" * 101, "of an island"],
+        "a.md": [f"| {long}|", f"```sh\n{long}\n```", f"    {long}", "x" * 101, "of an island",
+                 "## [A](x) `b`: c\n[a](#a-b-c) [a](a.md#a-b-c) [a](http://x.org/y.md#z)"],
         "a.c": ["int wish_flags;", "x" * 100],
         "a.py": ["if x is None:", "study.tell(it)", 'post("/tell")', "# Ask, tell, resume."],
         "a.js": ["const unreckonable = stolds;", "x" * 100],
