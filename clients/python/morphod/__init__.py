@@ -9,12 +9,15 @@
 
 from ._async.client import AsyncClient, AsyncObjective
 from ._async.fleet import AsyncFleet
-from ._async.handles import (AsyncCampaign, AsyncCampaigns, AsyncEvaluation, AsyncJob,
-                             AsyncTraining)
+from ._async.evaluations import AsyncEvaluation
+from ._async.handles import AsyncCampaign, AsyncCampaigns, AsyncTraining
+from ._async.jobs import AsyncJob
 from ._async.studies import AsyncStudy, AsyncStudyObjective
 from ._sync.client import Client, Objective
+from ._sync.evaluations import Evaluation
 from ._sync.fleet import Fleet
-from ._sync.handles import Campaign, Campaigns, Evaluation, Job, Training
+from ._sync.handles import Campaign, Campaigns, Training
+from ._sync.jobs import Job
 from ._sync.studies import Study, StudyObjective
 from .bodies import WORKSPACE, Body
 from .comparisons import CampaignComparison, ControllerComparison

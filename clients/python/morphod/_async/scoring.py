@@ -13,7 +13,9 @@ from ..player import Player
 from ..scenes import MEDIA_TYPE, Environments, Scene
 from .._wire import WAIT_S, Request, given as _given, without_none
 from .connection import AsyncConnection
-from .handles import AsyncEvaluation, interrupted, player, world_of
+from .evaluations import AsyncEvaluation
+from .jobs import interrupted
+from .showing import player, world_of
 
 if TYPE_CHECKING:
     import pandas as pd

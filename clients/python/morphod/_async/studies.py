@@ -16,7 +16,8 @@ from ..objectives import Plan
 from ..results import Asked, Batch, children_of
 from .._wire import WAIT_S, Request, given, without_none
 from .connection import AsyncConnection
-from .handles import AT_ONCE_S, AsyncCampaign
+from .handles import AsyncCampaign
+from .jobs import AT_ONCE_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
