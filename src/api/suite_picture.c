@@ -161,7 +161,7 @@ void mo_suite_draw(struct mo_text *text, const char *title, const struct mo_suit
                             .radius = fmin((across - 2 * label) / 2, RADIUS_MAX),
                             .x = across / 2};
   picture.y = TOP_PX + picture.radius;
-  const double below = picture.y + picture.radius + 62, legend = is_wide ? TOP_PX : below + 14,
+  const double below = picture.y + picture.radius + 76, legend = is_wide ? TOP_PX : below + 14,
                height = is_wide ? below + 12 : legend + ROW_PX * n + 24;
   mo_text_format(text,
                  "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"%u\" height=\"%.0f\" "

@@ -30,7 +30,7 @@ function panel(title, about, names, rows) {
       'table.number')));
 }
 
-const cell = (text, name = 'td.right') => h(name, {}, text);
+const cell = (text, name = 'td.right.number') => h(name, {}, text);
 
 /** Returns which designs a table shows: "the best 100 of 2,000". */
 function shownOf(rows, all) {
@@ -43,7 +43,7 @@ function suiteTable(job, rows) {
   const { tasks } = job.suite;
   const lines = rows.map((one) => h('tr', {}, linkTo(one),
     tasks.map(({ task }) => cell(inUnit(one.tasks[task].value, one.tasks[task].unit))),
-    cell(one.tasks_mean.loss === null ? '–' : score(one.tasks_mean.loss) +
+    h('td.right', {}, one.tasks_mean.loss === null ? '–' : score(one.tasks_mean.loss) +
       (one.tasks_mean.left_out.length ? ` without ${one.tasks_mean.left_out.join(', ')}` : ''))));
   if (tasks[0].unit !== undefined) {
     lines.push(h('tr.total', {}, h('th', { scope: 'row' }, `mean of ${count(job.n_designs)}`),
