@@ -217,6 +217,9 @@ static void run(const struct bench_scene *scene, const struct mo_controller *con
   }
   print(&s, name);
   free(s.sums);
+  free(s.deviations);
+  free(s.limits);
+  free(s.usable);
 }
 
 int bench_gradient_order(const struct bench_options *options)

@@ -151,6 +151,17 @@ def test_refusals(service):
     assert "12000000 rollouts" in reply.json()["errors"][0]["detail"]
 
 
+def test_pages_with_measures_are_bounded(service):
+    """A page has at most 2,000,000 numbers: 118 designs in 768 worlds with 20 measures."""
+    job = run(service, {"random": {"seed": 5, "count": 120}, "environments": "morpho-12-held-out",
+                        "physics": {"n_steps": 1}, "measures": True})
+    assert "results" not in job
+    path = f"/v1/evaluations/{job['id']}/results"
+    page = service.get(path + "?limit=1000")
+    assert len(page["items"]) == 118 and page["next_cursor"] == "118"
+    assert [row["number"] for row in service.pages(path)] == list(range(120))
+
+
 def test_kills_change_nothing(start, tmp_path):
     """After kill -9 the evaluation continues under its id, keeps what it has saved, and has the
     same results as without a kill."""

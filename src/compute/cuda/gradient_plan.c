@@ -314,7 +314,7 @@ static void form_shards(void *context, size_t first, size_t end)
     s->end = s->n;
     for (uint32_t i = 0; i < s->n; i++) {
       const struct mo_environment *environment = s->robots[s->first + i].environment;
-      if (environment->task.objective > MO_OBJECTIVE_PURSUE)
+      if (s->status == MO_OK && environment->task.objective > MO_OBJECTIVE_PURSUE)
         s->status = MO_ERR_UNSUPPORTED;
       s->is_special |= mo_environment_is_special(environment);
       s->has_damage |= environment->damage.cut != 0;
