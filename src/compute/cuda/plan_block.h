@@ -38,8 +38,8 @@
  * springs, in sets of MO_PLAN_LINKS; the last set is padded with links to the mass itself. */
 struct mo_plan_body {
   uint32_t n_masses, n_springs;
-  uint32_t first_quad,
-      first_mass;            /* into links, in units of MO_PLAN_LINKS; into masses and ranks */
+  uint32_t first_quad;       /* into links, in units of MO_PLAN_LINKS */
+  uint32_t first_mass;       /* into masses and ranks */
   uint32_t n_slots, n_edges; /* the body's own slots, two for each pair with a spring of the body;
                                 n_edges: slots of edges, which come first */
 };
@@ -59,8 +59,7 @@ struct mo_plan_pairs {
 #define MO_PLAN_LINK_PART(octant)  ((uint32_t)(1 + (octant)) << 20)
 #define MO_PLAN_LINK_PART_OF(link) ((link) >> 20)
 
-/* A mass: lattice coordinates, the start of its links, and their number in units of
- * MO_PLAN_LINKS. */
+/* A mass: lattice coordinates; its number of links in units of MO_PLAN_LINKS, and their start. */
 #define MO_PLAN_MASS(x, y, z, quads, quad)                                                         \
   ((uint32_t)(x) | (uint32_t)(y) << 4 | (uint32_t)(z) << 8 | (uint32_t)(quads) << 12 |             \
    (uint32_t)(quad) << 16)
