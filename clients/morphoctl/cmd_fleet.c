@@ -208,13 +208,44 @@ static int verify_all(struct ctl *ctl, json_t *whole)
   }
 }
 
+/* Returns copies of differences with `measured`: each measure that differs, with both values. */
+static json_t *difference_rows(const json_t *different, bool *any_measured)
+{
+  json_t *rows = keep(json_array());
+  const json_t *difference;
+  size_t i;
+  json_array_foreach(different, i, difference)
+  {
+    json_t *row = need(json_copy((json_t *)difference)), *stored;
+    const char *words = "", *name;
+    json_object_foreach(json_object_get(json_object_get(row, "stored"), "measures"), name, stored)
+    {
+      const json_t *computed =
+          json_object_get(json_object_get(json_object_get(row, "computed"), "measures"), name);
+      const char *right = keep(need(dump_json(computed, JSON_ENCODE_ANY))),
+                 *wrong = keep(need(dump_json(stored, JSON_ENCODE_ANY)));
+      words = keep(format_text("%s%s%s %s, not %s", words, words[0] != '\0' ? "; " : "", name,
+                               right, wrong));
+    }
+    *any_measured = *any_measured || words[0] != '\0';
+    json_object_set_new(row, "measured", json_string(words));
+    json_array_append_new(rows, row);
+  }
+  return rows;
+}
+
 void print_differences(const struct ctl *ctl, const json_t *different)
 {
-  if (json_array_size(different) > 0 && !ctl->json)
-    print_table(stdout, ctl, different,
-                "design={robot}|>stored={stored.loss:.17g}|>computed={computed.loss:.17g}"
-                "|environment={environment:.12}|controller={controller:.12}"
-                "|physics={physics:.12}|since={computed_at:time}");
+  bool any_measured = false;
+  if (json_array_size(different) == 0 || ctl->json)
+    return;
+  const json_t *rows = difference_rows(different, &any_measured);
+  print_table(stdout, ctl, rows,
+              keep(format_text("design={robot}|>stored=[{stored.loss:.17g}]"
+                               "|>computed=[{computed.loss:.17g}]%s"
+                               "|environment={environment:.12}|controller={controller:.12}"
+                               "|physics={physics:.12}|since={computed_at:time}",
+                               any_measured ? "|measures={measured}" : "")));
 }
 
 void run_fleet_verify(struct ctl *ctl)
@@ -229,9 +260,9 @@ void run_fleet_verify(struct ctl *ctl)
   print_differences(ctl, different);
   if (status == STATUS_OK || json_array_size(different) > 0)
     tell(ctl, whole,
-         repairs ? "{checked:,} losses computed again, {different:#} were replaced"
+         repairs ? "{checked:,} rollouts computed again, {different:#} were replaced"
                    "[; {skipped>0:,} are of a class that the server does not have]"
-                 : "{checked:,} losses computed again, {different:#} differ"
+                 : "{checked:,} rollouts computed again, {different:#} differ"
                    "[; {skipped>0:,} are of a class that the server does not have]");
   if (status == STATUS_OK && json_array_size(different) > 0 && !repairs)
     status = STATUS_NEGATIVE;

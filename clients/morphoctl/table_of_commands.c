@@ -384,7 +384,7 @@ static const struct option_spec fleet_drain_options[] = {
     {"within", 0, "SECONDS", "Seconds to wait for each (default: 60)."},
     {NULL}};
 static const struct option_spec fleet_verify_options[] = {
-    {"repair", 0, NULL, "Replace the losses that differ."}, {NULL}};
+    {"repair", 0, NULL, "Replace the losses and measures that differ."}, {NULL}};
 
 #define OF_WORKERS                                                                                 \
   {"fleet", 0, "URL", "Address at which workers reach the daemon's fleet_listen."},                \
@@ -657,8 +657,8 @@ const struct command commands[] = {
      "version.",
      fleet_drain_options},
     {"fleet verify", "NAME@HOST", "Recompute the results of a worker.", run_fleet_verify,
-     "The server recomputes the stored losses of this origin, and lists those that differ. "
-     "Exit status 3 if some do, unless they are repaired.",
+     "The server recomputes the stored losses and measures of this origin, and lists those that "
+     "differ. Exit status 3 if some do, unless they are repaired.",
      fleet_verify_options},
     {"fleet", "", "Show the workers on other machines.", run_fleet, NULL, fleet_options},
     {"status", "", "Show whether the server is ready and what it does.", run_status},

@@ -57,21 +57,46 @@ static int check(struct mo_json *json, void *any)
 
 /* ---- the reply ---- */
 
-static void write_loss(struct mo_text *text, const char *name, const struct mo_loss_row *row,
-                       uint32_t k)
+/* Of the measures, only those that differ. */
+static void write_row(struct mo_text *text, const char *name, const struct mo_origin_row *row,
+                      uint32_t k, const struct mo_loss_row *losses,
+                      const struct mo_measures_row *measures, uint32_t differing)
 {
   mo_text_open(text, name, "{");
-  mo_text_member_number(text, "loss", row->losses[k]);
-  mo_text_member_count(text, "diverged_step", row->diverged_steps[k]);
-  mo_text_add(text, "}");
+  if (row->has_losses) {
+    mo_text_member_number(text, "loss", losses->losses[k]);
+    mo_text_member_count(text, "diverged_step", losses->diverged_steps[k]);
+  }
+  if (differing != 0)
+    mo_text_open(text, "measures", "{");
+  for (unsigned m = 0; m < MO_MEASURES; m++)
+    if (differing >> m & 1)
+      mo_text_member_number(text, mo_measure_info[m].name, measures->values[k][m]);
+  mo_text_add(text, differing != 0 ? "}}" : "}");
+}
+
+/* Returns the measures of a rollout that differ, as bits. */
+static uint32_t differing_measures(const struct mo_origin_row *row, uint32_t k)
+{
+  uint32_t set = 0;
+  for (uint32_t m = 0; row->has_measures && m < row->n_measures; m++)
+    if (!mo_measure_equal(row->stored_measures.values[k][m], row->again_measures.values[k][m]))
+      set |= UINT32_C(1) << m;
+  return set;
+}
+
+static bool loss_differs(const struct mo_origin_row *row, uint32_t k)
+{
+  const struct mo_loss_row stored = {{row->stored.losses[k]}, {row->stored.diverged_steps[k]}},
+                           again = {{row->again.losses[k]}, {row->again.diverged_steps[k]}};
+  return row->has_losses && !mo_loss_rows_equal(&stored, &again, 1);
 }
 
 void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row)
 {
   for (uint32_t k = 0; k < row->n; k++) {
-    const struct mo_loss_row stored = {{row->stored.losses[k]}, {row->stored.diverged_steps[k]}},
-                             again = {{row->again.losses[k]}, {row->again.diverged_steps[k]}};
-    if (mo_loss_rows_equal(&stored, &again, 1))
+    const uint32_t differing = differing_measures(row, k);
+    if (differing == 0 && !loss_differs(row, k))
       continue;
     mo_text_object(text);
     mo_member_form(text, "id", &row->form);
@@ -82,8 +107,8 @@ void mo_json_differences(struct mo_text *text, const struct mo_origin_row *row)
     mo_member_hash(text, "physics", &row->physics_sha256);
     mo_text_member(text, "fingerprint", row->fingerprint);
     mo_text_member_time(text, "computed_at", row->computed_us);
-    write_loss(text, "stored", &row->stored, k);
-    write_loss(text, "computed", &row->again, k);
+    write_row(text, "stored", row, k, &row->stored, &row->stored_measures, differing);
+    write_row(text, "computed", row, k, &row->again, &row->again_measures, differing);
     mo_text_add(text, "}");
   }
 }
@@ -124,7 +149,8 @@ void mo_api_verify_origin(struct mo_request *request)
   else
     reply(request, &verification);
   if (error == MO_OK && verification.n > 0)
-    mo_request_note(request, "%zu rows of losses from \"%s\" differ from the recomputed rows%s",
+    mo_request_note(request,
+                    "%zu rows of losses or measures from \"%s\" differ from the recomputed rows%s",
                     verification.n, parsed.origin, parsed.repair ? ", and were replaced" : "");
   free(verification.rows);
 }

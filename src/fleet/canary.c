@@ -6,7 +6,10 @@
  * that masses leave their terrain cells: the reference, not the kernels, computes these moves. Some
  * hold the controller's outputs through control periods, and some use the integrator `split`. The
  * robots of the gradients stand on the ground, so that few steps have contacts. They fill one CPU
- * block and part of another. Some environments have a task, and some a terrain profile. */
+ * block and part of another. Environments have an objective of each kind, and some a terrain
+ * profile or damage. On processors, all measures of the rollouts count as well. */
+#include <float.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -20,6 +23,8 @@
 #define STEPS  50 /* for the gradients */
 #define KINDS  4  /* of gradients */
 
+#define NO_GRADIENT 6 /* the lane with a sum that has none */
+
 struct canary {
   struct mo_lattice *lattice;
   struct mo_controller *controller;
@@ -27,6 +32,8 @@ struct canary {
   uint64_t genotypes[BODIES][MO_DEFAULT_WORDS];
   struct mo_environment environments[BODIES][MO_BLOCK_LANES];
   struct mo_block blocks[BODIES];
+  double measures[BODIES][MO_BLOCK_LANES][MO_MEASURES];
+  struct mo_measuring measuring[BODIES];
   struct mo_body *bodies[ROBOTS];
   struct mo_robot robots[ROBOTS];
   struct mo_outcome outcomes[ROBOTS];
@@ -48,9 +55,29 @@ static struct mo_physics physics_of(uint32_t body)
   return physics;
 }
 
+/* Gives an environment an objective that devices do not compute: in each body, a lane has each of
+ * them, and two have a sum. */
+static void set_objective(uint32_t lane, struct mo_task *task)
+{
+  if (lane == 2)
+    *task = (struct mo_task){.objective = MO_OBJECTIVE_SUM,
+                             .n_terms = 4,
+                             .terms = {MO_OBJECTIVE_EFFICIENT, MO_OBJECTIVE_JUMP,
+                                       MO_TERM_MEASURE + MO_MEASURE_PATH_LENGTH,
+                                       MO_TERM_MEASURE + MO_MEASURE_WORK},
+                             .weights = {1, 0.5, 0.1, -1e-5}};
+  if (lane == NO_GRADIENT)
+    *task = (struct mo_task){.objective = MO_OBJECTIVE_SUM,
+                             .n_terms = 3,
+                             .terms = {MO_OBJECTIVE_REACH, MO_TERM_MEASURE + MO_MEASURE_TILT,
+                                       MO_TERM_MEASURE + MO_MEASURE_PEAK_STRAIN},
+                             .weights = {1, -0.1, -1}};
+  if (lane == 4 || lane == 8)
+    task->objective = lane == 4 ? MO_OBJECTIVE_EFFICIENT : MO_OBJECTIVE_JUMP;
+}
+
 /* Gives an environment a task: in each body, the last lanes have one of each kind of guide. Every
- * fourth lane has a profile, and every fourth has damage. On processors two have a sum, which
- * devices do not compute. Robots of the gradients have the first lanes. */
+ * fourth lane has a profile, and every fourth has damage. */
 static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environment *environment)
 {
   static const char *const words[] = {"photo-auc", "walk", "circle", "path", "pursue", "climb"};
@@ -63,20 +90,8 @@ static void set_task(uint32_t lane, enum mo_back_end back_end, struct mo_environ
   }
   if (lane % 4 == 3)
     environment->damage = (struct mo_damage){1 + lane % MO_OCTANTS, 0.1};
-  if (lane == 2 && back_end == MO_ON_CPU)
-    environment->task = (struct mo_task){.objective = MO_OBJECTIVE_SUM,
-                                         .n_terms = 4,
-                                         .terms = {MO_OBJECTIVE_EFFICIENT, MO_OBJECTIVE_JUMP,
-                                                   MO_TERM_MEASURE + MO_MEASURE_PATH_LENGTH,
-                                                   MO_TERM_MEASURE + MO_MEASURE_WORK},
-                                         .weights = {1, 0.5, 0.1, -1e-5}};
-  if (lane == 6 && back_end == MO_ON_CPU)
-    environment->task =
-        (struct mo_task){.objective = MO_OBJECTIVE_SUM,
-                         .n_terms = 3,
-                         .terms = {MO_OBJECTIVE_REACH, MO_TERM_MEASURE + MO_MEASURE_TILT,
-                                   MO_TERM_MEASURE + MO_MEASURE_PEAK_STRAIN},
-                         .weights = {1, -0.1, -1}};
+  if (back_end == MO_ON_CPU)
+    set_objective(lane, &environment->task);
 }
 
 static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_back_end back_end)
@@ -102,6 +117,9 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
                                .precision = MO_FLOAT32,
                                .urgency = MO_INTERACTIVE, /* not given to remote takers */
                                .back_end = back_end};
+    canary->measuring[b] = (struct mo_measuring){MO_MEASURES_ALL, canary->measures[b]};
+    if (back_end == MO_ON_CPU) /* devices do not compute measures */
+      block->measuring = &canary->measuring[b];
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
       mo_environment_training(SEED, b, e, &canary->environments[b][e]);
       set_task(e, back_end, &canary->environments[b][e]);
@@ -113,13 +131,23 @@ static int prepare(struct canary *canary, struct mo_compute *compute, enum mo_ba
 
 /* ---- the gradient ---- */
 
-static int make_robots(struct canary *canary)
+/* On devices, robots have the first lanes; on processors, all lanes, and with them all objectives.
+ */
+static uint32_t lane_of(uint32_t robot, enum mo_back_end back_end)
+{
+  if (back_end == MO_ON_DEVICE)
+    return robot / BODIES;
+  const uint32_t lane = (robot + robot / BODIES) % MO_BLOCK_LANES;
+  return lane == NO_GRADIENT ? 2 : lane;
+}
+
+static int make_robots(struct canary *canary, enum mo_back_end back_end)
 {
   int error = MO_OK;
   for (uint32_t i = 0; i < ROBOTS && error == MO_OK; i++) {
     error = mo_body_create(canary->lattice, canary->genotypes[i % BODIES], &canary->bodies[i]);
     canary->robots[i].body = canary->bodies[i];
-    canary->robots[i].environment = &canary->environments[i % BODIES][i / BODIES];
+    canary->robots[i].environment = &canary->environments[i % BODIES][lane_of(i, back_end)];
   }
   return error;
 }
@@ -145,7 +173,7 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
   batch.physics.scheme.n_steps = STEPS;
   batch.physics.drop_height_m = 0;
   batch.d_parameters = calloc(n, sizeof(*batch.d_parameters));
-  int error = batch.d_parameters != NULL ? make_robots(canary) : MO_ERR_NO_MEMORY;
+  int error = batch.d_parameters != NULL ? make_robots(canary, back_end) : MO_ERR_NO_MEMORY;
   if (error == MO_OK)
     error = mo_gradient_state_create(compute, &state);
   /* A device has kernels of its own for periods of several steps. */
@@ -172,18 +200,26 @@ static int differentiate(struct canary *canary, struct mo_compute *compute,
 
 /* ---- both ---- */
 
-static void read_bits(const struct canary *canary, struct mo_sha256 *hash)
+/* The canary's version is part of the protocol (MO_PROTOCOL): raise it with each change, so that
+ * workers with another canary are refused as of another version, and not for wrong bits. */
+static void read_bits(struct canary *canary, enum mo_back_end back_end, struct mo_sha256 *hash)
 {
+  struct mo_sha256 parts[2];
   struct {
     double loss;
     uint64_t diverged;
   } rows[BODIES][MO_BLOCK_LANES];
   for (uint32_t b = 0; b < BODIES; b++)
     for (uint32_t e = 0; e < MO_BLOCK_LANES; e++) {
+      double *measures = canary->measures[b][e];
       rows[b][e].loss = canary->blocks[b].outcomes[e].loss;
       rows[b][e].diverged = (uint64_t)canary->blocks[b].outcomes[e].diverged_step;
+      for (unsigned m = 0; m < MO_MEASURES; m++)
+        measures[m] = isnan(measures[m]) ? -DBL_MAX : measures[m]; /* a NaN has many bits */
     }
-  mo_sha256_of(rows, sizeof(rows), hash);
+  mo_sha256_of(rows, sizeof(rows), &parts[0]);
+  mo_sha256_of(canary->measures, sizeof(canary->measures), &parts[1]);
+  mo_sha256_of(parts, (back_end == MO_ON_CPU ? 2 : 1) * sizeof(*parts), hash);
 }
 
 int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struct mo_sha256 *hash)
@@ -198,7 +234,7 @@ int mo_fleet_canary(struct mo_compute *compute, enum mo_back_end back_end, struc
   if (error == MO_OK)
     error = differentiate(canary, compute, back_end, &parts[1]);
   if (error == MO_OK) {
-    read_bits(canary, &parts[0]);
+    read_bits(canary, back_end, &parts[0]);
     mo_sha256_of(parts, sizeof(parts), hash);
   }
   mo_compute_controller_free(canary->prepared);

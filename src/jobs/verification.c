@@ -22,7 +22,7 @@ static bool find_class(const struct mo_jobs *jobs, const struct mo_origin_row *r
 
 static void fill_block(const struct mo_jobs *jobs, const struct mo_origin_row *row,
                        const struct mo_loaded *controller, enum mo_back_end back_end,
-                       struct mo_block *block)
+                       const struct mo_measuring *measuring, struct mo_block *block)
 {
   *block = (struct mo_block){.lattice = jobs->lattice,
                              .genotype = row->genotype.words,
@@ -32,23 +32,30 @@ static void fill_block(const struct mo_jobs *jobs, const struct mo_origin_row *r
                              .precision = row->precision,
                              .urgency = MO_INTERACTIVE,
                              .back_end = back_end,
+                             .measuring = row->has_measures ? measuring : NULL,
                              .tag = -1};
   for (uint32_t k = 0; k < row->n; k++)
     block->environments[k] = &row->environments[k];
 }
 
-/* Takes the results of a block. */
+/* Takes the results of a block. Its measures are in the row already. */
 static void compare(const struct mo_block *block, struct mo_origin_row *row)
 {
+  for (uint32_t k = 0; k < row->n && row->has_measures; k++)
+    for (uint32_t m = 0; m < row->n_measures; m++)
+      row->measures_differ =
+          row->measures_differ ||
+          !mo_measure_equal(row->again_measures.values[k][m], row->stored_measures.values[k][m]);
   for (uint32_t k = 0; k < row->n; k++) {
     row->again.losses[k] = block->outcomes[k].loss;
     row->again.diverged_steps[k] = (uint32_t)block->outcomes[k].diverged_step;
   }
-  row->differs = !mo_loss_rows_equal(&row->again, &row->stored, row->n);
+  row->differs = row->has_losses && !mo_loss_rows_equal(&row->again, &row->stored, row->n);
 }
 
 struct batch {
   struct mo_block blocks[MO_VERIFIED_MAX];
+  struct mo_measuring measuring[MO_VERIFIED_MAX];
   struct mo_loaded *controllers[MO_VERIFIED_MAX];
   struct mo_origin_row *rows[MO_VERIFIED_MAX];
   size_t n;
@@ -66,7 +73,9 @@ static int add(struct mo_jobs *jobs, struct mo_verification *verification, struc
   const int error = mo_loaded_acquire(&jobs->controllers, &row->controller_sha256, controller);
   if (error != MO_OK)
     return error;
-  fill_block(jobs, row, *controller, back_end, &batch->blocks[batch->n]);
+  struct mo_measuring *measuring = &batch->measuring[batch->n];
+  *measuring = (struct mo_measuring){MO_MEASURES_ALL, row->again_measures.values};
+  fill_block(jobs, row, *controller, back_end, measuring, &batch->blocks[batch->n]);
   batch->rows[batch->n++] = row;
   verification->checked += row->n;
   return MO_OK;
@@ -120,7 +129,7 @@ int mo_jobs_verify(struct mo_jobs *jobs, struct mo_verification *verification)
   const size_t n = read > 0 ? shorten(verification, (size_t)read) : 0;
   const int error = read < 0 ? (int)read : compute(jobs, verification, n);
   for (size_t i = 0; i < n && error == MO_OK; i++)
-    if (verification->rows[i].differs)
+    if (verification->rows[i].differs || verification->rows[i].measures_differ)
       verification->rows[verification->n++] = verification->rows[i];
   return error == MO_OK && verification->repair && verification->n > 0
              ? mo_store_origin_replace(jobs->store, verification->rows, verification->n)

@@ -213,7 +213,7 @@ static int insert_part(struct mo_store *store, struct part *part, int64_t genoty
     error = mo_losses_insert(store, &part->condition, genotype, part->origin, part->losses,
                              part->diverged_steps, now_us, is_new);
   return error == MO_OK && has_measures
-             ? mo_measures_insert_row(store, &part->condition, genotype,
+             ? mo_measures_insert_row(store, &part->condition, genotype, part->origin,
                                       (const double(*)[MO_MEASURES])part->measures, now_us)
              : error;
 }

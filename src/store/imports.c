@@ -275,7 +275,7 @@ static int find_condition(struct mo_import *import, const struct mo_campaign_sco
 
 /* Stores measures that are not stored yet. MO_ERR_CONFLICT: others are stored. */
 static int insert_measures(struct mo_import *import, const struct mo_campaign_score *score,
-                           const struct mo_condition *condition, int64_t genotype)
+                           const struct mo_condition *condition, int64_t genotype, int64_t origin)
 {
   const struct mo_saved_design design = mo_design_under(condition, genotype, 0);
   uint64_t known = 0;
@@ -283,7 +283,7 @@ static int insert_measures(struct mo_import *import, const struct mo_campaign_sc
   const int error = mo_measures_compare(&import->store->writer, &design, condition->environments,
                                         condition->n, measures, &known);
   return error == MO_OK && known != UINT64_MAX >> (64 - condition->n)
-             ? mo_measures_insert_row(import->store, condition, genotype, measures,
+             ? mo_measures_insert_row(import->store, condition, genotype, origin, measures,
                                       score->computed_us)
              : error;
 }
@@ -308,7 +308,7 @@ int mo_enter_score(struct mo_import *import, const struct mo_campaign_score *sco
     error = mo_losses_insert(import->store, &condition, genotype, origin, score->losses,
                              score->diverged_steps, score->computed_us, &is_new);
   if (error == MO_OK && score->measures != NULL)
-    error = insert_measures(import, score, &condition, genotype);
+    error = insert_measures(import, score, &condition, genotype, origin);
   import->n_losses += error == MO_OK && is_new ? score->n : 0;
   if (error != MO_OK || !is_new || import->set == 0)
     return error;

@@ -16,7 +16,7 @@
 #include "store/runner.h"
 #include "store/scores.h"
 
-#define KEY_WORDS (5 + MO_BLOCK_LANES)
+#define KEY_WORDS (6 + MO_BLOCK_LANES)
 #define HEAD      4
 #define CHECKSUM  8
 #define DOUBLES   (UINT32_C(1) << 31)
@@ -100,31 +100,37 @@ int mo_unpack_measures(const int64_t *key, size_t n_key, const uint8_t *bytes, s
 
 /* ---- rows ---- */
 
-static size_t key_of(const struct mo_condition *condition, int64_t genotype, int64_t computed_us,
-                     int64_t key[KEY_WORDS])
+/* origin: 0: unknown, of a row from before version 22. */
+static size_t key_of(const struct mo_condition *condition, int64_t genotype, int64_t origin,
+                     int64_t computed_us, int64_t key[KEY_WORDS])
 {
+  size_t n = 5 + condition->n;
   key[0] = genotype;
   key[1] = condition->controller;
   key[2] = condition->physics;
   key[3] = condition->fingerprint;
   key[4] = computed_us;
   memcpy(key + 5, condition->environments, condition->n * sizeof(*key));
-  return 5 + condition->n;
+  if (origin != 0)
+    key[n++] = origin;
+  return n;
 }
 
 int mo_measures_insert_row(struct mo_store *store, const struct mo_condition *condition,
-                           int64_t genotype, const double (*values)[MO_MEASURES],
+                           int64_t genotype, int64_t origin, const double (*values)[MO_MEASURES],
                            int64_t computed_us)
 {
-  /* A row of an earlier version may lack measures. */
-  static const char sql[] = "INSERT OR REPLACE INTO measures(genotype,condition,computed_us,packed)"
-                            " VALUES(?1,?2,?3,?4)";
+  /* A row of an earlier version may lack measures, and a repair replaces wrong ones. */
+  static const char sql[] =
+      "INSERT OR REPLACE INTO measures(genotype,condition,computed_us,packed,origin)"
+      " VALUES(?1,?2,?3,?4,?5)";
+  const int64_t from = origin != 0 ? origin : store->origin;
   uint8_t bytes[MO_PACKED_MEASURES_BYTES(MO_BLOCK_LANES)];
   int64_t key[KEY_WORDS];
-  const size_t size = mo_pack_measures(key, key_of(condition, genotype, computed_us, key), values,
-                                       condition->n, bytes);
+  const size_t size = mo_pack_measures(key, key_of(condition, genotype, from, computed_us, key),
+                                       values, condition->n, bytes);
   return mo_sql_do(&store->writer, sql, mo_int(genotype), mo_int(condition->id),
-                   mo_int(computed_us), mo_blob(bytes, size));
+                   mo_int(computed_us), mo_blob(bytes, size), mo_int(from));
 }
 
 int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
@@ -138,7 +144,7 @@ int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *bloc
       continue;
     error = mo_condition_row_after(&store->writer, &condition, &last);
     if (error == MO_OK)
-      error = mo_measures_insert_row(store, &condition, blocks[i].genotype,
+      error = mo_measures_insert_row(store, &condition, blocks[i].genotype, blocks[i].origin,
                                      (const double(*)[MO_MEASURES])blocks[i].measures, now_us);
   }
   return error;
@@ -151,6 +157,7 @@ int mo_measures_from_row(sqlite3_stmt *statement, int first, struct mo_condition
   if (mo_condition_from_row(statement, first + 1, condition) != MO_OK)
     return MO_ERR_CORRUPT;
   const size_t n_key = key_of(condition, sqlite3_column_int64(statement, first),
+                              sqlite3_column_int64(statement, first + 7), /* 0 for NULL */
                               sqlite3_column_int64(statement, first + 5), key);
   return mo_unpack_measures(key, n_key, sqlite3_column_blob(statement, first + 6),
                             (size_t)sqlite3_column_bytes(statement, first + 6), condition->n,

@@ -19,13 +19,14 @@ int mo_unpack_measures(const int64_t *key, size_t n_key, const uint8_t *bytes, s
 /* Inserts the measures of those blocks that have them. */
 int mo_measures_insert(struct mo_store *store, const struct mo_saved_block *blocks, size_t n,
                        int64_t now_us);
-/* Inserts the measures of one genotype under a condition, whose id is known, as one row. */
+/* Inserts the measures of one genotype under a condition, whose id is known, as one row, or
+ * replaces this row. origin: 0: this host. */
 int mo_measures_insert_row(struct mo_store *store, const struct mo_condition *condition,
-                           int64_t genotype, const double (*values)[MO_MEASURES],
+                           int64_t genotype, int64_t origin, const double (*values)[MO_MEASURES],
                            int64_t computed_us);
 /* Decodes a row of MO_MEASURE_COLUMNS, starting at column `first`; values (MO_BLOCK_LANES). */
 #define MO_MEASURE_COLUMNS                                                                         \
-  "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.packed"
+  "x.genotype,c.controller,c.physics,c.fingerprint,c.environments,x.computed_us,x.packed,x.origin"
 int mo_measures_from_row(sqlite3_stmt *statement, int first, struct mo_condition *condition,
                          double (*values)[MO_MEASURES], uint32_t *n_measures);
 /* Compares measures with those that are stored. MO_ERR_CONFLICT: a value differs. *known: where all

@@ -2,44 +2,89 @@
  * index: a page visits a bounded number of rows in the order of their key. */
 #include "store/origins.h"
 
+#include <math.h>
+
 #include "base/clock.h"
+#include "store/measures.h"
 #include "store/runs.h"
 #include "store/scores.h"
 
 #define VISITED_MAX 50000
 
-#define FROM_SCORES                                                                                \
-  " FROM scores x JOIN conditions c ON c.id=x.condition JOIN genotypes g ON g.id=x.genotype"       \
-  " JOIN designs d ON d.id=g.design JOIN controllers k ON k.id=c.controller"                       \
-  " JOIN physics p ON p.id=c.physics JOIN fingerprints f ON f.id=c.fingerprint"                    \
-  " WHERE x.genotype=?1 AND x.condition=?2"
-
 /* ---- reading ---- */
 
-static int read_row(struct mo_connection *reader, struct mo_origin_place place,
-                    struct mo_origin_row *row)
+static int read_losses(struct mo_connection *connection, struct mo_origin_place place,
+                       struct mo_condition *condition, int64_t *computed_us,
+                       struct mo_loss_row *losses)
 {
   static const char sql[] =
-      "SELECT " MO_SCORE_COLUMNS ",g.bits,d.form,k.sha256,p.sha256,p.encoding,f.text" FROM_SCORES;
-  struct mo_condition condition;
+      "SELECT " MO_SCORE_COLUMNS " FROM scores x JOIN conditions c ON c.id=x.condition"
+      " WHERE x.genotype=?1 AND x.condition=?2";
+  sqlite3_stmt *found;
+  const int error =
+      mo_sql_row(connection, &found, sql, mo_int(place.genotype), mo_int(place.condition));
+  if (error != MO_OK)
+    return error;
+  *computed_us = sqlite3_column_int64(found, 6);
+  return mo_score_from_row(found, 0, condition, losses->losses, losses->diverged_steps);
+}
+
+static int read_measures(struct mo_connection *connection, struct mo_origin_place place,
+                         struct mo_condition *condition, int64_t *computed_us,
+                         struct mo_measures_row *measures, uint32_t *n_measures)
+{
+  static const char sql[] =
+      "SELECT " MO_MEASURE_COLUMNS " FROM measures x JOIN conditions c ON c.id=x.condition"
+      " WHERE x.genotype=?1 AND x.condition=?2";
+  sqlite3_stmt *found;
+  const int error =
+      mo_sql_row(connection, &found, sql, mo_int(place.genotype), mo_int(place.condition));
+  if (error != MO_OK)
+    return error;
+  *computed_us = sqlite3_column_int64(found, 5);
+  return mo_measures_from_row(found, 0, condition, measures->values, n_measures);
+}
+
+/* Reads what rollouts depend on besides their environments. */
+static int read_inputs(struct mo_connection *reader, struct mo_origin_row *row)
+{
+  static const char sql[] =
+      "SELECT g.bits,d.form,k.sha256,p.sha256,p.encoding,f.text FROM genotypes g"
+      " JOIN designs d ON d.id=g.design JOIN conditions c ON c.id=?2"
+      " JOIN controllers k ON k.id=c.controller JOIN physics p ON p.id=c.physics"
+      " JOIN fingerprints f ON f.id=c.fingerprint WHERE g.id=?1";
   enum mo_sensor sensor;
   sqlite3_stmt *found;
-  int error = mo_sql_row(reader, &found, sql, mo_int(place.genotype), mo_int(place.condition));
-  *row = (struct mo_origin_row){.genotype_row = place.genotype, .condition = place.condition};
+  int error = mo_sql_row(reader, &found, sql, mo_int(row->genotype_row), mo_int(row->condition));
   if (error == MO_OK)
-    error = mo_score_from_row(found, 0, &condition, row->stored.losses, row->stored.diverged_steps);
+    error = mo_column_design(found, 0, 1, &row->genotype, &row->form);
   if (error == MO_OK)
-    error = mo_column_design(found, 8, 9, &row->genotype, &row->form);
+    error = mo_column_hash(found, 2, &row->controller_sha256);
   if (error == MO_OK)
-    error = mo_column_hash(found, 10, &row->controller_sha256);
+    error = mo_column_hash(found, 3, &row->physics_sha256);
   if (error == MO_OK)
-    error = mo_column_hash(found, 11, &row->physics_sha256);
+    error = mo_column_physics(found, 4, &row->physics, &row->precision, &sensor);
   if (error == MO_OK)
-    error = mo_column_physics(found, 12, &row->physics, &row->precision, &sensor);
+    mo_column_text(found, 5, row->fingerprint, sizeof(row->fingerprint));
+  return error;
+}
+
+static int read_row(struct mo_connection *reader, struct mo_origin_place place, bool has_losses,
+                    bool has_measures, struct mo_origin_row *row)
+{
+  struct mo_condition condition = {.n = 0};
+  *row = (struct mo_origin_row){.genotype_row = place.genotype,
+                                .condition = place.condition,
+                                .has_losses = has_losses,
+                                .has_measures = has_measures};
+  int error = read_inputs(reader, row);
+  if (error == MO_OK && has_measures)
+    error = read_measures(reader, place, &condition, &row->computed_us, &row->stored_measures,
+                          &row->n_measures);
+  if (error == MO_OK && has_losses)
+    error = read_losses(reader, place, &condition, &row->computed_us, &row->stored);
   if (error != MO_OK)
     return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-  row->computed_us = sqlite3_column_int64(found, 6);
-  mo_column_text(found, 13, row->fingerprint, sizeof(row->fingerprint));
   row->n = condition.n;
   for (uint32_t k = 0; k < row->n && error == MO_OK; k++)
     error = mo_environment_get(reader, condition.environments[k], &row->environments[k],
@@ -52,22 +97,29 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
                              size_t limit, bool *is_last)
 {
   static const char origin_sql[] = "SELECT id FROM origins WHERE text=?1";
-  static const char sql[] = "SELECT genotype,condition,origin FROM scores"
-                            " WHERE (genotype,condition)>(?1,?2) ORDER BY genotype,condition";
+  static const char sql[] =
+      "SELECT x.genotype,x.condition,x.origin=?3,"
+      "m.genotype IS NOT NULL AND ifnull(m.origin,?3)=?3 FROM scores x"
+      " LEFT JOIN measures m ON m.genotype=x.genotype AND m.condition=x.condition"
+      " WHERE (x.genotype,x.condition)>(?1,?2) UNION ALL"
+      " SELECT m.genotype,m.condition,0,ifnull(m.origin,?3)=?3 FROM measures m"
+      " WHERE (m.genotype,m.condition)>(?1,?2) AND NOT EXISTS(SELECT 1 FROM scores x"
+      " WHERE x.genotype=m.genotype AND x.condition=m.condition) ORDER BY 1,2";
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int64_t id = 0;
   size_t n = 0, visited = 0;
   int error = mo_sql_find(reader, &id, origin_sql, mo_string(origin));
-  sqlite3_stmt *row =
-      mo_sql_rows(reader, &error, sql, mo_int(place->genotype), mo_int(place->condition));
+  sqlite3_stmt *row = mo_sql_rows(reader, &error, sql, mo_int(place->genotype),
+                                  mo_int(place->condition), mo_int(id));
   *is_last = false;
   while (n < limit && visited++ < VISITED_MAX && error == MO_OK) {
     *is_last = !mo_sql_next(reader, row, &error);
     if (*is_last)
       break;
     *place = (struct mo_origin_place){sqlite3_column_int64(row, 0), sqlite3_column_int64(row, 1)};
-    if (sqlite3_column_int64(row, 2) == id)
-      error = read_row(reader, *place, &rows[n++]);
+    const bool has_losses = sqlite3_column_int(row, 2), has_measures = sqlite3_column_int(row, 3);
+    if (has_losses || has_measures)
+      error = read_row(reader, *place, has_losses, has_measures, &rows[n++]);
   }
   return error != MO_OK ? error : (int64_t)n;
 }
@@ -112,31 +164,76 @@ bool mo_loss_rows_equal(const struct mo_loss_row *a, const struct mo_loss_row *b
          memcmp(a->diverged_steps, b->diverged_steps, n * sizeof(a->diverged_steps[0])) == 0;
 }
 
+bool mo_measure_equal(double a, double b)
+{
+  return isnan(a) ? isnan(b) : mo_same_bits(a, b);
+}
+
+static bool measures_equal(const struct mo_measures_row *a, const struct mo_measures_row *b,
+                           uint32_t n)
+{
+  for (uint32_t k = 0; k < n; k++)
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      if (!mo_measure_equal(a->values[k][m], b->values[k][m]))
+        return false;
+  return true;
+}
+
+static int replace_losses(struct mo_store *store, const struct mo_origin_row *row, int64_t now_us)
+{
+  struct mo_condition condition;
+  struct mo_loss_row stored;
+  int64_t computed_us;
+  int error =
+      read_losses(&store->writer, (struct mo_origin_place){row->genotype_row, row->condition},
+                  &condition, &computed_us, &stored);
+  if (error != MO_OK || condition.n != row->n || !mo_loss_rows_equal(&stored, &row->stored, row->n))
+    return error;
+  condition.id = row->condition;
+  error = mo_losses_replace(store, &condition, row->genotype_row, row->again.losses,
+                            row->again.diverged_steps, now_us);
+  return error == MO_OK ? replace_means(&store->writer, row->genotype_row, &condition) : error;
+}
+
+static int replace_measures(struct mo_store *store, const struct mo_origin_row *row, int64_t now_us)
+{
+  struct mo_condition condition;
+  struct mo_measures_row stored;
+  uint32_t n_measures;
+  int64_t computed_us;
+  const int error =
+      read_measures(&store->writer, (struct mo_origin_place){row->genotype_row, row->condition},
+                    &condition, &computed_us, &stored, &n_measures);
+  if (error != MO_OK || condition.n != row->n ||
+      !measures_equal(&stored, &row->stored_measures, row->n))
+    return error;
+  condition.id = row->condition;
+  return mo_measures_insert_row(store, &condition, row->genotype_row, 0,
+                                (const double(*)[MO_MEASURES])row->again_measures.values, now_us);
+}
+
 static int replace_row(struct mo_store *store, const struct mo_origin_row *row, int64_t now_us)
 {
-  static const char sql[] = "SELECT " MO_SCORE_COLUMNS FROM_SCORES;
+  static const char sql[] = "SELECT controller,physics FROM conditions WHERE id=?1";
   /* The ETag of evaluations includes the job's version. */
   static const char version_sql[] =
       "UPDATE jobs SET " MO_NEXT_VERSION
       " WHERE id IN (SELECT job FROM evaluations WHERE controller=?1 AND"
       " (physics=?2 OR n_displaced>0))"; /* whose other runs have other physics */
   struct mo_connection *writer = &store->writer;
-  struct mo_condition condition;
-  struct mo_loss_row stored;
   sqlite3_stmt *found;
-  int error = mo_sql_row(writer, &found, sql, mo_int(row->genotype_row), mo_int(row->condition));
+  int error = MO_OK;
+  if (row->differs)
+    error = replace_losses(store, row, now_us);
+  if (error == MO_OK && row->measures_differ)
+    error = replace_measures(store, row, now_us);
   if (error == MO_OK)
-    error = mo_score_from_row(found, 0, &condition, stored.losses, stored.diverged_steps);
-  if (error != MO_OK || condition.n != row->n || !mo_loss_rows_equal(&stored, &row->stored, row->n))
+    error = mo_sql_row(writer, &found, sql, mo_int(row->condition));
+  if (error != MO_OK)
     return error;
-  condition.id = row->condition;
-  error = mo_losses_replace(store, &condition, row->genotype_row, row->again.losses,
-                            row->again.diverged_steps, now_us);
-  if (error == MO_OK)
-    error = replace_means(writer, row->genotype_row, &condition);
-  return error == MO_OK ? mo_sql_do(writer, version_sql, mo_int(condition.controller),
-                                    mo_int(condition.physics))
-                        : error;
+  const int64_t controller = sqlite3_column_int64(found, 0),
+                physics = sqlite3_column_int64(found, 1);
+  return mo_sql_do(writer, version_sql, mo_int(controller), mo_int(physics));
 }
 
 struct replacing {

@@ -156,7 +156,8 @@ static void note_difference(struct entry *entry, uint32_t i, const struct mo_sco
                                 .physics = condition->physics,
                                 .precision = condition->precision,
                                 .computed_us = score->computed_us,
-                                .n = score->n};
+                                .n = score->n,
+                                .has_losses = true};
   mo_physics_hash(&condition->physics, condition->precision, condition->sensor,
                   &row->physics_sha256);
   memcpy(row->fingerprint, score->fingerprint, sizeof(row->fingerprint));

@@ -189,7 +189,7 @@ def test_who_may_join(free):
     good = free.offer()
     kind = good["classes"]["cpu"]
     assert free.join(name="n" * 64) != free.join(name="n" * 64)
-    refused(free, 422, "must be 2, the protocol of", **good | {"protocol": 1, "unknown": []})
+    refused(free, 422, "must be 3, the protocol of", **good | {"protocol": 2, "unknown": []})
     other = good | {"version": "0.0.1", "classes": {"cpu": kind | {"scores": "other"}}}
     for words in (f"version {good['version']} with", kind["scores"], 'version 0.0.1 with "other"'):
         refused(free, 422, words, **other)
@@ -428,7 +428,7 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     # morphoctl reports it; then the losses, their origin, the mean and the tag of the evaluation
     # change.
     shown = ctl(origin)
-    assert shown.returncode == 3 and f"{3 * n} losses computed again, 2 differ\n" in shown.stdout
+    assert shown.returncode == 3 and f"{3 * n} rollouts computed again, 2 differ\n" in shown.stdout
     assert different[0]["id"] in shown.stdout and f"{truth[-1]:.17g}" in shown.stdout
     before, lied = best(), f"/v1/designs/{different[0]['id']}"
     assert service.get(lied)["orientations"][0]["scores"][0]["origin"] == origin
@@ -439,8 +439,62 @@ def test_what_a_liar_gave_is_named_and_repaired(free):
     assert score["losses"] == truth and "@" not in score["origin"]
     means = {one["id"]: sum(losses) / n for one, losses in zip(different, (truth, other))}
     assert before != best() == before | means
-    assert ctl(origin).stdout == f"{n} losses computed again, 0 differ\n"
+    assert ctl(origin).stdout == f"{n} rollouts computed again, 0 differ\n"
     assert ctl("odd@elsewhere").returncode == 3
+
+
+def test_wrong_measures_are_named_and_repaired(free, service):
+    """Measures have an origin of their own, which need not be that of the losses."""
+    def ctl(*words):
+        return subprocess.run([CTL, "--server", free.service.addresses[0], "fleet", "verify",
+                               *words], capture_output=True, text=True, timeout=300)
+
+    body = free.service.post("/v1/bodies/random", {"count": 1, "seed": 5})["items"][0]["genotype"]
+    asked = {"designs": [{"voxels": body}], "environments": "paper-test",
+             "measures": ["work_j", "straightness"]}
+    truth = run(service, "evaluations", asked)["results"][0]
+    places = ["work_j", "straightness"]
+    session = free.join(name="honest")
+    plain = {key: value for key, value in asked.items() if key != "measures"}
+
+    def compute(session, request, **more):
+        job = free.service.post("/v1/evaluations", request | {"priority": "batch"})["id"]
+        path, at = f"/v1/evaluations/{job}", 0
+        while at < len(truth["losses"]):
+            for lease, rows in free.take(session):
+                losses = [one["loss"] for one in truth["losses"][at:at + rows]]
+                reply = free.exchange(session, results(result(lease, losses, **more)))
+                assert reply[0] == 200, reply[2]
+                at += rows
+        until(lambda: free.service.get(path)["state"] == "succeeded")
+        return path
+
+    compute(session, plain)
+    assert free.request("DELETE", session)[0] == 204
+    # All values are 0: some of them are right.
+    path = compute(free.join(name="liar"), asked, measures=[[0.0] * 20] * len(truth["losses"]))
+    tag = free.service.request("GET", path).headers["ETag"]
+    assert free.service.get(path)["results"][0]["measures"] == {"straightness": 0, "work_j": 0}
+    page = free.service.post("/v1/fleet/verify", {"origin": "honest@node.test"})
+    assert page["different"] == [] and page["checked"] == len(truth["losses"])
+    origin = {"origin": "liar@node.test"}
+    page = free.service.post("/v1/fleet/verify", origin)
+    assert page["checked"] == len(page["different"]) == len(truth["losses"])
+    assert not page["repaired"]
+    for one, rollout in zip(page["different"], truth["losses"], strict=True):
+        assert set(one["stored"]) == set(one["computed"]) == {"measures"}  # and no losses
+        assert set(one["stored"]["measures"].values()) == {0}
+        assert {name: one["computed"]["measures"][name] for name in places} == rollout["measures"]
+    shown = ctl("liar@node.test")
+    assert shown.returncode == 3 and "10 rollouts computed again, 10 differ\n" in shown.stdout
+    work = truth["losses"][0]["measures"]["work_j"]
+    assert re.search(rf"work_j {re.escape(repr(work))}, not 0", shown.stdout), shown.stdout
+    assert ctl("liar@node.test", "--repair").returncode == 0
+    now = free.service.request("GET", path, headers={"If-None-Match": tag})
+    assert now.status == 200
+    found = now.json()["results"][0]
+    assert found["losses"] == truth["losses"] and found["measures"] == truth["measures"]
+    assert free.service.post("/v1/fleet/verify", origin)["checked"] == 0
 
 
 def test_long_rollouts_make_short_pages(free):

@@ -17,11 +17,17 @@ LEASE = struct.Struct("<QQIIII32s")
 PHYSICS_BYTES = {1: 9 * 8 + 3 * 4, 2: 10 * 8 + 3 * 4, 3: 10 * 8 + 4 * 4}
 ENVIRONMENT_BYTES, GENOTYPE_BYTES, GRADIENT_BYTES = 66 * 8, 18, 32
 GRADIENT = 2  # flag of a lease
+MEASURED = 5  # state of a result
 
 
-def result(lease, losses, steps=None, state=0, epoch=None, rows=None):
-    """Encodes the rows of a lease (a pair of epoch and number) for a message."""
+def result(lease, losses, steps=None, state=0, epoch=None, rows=None, measures=None):
+    """Encodes the rows of a lease (a pair of epoch and number) for a message. measures: of each row,
+    all of them."""
     steps = steps or [0] * len(losses)
+    if measures is not None:
+        whole = result(lease, losses, steps, MEASURED, epoch, rows)
+        return whole + struct.pack("<II", len(measures[0]), 0) + b"".join(
+            struct.pack(f"<{len(row)}d", *row) for row in measures)
     return (RESULT.pack(lease[0] if epoch is None else epoch, lease[1], state,
                         len(losses) if rows is None else rows, 0.5, 0.5) +
             struct.pack(f"<{len(losses)}d", *losses) + struct.pack(f"<{len(steps)}I", *steps))
@@ -96,7 +102,7 @@ class Workers:
         """Returns the request of a worker that matches this service. The service reveals its canary
         in the refusal of a wrong one."""
         kind = self.service.get("/v1/fleet")["classes"]["cpu"]
-        wanted = {"protocol": 2, "name": "node", "host": "node.test", "n_threads": 1,
+        wanted = {"protocol": 3, "name": "node", "host": "node.test", "n_threads": 1,
                   "n_devices": 0, "version": self.service.get("/healthz")["version"],
                   "classes": {"cpu": {"scores": kind["scores"], "gradients": kind["gradients"],
                                       "canary": "0" * 64}}}

@@ -61,9 +61,75 @@ static void differs_by_a_gradient(void)
   CHECK(!mo_sha256_equal(&right, &wrong));
 }
 
+/* Changes one result of one rollout. */
+typeof(mo_rollout_block) __real_mo_rollout_block, __wrap_mo_rollout_block;
+
+static struct {
+  enum { NOTHING, A_MEASURE, A_LOSS } what;
+  unsigned measure;
+  enum mo_objective objective;
+} spoilt;
+static uint64_t objectives; /* that were computed, as bits */
+
+static void spoil(const struct mo_environment *environment, double *measures,
+                  struct mo_outcome *outcome)
+{
+  const enum mo_objective objective = environment->task.objective;
+  objectives |= UINT64_C(1) << (objective == MO_OBJECTIVE_SUM ? 63 : objective);
+  CHECK(measures != NULL);
+  if (spoilt.what == A_MEASURE)
+    measures[spoilt.measure] += 1 / mo_measure_info[spoilt.measure].steps_in_one;
+  if (spoilt.what == A_LOSS && objective == spoilt.objective)
+    outcome->loss = nextafter(outcome->loss, 2);
+}
+
+int __wrap_mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
+                            const struct mo_body *body,
+                            const struct mo_environment *const *environments,
+                            uint32_t n_environments, const struct mo_physics *physics,
+                            const struct mo_recording *recordings,
+                            const struct mo_measuring *measuring,
+                            const struct mo_pause_point *pause, struct mo_outcome *outcomes)
+{
+  const int error = __real_mo_rollout_block(memory, pack, body, environments, n_environments,
+                                            physics, recordings, measuring, pause, outcomes);
+  for (uint32_t i = 0; i < n_environments; i++)
+    spoil(environments[i], measuring != NULL ? measuring->values[i] : NULL, &outcomes[i]);
+  return error;
+}
+
+static void differs_by_a_measure(void)
+{
+  const struct mo_sha256 right = canary(mo_isa_best(), 1);
+  for (unsigned m = 0; m < MO_MEASURES; m++) {
+    spoilt.what = A_MEASURE;
+    spoilt.measure = m;
+    const struct mo_sha256 wrong = canary(mo_isa_best(), 1);
+    CHECK(!mo_sha256_equal(&right, &wrong));
+  }
+  spoilt.what = NOTHING;
+}
+
+static void differs_by_an_objective(void)
+{
+  objectives = 0;
+  const struct mo_sha256 right = canary(mo_isa_best(), 1);
+  const uint64_t all = (UINT64_C(1) << (MO_OBJECTIVE_JUMP + 1)) - 1;
+  CHECK(objectives == (all | UINT64_C(1) << 63));
+  for (int k = 0; k <= MO_OBJECTIVE_JUMP + 1; k++) {
+    spoilt.what = A_LOSS;
+    spoilt.objective = k <= MO_OBJECTIVE_JUMP ? (enum mo_objective)k : MO_OBJECTIVE_SUM;
+    const struct mo_sha256 wrong = canary(mo_isa_best(), 1);
+    CHECK(!mo_sha256_equal(&right, &wrong));
+  }
+  spoilt.what = NOTHING;
+}
+
 static const struct check_case cases[] = {
     {"one hash for any number of workers", same_in_a_class},
     {"another hash for each instruction set", differs_between_classes},
     {"a wrong bit of a gradient changes the hash", differs_by_a_gradient},
+    {"a wrong measure of any kind changes the hash", differs_by_a_measure},
+    {"a wrong loss of any objective changes the hash", differs_by_an_objective},
 };
 CHECK_MAIN(cases)

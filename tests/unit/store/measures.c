@@ -5,6 +5,7 @@
 #include "by_hand.h"
 #include "one_store.h"
 #include "store/check.h"
+#include "store/origins.h"
 #include "store/scores.h"
 
 /* A value that each kernel could give: a whole number of steps. */
@@ -105,8 +106,9 @@ static struct mo_work *load(int64_t id, int64_t fingerprint)
   return work;
 }
 
-/* Saves losses of design 0 at places, with measures or without. */
-static int save_block(const struct mo_work *work, const uint32_t *places, uint32_t n, bool measured)
+/* Saves losses of design 0 at places, with measures or without, of an origin (0: this host). */
+static int save_block_of(const struct mo_work *work, const uint32_t *places, uint32_t n,
+                         bool measured, int64_t origin)
 {
   double values[MO_BLOCK_LANES][MO_MEASURES];
   struct mo_saved_block block = {.genotype = 0};
@@ -116,7 +118,13 @@ static int save_block(const struct mo_work *work, const uint32_t *places, uint32
     fill(&values[i], 1, places[i]);
   }
   block.measures = measured ? values : NULL;
+  block.origin = origin;
   return save_and_wait(&save);
+}
+
+static int save_block(const struct mo_work *work, const uint32_t *places, uint32_t n, bool measured)
+{
+  return save_block_of(work, places, n, measured, 0);
 }
 
 static struct mo_saved_design design_of(const struct mo_work *work)
@@ -214,10 +222,109 @@ static void refuses_damaged_measures(void)
   mo_work_free(work);
 }
 
+/* ---- of an origin ---- */
+
+/* Reads the first row of an origin. */
+static bool row_of(const char *origin, struct mo_origin_row *row)
+{
+  struct mo_origin_place place = {0, 0};
+  bool is_last;
+  return mo_store_origin_rows(store, origin, &place, row, 1, &is_last) == 1;
+}
+
+/* Losses and measures of the same rollouts may have two origins. Only measures that differ are
+ * replaced, and those that have changed in the meantime stay. */
+static void replaces_measures_of_an_origin(void)
+{
+  static const uint32_t places[] = {3, 5};
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
+  const int64_t id = submit_evaluation(&submission);
+  struct mo_origin_row *row = make_zeros(2, sizeof(*row));
+  int64_t one = 0, a = 0, b = 0;
+  REQUIRE_OK(mo_store_fingerprint(store, "one", &one));
+  REQUIRE_OK(mo_store_origin(store, "a@host", &a));
+  REQUIRE_OK(mo_store_origin(store, "b@host", &b));
+  struct mo_work *work = load(id, one);
+  REQUIRE(work != NULL);
+  REQUIRE_OK(save_block_of(work, places, 2, false, a));
+  REQUIRE(row_of("a@host", row) && row->has_losses && !row->has_measures && row->n == 2);
+  CHECK(!row_of("b@host", row));
+  REQUIRE_OK(save_block_of(work, places, 2, true, b));
+  REQUIRE(row_of("a@host", row) && row->has_losses && !row->has_measures);
+  REQUIRE(row_of("b@host", row) && !row->has_losses && row->has_measures);
+  CHECK_INT(row->n_measures, MO_MEASURES);
+  for (uint32_t k = 0; k < 2; k++)
+    for (unsigned m = 0; m < MO_MEASURES; m++)
+      CHECK(mo_measure_equal(row->stored_measures.values[k][m], lively_measure(places[k], m)));
+  const int64_t before = job_of(id).version;
+  row->again_measures = row->stored_measures;
+  row->again_measures.values[1][MO_MEASURE_WORK] += 1;
+  row->measures_differ = true;
+  row[1] = row[0];
+  row[1].stored_measures.values[0][0] += 1; /* no longer what is stored */
+  REQUIRE_OK(mo_store_origin_replace(store, &row[1], 1));
+  REQUIRE(row_of("b@host", &row[1]));
+  REQUIRE_OK(mo_store_origin_replace(store, row, 1));
+  CHECK(job_of(id).version > before);
+  CHECK(!row_of("b@host", &row[1]));
+  REQUIRE(row_of("a@host", row) && row->has_losses); /* which stay */
+  const struct mo_saved_design design = design_of(work);
+  double values[MO_PAPER_TEST_COUNT][MO_MEASURES];
+  uint64_t known = 0;
+  REQUIRE_OK(mo_measures_read(&store->writer, &design, work->environment_rows, MO_PAPER_TEST_COUNT,
+                              MO_MEASURES_ALL, values, &known));
+  CHECK(known == (1 << 3 | 1 << 5));
+  CHECK(values[5][MO_MEASURE_WORK] == lively_measure(5, MO_MEASURE_WORK) + 1);
+  CHECK(mo_measure_equal(values[3][MO_MEASURE_WORK], lively_measure(3, MO_MEASURE_WORK)));
+  mo_work_free(work);
+}
+
+/* A row from before version 22 has no origin, and its checksum does not include one. */
+static void measures_without_an_origin_are_of_all(void)
+{
+  static const uint32_t places[] = {3};
+  struct mo_evaluation_request submission = draw_evaluation(3, 1);
+  const int64_t id = submit_evaluation(&submission);
+  struct mo_origin_row *row = make_zeros(1, sizeof(*row));
+  double values[1][MO_MEASURES];
+  uint8_t bytes[MO_PACKED_MEASURES_BYTES(1)];
+  char sql[2 * sizeof(bytes) + 64] = "UPDATE measures SET origin=NULL,packed=x'";
+  int64_t one = 0, origin = 0;
+  REQUIRE_OK(mo_store_fingerprint(store, "one", &one));
+  REQUIRE_OK(mo_store_origin(store, "a@host", &origin));
+  struct mo_work *work = load(id, one);
+  REQUIRE(work != NULL);
+  REQUIRE_OK(save_block(work, places, 1, true));
+  CHECK(!row_of("a@host", row));
+  close_store();
+  const int64_t key[] = {work->genotype_rows[0],
+                         work->controller,
+                         work->physics_rows[0],
+                         one,
+                         outside_integer("SELECT computed_us FROM measures"),
+                         work->environment_rows[3]};
+  fill(values, 1, 3);
+  const size_t size = mo_pack_measures(key, 6, constant(values), 1, bytes);
+  for (size_t i = 0; i < size; i++)
+    snprintf(sql + strlen(sql), 3, "%02x", bytes[i]);
+  strcat(sql, "'");
+  REQUIRE(outside(sql) == SQLITE_OK);
+  REQUIRE_OK(reopen());
+  REQUIRE(row_of("a@host", row) && row->has_measures && !row->has_losses);
+  row->again_measures = row->stored_measures;
+  row->again_measures.values[0][0] += 1;
+  row->measures_differ = true;
+  REQUIRE_OK(mo_store_origin_replace(store, row, 1));
+  CHECK(!row_of("a@host", row)); /* it is this host's now */
+  mo_work_free(work);
+}
+
 static const struct check_case cases[] = {
     {"packs measures with a checksum", packs_measures},
     {"reads rows with fewer and more measures", reads_other_numbers_of_measures},
     {"adds measures to stored losses", adds_measures_to_losses},
     {"refuses damaged measures", refuses_damaged_measures},
+    {"replaces measures of an origin", replaces_measures_of_an_origin},
+    {"measures without an origin are everyone's", measures_without_an_origin_are_of_all},
 };
 CHECK_MAIN_AROUND(cases, with_a_store)
