@@ -78,11 +78,6 @@ static int check(struct mo_json *json, void *any)
   const struct mo_parts *parts = &asked->parts;
   const bool is_suite =
       parts->environment_set != NULL && mo_word_index(mo_suite_words, parts->environment_set) >= 0;
-  if (parts->environments != NULL)
-    mo_json_fault_at(
-        json, 0, "/environments",
-        "must name a set or suite, such as morpho-12; for your own environments, submit "
-        "the champions to POST /v1/evaluations");
   if (parts->no_controller)
     mo_json_fault_at(json, 0, "/controller", "must be a controller's name, got null");
   if (is_suite && request->record != NOT_GIVEN && request->record != 0)
@@ -101,7 +96,7 @@ static int record(struct mo_request *request, struct mo_post *post)
 {
   struct mo_request_key known;
   struct asked asked = {.request = {.count = 12, .stride = 10, .record = NOT_GIVEN},
-                        .parts = {.takes_suites = true}};
+                        .parts = {.takes_suites = true, .only_named = true}};
   int64_t id;
   if (!mo_path_job(request, &id))
     return MO_ERR_NOT_FOUND;

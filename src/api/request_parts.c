@@ -223,11 +223,15 @@ static void read_environments(struct mo_json *json, void *value)
     read_set(json, parts);
     return;
   }
-  if (kind != MO_JSON_ARRAY) {
-    mo_json_fault(json,
-                  "must be the name of a set, such as \"paper-test\", or an array of 1 to %d "
-                  "environments",
-                  MO_ENVIRONMENTS_MAX);
+  if (parts->only_named || kind != MO_JSON_ARRAY) {
+    if (parts->only_named)
+      mo_json_fault(json, "must be the name of a set or suite, such as \"morpho-12\"; to score "
+                          "designs in listed environments, submit them to POST /v1/evaluations");
+    else
+      mo_json_fault(json,
+                    "must be the name of a set, such as \"paper-test\", or an array of 1 to %d "
+                    "environments",
+                    MO_ENVIRONMENTS_MAX);
     mo_json_skip(json);
     return;
   }

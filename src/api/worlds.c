@@ -80,11 +80,38 @@ static void reply_environments(struct mo_request *request, int error,
 
 void mo_api_get_environment_set(struct mo_request *request)
 {
+  const int suite = mo_word_index(mo_suite_words, request->parameters[0]);
   struct mo_environment *environments = NULL;
   uint32_t n = 0;
+  if (suite >= 0) {
+    mo_reply_problem(request, 404, NULL,
+                     "%s is a suite of %d sets, which GET /v1/environment-sets lists; ask for the "
+                     "environments of one of them, such as %s.",
+                     mo_suite_words[suite], MO_SUITE_TASKS, mo_suite_set(suite, 2));
+    return;
+  }
   const int error = mo_store_environment_set(mo_api_of(request)->store, request->parameters[0],
                                              &environments, &n);
   reply_environments(request, error, environments, n, "set of environments");
+}
+
+static void write_suites(struct mo_text *text)
+{
+  mo_text_add(text, ",\"suites\":[");
+  for (int i = 0; mo_suite_words[i] != NULL; i++) {
+    mo_text_object(text);
+    mo_text_member(text, "name", mo_suite_words[i]);
+    mo_text_member_count(text, "environments", mo_suite_environments(i));
+    mo_text_open(text, "tasks", "[");
+    for (uint32_t task = 0; task < MO_SUITE_TASKS; task++) {
+      mo_text_object(text);
+      mo_text_member(text, "task", mo_suite_task_words[task]);
+      mo_text_member(text, "environments", mo_suite_set(i, task));
+      mo_text_add(text, "}");
+    }
+    mo_text_add(text, "]}");
+  }
+  mo_text_add(text, "]");
 }
 
 void mo_api_list_environment_sets(struct mo_request *request)
@@ -100,7 +127,9 @@ void mo_api_list_environment_sets(struct mo_request *request)
     mo_text_member_count(&text, "environments", n);
     mo_text_add(&text, "}");
   }
-  mo_text_add(&text, "]}");
+  mo_text_add(&text, "]");
+  write_suites(&text);
+  mo_text_add(&text, "}");
   mo_reply_text(request, error, &text, "set of environments");
 }
 

@@ -242,6 +242,16 @@ def test_the_suite_is_in_every_service(service):
     sets = {one["name"]: one["environments"]
             for one in service.get("/v1/environment-sets")["items"]}
     assert sets.pop("paper-test") == 10 and len(sets) == 24
+    suites = service.get("/v1/environment-sets")["suites"]
+    assert [(one["name"], one["environments"]) for one in suites] == [
+        ("morpho-12", 120), ("morpho-12-held-out", 768)]
+    for suite, end in zip(suites, ("", "-held-out")):
+        assert [one["environments"] for one in suite["tasks"]] == [
+            f"morpho-12-{one['task']}{end}" for one in suite["tasks"]]
+        assert suite["environments"] == sum(sets[one["environments"]] for one in suite["tasks"])
+    assert {one["environments"] for suite in suites for one in suite["tasks"]} == set(sets)
+    reply = service.request("GET", "/v1/environment-sets/morpho-12")
+    assert reply.status == 404 and "such as morpho-12-walk" in reply.json()["detail"]
     for name, n in sets.items():
         assert n == (64 if name.endswith("-held-out") else 10)
     for name in ("walk", "up", "gap"):
