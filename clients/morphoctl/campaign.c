@@ -212,7 +212,8 @@ static void print(struct live *live)
       {"learning", "[{settings.learning.parent_steps} + {settings.learning.child_steps} steps a "
                    "generation, {settings.learning.schedule.kind} from "
                    "{settings.learning.schedule.peak:.4g} down to "
-                   "{settings.learning.schedule.floor:.4g}]"},
+                   "{settings.learning.schedule.floor:.4g}"
+                   "[{settings.learning.worlds=environments}, in the campaign's environments]]"},
       {"progress", GENERATION_WORDS("progress.") ", {progress.designs:,} designs born"},
       {"now", CAMPAIGN_NOW_WORDS},
       {"end", "{end}"},

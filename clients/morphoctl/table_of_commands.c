@@ -321,6 +321,10 @@ static const struct option_spec campaign_start_options[] = {
     CAMPAIGN_OPTIONS{"checkpoint-seconds", 0, "N",
                      "Save the state of learning every N seconds; 0: at its end (default: 60).",
                      "learning.checkpoint_every_s", FIELD_WHOLE},
+    {"worlds", 0, "random|environments",
+     "Where robots learn: in random environments, or in those of the campaign (default if one has "
+     "a task, a profile or damage).",
+     "learning.worlds"},
     {PHYSICS},
     {"name", 0, "NAME",
      "Name of the controller that a learning campaign produces (default: campaign- and the id).",

@@ -9,6 +9,7 @@
 
 #include "api/requests.h"
 #include "store/fields.h"
+#include "world/environment.h"
 
 /* ---- members with their own readers ---- */
 
@@ -326,6 +327,44 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
                      (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
 }
 
+/* Returns where robots learn by default: in the environments of the campaign if one of them has a
+ * task, a profile or damage, which random environments do not have. */
+static enum mo_worlds usual_worlds(struct mo_parts *parts)
+{
+  const struct mo_environment *environments = parts->environments;
+  struct mo_environment *of_set = NULL;
+  uint32_t n = parts->n_environments;
+  bool are_random = true;
+  if (environments == NULL) {
+    of_set = malloc(MO_SET_ENVIRONMENTS_MAX * sizeof(*of_set));
+    if (of_set == NULL) {
+      parts->error = MO_ERR_NO_MEMORY;
+      return MO_WORLDS_RANDOM;
+    }
+    n = mo_environment_set(mo_word_index(mo_set_words, mo_parts_set(parts)), of_set);
+    environments = of_set;
+  }
+  for (uint32_t i = 0; i < n; i++)
+    are_random = are_random && mo_environment_version(&environments[i]) == 1;
+  free(of_set);
+  return are_random ? MO_WORLDS_RANDOM : MO_WORLDS_ENVIRONMENTS;
+}
+
+/* Decides where robots learn, unless the request did. */
+static void choose_worlds(struct mo_json *json, struct mo_parsed_campaign *parsed)
+{
+  struct mo_campaign_record *record = &parsed->request.record;
+  const bool is_given = (int)record->worlds >= 0;
+  if (!mo_modes[record->settings.mode].learns)
+    record->worlds = MO_WORLDS_RANDOM;
+  else if (!is_given)
+    record->worlds = usual_worlds(&parsed->parts);
+  if (record->worlds == MO_WORLDS_ENVIRONMENTS)
+    mo_parts_check_gradients(json, &parsed->parts,
+                             "; to select by this task, but learn to reach lights in random "
+                             "environments, give {\"learning\": {\"worlds\": \"random\"}}");
+}
+
 /* Checks what depends on several fields. The sensor is negative unless it was given. */
 static int check(struct mo_json *json, void *any)
 {
@@ -356,6 +395,7 @@ static int check(struct mo_json *json, void *any)
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
   if (mo_modes[settings->mode].learns)
     check_learning(json, settings);
+  choose_worlds(json, parsed);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
     mo_json_fault_at(json, 0, "/seed",
                      "the seeds of %u replicates, starting at %llu, exceed %lld; lower the seed",
@@ -390,9 +430,12 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
   record->settings.sensor = (enum mo_sensor) - 1;
   const enum mo_racing racing = record->settings.racing;
   record->settings.racing = (enum mo_racing) - 1;
+  record->worlds = (enum mo_worlds) - 1;
   int error = mo_read_body(text, size, &mo_campaign_request_fields, parsed, parts, check, faults);
   if ((int)record->settings.sensor < 0)
     record->settings.sensor = sensor;
+  if ((int)record->worlds < 0)
+    record->worlds = MO_WORLDS_RANDOM;
   if ((int)record->settings.racing < 0)
     record->settings.racing = record->select_by.is_set ? MO_RACING_OFF : racing;
   if (record->select_by.is_set) {

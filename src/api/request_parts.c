@@ -450,6 +450,21 @@ const char *mo_parts_set(const struct mo_parts *parts)
   return parts->environment_set != NULL ? parts->environment_set : mo_set_words[0];
 }
 
+void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts, const char *hint)
+{
+  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
+    struct mo_message message;
+    char pointer[64];
+    if (mo_task_check_gradient(&parts->environments[i].task, &message) == MO_OK)
+      continue;
+    if (parts->has_tasks)
+      snprintf(pointer, sizeof(pointer), "/tasks/%u/objective", i);
+    else
+      snprintf(pointer, sizeof(pointer), "/environments/%u/task/objective", i);
+    mo_json_fault_at(json, 0, pointer, "%s%s", message.text, hint);
+  }
+}
+
 const char *mo_parts_controller(const struct mo_parts *parts)
 {
   return parts->controller[0] != '\0' ? parts->controller : NULL;

@@ -60,6 +60,9 @@ int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, i
 void *mo_next_item(void **items, size_t n, size_t size); /* of a growing array; NULL: no memory */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 const char *mo_parts_set(const struct mo_parts *parts);        /* NULL: a list is given */
+/* Adds a fault for each task without a gradient, which learning needs. hint: the end of the
+ * sentences, or "". */
+void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts, const char *hint);
 void mo_parts_free(struct mo_parts *parts);
 
 /* Reads a body into `parsed` by a table; `parsed` has `parts` (nullable). Then calls `check`

@@ -95,22 +95,6 @@ static void check_pretrain(struct mo_json *json, const struct mo_parsed_training
         (unsigned long long)MO_TRAINING_BODIES_MAX);
 }
 
-/* A training needs the gradient of every task. */
-static void check_gradients(struct mo_json *json, const struct mo_parts *parts)
-{
-  for (uint32_t i = 0; parts->environments != NULL && i < parts->n_environments; i++) {
-    struct mo_message message;
-    char pointer[64];
-    if (mo_task_check_gradient(&parts->environments[i].task, &message) == MO_OK)
-      continue;
-    if (parts->has_tasks)
-      snprintf(pointer, sizeof(pointer), "/tasks/%u/objective", i);
-    else
-      snprintf(pointer, sizeof(pointer), "/environments/%u/task/objective", i);
-    mo_json_fault_at(json, 0, pointer, "%s", message.text);
-  }
-}
-
 /* Checks what depends on several fields. Unless they were given, the sensor is negative, and the
  * number of held-out environments is 0. */
 static int check(struct mo_json *json, void *any)
@@ -128,7 +112,7 @@ static int check(struct mo_json *json, void *any)
     mo_json_fault_at(json, 0, "/validation/environments",
                      "must be left out, because a training with environments of its own is "
                      "validated in all of them");
-  check_gradients(json, parts);
+  mo_parts_check_gradients(json, parts, "");
   if (!parsed->has_kind)
     mo_json_fault_at(json, 0, "", "kind is missing; it must be \"pretrain\" or \"finetune\"");
   else if ((int)settings->kind < 0)

@@ -3,7 +3,8 @@
  * Few-shot: each generation has its own training, which starts from the pretrained weights and
  * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
  * takes the same steps and continues over the whole campaign. Generation 0 has no parents and takes
- * child_steps on the initial population.
+ * child_steps on the initial population. Robots learn in random environments or, if the campaign
+ * asks for it, in those of the campaign; then checkpoints contain these.
  *
  * A checkpoint is written when it is due, at a pause or stop, and at the end of a generation's
  * learning, so that an interrupted scoring does not lose the learning. A generation commits with
@@ -127,6 +128,9 @@ static int begin_training(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run),
                                run->n_children, &run->learning.learner.training);
+  if (error == MO_OK && run->status.record.worlds == MO_WORLDS_ENVIRONMENTS)
+    error = mo_training_set_environments(run->learning.learner.training, run->environments,
+                                         run->n_environments);
   mo_controller_free(random);
   return error;
 }

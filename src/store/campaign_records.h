@@ -24,6 +24,13 @@ struct mo_study_words {
   char measures[MO_DESIGN_MEASURES_MAX][MO_STUDY_WORD_MAX + 1];
 };
 
+/* Where the robots of a campaign that learns are while they learn. */
+enum mo_worlds {
+  MO_WORLDS_RANDOM = 0,      /* each in its own random environment, following a fixed light */
+  MO_WORLDS_ENVIRONMENTS = 1 /* each in one of the campaign's environments, drawn at random */
+};
+extern const char *const mo_worlds_words[]; /* "random", "environments", NULL */
+
 /* The settings of a campaign. */
 struct mo_campaign_record {
   struct mo_campaign_settings settings; /* generations: including extensions */
@@ -38,6 +45,7 @@ struct mo_campaign_record {
   int64_t group;            /* id of the first replicate, set in the first one as well */
   uint32_t replicate, replicates; /* number in the group, from 0; size of the group */
   uint32_t checkpoint_every_s;    /* while a generation learns; 0: only at its end */
+  enum mo_worlds worlds;          /* of a campaign that learns; otherwise MO_WORLDS_RANDOM */
   uint32_t measures; /* as bits: the measures of each design; all rollouts are then measured */
   struct mo_select_by select_by; /* by one of them */
   /* The score, if it is not the mean loss: the client of a study sends it, or it follows from

@@ -69,19 +69,26 @@ static const struct mo_field campaign_rows[] = {
      .own = &mo_select_by_field, .unit = "", .help = "the measure to select by; null: the loss"},
 };
 const struct mo_fields mo_campaign_record_fields = MO_FIELDS(campaign_rows);
-static const struct mo_field learning_rows[] = {
+const char *const mo_worlds_words[] = {"random", "environments", NULL};
+#define WORLDS_HELP "where robots learn: in random environments, or in those of the campaign"
+static const struct mo_field stored_learning_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_learning_fields},
     {"checkpoint_every_s", MO_FIELD_COUNT, 0, AT(checkpoint_every_s), .min = 0,
      .max = MO_CHECKPOINT_SECONDS_MAX, .unit = "s",
      .help = "seconds between two checkpoints within a generation; 0: at its end only"},
+};
+static const struct mo_fields stored_learning = MO_FIELDS(stored_learning_rows);
+static const struct mo_field learning_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &stored_learning},
+    {"worlds", MO_FIELD_WORD, 0, AT(worlds), .words = mo_worlds_words, .unit = "",
+     .help = WORLDS_HELP},
 };
 const struct mo_fields mo_campaign_record_learning_fields = MO_FIELDS(learning_rows);
 static const struct mo_field stored_campaign_rows[] = {
     {"mode", MO_FIELD_WORD, 0, AT(settings.mode), .words = mo_campaign_mode_words, .unit = "",
      .help = ""},
     {NULL, MO_FIELD_INLINE, 0, AT(settings), .group = &mo_campaign_fields},
-    {"learning", MO_FIELD_GROUP, 0, 0, .group = &mo_campaign_record_learning_fields, .unit = "",
-     .help = ""},
+    {"learning", MO_FIELD_GROUP, 0, 0, .group = &stored_learning, .unit = "", .help = ""},
 };
 static const struct mo_field own_score_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, 0,
@@ -95,6 +102,20 @@ static const struct mo_field measured_rows[] = {
     {"select_by", MO_FIELD_OWN, 0, AT(select_by), .group = &mo_select_by_fields,
      .own = &mo_select_by_field, .unit = "", .help = ""},
 };
+#define WORLDS                                                                                     \
+  {                                                                                                \
+    "learning_worlds", MO_FIELD_WORD, 0, AT(worlds), .words = mo_worlds_words, .unit = "",         \
+                                                     .help = ""                                    \
+  }
+static const struct mo_field worlds_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0,
+     .group = &(const struct mo_fields)MO_FIELDS(stored_campaign_rows)},
+    WORLDS,
+};
+static const struct mo_field measured_worlds_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, 0, .group = &(const struct mo_fields)MO_FIELDS(measured_rows)},
+    WORLDS,
+};
 #undef AT
 
 /* ---- in the database ---- */
@@ -104,13 +125,18 @@ static const struct mo_fields stored_fields[MO_JOB_KINDS] = {
     [MO_JOB_TRAINING] = MO_FIELDS(stored_training_rows),
     [MO_JOB_CAMPAIGN] = MO_FIELDS(stored_campaign_rows)};
 
-/* Of a study whose client computes the scores, and of campaigns with measures. The settings of all
- * others keep the form that they always had, in which bundles have them, too. */
+/* Of a study whose client computes the scores, of campaigns with measures, and of campaigns that
+ * learn in their environments. The settings of all others keep the form that they always had, in
+ * which bundles have them, too. */
 static const struct mo_fields own_score_fields = MO_FIELDS(own_score_rows);
 static const struct mo_fields measured_fields = MO_FIELDS(measured_rows);
+static const struct mo_fields worlds_fields = MO_FIELDS(worlds_rows);
+static const struct mo_fields measured_worlds_fields = MO_FIELDS(measured_worlds_rows);
 
 static const struct mo_fields *fields_of(const struct mo_campaign_record *record)
 {
+  if (record->worlds != MO_WORLDS_RANDOM)
+    return record->measures != 0 ? &measured_worlds_fields : &worlds_fields;
   return record->measures != 0                     ? &measured_fields
          : mo_own_score_is_set(&record->own_score) ? &own_score_fields
                                                    : &stored_fields[MO_JOB_CAMPAIGN];
@@ -133,11 +159,13 @@ static int read_stored(const char *json, const struct mo_fields *fields, void *r
   return error == MO_ERR_FORMAT ? MO_ERR_CORRUPT : error;
 }
 
-/* Only a study has an own score, unless it follows from the measure to select by, which is among
- * the measures. */
+/* Only a campaign that learns has worlds to learn in. Only a study has an own score, unless it
+ * follows from the measure to select by, which is among the measures. */
 static bool is_consistent(const struct mo_campaign_record *record)
 {
   struct mo_own_score own;
+  if (record->worlds != MO_WORLDS_RANDOM && !mo_modes[record->settings.mode].learns)
+    return false;
   if (!record->select_by.is_set)
     return !mo_own_score_is_set(&record->own_score) ||
            !mo_modes[record->settings.mode].makes_children;
@@ -167,6 +195,7 @@ int mo_settings_read(enum mo_job_kind kind, const char *json, void *record)
   campaign->own_score = (struct mo_own_score){.name = ""};
   campaign->measures = 0;
   campaign->select_by = (struct mo_select_by){.is_set = false};
-  const int error = read_stored(json, &measured_fields, campaign);
+  campaign->worlds = MO_WORLDS_RANDOM;
+  const int error = read_stored(json, &measured_worlds_fields, campaign);
   return error == MO_OK && !is_consistent(campaign) ? MO_ERR_CORRUPT : error;
 }

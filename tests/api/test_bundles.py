@@ -13,7 +13,7 @@ HERE = [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
 # Also tasks, of every kind of guide.
 TASKED = HERE + [{"task": task} for task in ("walk", "circle", "path", "pursue", "climb")]
 TASKED += [{"task": {"guide": {"kind": "ahead"}, "objective": objective}} for objective in (
-    "efficient", "jump", {"travel": 1, "peak_strain": -0.5})]
+    "efficient", "jump", {"travel": 1, "work_j": -1e-5})]
 LISTS = ["generations", "population", "phylogeny?limit=1000", "learning", "environments",
          "champions"]
 

@@ -272,8 +272,10 @@ def test_the_champions_of_a_campaign(service, tmp_path):
     assert reply.status == 422 and reply.json()["errors"][0]["pointer"] == "/controller"
     reply = service.request("POST", path, {"environments": "morpho-12", "record": ["com"]})
     assert reply.status == 422 and reply.json()["errors"][0]["pointer"] == "/record"
-    reply = service.request("POST", path, {"environments": [{"task": "walk"}]})
-    assert reply.status == 422 and reply.json()["errors"][0]["pointer"] == "/environments"
+    for wrong in ([{"task": "walk"}], 5, {}):  # with one sentence
+        reply = service.request("POST", path, {"environments": wrong})
+        assert reply.status == 422 and reply.json()["errors"][0]["pointer"] == "/environments"
+        assert reply.json()["errors"][0]["detail"].startswith("must be the name of a set or suite")
     assert suite(service, "run", "--campaign", campaign, "--random", 3, check=False).returncode == 2
 
 

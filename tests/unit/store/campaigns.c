@@ -81,6 +81,34 @@ static void names_the_score_of_a_study(void)
   mo_text_free(&text);
 }
 
+/* Only a campaign that learns in its environments says so; the settings of others keep their
+ * form. */
+static void names_the_worlds_of_learning(void)
+{
+  struct mo_campaign_record record = {.settings = mo_campaign_preset(MO_FEW_SHOT, MO_PRESET_DEMO)};
+  struct mo_campaign_record back = {.worlds = MO_WORLDS_ENVIRONMENTS};
+  struct mo_text text;
+  write_settings(&record, &text);
+  CHECK(strstr(text.data, "worlds") == NULL && strstr(text.data, "measures") == NULL);
+  CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+  CHECK_INT(back.worlds, MO_WORLDS_RANDOM);
+  mo_text_free(&text);
+  record.worlds = MO_WORLDS_ENVIRONMENTS;
+  for (int i = 0; i < 2; i++) {
+    record.measures = i == 0 ? 0 : 1U << MO_MEASURE_WORK;
+    write_settings(&record, &text);
+    CHECK_OK(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back));
+    CHECK(back.worlds == MO_WORLDS_ENVIRONMENTS && back.measures == record.measures);
+    CHECK(!back.select_by.is_set && !mo_own_score_is_set(&back.own_score));
+    CHECK(same_as(&back.settings, &record.settings));
+    mo_text_free(&text);
+  }
+  record.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_DEMO);
+  write_settings(&record, &text);
+  CHECK_INT(mo_settings_read(MO_JOB_CAMPAIGN, text.data, &back), MO_ERR_CORRUPT);
+  mo_text_free(&text);
+}
+
 /* An older program stored no settings that it did not have. They were the paper's. */
 static void keeps_the_physics_of_older_jobs(void)
 {
@@ -460,6 +488,7 @@ static void parks_and_requeues(void)
 static const struct check_case cases[] = {
     {"encodes every setting", encodes_every_setting},
     {"names the score of a study", names_the_score_of_a_study},
+    {"names the worlds of learning", names_the_worlds_of_learning},
     {"keeps the physics of older jobs", keeps_the_physics_of_older_jobs},
     {"refuses invalid requests", refuses_what_cannot_be},
     {"starts replicates", starts_replicates},
