@@ -25,8 +25,7 @@ struct mo_parts {           /* everything that a submission of any kind may requ
   struct mo_submission job; /* priority −1: not given */
   int device, error;        /* device 0: any; error: MO_ERR_NO_MEMORY */
   bool has_controller, no_controller /* null was given */, has_designs, has_environments;
-  bool has_tasks, has_random, estimates_error;
-  bool takes_suites, only_named; /* suites as environments; and no lists of them */
+  bool has_tasks, has_random, estimates_error, takes_suites, only_named; /* as environments */
   char label[MO_LABEL_BYTES_MAX + 1], experiment[MO_EXPERIMENT_BYTES_MAX + 1];
   char controller[MO_NAME_BYTES_MAX + 8]; /* "": none */
   int on_fault, repair;                   /* enum mo_on_fault, enum mo_repair */
@@ -60,8 +59,7 @@ int mo_robot_read(const char *text, size_t size, struct mo_genotype *genotype, i
 void *mo_next_item(void **items, size_t n, size_t size); /* of a growing array; NULL: no memory */
 const char *mo_parts_controller(const struct mo_parts *parts); /* NULL: none */
 const char *mo_parts_set(const struct mo_parts *parts);        /* NULL: a list is given */
-/* Adds a fault for each task without a gradient, which learning needs. hint: the end of the
- * sentences, or "". */
+/* Adds a fault for each task without a gradient. hint: the end of the sentences, or "". */
 void mo_parts_check_gradients(struct mo_json *json, const struct mo_parts *parts, const char *hint);
 void mo_parts_free(struct mo_parts *parts);
 
@@ -78,10 +76,8 @@ void mo_read_words(const char *text, size_t size, const struct mo_fields *fields
                    bool *given);
 void mo_read_ahead(const struct mo_json *json, const struct mo_fields *fields, void *parsed,
                    bool *given);
-
 /* Reads a job's id from a string. what: "an evaluation". */
 bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);
-
 /* The channels of a recording: an array of words, each once. */
 extern const struct mo_field_own mo_channels_field;
 
