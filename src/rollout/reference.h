@@ -31,7 +31,7 @@ struct mo_reference {
   uint32_t control_steps;   /* in a control period */
   double light_m[3];        /* unless the task is plain, that of the latest control period */
   struct mo_course course;  /* unused by plain tasks */
-  bool works;               /* the task needs work_j */
+  bool works;               /* the task or a measure needs work_j */
   double work_j;            /* of the actuators so far */
   struct mo_track *tracks;  /* (control periods + 1) at the start of each, and at the end; NULL if
                                the task is plain */

@@ -10,7 +10,7 @@
 #include <string.h>
 
 int mo_reference_measures_init(struct mo_reference_measures *measures,
-                               const struct mo_reference *reference, const double light_m[3],
+                               struct mo_reference *reference, const double light_m[3],
                                const struct mo_measuring *measuring)
 {
   const struct mo_body *body = reference->body;
@@ -24,12 +24,11 @@ int mo_reference_measures_init(struct mo_reference_measures *measures,
   }
   if (measures->set == 0)
     return MO_OK;
+  reference->works = true;
   measures->rows = calloc(body->n_masses, sizeof(*measures->rows));
   measures->halves = calloc(body->n_masses, sizeof(*measures->halves));
-  measures->output = calloc(body->n_springs, sizeof(*measures->output));
   measures->inverted = calloc(body->n_voxels, sizeof(*measures->inverted));
-  if (measures->rows == NULL || measures->halves == NULL || measures->output == NULL ||
-      measures->inverted == NULL)
+  if (measures->rows == NULL || measures->halves == NULL || measures->inverted == NULL)
     return MO_ERR_NO_MEMORY;
   mo_measuring_frame(body, measures->rows);
   mo_measuring_halves(body, measures->halves);
@@ -44,7 +43,6 @@ void mo_reference_measures_done(struct mo_reference_measures *measures)
 {
   free(measures->rows);
   free(measures->halves);
-  free(measures->output);
   free(measures->inverted);
   *measures = (struct mo_reference_measures){0};
 }
@@ -61,13 +59,11 @@ static void pose_of(const struct mo_reference_measures *m, const struct mo_body 
   }
 }
 
-/* The strain of the springs, and the work of the actuators: what the energy of each spring gains
- * where the new outputs replace the old ones, if it gains. */
+/* The strain of the springs. */
 static void observe_springs(struct mo_reference_measures *m, const struct mo_reference *r,
                             const double *position_m, uint32_t step)
 {
   const struct mo_body *body = r->body;
-  const struct mo_constants *c = &m->observer.constants;
   for (uint32_t s = 0; s < body->n_springs; s++) {
     if (mo_damage_lasts(r->cut, r->cut_step, step, s))
       continue;
@@ -76,11 +72,6 @@ static void observe_springs(struct mo_reference_measures *m, const struct mo_ref
     const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
     const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
     m->observer.strain = fmax(m->observer.strain, fabs(length / rest - 1));
-    const double before = length - rest * (1 + c->actuation * m->output[s]),
-                 after = length - rest * (1 + c->actuation * r->output[s]);
-    if (step > 0)
-      m->observer.work_j += 0.5 * c->stiffness_n_per_m * fmax(after * after - before * before, 0);
-    m->output[s] = r->output[s];
   }
 }
 
@@ -155,6 +146,7 @@ const double *mo_reference_measures_finish(struct mo_reference_measures *measure
   for (uint32_t i = 0; i < reference->body->n_masses; i++)
     for (int axis = 0; axis < 3; axis++)
       up[axis] += m->rows[i][2] * reference->position_m[3 * (size_t)i + (size_t)axis];
+  m->observer.work_j = reference->work_j;
   mo_observer_finish(&m->observer, outcome->diverged_step != 0, up, m->observed);
   if (m->values != NULL)
     mo_measures_round(m->wanted, m->observed, m->values);

@@ -13,15 +13,15 @@ struct mo_reference_measures {
   struct mo_observer observer;
   double (*rows)[3];    /* (n_masses) mo_measuring_frame */
   uint8_t (*halves)[2]; /* (n_masses) mo_measuring_halves */
-  double *output;       /* (n_springs) the controller's outputs of the control period before */
   bool *inverted;       /* (n_voxels) at the instant before */
   bool touches;         /* the terrain, in the step before */
 };
 
-/* light_m: where it stands at the start. measuring: NULL or of one rollout. MO_ERR_NO_MEMORY; call
- * mo_reference_measures_done in any case. */
+/* light_m: where it stands at the start. measuring: NULL or of one rollout. If there is something
+ * to observe, the reference adds up the work. MO_ERR_NO_MEMORY; call mo_reference_measures_done in
+ * any case. */
 int mo_reference_measures_init(struct mo_reference_measures *measures,
-                               const struct mo_reference *reference, const double light_m[3],
+                               struct mo_reference *reference, const double light_m[3],
                                const struct mo_measuring *measuring);
 void mo_reference_measures_done(struct mo_reference_measures *measures);
 
