@@ -11,6 +11,7 @@
 #include "exchange/values.h"
 #include "store/store.h"
 #include "world/environment.h"
+#include "world/measures.h"
 #include "world/task_json.h"
 
 #define PATH_BYTES 128
@@ -480,8 +481,8 @@ static int check_measures(const struct mo_campaign_score *score, uint32_t n, boo
                    MO_MEASURES);
   for (uint32_t k = 0; k < n; k++)
     for (unsigned m = 0; m < MO_MEASURES; m++) {
-      const double value = score->measures[k][m], in_one = mo_measure_info[m].steps_in_one;
-      if (!isnan(value) && (score->diverged_steps[k] > 0 || rint(value * in_one) / in_one != value))
+      const double value = score->measures[k][m];
+      if (!isnan(value) && (score->diverged_steps[k] > 0 || !mo_measure_is_round(m, value)))
         return mo_fail(message, MO_ERR_FORMAT,
                        "%s of rollout %u is not a multiple of its step, or the rollout diverged",
                        mo_measure_info[m].name, k);

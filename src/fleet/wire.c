@@ -12,6 +12,7 @@
 #include "rollout/gradient_options.h"
 #include "rollout/physics.h"
 #include "world/environment.h"
+#include "world/measures.h"
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "messages are little-endian");
 
@@ -594,12 +595,11 @@ static int get_sum(struct codec *codec, struct mo_wire_result *result, uint32_t 
  * value. */
 static bool is_measure(unsigned m, double value)
 {
-  const double steps = rint(value * mo_measure_info[m].steps_in_one), none = NAN;
+  const double none = NAN;
   uint64_t bits[2];
   memcpy(&bits[0], &value, sizeof(value));
   memcpy(&bits[1], &none, sizeof(none));
-  return isnan(value) ? bits[0] == bits[1]
-                      : isfinite(steps) && steps / mo_measure_info[m].steps_in_one == value;
+  return isnan(value) ? bits[0] == bits[1] : mo_measure_is_round(m, value);
 }
 
 static int get_measures(struct codec *codec, struct mo_wire_result *result, uint32_t i,

@@ -29,6 +29,7 @@
 #define MORPHO_FLEET_WIRE_H
 
 #include <morpho/compute.h>
+#include <morpho/measure.h>
 
 #include "base/sha256.h"
 
@@ -37,11 +38,14 @@
 #define MO_WIRE_RESULTS_MAX 8      /* in a message */
 #define MO_WIRE_ROWS_MAX    131072 /* in a lease */
 #define MO_WIRE_MEASURED_MAX                                                                       \
-  16384                                    /* in a lease with measures: each row is about 15 times \
-                                              as large */
+  16384 /* in a lease with measures, whose rows are MO_WIRE_MEASURED_ROWS times as large */
 #define MO_WIRE_ENVIRONMENTS_MAX 4096      /* in a lease */
 #define MO_WIRE_WORDS_MAX        16        /* in a genotype: 1024 voxels */
 #define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* in a gradient */
+/* Bytes of a row of a result, without and with measures; how many of the first the second makes. */
+#define MO_WIRE_ROW_BYTES      12
+#define MO_WIRE_MEASURED_BYTES (MO_WIRE_ROW_BYTES + 8 * MO_MEASURES)
+#define MO_WIRE_MEASURED_ROWS  ((MO_WIRE_MEASURED_BYTES + MO_WIRE_ROW_BYTES - 1) / MO_WIRE_ROW_BYTES)
 
 /* The epoch counts how often the store was opened. So a restarted daemon cannot mistake a result
  * from its previous run for one of its own leases. */

@@ -13,6 +13,7 @@
 #include "base/thread.h"
 #include "jobs/state.h"
 #include "jobs/trainings.h"
+#include "world/task.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
@@ -133,7 +134,7 @@ int mo_back_end_choose(struct mo_jobs *jobs, struct mo_submission *request, cons
 const char *mo_back_end_unsuited(const struct mo_environment *environments, uint32_t n)
 {
   for (uint32_t i = 0; environments != NULL && i < n; i++)
-    if (environments[i].task.objective > MO_OBJECTIVE_PURSUE)
+    if (!mo_task_suits_devices(&environments[i].task))
       return "devices cannot compute the objectives \"efficient\" and \"jump\" and weighted sums "
              "yet; request \"cpu\" or \"auto\", or environments with other objectives";
   return NULL;

@@ -3,6 +3,7 @@
 
 #include "rollout/distance.h"
 #include "rollout/scene.h"
+#include "world/measures.h"
 
 #include <math.h>
 #include <string.h>
@@ -147,9 +148,8 @@ void mo_observer_finish(const struct mo_observer *observer, bool diverged, const
 void mo_measures_round(uint32_t set, const double observed[MO_MEASURES], double values[MO_MEASURES])
 {
   for (int k = 0; k < MO_MEASURES; k++) {
-    const double steps = mo_measure_info[k].steps_in_one;
     const bool wanted = (set >> k & 1) != 0;
-    values[k] = wanted ? rint(observed[k] * steps) / steps + 0.0 : NAN; /* + 0.0: never −0 */
+    values[k] = wanted ? mo_measure_round((unsigned)k, observed[k]) : NAN;
   }
 }
 

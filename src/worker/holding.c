@@ -12,7 +12,6 @@
 
 #define SLOTS_PER_WORKER 2
 #define RESULT_ROWS_MAX  (5 * MO_WIRE_ROWS_MAX) /* per message: 8 MB, which the daemon accepts */
-#define MEASURED_ROWS    15                     /* plain rows as large as one with measures */
 #define SLOTS_OF_DEVICES 16384                  /* about two chunks */
 
 enum lease_state {
@@ -424,7 +423,7 @@ void mo_holding_take_results(struct mo_holding *holding, struct mo_wire_results 
   for (struct lease **at = &holding->leases; *at != NULL;) {
     struct lease *lease = *at;
     const uint32_t n = lease->wire.n_parameters > 0 ? RESULT_ROWS_MAX
-                       : lease->wire.has_measures   ? MEASURED_ROWS * lease->wire.n_rows
+                       : lease->wire.has_measures   ? MO_WIRE_MEASURED_ROWS * lease->wire.n_rows
                                                     : lease->wire.n_rows;
     if (!has_ended(lease) ||
         (!lease->is_dropped && (results->n == MO_WIRE_RESULTS_MAX || rows + n > RESULT_ROWS_MAX))) {

@@ -1,5 +1,7 @@
 /* measures.c: the names of the measures, and what is computed from their values. */
-#include <morpho/measure.h>
+#include "world/measures.h"
+
+#include <math.h>
 
 const struct mo_measure_info mo_measure_info[MO_MEASURES] = {
     {"displacement_m", "m", "Horizontal distance of the center of mass, from start to end.", 1e6},
@@ -23,6 +25,17 @@ const struct mo_measure_info mo_measure_info[MO_MEASURES] = {
     {"peak_strain", "", "Largest strain of a spring.", 1e6},
     {"inverted_voxels", "", "Most voxels that are inside out at two instants in a row.", 1},
 };
+
+double mo_measure_round(unsigned measure, double value)
+{
+  const double steps = mo_measure_info[measure].steps_in_one;
+  return rint(value * steps) / steps + 0.0; /* + 0.0: never −0 */
+}
+
+bool mo_measure_is_round(unsigned measure, double value)
+{
+  return isfinite(value) && mo_measure_round(measure, value) == value;
+}
 
 uint32_t mo_measures_flags(const double measures[MO_MEASURES])
 {

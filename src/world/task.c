@@ -1,4 +1,6 @@
 /* task.c: the words, units and bounds of tasks. */
+#include "world/task.h"
+
 #include <morpho/measure.h>
 #include <morpho/world.h>
 
@@ -74,6 +76,11 @@ const char *mo_term_name(uint32_t term)
       (NO_TERMS >> (term - MO_TERM_MEASURE) & 1) != 0)
     return NULL;
   return mo_measure_info[term - MO_TERM_MEASURE].name;
+}
+
+bool mo_task_suits_devices(const struct mo_task *task)
+{
+  return task->objective <= MO_OBJECTIVE_PURSUE;
 }
 
 bool mo_task_needs_work(const struct mo_task *task)

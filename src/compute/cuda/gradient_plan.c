@@ -9,6 +9,7 @@
 #include "rollout/course.h"
 #include "rollout/damage.h"
 #include "rollout/scene.h"
+#include "world/task.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -314,7 +315,7 @@ static void form_shards(void *context, size_t first, size_t end)
     s->end = s->n;
     for (uint32_t i = 0; i < s->n; i++) {
       const struct mo_environment *environment = s->robots[s->first + i].environment;
-      if (s->status == MO_OK && environment->task.objective > MO_OBJECTIVE_PURSUE)
+      if (s->status == MO_OK && !mo_task_suits_devices(&environment->task))
         s->status = MO_ERR_UNSUPPORTED;
       s->is_special |= mo_environment_is_special(environment);
       s->has_damage |= environment->damage.cut != 0;

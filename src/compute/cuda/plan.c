@@ -9,6 +9,7 @@
 #include "rollout/carve.h"
 #include "rollout/damage.h"
 #include "rollout/scene.h"
+#include "world/task.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -265,7 +266,7 @@ static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *
   plan->n_bodies = bodies->n;
   plan->n_environments = environments->n;
   for (uint32_t e = 0; e < plan->n_environments; e++) {
-    if (plan->environments[e]->task.objective > MO_OBJECTIVE_PURSUE)
+    if (!mo_task_suits_devices(&plan->environments[e]->task))
       return MO_ERR_UNSUPPORTED;
     plan->is_special |= mo_environment_is_special(plan->environments[e]);
     plan->has_damage |= plan->environments[e]->damage.cut != 0;
