@@ -94,8 +94,8 @@ def main():
     size = sum(file.stat().st_size for file in files)
     results = [(name, [f"{file}: {fault}" for file, notebook in notebooks
                        for fault in rule(notebook)]) for name, rule in RULES.items()]
-    results += [("six notebooks of at most 1.2 MB together",
-                 [] if len(files) == 6 and size <= BYTES_MAX else [f"{len(files)}, {size} bytes"]),
+    results += [("seven notebooks of at most 1.2 MB together",
+                 [] if len(files) == 7 and size <= BYTES_MAX else [f"{len(files)}, {size} bytes"]),
                 ("each rule can fail", self_test())]
     return tap.report(results)
 
