@@ -45,7 +45,7 @@
 /* Bytes of a row of a result, without and with measures; how many of the first the second makes. */
 #define MO_WIRE_ROW_BYTES      12
 #define MO_WIRE_MEASURED_BYTES (MO_WIRE_ROW_BYTES + 8 * MO_MEASURES)
-#define MO_WIRE_MEASURED_ROWS  ((MO_WIRE_MEASURED_BYTES + MO_WIRE_ROW_BYTES - 1) / MO_WIRE_ROW_BYTES)
+#define MO_WIRE_MEASURED_ROWS  (1 + (MO_WIRE_MEASURED_BYTES - 1) / MO_WIRE_ROW_BYTES)
 
 /* The epoch counts how often the store was opened. So a restarted daemon cannot mistake a result
  * from its previous run for one of its own leases. */

@@ -87,8 +87,8 @@ def test_settings_are_reported_with_their_defaults(service, evolved, learned):
     learning = learned["settings"]["learning"]
     assert learning["schedule"]["peak"] == 3.5e-4 and learning["adam"]["beta1"] == 0.9
     assert learning | {
-        "batch": 4, "sensor": None, "checkpoint_every_s": 60, "worlds": "random", "adjoint_bound": 2,
-        "adjoint_rule": "clip", "restart_weight": 3
+        "batch": 4, "sensor": None, "checkpoint_every_s": 60, "worlds": "random",
+        "adjoint_bound": 2, "adjoint_rule": "clip", "restart_weight": 3
     } == learning
     rule = {"adjoint_rule": "restart", "restart_weight": 0.5}
     queued = service.post("/v1/campaigns",

@@ -21,8 +21,8 @@ MEASURED = 5  # state of a result
 
 
 def result(lease, losses, steps=None, state=0, epoch=None, rows=None, measures=None):
-    """Encodes the rows of a lease (a pair of epoch and number) for a message. measures: of each row,
-    all of them."""
+    """Encodes the rows of a lease (a pair of epoch and number) for a message. measures: all of
+    each row."""
     steps = steps or [0] * len(losses)
     if measures is not None:
         whole = result(lease, losses, steps, MEASURED, epoch, rows)
