@@ -4,6 +4,7 @@
 #include "fake_compute.h"
 
 #include "base/thread.h"
+#include "learning/internal.h"
 
 #include <math.h>
 #include <pthread.h>
@@ -381,6 +382,26 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
 {
   const char *fingerprint = atomic_load(&fake_plan.gradient_fingerprint);
   return fingerprint != NULL ? fingerprint : "fake gradient";
+}
+
+typeof(mo_adam_update) __real_mo_adam_update, __wrap_mo_adam_update;
+
+/* The thread sanitizer does not look into the update (src/learning/meson.build): here it sees some
+ * of what the update reads and writes. */
+bool __wrap_mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings,
+                           double rate, double scale, const double *gradient, float *parameters,
+                           size_t n, uint32_t n_threads, uint32_t *bounded)
+{
+  for (size_t i = 0; i < n; i += i + 64 < n ? 64 : 1) {
+    volatile double *const moments[] = {&adam->first[i], &adam->second[i]};
+    volatile float *const parameter = &parameters[i];
+    (void)*(const volatile double *)&gradient[i];
+    for (int k = 0; k < 2; k++)
+      *moments[k] = *moments[k];
+    *parameter = *parameter;
+  }
+  return __real_mo_adam_update(adam, settings, rate, scale, gradient, parameters, n, n_threads,
+                               bounded);
 }
 
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
