@@ -14,6 +14,7 @@ struct alone {
   struct mo_workspace_memory *memory;
   struct mo_compute *compute;
   struct mo_gradient_state *gradients;
+  struct mo_pack *pack; /* of the default weights, which never change */
 };
 
 static int open_alone(struct alone *alone)
@@ -24,6 +25,8 @@ static int open_alone(struct alone *alone)
     error = mo_workspace_memory_create(&alone->memory);
   if (error == MO_OK)
     error = mo_compute_create_cpu(&config, &alone->compute);
+  if (error == MO_OK)
+    error = mo_pack_create(default_weights(), mo_isa_best(), MO_FLOAT32, &alone->pack);
   return error == MO_OK ? mo_gradient_state_create(alone->compute, &alone->gradients) : error;
 }
 
@@ -32,6 +35,7 @@ static void close_alone(struct alone *alone)
   mo_gradient_state_free(alone->gradients);
   mo_compute_free(alone->compute);
   mo_workspace_memory_free(alone->memory);
+  mo_pack_free(alone->pack);
   mo_lattice_free(alone->lattice);
 }
 
@@ -43,13 +47,14 @@ static double lone_loss(void *context, const struct mo_bits *genotype,
   struct alone *alone = context;
   struct mo_outcome outcome = {.loss = NAN};
   struct mo_body *body = NULL;
-  struct mo_pack *pack = NULL;
-  if (mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK &&
+  struct mo_pack *own = NULL; /* of weights that learn */
+  if ((controller == default_weights() ||
+       mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &own) == MO_OK) &&
       mo_body_create(alone->lattice, genotype->words, &body) == MO_OK)
-    CHECK_OK(mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL, NULL,
-                              &outcome));
+    CHECK_OK(mo_rollout_block(alone->memory, own != NULL ? own : alone->pack, body, &environment, 1,
+                              physics, NULL, NULL, NULL, &outcome));
   mo_body_free(body);
-  mo_pack_free(pack);
+  mo_pack_free(own);
   return outcome.loss;
 }
 

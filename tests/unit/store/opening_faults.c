@@ -237,8 +237,8 @@ static void works_short_of(enum shortage what, bool is_long)
   CHECK_OK(error);
   for (int i = 0; i < SCRIPT; i++) {
     struct act act = life_script[i];
+    uint64_t before = digest(&life);
     for (long n = 0; act.parts > 0 && n < 10000; n += 1 + (is_long || !is_memory ? 0 : n / DENSE)) {
-      const uint64_t before = digest(&life);
       struct act part = act;
       part.parts = 1;
       part.n = act.kind == ACT_SAVE ? 1 : act.n;
@@ -247,12 +247,14 @@ static void works_short_of(enum shortage what, bool is_long)
       uint32_t done = life_do(&life, life.store, &part, &error);
       shorten(&life, what, -1);
       mo_store_get_stats(life.store, &stats);
+      const uint64_t after = digest(&life);
       if (!(error == MO_OK || error == (is_memory ? MO_ERR_NO_MEMORY : MO_ERR_NO_SPACE)) ||
-          (done == 0 && digest(&life) != before) || stats.fatal ||
+          (done == 0 && after != before) || stats.fatal ||
           (error != MO_OK && what == ROOM_IN_THE_DATABASE && !stats.no_space)) {
         printf("# act %d of the script with %ld of %d: error %d\n", i, n, what, error);
         CHECK(false);
       }
+      before = after;
       life_apply(&life, &act, done);
       failed += error != MO_OK;
     }
