@@ -25,6 +25,7 @@ class Contract:
             pattern = re.sub(r"\\\{[a-z0-9]+\\\}", "[^/]+", re.escape(path))
             self.templates.append((re.compile(pattern + r"\Z"), item))
         self.validators = {}
+        self.known = set()  # bodies that were compared with the contract
 
     def resolve(self, node):
         while "$ref" in node:
@@ -101,6 +102,10 @@ class Contract:
         if method == "HEAD":
             assert body == b"", where
             return
+        # Tests that wait get the same reply many times.
+        key = id(content), media, body  # the document keeps `content`
+        if key in self.known:
+            return
         if media == "application/x-ndjson":
             page = self.resolve(content["application/json"]["schema"])
             for line in body.splitlines():
@@ -109,6 +114,8 @@ class Contract:
         elif media.endswith("json"):
             self.validate(content[media].get("schema", {}), json.loads(body, parse_constant=refuse),
                           where)
+        if len(body) < 65536:
+            self.known.add(key)
 
 
 def refuse(name):

@@ -269,21 +269,27 @@ def soon():
     assert took < SOON_S, f"{took:.1f} s"
 
 
+def rest(begun, least_s):
+    """Sleeps between two looks at something that has been awaited since `begun`: longer after a long
+    wait, so that looking takes little of the processors, and it is late by a fiftieth at most."""
+    time.sleep(max(least_s, min((time.monotonic() - begun) / 50, 0.1)))
+
+
 def until(holds, seconds=PATIENCE_S, every=0.02):
     """Waits until holds() is true, and returns its value."""
-    deadline = time.monotonic() + seconds
+    begun = time.monotonic()
     while not (seen := holds()):
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(every)
+        assert time.monotonic() < begun + seconds, "it did not happen"
+        rest(begun, every)
     return seen
 
 
 def awaited(service, path, holds, seconds=PATIENCE_S):
     """Returns the JSON of GET as soon as holds(it)."""
-    deadline = time.monotonic() + seconds
+    begun = time.monotonic()
     while not holds(seen := service.get(path)):
-        assert time.monotonic() < deadline, f"{seen}\n{service.log_text()[-2000:]}"
-        time.sleep(0.01)
+        assert time.monotonic() < begun + seconds, f"{seen}\n{service.log_text()[-2000:]}"
+        rest(begun, 0.01)
     return seen
 
 

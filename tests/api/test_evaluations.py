@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from service import DESIGN, SHORT, await_end, awaited, run, until
+from service import DESIGN, SHORT, Service, await_end, awaited, run, until
 
 BATCH = [{"cells": [[x, y, 0], [x, y, 1], [(x + 1) % 6, y, 0]]} for x in range(5) for y in range(6)]
 
@@ -233,7 +233,18 @@ def test_not_recorded(service):
         service.refuses(f"/v1/evaluations/{id}/trajectories/0", below, status=404)
 
 
-def test_designs(service):
+@pytest.fixture(scope="module")
+def few():
+    """A daemon with few designs, for tests that read the whole list design by design."""
+    running = Service()
+    bars = [{"cells": [[2, y, 0] for y in range(n)]} for n in range(1, 7)]
+    run(running, "evaluations", {"designs": bars})
+    yield running
+    assert running.close() == 0, running.log_text()
+
+
+def test_designs(few):
+    service = few
     result = service.evaluate({"designs": [BATCH[9]]}).json()["results"][0]
     path = "/v1/designs/" + result["id"]
     design = service.tagged(path).json()
@@ -271,10 +282,9 @@ def test_the_first_thousand_rollouts(start):
 
 
 @pytest.mark.parametrize("sort", ("id", "score"))
-def test_designs_from_the_other_end(service, sort):
+def test_designs_from_the_other_end(few, sort):
     """The pages equal the whole list: newest first, or worst first."""
-    bars = [{"cells": [[2, y, 0] for y in range(n)]} for n in range(2, 6)]
-    assert service.evaluate({"designs": bars}).status == 200
+    service = few
     path = f"/v1/designs?sort={sort}&order="
     ascending = service.pages(path + "ascending")
     assert len(ascending) > 3 and ascending == service.pages(f"/v1/designs?sort={sort}")

@@ -75,8 +75,10 @@ def test_a_job_in_order(service):
     stream.close()
 
 
-def test_resumption_loses_nothing(service):
-    service.evaluate({"designs": [DESIGN], "physics": SHORT})
+def test_resumption_loses_nothing(start):
+    service = start()  # with few events, which are read in many small pages
+    for n_steps in range(1, 9):
+        service.evaluate({"designs": [DESIGN], "physics": {"n_steps": n_steps}})
     whole, cursor = [], "0"
     while cursor is not None:
         part = page(service, f"&cursor={cursor}&limit=7")

@@ -24,6 +24,14 @@ ENDED = ("succeeded", "failed", "cancelled")
 PATIENCE_S = 300
 # The service stops within 9 s of the signal. The rest is for such a machine.
 STOP_S = 40
+
+
+def rest(begun, least_s):
+    """Sleeps between two looks at something that has been awaited since `begun`: longer after a long
+    wait, so that looking takes little of the processors, and it is late by a fiftieth at most."""
+    time.sleep(max(least_s, min((time.monotonic() - begun) / 50, 0.1)))
+
+
 CONTROLLER = REPOSITORY / "data" / "controllers" / "bootstrap.safetensors"
 
 
@@ -178,10 +186,10 @@ class Daemon:
 
     def until(self, look, timeout_s=900, holds=bool, every_s=0.005):
         """Returns the result of look() as soon as it holds."""
-        end = time.monotonic() + timeout_s
+        begun = time.monotonic()
         while not holds(seen := look()):
-            assert time.monotonic() < end, f"{seen}\n{self.tail()}"
-            time.sleep(every_s)
+            assert time.monotonic() < begun + timeout_s, f"{seen}\n{self.tail()}"
+            rest(begun, every_s)
         return seen
 
     def failed_writes(self):

@@ -76,7 +76,7 @@ def test_full_disk_while_it_computes(one, small_disk, seed):
     """The disk fills up while scores are being saved: the job waits, and ends when there is
     room."""
     one.start()
-    job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
+    job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 80}})
     filler = fill(small_disk)
     one.until(lambda: one.failed_writes() > 0)
     assert one.get("/readyz").status_code == 503
@@ -88,7 +88,7 @@ def test_full_disk_while_it_computes(one, small_disk, seed):
     full = stored_scores(one.state)
     quiet = Daemon(small_disk.parent / "quiet")
     with quiet:
-        quiet.score({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
+        quiet.score({"designs": bodies(seed, 400), "physics": {"n_steps": 80}})
         assert quiet.stop()[0] == 0
     assert stored_scores(quiet.state) == full
 

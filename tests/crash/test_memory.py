@@ -104,10 +104,10 @@ def test_small_memory(folder, cgroup):
         assert huge.status_code == 422, huge.text
         assert re.search(r"needs \d+ MiB .* can have \d+ MiB", huge.text), huge.text
         jobs = [
-            ("trainings", {"kind": "pretrain", "steps": 2, "batch": 128, "physics": "paper",
+            ("trainings", {"kind": "pretrain", "steps": 2, "batch": 32, "physics": "paper",
                            "validation": {"every_steps": 0}}),
             ("trainings", {"kind": "finetune", "designs": [FULL, *bodies(1, 200)], "steps": 2,
-                           "batch": 64, "physics": {"n_steps": 300}}),
+                           "batch": 32, "physics": {"n_steps": 300}}),
             ("campaigns", drawless | {"mode": "few-shot", "population": 32, "generations": 1,
                                       "learning": {"parent_steps": 1, "child_steps": 1}}),
             ("campaigns", drawless | {"population": 2000, "generations": 2,
@@ -174,13 +174,13 @@ def test_killed_repeatedly(daemon):
     ("trainings", {"kind": "pretrain", "preset": "phototaxis", "batch": 8,
                    "physics": {"n_steps": 100}}, lambda now: now["progress"]["step"])])
 def test_kills_of_a_healthy_job(daemon, kind, request_of, done):
-    """Killed six times within the first generation, or before the first checkpoint is due, a job
+    """Killed five times within the first generation, or before the first checkpoint is due, a job
     continues from its saved state: it does not fail."""
     one = daemon("one", workers=1).start()
     job = one.submit(request_of, kind)
     path = f"/v1/{kind}/{job}"
     reached = 0
-    for _ in range(6):
+    for _ in range(5):
         begin = time.monotonic()
         one.awaited(path, lambda now: now["state"] == "running" and done(now) > reached and
                     time.monotonic() - begin > 4)

@@ -15,7 +15,7 @@ from network import HUB, Network
 from surroundings import fill
 
 PORT = 8766
-VALUE = request("zero-shot", 22, 7) | {"population": 48, "physics": {"n_steps": 150}}
+VALUE = request("zero-shot", 22, 7) | {"population": 40, "physics": {"n_steps": 100}}
 FAULTS = 8  # the maximum of a round
 
 

@@ -12,8 +12,8 @@ NUMBERS = (1, 7, 2, 1)  # number of workers, one after the other
 @pytest.mark.parametrize("mode", MODES)
 def test_same_bits(daemon, worker, seed, mode):
     is_quick = mode == "zero-shot"  # it does not learn
-    value = request(mode, seed, 12 if is_quick else 4)
-    value |= {"population": 32, "physics": {"n_steps": 80}}
+    value = request(mode, seed, 8 if is_quick else 4)
+    value |= {"population": 24, "physics": {"n_steps": 80}}
     if is_quick:
         value |= {"physics": RACE["physics"], "environments": RACE["environments"]}
     expected, needed, _ = undisturbed(daemon, "alone", value)
@@ -116,7 +116,7 @@ def test_measures_of_campaigns(daemon, worker, seed, mode):
     """Campaigns that select by a measure get the same bits from other machines, one of which is
     lost in the middle."""
     value = request(mode, seed, 5 if mode == "zero-shot" else 2) | {
-        "population": 32, "physics": {"n_steps": 300}, "measures": True,
+        "population": 24, "physics": {"n_steps": 200}, "measures": True,
         "select_by": {"measure": "displacement_m", "direction": "max"}}
     expected, needed, _ = undisturbed(daemon, "alone", value)
     head = expected["phylogeny"][0]
@@ -141,7 +141,7 @@ def test_the_best_of_many(daemon, worker, seed):
     """A race with rounds that other machines compute ends with the same result, although one of
     them is lost in the middle."""
     walker = CONTROLLER.with_name("phototaxis.safetensors")  # some bodies are far better
-    value = {"designs": bodies(seed, 150), "physics": "paper", "best": 5}
+    value = {"designs": bodies(seed, 90), "physics": "paper", "best": 5}
     with daemon("alone", workers=2, default_controller=walker) as one:
         expected = one.score(value)
         one.end()
