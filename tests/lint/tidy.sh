@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # Runs clang-tidy over the sources that BUILD compiles (default: build), and over faults that it
 # must find. Exit status 1 on a finding, or on a fault that was not found. NODES: the states of a
-# function that the analyzer visits (default: 30000, a fifth of the processor time of clang's own
+# function that the analyzer visits (default: 10000, a seventh of the processor time of clang's own
 # 225000).
 # Sources that are compiled several times (kernels) are checked once. One file per call: with
 # several, clang-tidy 14 mistakes the va_list of later ones for uninitialized.
 set -u
 cd "$(dirname "$0")/../.." || exit 2
 build=${1:-build}
-nodes=${2:-30000}
+nodes=${2:-10000}
 jobs=$(nproc)
 [ -f "$build/compile_commands.json" ] || { echo "# no $build/compile_commands.json"; exit 2; }
 options=(--quiet --extra-arg=-Wno-unknown-warning-option --extra-arg=-Wno-unknown-pragmas
