@@ -204,10 +204,13 @@ __attribute__((unused)) static void extends(void)
     origin.settings.generations = 5;
     REQUIRE_OK(service_start(1));
     slow_down(mode);
+    fake_plan.delay_us = LONG_US; /* it is still running when this thread gets a processor */
     int64_t id = submit_campaign(&request);
     REQUIRE(await_phase(id, MO_PHASE_SCORE));
     CHECK_OK(extend(id, 1)); /* running */
     CHECK_OK(mo_jobs_pause(service.jobs, id));
+    CHECK(await_phase(id, MO_PHASE_IDLE));
+    slow_down(mode);
     CHECK_OK(extend(id, 1)); /* paused */
     CHECK_OK(mo_jobs_resume(service.jobs, id));
     CHECK(succeeds(id, NULL));
