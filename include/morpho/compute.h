@@ -14,6 +14,7 @@
 
 #include <morpho/gradient.h>
 #include <morpho/rollout.h>
+#include <morpho/state.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -54,6 +55,7 @@ struct mo_block {
   enum mo_back_end back_end;             /* MO_ON_DEVICE: if devices support it, see below */
   const struct mo_recording *recordings; /* NULL or (n_environments) */
   const struct mo_measuring *measuring;  /* NULL, or of n_environments rollouts */
+  struct mo_states states;               /* all NULL: the usual start, and no final states */
   const volatile int *cancel; /* NULL or a flag; non-zero stops the block with MO_ERR_CANCELLED */
   int64_t tag; /* chosen by the submitter, such as a job's id: the thread's tag while the block
                   runs */

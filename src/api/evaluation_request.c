@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/requests.h"
+#include "api/states.h"
 #include "base/words.h"
 #include "rollout/physics.h"
 
@@ -72,7 +72,13 @@ static const struct mo_field rollout_rows[] = {
     {NULL, MO_FIELD_INLINE, 0, AT(parts), .group = &mo_repair_fields},
     {"controller", MO_FIELD_OWN, 0, AT(parts), .own = &mo_controller_field},
 };
-const struct mo_fields mo_rollouts_request_fields = MO_FIELDS(rollout_rows);
+static const struct mo_fields rolled = MO_FIELDS(rollout_rows);
+static const struct mo_field window_rows[] = {
+    {NULL, MO_FIELD_INLINE, 0, offsetof(struct mo_parsed_rollouts, evaluation), .group = &rolled},
+    {NULL, MO_FIELD_INLINE, 0, offsetof(struct mo_parsed_rollouts, states),
+     .group = &mo_states_fields},
+};
+const struct mo_fields mo_rollouts_request_fields = MO_FIELDS(window_rows);
 /* An evaluation has the same fields, except for the controller, which is one of the parts of every
  * job. */
 static const struct mo_fields scored = {rollout_rows,
@@ -285,9 +291,17 @@ static int check(struct mo_json *json, void *any)
   return MO_OK;
 }
 
+static int check_rollouts(struct mo_json *json, void *any)
+{
+  struct mo_parsed_rollouts *parsed = any;
+  mo_states_check(json, &parsed->evaluation.request.physics, &parsed->states);
+  return check(json, &parsed->evaluation);
+}
+
+/* whole: what `parsed` is the first member of. */
 static int parse(const char *text, size_t size, const struct mo_fields *fields,
-                 uint32_t most_designs, struct mo_parsed_evaluation *parsed,
-                 struct mo_faults *faults)
+                 uint32_t most_designs, struct mo_parsed_evaluation *parsed, void *whole,
+                 int (*check_whole)(struct mo_json *json, void *whole), struct mo_faults *faults)
 {
   struct mo_evaluation_request *request = &parsed->request;
   *parsed = (struct mo_parsed_evaluation){
@@ -298,7 +312,7 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
                 .takes_suites = fields == &mo_evaluation_request_fields,
                 .most_designs = most_designs}};
   mo_read_words(text, size, &mo_design_rules_fields, &parsed->parts, NULL);
-  int error = mo_read_body(text, size, fields, parsed, &parsed->parts, check, faults);
+  int error = mo_read_body(text, size, fields, whole, &parsed->parts, check_whole, faults);
   if (error != MO_OK)
     return error;
   const struct mo_parts *parts = &parsed->parts;
@@ -319,11 +333,15 @@ static int parse(const char *text, size_t size, const struct mo_fields *fields,
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults)
 {
-  return parse(text, size, &mo_evaluation_request_fields, MO_LARGE_MAX, parsed, faults);
+  return parse(text, size, &mo_evaluation_request_fields, MO_LARGE_MAX, parsed, parsed, check,
+               faults);
 }
 
-int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
+int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_rollouts *parsed,
                       struct mo_faults *faults)
 {
-  return parse(text, size, &mo_rollouts_request_fields, MO_DESIGNS_MAX, parsed, faults);
+  parsed->states = (struct mo_parsed_states){0};
+  const int error = parse(text, size, &mo_rollouts_request_fields, MO_DESIGNS_MAX,
+                          &parsed->evaluation, parsed, check_rollouts, faults);
+  return parsed->states.error != MO_OK ? parsed->states.error : error;
 }

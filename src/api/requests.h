@@ -96,9 +96,7 @@ struct mo_parsed_evaluation {
 };
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults);
-/* Parses the body of POST /v1/rollouts: without the members that belong to a job. */
-int mo_rollouts_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
-                      struct mo_faults *faults);
+/* states.h has the body of POST /v1/rollouts. */
 
 struct mo_parsed_training {
   struct mo_training_request request;

@@ -6,8 +6,10 @@
 
 #include "api/handlers.h"
 #include "api/job_json.h"
+#include "api/states.h"
 #include "rollout/course.h"
 #include "rollout/physics.h"
+#include "rollout/window.h"
 #include "world/environment.h"
 #include "world/task_json.h"
 
@@ -262,24 +264,30 @@ static bool com_at(const struct mo_recording *recording, uint32_t frame, uint32_
 /* Writes where the guide of a task places the light in each frame, from the recorded centers of
  * mass. May fail with MO_ERR_NO_MEMORY. */
 static int write_lights(struct mo_text *text, struct mo_text *arrays,
-                        const struct mo_rollouts *rollouts, const struct mo_rolled *rolled,
-                        const struct mo_environment *environment, uint32_t n_masses)
+                        const struct mo_rollouts *rollouts, uint32_t rollout, uint32_t n_masses)
 {
+  const struct mo_rolled *rolled = &rollouts->rollouts[rollout];
+  const struct mo_environment *environment =
+      &rollouts->environments[rollout % rollouts->n_environments];
+  const struct mo_state *from = rollouts->from != NULL ? &rollouts->from[rollout].state : NULL;
   const struct mo_scheme *scheme = &rollouts->physics.scheme;
   const uint32_t n = rollouts->n_frames;
   struct mo_course course;
   struct mo_track track;
-  double com_m[3], light_m[3];
+  double com_m[3], start_m[3], light_m[3];
   if (environment->task.guide.kind == MO_GUIDE_FIXED ||
       !com_at(&rolled->recording, 0, n_masses, com_m))
     return MO_OK;
   float(*lights_m)[3] = calloc(n, sizeof(*lights_m));
   if (lights_m == NULL)
     return MO_ERR_NO_MEMORY;
-  mo_course_begin(&course, environment, scheme, com_m, &track);
+  const struct mo_window window = mo_window_of(scheme, from);
+  const uint32_t first = window.first_step,
+                 begun = mo_window_begin(&window, from, environment, com_m, start_m);
+  mo_window_course(&window, from, begun, environment, scheme, start_m, &course, &track);
   for (uint32_t frame = 0; frame < n; frame++) {
-    const double t_s = (double)frame * rolled->recording.stride * scheme->dt_s;
-    if (frame > 0 && com_at(&rolled->recording, frame, n_masses, com_m))
+    const double t_s = ((double)frame * rolled->recording.stride + (first - begun)) * scheme->dt_s;
+    if ((frame > 0 || begun < first) && com_at(&rolled->recording, frame, n_masses, com_m))
       mo_course_advance(&course, t_s, com_m, &track);
     mo_course_light(&course, t_s, &track, light_m);
     for (int axis = 0; axis < 3; axis++)
@@ -350,9 +358,11 @@ static int write_scene(struct mo_text *text, struct mo_text *arrays,
       if (arrays != NULL) {
         write_recording(text, arrays, rollouts, rolled, body);
         error = error != MO_OK ? error
-                               : write_lights(text, arrays, rollouts, rolled,
-                                              &rollouts->environments[k], body->n_masses);
+                               : write_lights(text, arrays, rollouts, i * n + k, body->n_masses);
       }
+      if (rollouts->ends != NULL)
+        mo_member_state(text, &rollouts->ends[i * n + k], &rollouts->designs[i].genotype,
+                        &rollouts->environments[k].task, &rollouts->physics);
       mo_text_add(text, "}");
     }
   mo_text_add(text, "]}");

@@ -181,9 +181,9 @@ static int simulate(struct run *run)
     return status;
   const struct mo_pause_point pause = {body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS,
                                        at_pause_point, run};
-  status = mo_rollout_block(run->worker->memory[run->depth], pack, body, block->environments,
-                            block->n_environments, &block->physics, block->recordings,
-                            block->measuring, &pause, block->outcomes);
+  status = mo_rollout_block_window(run->worker->memory[run->depth], pack, body, block->environments,
+                                   block->n_environments, &block->physics, &block->states,
+                                   block->recordings, block->measuring, &pause, block->outcomes);
   mo_body_free(built);
   return status;
 }
@@ -457,7 +457,8 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
   block->stays = false;
   block->origin = 0;
   if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 &&
-      block->recordings == NULL && block->measuring == NULL)
+      block->recordings == NULL && block->measuring == NULL && block->states.from == NULL &&
+      block->states.to == NULL)
     return compute->core.devices != NULL ? mo_devices_submit(compute->core.devices, block)
                                          : MO_ERR_DEVICE;
   return enqueue(compute, block);

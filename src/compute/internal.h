@@ -54,7 +54,8 @@ void mo_compute_wake(struct mo_compute *compute);
 static inline bool mo_block_suits_remote(const struct mo_block *block)
 {
   return block->urgency == MO_BATCH && block->precision == MO_FLOAT32 &&
-         block->recordings == NULL && block->body == NULL &&
+         block->recordings == NULL && block->body == NULL && block->states.from == NULL &&
+         block->states.to == NULL &&
          (block->measuring == NULL || block->measuring->set == MO_MEASURES_ALL) && /* sent whole */
          block->gradient == NULL && block->shards == NULL && !block->stays;
 }

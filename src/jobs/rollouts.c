@@ -18,6 +18,10 @@ void mo_rollouts_free(struct mo_rollouts *rollouts)
   for (uint32_t i = 0;
        rollouts->rollouts != NULL && i < rollouts->n_designs * rollouts->n_environments; i++)
     mo_recording_free(&rollouts->rollouts[i].recording);
+  for (uint32_t i = 0; rollouts->ends != NULL && i < rollouts->n_designs * rollouts->n_environments;
+       i++)
+    mo_state_free(&rollouts->ends[i]);
+  free(rollouts->ends);
   free(rollouts->designs);
   free(rollouts->environments);
   free(rollouts->rollouts);
@@ -118,12 +122,63 @@ static int prepare_recordings(const struct mo_evaluation_request *request,
   return error;
 }
 
+/* ---- states ---- */
+
+/* Checks the states of the request: one for each rollout, of its robot, all at one time. */
+static int check_states(const struct mo_evaluation_request *request,
+                        const struct mo_rollout_states *states, const struct mo_rollouts *rollouts,
+                        struct mo_message *message)
+{
+  const uint32_t n_environments = rollouts->n_environments,
+                 n = rollouts->n_designs * n_environments;
+  struct mo_message why;
+  if (states->from == NULL)
+    return MO_OK;
+  if (states->n_from != n)
+    return mo_fail(message, MO_ERR_CONFLICT,
+                   "there must be one state for each rollout, by design and each in every "
+                   "environment: %u, got %u",
+                   n, states->n_from);
+  for (uint32_t i = 0; i < n; i++) {
+    const struct mo_start *start = &states->from[i];
+    const struct mo_rolled_design *design = &rollouts->designs[i / n_environments];
+    if (!mo_genotype_equal(&start->robot, &design->genotype))
+      return mo_fail(
+          message, MO_ERR_CONFLICT,
+          "state %u is of another robot than design %u; start a new robot without states", i,
+          i / n_environments);
+    if (start->state.step != states->from[0].state.step)
+      return mo_fail(message, MO_ERR_CONFLICT,
+                     "state %u is at another time than state 0; send states of different times in "
+                     "different requests",
+                     i);
+    if (mo_state_check(&start->state, design->body, &rollouts->environments[i % n_environments],
+                       &rollouts->physics, request->precision, &why) != MO_OK)
+      return mo_fail(message, MO_ERR_CONFLICT, "state %u cannot go on: %.200s", i, why.text);
+  }
+  return MO_OK;
+}
+
+static int prepare_ends(struct mo_rollouts *rollouts)
+{
+  const uint32_t n = rollouts->n_designs * rollouts->n_environments;
+  rollouts->ends = calloc(n, sizeof(*rollouts->ends));
+  int error = rollouts->ends != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    const struct mo_body *body = rollouts->designs[i / rollouts->n_environments].body;
+    error = mo_state_create(&rollouts->ends[i], body->n_masses, body->n_springs, body->n_voxels);
+  }
+  return error;
+}
+
 /* ---- computing ---- */
 
-/* Fills in a block of one design and some of the environments. recordings: for all rollouts. */
+/* Fills in a block of one design and some of the environments. recordings, from (nullable): for all
+ * rollouts. */
 static void fill_block(const struct mo_evaluation_request *request, struct mo_rollouts *rollouts,
                        struct mo_loaded *controller, uint32_t design, uint32_t first,
-                       struct mo_recording *recordings, struct mo_block *block)
+                       struct mo_recording *recordings, const struct mo_state *from,
+                       struct mo_block *block)
 {
   const uint32_t left = rollouts->n_environments - first;
   const uint32_t row = design * rollouts->n_environments + first;
@@ -134,6 +189,8 @@ static void fill_block(const struct mo_evaluation_request *request, struct mo_ro
                              .precision = request->precision,
                              .urgency = rollouts->is_crowded ? MO_INTERACTIVE : MO_IMMEDIATE,
                              .recordings = request->record != 0 ? recordings + row : NULL,
+                             .states = {from != NULL ? from + row : NULL,
+                                        rollouts->ends != NULL ? rollouts->ends + row : NULL},
                              .tag = -1};
   for (uint32_t k = 0; k < block->n_environments; k++) {
     block->environments[k] = &rollouts->environments[first + k];
@@ -147,11 +204,16 @@ static int compute(struct mo_jobs *jobs, const struct mo_evaluation_request *req
   const size_t n_max = (size_t)rollouts->n_designs * rollouts->n_environments;
   struct mo_recording *recordings = calloc(n_max, sizeof(*recordings));
   struct mo_block *blocks = calloc(n_max, sizeof(*blocks));
-  int error = recordings != NULL && blocks != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  struct mo_state *from = rollouts->from != NULL ? calloc(n_max, sizeof(*from)) : NULL;
+  const bool has_memory =
+      recordings != NULL && blocks != NULL && (from != NULL) == (rollouts->from != NULL);
+  int error = has_memory ? MO_OK : MO_ERR_NO_MEMORY;
   size_t n = 0, row = 0;
+  for (size_t i = 0; from != NULL && error == MO_OK && i < n_max; i++)
+    from[i] = rollouts->from[i].state; /* its arrays stay the request's */
   for (uint32_t i = 0; i < rollouts->n_designs && error == MO_OK; i++)
     for (uint32_t k = 0; k < rollouts->n_environments; k += MO_BLOCK_LANES, n++)
-      fill_block(request, rollouts, controller, i, k, recordings, &blocks[n]);
+      fill_block(request, rollouts, controller, i, k, recordings, from, &blocks[n]);
   if (error == MO_OK)
     error = mo_compute_run(jobs->compute, blocks, n);
   for (size_t b = 0; b < n && error == MO_OK; b++)
@@ -159,6 +221,7 @@ static int compute(struct mo_jobs *jobs, const struct mo_evaluation_request *req
       rollouts->rollouts[row++].outcome = blocks[b].outcomes[k];
   free(recordings);
   free(blocks);
+  free(from);
   return error;
 }
 
@@ -203,8 +266,9 @@ static int find_controller(struct mo_jobs *jobs, const char *name, struct mo_sha
   return error;
 }
 
-int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request, bool is_crowded,
-                 struct mo_rollouts **ret, struct mo_message *message)
+int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                 const struct mo_rollout_states *states, bool is_crowded, struct mo_rollouts **ret,
+                 struct mo_message *message)
 {
   struct mo_rollouts *rollouts = calloc(1, sizeof(*rollouts));
   int error = rollouts != NULL ? MO_OK : MO_ERR_NO_MEMORY;
@@ -230,7 +294,13 @@ int mo_jobs_roll(struct mo_jobs *jobs, const struct mo_evaluation_request *reque
     error = check_size(request, rollouts, message);
   }
   if (error == MO_OK)
+    error = check_states(request, states, rollouts, message);
+  if (error == MO_OK) {
+    rollouts->from = states->from;
     error = prepare_recordings(request, rollouts);
+  }
+  if (error == MO_OK && states->wants_final)
+    error = prepare_ends(rollouts);
   if (error == MO_OK)
     error = with_controller(jobs, request, rollouts);
   if (error != MO_OK) {

@@ -6,8 +6,10 @@
 #include "rollout/fast.h"
 #include "rollout/measuring.h"
 #include "rollout/scene.h"
+#include "rollout/window.h"
 
 #include <stdlib.h>
+#include <string.h>
 
 struct mo_workspace_memory {
   char *base;
@@ -51,7 +53,7 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   run->velocity = carve(&carver, n_masses * 3 * MO_LANES, real);
   run->coasted = carve(&carver, splits ? n_masses * 3 * MO_LANES : 0, real);
   run->blends = splits || (run->observations & MO_OBSERVE_SPRINGS) != 0;
-  run->keeps = run->blends || run->control_steps > 1;
+  run->keeps = run->blends || run->control_steps > 1 || run->from != NULL || run->to != NULL;
   run->start = carve(&carver, n_masses * 3, sizeof(double));
   run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
   run->spring_rest = carve(&carver, n_springs, real);
@@ -93,11 +95,31 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
   return MO_OK;
 }
 
-int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
-                     const struct mo_body *body, const struct mo_environment *const *environments,
-                     uint32_t n_environments, const struct mo_physics *physics,
-                     const struct mo_recording *recordings, const struct mo_measuring *measuring,
-                     const struct mo_pause_point *pause, struct mo_outcome *outcomes)
+/* Checks the states that a block starts from. */
+static int check_states(const struct mo_fast_run *run)
+{
+  const struct mo_state *from = run->from;
+  for (uint32_t e = 0; from != NULL && e < run->n_environments; e++) {
+    const int status = mo_window_check(&from[e], run->body, run->environments[e], run->physics,
+                                       run->pack->precision, run->needs[e], NULL);
+    if (status != MO_OK || from[e].step != from[0].step)
+      return status != MO_OK ? status : MO_ERR_INVALID;
+  }
+  return MO_OK;
+}
+
+static bool is_cut(const struct mo_state *state)
+{
+  return memchr(state->cut, 1, state->n_springs) != NULL;
+}
+
+int mo_rollout_block_window(struct mo_workspace_memory *memory, const struct mo_pack *pack,
+                            const struct mo_body *body,
+                            const struct mo_environment *const *environments,
+                            uint32_t n_environments, const struct mo_physics *physics,
+                            const struct mo_states *states, const struct mo_recording *recordings,
+                            const struct mo_measuring *measuring,
+                            const struct mo_pause_point *pause, struct mo_outcome *outcomes)
 {
   if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
     return MO_ERR_RANGE;
@@ -108,24 +130,39 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .environments = environments,
                             .n_environments = n_environments,
                             .physics = physics,
-                            .control_steps = mo_control_steps(&physics->scheme),
+                            .from = states != NULL ? states->from : NULL,
+                            .to = states != NULL ? states->to : NULL,
                             .recordings = recordings,
                             .measuring = measuring,
-                            .observations = measuring != NULL ? mo_observations(measuring->set) : 0,
                             .pause = pause,
                             .outcomes = outcomes};
+  const struct mo_window window = mo_window_of(&physics->scheme, run.from);
+  run.first_step = window.first_step;
+  run.control_steps = window.control_steps;
   if (run.control_steps == 0)
     return MO_ERR_INVALID;
   for (uint32_t e = 0; e < n_environments; e++) {
     run.constants[e] = mo_scene_constants(environments[e], physics);
-    run.breaks |= environments[e]->damage.cut != 0;
-    if (mo_task_needs_work(&environments[e]->task))
-      run.observations |= MO_OBSERVE_SPRINGS;
-    run.observations |= mo_observations(mo_task_measures(&environments[e]->task));
+    run.breaks |= environments[e]->damage.cut != 0 || (run.from != NULL && is_cut(&run.from[e]));
+    run.needs[e] = mo_observations_for(&environments[e]->task, measuring);
+    run.observations |= run.needs[e];
   }
-  const int status = reserve(memory, lay_out(&run, NULL));
+  int status = check_states(&run);
+  if (status != MO_OK)
+    return status;
+  status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;
   lay_out(&run, memory->base);
   return mo_fast_find(pack->isa, pack->precision)(&run);
+}
+
+int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
+                     const struct mo_body *body, const struct mo_environment *const *environments,
+                     uint32_t n_environments, const struct mo_physics *physics,
+                     const struct mo_recording *recordings, const struct mo_measuring *measuring,
+                     const struct mo_pause_point *pause, struct mo_outcome *outcomes)
+{
+  return mo_rollout_block_window(memory, pack, body, environments, n_environments, physics, NULL,
+                                 recordings, measuring, pause, outcomes);
 }

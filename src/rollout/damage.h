@@ -19,11 +19,12 @@ static inline uint32_t mo_damage_step(const struct mo_environment *environment,
   return steps < UINT32_MAX ? (uint32_t)steps : UINT32_MAX;
 }
 
-/* Returns whether a spring exerts no force in a step, given the first such step. */
+/* Returns whether a spring exerts no force in a step, given the first such step. A spring that was
+ * cut before the window that is computed has a 2 in `cut`. */
 static inline bool mo_damage_lasts(const uint8_t *cut, uint32_t cut_step, uint32_t step,
                                    uint32_t spring)
 {
-  return step >= cut_step && cut[spring] != 0;
+  return cut[spring] == 2 || (step >= cut_step && cut[spring] != 0);
 }
 
 /* Sets cut[s] to 1 for the springs of the octant and to 0 for the others: (n_springs). A spring

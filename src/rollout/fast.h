@@ -14,6 +14,7 @@
 #include <stdint.h>
 
 #include <morpho/gradient.h>
+#include <morpho/state.h>
 
 #define MO_LANES MO_BLOCK_LANES
 
@@ -50,11 +51,13 @@ struct mo_fast_run {
   const struct mo_environment *const *environments;
   uint32_t n_environments;
   const struct mo_physics *physics;
-  uint32_t control_steps;                  /* in a control period */
+  uint32_t control_steps, first_step;      /* in a control period; what the block begins with */
+  const struct mo_state *from;             /* (n_environments); NULL: the usual start */
+  struct mo_state *to;                     /* (n_environments); NULL: not wanted */
   struct mo_constants constants[MO_LANES]; /* of the environments */
   const struct mo_recording *recordings;
-  const struct mo_measuring *measuring; /* NULL: no measures */
-  unsigned observations;                /* measuring.h, for measures and for tasks; 0: nothing */
+  const struct mo_measuring *measuring;   /* NULL: no measures */
+  unsigned observations, needs[MO_LANES]; /* measuring.h, for measures and tasks: of all, of each */
   const struct mo_pause_point *pause;
   struct mo_outcome *outcomes;
   /* Scratch, carved by block.c. */
@@ -74,22 +77,20 @@ struct mo_fast_run {
   void *sensor;          /* (n_masses, lanes) */
   void *hidden;          /* (2, lanes, 256) */
   void *activation;      /* (lanes, panel) */
-  bool keeps;    /* activations outlast their step: a control period, `split`, or for measures */
+  bool keeps;    /* activations outlast their step: a control period, `split`, measures, states */
   bool blends;   /* `split`, or for measures */
-  void *held;    /* (n_panels · panel, lanes) the latest activations of all springs; one
-                    panel's if they do not outlast their step */
+  void *held;    /* (n_panels · panel, lanes) the latest activations; one panel's if not kept */
   void *blended; /* (panel, lanes) the mean of new and previous activations, if it blends */
   void *terrain; /* (lanes, MO_CELLS, 4) */
   uint32_t *contacts; /* (n_masses) bits of the lanes that touched the terrain, in steps that end
-                       * at a frame or that the measures observe; undefined in other steps */
+                       * at a frame or a state, or are observed; undefined in other steps */
   /* Only if something is observed: measuring.h has the first two. */
   double (*rows)[3];    /* (n_masses) */
   uint8_t (*halves)[2]; /* (n_masses) */
   void *turn_rows;      /* (n_masses, 2) reals: what the yaw needs of `rows` */
   void *inverse_rest;   /* (n_springs) 1 / rest length */
   uint32_t *corners;    /* (n_voxels, 8) offsets of the masses in the arrays of positions */
-  uint32_t *inverted;   /* (n_voxels) bits of the lanes in which it was inverted at the instant
-                           before */
+  uint32_t *inverted;   /* (n_voxels) bits of the lanes: inverted at the instant before */
 };
 
 /* ---- gradients ---- */

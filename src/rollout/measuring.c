@@ -36,6 +36,13 @@ unsigned mo_observations(uint32_t set)
   return observations;
 }
 
+unsigned mo_observations_for(const struct mo_task *task, const struct mo_measuring *measuring)
+{
+  const unsigned work = mo_task_needs_work(task) ? MO_OBSERVE_SPRINGS : 0;
+  return work | mo_observations(mo_task_measures(task)) |
+         (measuring != NULL ? mo_observations(measuring->set) : 0);
+}
+
 static double height_above(const struct mo_observer *o, const double com_m[3])
 {
   return com_m[2] - mo_terrain_height(o->environment, com_m[0], com_m[1]);
@@ -53,11 +60,18 @@ void mo_observer_begin(struct mo_observer *observer, const struct mo_body *body,
                                    .duration_s = scheme->n_steps * scheme->dt_s,
                                    .n_steps = scheme->n_steps,
                                    .n_periods = (scheme->n_steps - 1) / control_steps + 1,
+                                   .start_turn = {2, 0},
                                    .last.turn = {2, 0}};
   memcpy(observer->light_xy_m, light_xy_m, sizeof(observer->light_xy_m));
   memcpy(observer->start_m, com_start_m, sizeof(observer->start_m));
   memcpy(observer->last.com_m, com_start_m, sizeof(observer->last.com_m));
   observer->peak_height_m = height_above(observer, com_start_m);
+}
+
+void mo_observer_pose(struct mo_observer *observer, const struct mo_pose *pose)
+{
+  memcpy(observer->start_turn, pose->turn, sizeof(observer->start_turn));
+  observer->last = *pose;
 }
 
 /* The yaw passes π where the second component of `turn` changes its sign and the first is below 0:
@@ -88,6 +102,11 @@ void mo_observe(struct mo_observer *observer, const struct mo_pose *pose)
 
 /* ---- the values ---- */
 
+static double yaw_of(const double turn[2])
+{
+  return atan2(turn[1] + 0.0, turn[0]);
+}
+
 static void finish_motion(const struct mo_observer *o, const double up[3], double *values)
 {
   const double *end = o->last.com_m, *turn = o->last.turn;
@@ -108,7 +127,7 @@ static void finish_motion(const struct mo_observer *o, const double up[3], doubl
   values[MO_MEASURE_MEAN_HEIGHT] = o->height_sum_m / o->n_periods;
   values[MO_MEASURE_TILT] = atan2(mo_distance(up[0], up[1]), up[2]);
   values[MO_MEASURE_YAW_RATE] =
-      (atan2(turn[1] + 0.0, turn[0]) + 2 * M_PI * (double)o->turns) / o->duration_s;
+      (yaw_of(turn) + 2 * M_PI * (double)o->turns - yaw_of(o->start_turn)) / o->duration_s;
 }
 
 static void finish_contacts(const struct mo_observer *o, double *values)

@@ -18,6 +18,8 @@ enum {
   MO_OBSERVE_VOXELS = 16   /* corners at the start of each period */
 };
 unsigned mo_observations(uint32_t set);
+/* The same for a task, and for measures (nullable). */
+unsigned mo_observations_for(const struct mo_task *task, const struct mo_measuring *measuring);
 
 /* The part of a body's state at an instant that its motion is measured by. */
 struct mo_pose {
@@ -34,6 +36,7 @@ struct mo_observer {
   uint32_t n_steps, n_periods;
   double light_xy_m[2]; /* at the start */
   double start_m[3];    /* center of mass */
+  double start_turn[2]; /* of the pose */
   struct mo_pose last;
   double path_m, height_sum_m, peak_height_m;
   int64_t turns; /* whole turns to the left since the start, counted where the yaw passes π */
@@ -49,6 +52,9 @@ struct mo_observer {
 void mo_observer_begin(struct mo_observer *observer, const struct mo_body *body,
                        const struct mo_environment *environment, const struct mo_physics *physics,
                        const double com_start_m[3], const double light_xy_m[2]);
+
+/* Gives the start a pose: that of a body at rest was assumed. */
+void mo_observer_pose(struct mo_observer *observer, const struct mo_pose *pose);
 
 /* Continues to an instant after the start. */
 void mo_observe(struct mo_observer *observer, const struct mo_pose *pose);

@@ -43,11 +43,11 @@ void mo_reference_light(const struct mo_reference *r, uint32_t step, double ligh
   if (r->tracks == NULL)
     memcpy(light_m, r->light_m, sizeof(r->light_m));
   else
-    mo_course_light(&r->course, step * r->physics->scheme.dt_s, r->tracks + step / r->control_steps,
-                    light_m);
+    mo_course_light(&r->course, (step - r->begun) * r->physics->scheme.dt_s,
+                    r->tracks + (step / r->control_steps - r->first_track), light_m);
 }
 
-/* Sets the track of an instant number k > 0, at time t_s, from the positions. */
+/* Sets the track of an instant number k > 0 of `tracks`, at time t_s, from the positions. */
 static void advance(struct mo_reference *r, uint32_t k, double t_s)
 {
   double com_m[3];
@@ -59,8 +59,9 @@ static void advance(struct mo_reference *r, uint32_t k, double t_s)
 /* Moves the light at the start of a control period. */
 static void guide(struct mo_reference *r, uint32_t step)
 {
-  if (step > 0)
-    advance(r, step / r->control_steps, step * r->physics->scheme.dt_s);
+  if (step > r->begun)
+    advance(r, step / r->control_steps - r->first_track,
+            (step - r->begun) * r->physics->scheme.dt_s);
   mo_reference_light(r, step, r->light_m);
 }
 
@@ -204,11 +205,52 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
   return false;
 }
 
+/* Sets the positions and everything else that a state has. */
+static void take(struct mo_reference *r, const struct mo_state *from)
+{
+  const size_t n = 3 * (size_t)r->body->n_masses;
+  memcpy(r->position_m, from->position_m, n * sizeof(double));
+  memcpy(r->velocity_m_per_s, from->velocity_m_per_s, n * sizeof(double));
+  memcpy(r->output, from->output, r->body->n_springs * sizeof(double));
+  if (r->controller != NULL)
+    memcpy(r->own.control.output, from->output, r->body->n_springs * sizeof(double));
+  memcpy(r->contacts, from->contacts, r->body->n_masses);
+  for (uint32_t s = 0; s < r->body->n_springs; s++)
+    if (from->cut[s] != 0)
+      r->cut[s] = 2;
+}
+
+/* Begins or continues the tally and the task, from the positions. */
+static void begin(struct mo_reference *r, const struct mo_state *from)
+{
+  const uint32_t first = r->window.first_step;
+  double com_m[3];
+  mo_scene_com(r->position_m, r->body->n_masses, com_m);
+  r->begun = mo_window_begin(&r->window, from, r->environment, com_m, r->com_start_m);
+  r->first_track = first / r->control_steps;
+  if (r->begun < first && first % r->control_steps == 0)
+    r->first_track--; /* the state is before the instant at the start of the window */
+  if (r->begun < first)
+    r->work_j = from->tally.work_j;
+  if (r->tracks != NULL)
+    mo_window_course(&r->window, from, r->begun, r->environment, &r->physics->scheme,
+                     r->com_start_m, &r->course, r->tracks);
+}
+
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
                       const struct mo_controller *controller,
                       const struct mo_environment *environment, const struct mo_physics *physics)
 {
-  const uint32_t control_steps = mo_control_steps(&physics->scheme);
+  return mo_reference_init_from(reference, body, controller, environment, physics, NULL);
+}
+
+int mo_reference_init_from(struct mo_reference *reference, const struct mo_body *body,
+                           const struct mo_controller *controller,
+                           const struct mo_environment *environment,
+                           const struct mo_physics *physics, const struct mo_state *from)
+{
+  const struct mo_window window = mo_window_of(&physics->scheme, from);
+  const uint32_t control_steps = window.control_steps;
   if (control_steps == 0 ||
       (controller != NULL && !mo_workspace_equal(controller->workspace, body->workspace)))
     return MO_ERR_INVALID;
@@ -219,7 +261,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                    ((size_t)body->n_masses + body->n_springs + sizeof(double) - 1) / sizeof(double),
                periods = (physics->scheme.n_steps + (size_t)control_steps - 1) / control_steps;
   const bool plain = mo_task_is_plain(&environment->task);
-  struct mo_track *tracks = plain ? NULL : calloc(periods + 1, sizeof(*tracks));
+  struct mo_track *tracks = plain ? NULL : calloc(periods + 2, sizeof(*tracks));
   double *memory = calloc(6 * n + tape + bytes + 3 * (size_t)body->n_springs, sizeof(double));
   if (memory == NULL || (!plain && tracks == NULL)) {
     free(memory);
@@ -231,6 +273,7 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
                                      .environment = environment,
                                      .physics = physics,
                                      .control_steps = control_steps,
+                                     .window = window,
                                      .tracks = tracks,
                                      .works = mo_task_needs_work(&environment->task),
                                      .highest_m = mo_terrain_highest(environment),
@@ -253,13 +296,42 @@ int mo_reference_init(struct mo_reference *reference, const struct mo_body *body
   if (controller != NULL)
     reference->own.control = mo_controller_tape_place(controller, body->n_springs, memory);
   mo_scene_light(environment, reference->light_m);
-  mo_scene_start(body, environment, physics, reference->position_m);
-  if (!plain) {
-    double com_m[3];
-    mo_scene_com(reference->position_m, body->n_masses, com_m);
-    mo_course_begin(&reference->course, environment, &physics->scheme, com_m, tracks);
-  }
+  if (from != NULL)
+    take(reference, from);
+  else
+    mo_scene_start(body, environment, physics, reference->position_m);
+  begin(reference, from);
   return MO_OK;
+}
+
+/* The place of a window's end among the tracks. */
+static uint32_t last_track(const struct mo_reference *r)
+{
+  const uint32_t end = r->window.end_step, p = r->control_steps;
+  return end / p + (end % p != 0) - r->first_track;
+}
+
+void mo_reference_save(const struct mo_reference *r, struct mo_state *to)
+{
+  const size_t n = 3 * (size_t)r->body->n_masses;
+  mo_window_identify(r->environment, r->physics, to);
+  to->precision = MO_FLOAT64;
+  to->step = r->window.end_step;
+  memcpy(to->position_m, r->position_m, n * sizeof(double));
+  memset(to->position_rest_m, 0, n * sizeof(double));
+  memcpy(to->velocity_m_per_s, r->velocity_m_per_s, n * sizeof(double));
+  memcpy(to->output, r->output, r->body->n_springs * sizeof(double));
+  memcpy(to->contacts, r->contacts, r->body->n_masses);
+  memset(to->inverted, 0, r->body->n_voxels);
+  for (uint32_t s = 0; s < r->body->n_springs; s++)
+    to->cut[s] = mo_damage_lasts(r->cut, r->cut_step, r->window.end_step - 1, s);
+  const struct mo_constants constants = mo_scene_constants(r->environment, r->physics);
+  const double scale = 2 * constants.stiffness_n_per_m * constants.actuation;
+  to->tally = (struct mo_state_tally){
+      .begun_step = r->begun, .pull_m2 = scale > 0 ? r->work_j / scale : 0, .work_j = r->work_j};
+  memcpy(to->tally.com_start_m, r->com_start_m, sizeof(to->tally.com_start_m));
+  if (r->tracks != NULL)
+    mo_window_save_track(r->tracks + (last_track(r) - 1), &to->tally);
 }
 
 void mo_reference_done(struct mo_reference *reference)
@@ -272,17 +344,18 @@ void mo_reference_done(struct mo_reference *reference)
 void mo_reference_run(struct mo_reference *r, void (*visit)(void *context, uint32_t step),
                       void *context, struct mo_outcome *outcome)
 {
+  const uint32_t first = r->window.first_step;
   *outcome = (struct mo_outcome){0};
-  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
-  visit(context, 0);
-  for (uint32_t step = 0; step < r->physics->scheme.n_steps; step++) {
+  memcpy(outcome->com_start_m, r->com_start_m, sizeof(outcome->com_start_m));
+  visit(context, first);
+  for (uint32_t step = first; step < r->window.end_step; step++) {
     if (outcome->diverged_step == 0 && !mo_reference_step(r, step))
-      outcome->diverged_step = (int32_t)step + 1;
+      outcome->diverged_step = (int32_t)(step - first) + 1;
     visit(context, step + 1);
   }
   mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
   if (r->tracks != NULL)
-    advance(r, r->course.n_periods, r->course.end_s);
+    advance(r, last_track(r), r->course.end_s);
 }
 
 void mo_reference_finish(const struct mo_reference *r, const double *measures,
@@ -292,7 +365,7 @@ void mo_reference_finish(const struct mo_reference *r, const double *measures,
   if (r->tracks == NULL)
     mo_scene_finish(outcome, r->environment);
   else
-    mo_course_finish(&r->course, r->tracks + r->course.n_periods, &observed, outcome);
+    mo_course_finish(&r->course, r->tracks + last_track(r), &observed, outcome);
 }
 
 struct recorder {
@@ -306,9 +379,10 @@ static void record(const struct recorder *recorder, uint32_t step)
 {
   const struct mo_reference *r = &recorder->reference;
   const struct mo_recording *recording = recorder->recording;
-  if (recording == NULL || recording->stride == 0 || step % recording->stride != 0)
+  const uint32_t local = step - r->window.first_step;
+  if (recording == NULL || recording->stride == 0 || local % recording->stride != 0)
     return;
-  const size_t frame = step / recording->stride, n = (size_t)r->body->n_masses * 3;
+  const size_t frame = local / recording->stride, n = (size_t)r->body->n_masses * 3;
   if (recording->com_m != NULL)
     mo_scene_com(r->position_m, r->body->n_masses, recording->com_m + 3 * frame);
   if (recording->mass_m != NULL)
@@ -329,8 +403,42 @@ static void look(void *context, uint32_t step)
 {
   struct recorder *recorder = context;
   record(recorder, step);
-  if (step > 0 && recorder->outcome->diverged_step == 0)
+  if (step > recorder->reference.window.first_step && recorder->outcome->diverged_step == 0)
     mo_reference_observe(&recorder->measures, &recorder->reference, step - 1);
+}
+
+int mo_rollout_reference_window(const struct mo_body *body, const struct mo_controller *controller,
+                                const struct mo_environment *environment,
+                                const struct mo_physics *physics, const struct mo_states *states,
+                                const struct mo_recording *recording,
+                                const struct mo_measuring *measuring, struct mo_outcome *outcome)
+{
+  const struct mo_state *from = states != NULL ? states->from : NULL;
+  struct mo_state *to = states != NULL ? states->to : NULL;
+  struct recorder recorder = {.recording = recording, .outcome = outcome};
+  struct mo_reference_measures *measures = &recorder.measures;
+  const unsigned needs = mo_observations_for(&environment->task, measuring);
+  int r = from != NULL
+              ? mo_window_check(from, body, environment, physics, from->precision, needs, NULL)
+              : MO_OK;
+  if (r == MO_OK)
+    r = mo_reference_init_from(&recorder.reference, body, controller, environment, physics, from);
+  if (r < 0)
+    return r;
+  r = mo_reference_measures_init(measures, &recorder.reference, from, measuring);
+  if (r == MO_OK) {
+    mo_reference_run(&recorder.reference, look, &recorder, outcome);
+    if (to != NULL) {
+      mo_reference_save(&recorder.reference, to);
+      mo_reference_measures_save(measures, needs, to);
+      to->step = outcome->diverged_step == 0 ? to->step : 0;
+    }
+    const double *observed = mo_reference_measures_finish(measures, &recorder.reference, outcome);
+    mo_reference_finish(&recorder.reference, observed, outcome);
+  }
+  mo_reference_measures_done(measures);
+  mo_reference_done(&recorder.reference);
+  return r;
 }
 
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
@@ -338,20 +446,6 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
                          const struct mo_recording *recording, const struct mo_measuring *measuring,
                          struct mo_outcome *outcome)
 {
-  struct recorder recorder = {.recording = recording, .outcome = outcome};
-  int r = mo_reference_init(&recorder.reference, body, controller, environment, physics);
-  if (r < 0)
-    return r;
-  double light_m[3];
-  mo_reference_light(&recorder.reference, 0, light_m);
-  r = mo_reference_measures_init(&recorder.measures, &recorder.reference, light_m, measuring);
-  if (r == MO_OK) {
-    mo_reference_run(&recorder.reference, look, &recorder, outcome);
-    const double *observed =
-        mo_reference_measures_finish(&recorder.measures, &recorder.reference, outcome);
-    mo_reference_finish(&recorder.reference, observed, outcome);
-  }
-  mo_reference_measures_done(&recorder.measures);
-  mo_reference_done(&recorder.reference);
-  return r;
+  return mo_rollout_reference_window(body, controller, environment, physics, NULL, recording,
+                                     measuring, outcome);
 }

@@ -9,7 +9,9 @@
 #include "rollout/course.h"
 #include "rollout/kick.h"
 
-#include <morpho/rollout.h>
+#include <morpho/state.h>
+
+#include "rollout/window.h"
 
 /* The data that the derivative of one step needs. Inputs of masses that the body lacks must be
  * 0. */
@@ -29,19 +31,23 @@ struct mo_reference {
   const struct mo_environment *environment;
   const struct mo_physics *physics;
   uint32_t control_steps;   /* in a control period */
+  struct mo_window window;  /* which steps of the rollout it runs */
+  uint32_t begun;           /* the step in which the tally began (window.h) */
+  double com_start_m[3];    /* center of mass when it began */
+  uint32_t first_track;     /* the control period of tracks[0] */
   double light_m[3];        /* unless the task is plain, that of the latest control period */
   struct mo_course course;  /* unused by plain tasks */
   bool works;               /* the task or a measure needs work_j */
   double work_j;            /* of the actuators so far */
   struct mo_track *tracks;  /* (control periods + 1) at the start of each, and at the end; NULL if
-                               the task is plain */
+                               the task is plain. Before a window's, the latest instant */
   double highest_m;         /* of the terrain */
   double *position_m;       /* (n_masses, 3) */
   double *velocity_m_per_s; /* (n_masses, 3) */
   double *impulse_n_s;      /* (n_masses, 3) impulses of the last step's springs */
   double *output;           /* (n_springs) the latest outputs of the controller */
   uint8_t *contacts;        /* (n_masses) 1: touched the terrain in the last step */
-  uint8_t *cut;             /* (n_springs) 1: exerts no force from step cut_step on */
+  uint8_t *cut;             /* (n_springs) 1: exerts no force from step cut_step on; 2: ever */
   uint32_t cut_step;
   struct mo_step_tape own;   /* its `control` is empty without a controller */
   struct mo_step_tape *tape; /* of the next step; initially `own` */
@@ -52,7 +58,15 @@ struct mo_reference {
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
                       const struct mo_controller *controller,
                       const struct mo_environment *environment, const struct mo_physics *physics);
+/* The same from a state (nullable), which has been checked. Step numbers are the rollout's. */
+int mo_reference_init_from(struct mo_reference *reference, const struct mo_body *body,
+                           const struct mo_controller *controller,
+                           const struct mo_environment *environment,
+                           const struct mo_physics *physics, const struct mo_state *from);
 void mo_reference_done(struct mo_reference *reference);
+
+/* Writes the state after the last step; not its observers' part of the tally. */
+void mo_reference_save(const struct mo_reference *reference, struct mo_state *to);
 
 /* Runs step number `step`, from 0. Its tape must hold the controller's outputs of the step before,
  * unless a control period starts. Returns false if it diverged; the positions are then those before

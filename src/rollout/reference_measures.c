@@ -9,8 +9,47 @@
 #include <stdlib.h>
 #include <string.h>
 
+static void pose_of(const struct mo_reference_measures *m, const struct mo_body *body,
+                    const double *position_m, struct mo_pose *pose)
+{
+  mo_scene_com(position_m, body->n_masses, pose->com_m);
+  pose->turn[0] = pose->turn[1] = 0;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const double *p = position_m + 3 * (size_t)i, *row = m->rows[i];
+    pose->turn[0] += row[0] * p[0] + row[1] * p[1];
+    pose->turn[1] += row[0] * p[1] - row[1] * p[0];
+  }
+}
+
+/* Begins the observer, or continues that of a state. */
+static void begin(struct mo_reference_measures *m, const struct mo_reference *r,
+                  const struct mo_state *from)
+{
+  struct mo_course course;
+  struct mo_track track;
+  struct mo_pose pose;
+  double light_m[3];
+  mo_scene_light(r->environment, light_m);
+  if (r->tracks != NULL) {
+    mo_course_begin(&course, r->environment, &r->physics->scheme, r->com_start_m, &track);
+    mo_course_light(&course, 0, &track, light_m);
+  }
+  mo_window_observer(&r->window, from, r->begun, r->body, r->environment, r->physics,
+                     r->com_start_m, light_m, &m->observer);
+  if (from == NULL)
+    return;
+  m->touches = memchr(from->contacts, 1, from->n_masses) != NULL;
+  if (r->begun < r->window.first_step) {
+    for (uint32_t v = 0; v < from->n_voxels; v++)
+      m->inverted[v] = from->inverted[v] != 0;
+    return;
+  }
+  pose_of(m, r->body, r->position_m, &pose);
+  mo_observer_pose(&m->observer, &pose);
+}
+
 int mo_reference_measures_init(struct mo_reference_measures *measures,
-                               struct mo_reference *reference, const double light_m[3],
+                               struct mo_reference *reference, const struct mo_state *from,
                                const struct mo_measuring *measuring)
 {
   const struct mo_body *body = reference->body;
@@ -32,10 +71,7 @@ int mo_reference_measures_init(struct mo_reference_measures *measures,
     return MO_ERR_NO_MEMORY;
   mo_measuring_frame(body, measures->rows);
   mo_measuring_halves(body, measures->halves);
-  double com_m[3];
-  mo_scene_com(reference->position_m, body->n_masses, com_m);
-  mo_observer_begin(&measures->observer, body, reference->environment, reference->physics, com_m,
-                    light_m);
+  begin(measures, reference, from);
   return MO_OK;
 }
 
@@ -45,18 +81,6 @@ void mo_reference_measures_done(struct mo_reference_measures *measures)
   free(measures->halves);
   free(measures->inverted);
   *measures = (struct mo_reference_measures){0};
-}
-
-static void pose_of(const struct mo_reference_measures *m, const struct mo_body *body,
-                    const double *position_m, struct mo_pose *pose)
-{
-  mo_scene_com(position_m, body->n_masses, pose->com_m);
-  pose->turn[0] = pose->turn[1] = 0;
-  for (uint32_t i = 0; i < body->n_masses; i++) {
-    const double *p = position_m + 3 * (size_t)i, *row = m->rows[i];
-    pose->turn[0] += row[0] * p[0] + row[1] * p[1];
-    pose->turn[1] += row[0] * p[1] - row[1] * p[0];
-  }
 }
 
 /* The strain of the springs. */
@@ -125,7 +149,7 @@ void mo_reference_observe(struct mo_reference_measures *measures,
   const double *position_m = r->tape->position_m; /* at the start of the step */
   struct mo_pose pose;
   pose_of(m, r->body, position_m, &pose);
-  if (step > 0)
+  if (step > r->begun)
     mo_observe(&m->observer, &pose);
   observe_springs(m, r, position_m, step);
   observe_voxels(m, r->body, position_m);
@@ -151,4 +175,20 @@ const double *mo_reference_measures_finish(struct mo_reference_measures *measure
   if (m->values != NULL)
     mo_measures_round(m->wanted, m->observed, m->values);
   return m->observed;
+}
+
+void mo_reference_measures_save(const struct mo_reference_measures *measures, unsigned observed,
+                                struct mo_state *to)
+{
+  const struct mo_observer *o = &measures->observer;
+  struct mo_state_tally *t = &to->tally;
+  mo_window_save_observer(o, observed, t);
+  if (measures->set == 0)
+    return;
+  if ((observed & MO_OBSERVE_SPRINGS) != 0) {
+    t->strain = o->strain;
+    t->strain_square = o->strain * o->strain;
+  }
+  for (uint32_t v = 0; (observed & MO_OBSERVE_VOXELS) != 0 && v < to->n_voxels; v++)
+    to->inverted[v] = measures->inverted[v];
 }

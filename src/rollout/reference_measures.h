@@ -17,12 +17,15 @@ struct mo_reference_measures {
   bool touches;         /* the terrain, in the step before */
 };
 
-/* light_m: where it stands at the start. measuring: NULL or of one rollout. If there is something
- * to observe, the reference adds up the work. MO_ERR_NO_MEMORY; call mo_reference_measures_done in
- * any case. */
+/* from: the state that the reference starts from, or NULL. measuring: NULL or of one rollout. If
+ * there is something to observe, the reference adds up the work. MO_ERR_NO_MEMORY; call
+ * mo_reference_measures_done in any case. */
 int mo_reference_measures_init(struct mo_reference_measures *measures,
-                               struct mo_reference *reference, const double light_m[3],
+                               struct mo_reference *reference, const struct mo_state *from,
                                const struct mo_measuring *measuring);
+/* Adds what was observed to the tally of a state. */
+void mo_reference_measures_save(const struct mo_reference_measures *measures, unsigned observed,
+                                struct mo_state *to);
 void mo_reference_measures_done(struct mo_reference_measures *measures);
 
 /* Observes step number `step`, from 0, which the reference has just run. */

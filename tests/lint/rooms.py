@@ -45,7 +45,7 @@ PUBLIC = {
     "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
     "task.h": "world",
     "controller.h": "controller", "measure.h": "world", "rollout.h": "rollout",
-    "gradient.h": "rollout",
+    "state.h": "rollout", "gradient.h": "rollout",
     "score_error.h": "rollout", "score_ladder.h": "rollout", "compute.h": "compute",
     "learning.h": "learning", "evolution.h": "evolution"
 }

@@ -31,6 +31,10 @@ def test_many_at_once(service, campaign):
                 if event["type"] == "job.finished":
                     break
             assert types[0] == "job.created"
+            scene = await m.rollouts([DESIGN], WORLD, physics=SHORT, final_states=True)
+            scene = await m.rollouts([DESIGN], WORLD, physics=SHORT, states=scene.states,
+                                     final_states=True)
+            assert scene[0].state["time_s"] == pytest.approx(0.08)
             with pytest.raises(morphod.NotFoundError):
                 await m.evaluation(10**9)
 

@@ -318,6 +318,25 @@ def test_rollouts_are_stored_nowhere(m, service):
         scene[0].masses_m[:] = 0  # a view into the reply
 
 
+def test_rollouts_continue_from_states(m):
+    """Two windows are one rollout, and a light that moves between them changes the second."""
+    def window(n_steps, light=4.5, **more):
+        world = WORLD[0] | {"light_xy_m": [light, 2.5]}
+        return m.rollouts([DESIGN, BAR], [world], physics={"n_steps": n_steps}, record_stride=1,
+                          final_states=True, **more)
+
+    whole, first = window(100), window(37)
+    second = window(63, states=first.states)
+    for one, two, three in zip(whole, first, second):
+        assert (one.masses_m == np.concatenate([two.masses_m, three.masses_m[1:]])).all()
+        assert (one.loss, one.state) == (three.loss, three.state) and one.more == {}
+    moved = window(63, 0.5, states=first.states)
+    assert moved[0].state["positions_m"] != second[0].state["positions_m"]
+    with pytest.raises(morphod.InvalidError, match="one state for each rollout"):
+        window(1, states=first.states[:1])
+    assert m.rollouts([DESIGN], WORLD, physics=SHORT).states == [None]
+
+
 def test_players_are_one_file(m, tmp_path):
     player = m.evaluate([DESIGN], WORLD, physics=SHORT).show()
     player.save(tmp_path / "player.html")

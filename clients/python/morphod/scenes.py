@@ -93,8 +93,9 @@ class Rollout:
     """One robot in one environment.
 
     `masses_m` has the shape (frames, masses, 3), `com_m` (frames, 3), in meters; None if not
-    recorded. `value` and `unit` are those of the task; None for `photo`. `more` has every other
-    array, by name.
+    recorded. `value` and `unit` are those of the task; None for `photo`. `state` is the one in
+    which it ends, if the request asked for it; None if it diverged. `more` has every other array,
+    by name.
     """
 
     design: int
@@ -106,6 +107,7 @@ class Rollout:
     more: dict[str, NDArray[Any]]
     value: float | None = None
     unit: str | None = None
+    state: dict[str, Any] | None = None
 
 
 class Scene:
@@ -124,12 +126,12 @@ class Scene:
         self.environments: list[dict[str, Any]] = self.header["environments"]
         self.warnings = [printable(each["detail"]) for each in self.header.get("warnings", ())]
         known = {"design", "environment", "loss", "diverged_step", "masses_m", "com_m",
-                 "value", "unit"}
+                 "value", "unit", "state"}
         self.rollouts = [
             Rollout(row["design"], row["environment"], row["loss"], row["diverged_step"],
                     row.get("masses_m"), row.get("com_m"),
                     {name: value for name, value in row.items() if name not in known},
-                    row.get("value"), row.get("unit"))
+                    row.get("value"), row.get("unit"), row.get("state"))
             for row in self.header["rollouts"]
         ]
 
@@ -141,6 +143,12 @@ class Scene:
 
     def __getitem__(self, place: int) -> Rollout:
         return self.rollouts[place]
+
+    @property
+    def states(self) -> list[dict[str, Any] | None]:
+        """The states in which the rollouts end, for `states` of the next call; None where it
+        diverged, or if the request did not ask for them."""
+        return [rollout.state for rollout in self.rollouts]
 
     @property
     def scores(self) -> NDArray[np.float64]:

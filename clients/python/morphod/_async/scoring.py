@@ -177,14 +177,22 @@ class Scoring:
                        controller: str = "default", record: Sequence[str] = ("masses", ),
                        record_stride: int = 10, physics: Physics | None = None,
                        precision: Literal["float32", "float64"] = "float32",
-                       repair: Repair | None = None) -> Scene:
+                       repair: Repair | None = None,
+                       states: Sequence[Mapping[str, Any] | None] | None = None,
+                       final_states: bool = False) -> Scene:
         """Computes up to 64 rollouts and their recordings without storing them, for viewers and
         editors. The losses are the same as in an evaluation, bit for bit. A warning about the
-        physics is issued as a `UserWarning`."""
+        physics is issued as a `UserWarning`.
+
+        With `final_states`, the scene has `states`: those in which the rollouts end. Given as
+        `states`, they are where the rollouts of the next call start, to the bit; meanwhile the
+        light and the task may change (docs/driving.md)."""
         request = Request.post("/v1/rollouts", without_none({
             "designs": designs_of(bodies), "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
             "physics": physics, "repair": repair,
+            "states": None if states is None else list(states),
+            "final_states": True if final_states else None,
         }), accept=MEDIA_TYPE)
         scene = Scene((await self._connection.send(request)).content)
         for warning in scene.warnings:
