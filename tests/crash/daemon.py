@@ -27,8 +27,8 @@ STOP_S = 40
 
 
 def rest(begun, least_s):
-    """Sleeps between two looks at something that has been awaited since `begun`: longer after a long
-    wait, so that looking takes little of the processors, and it is late by a fiftieth at most."""
+    """Sleeps between two looks at something that has been awaited since `begun`: longer after a
+    long wait, so that looking takes little processor time, and is late by a fiftieth at most."""
     time.sleep(max(least_s, min((time.monotonic() - begun) / 50, 0.1)))
 
 
