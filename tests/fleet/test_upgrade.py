@@ -44,7 +44,7 @@ def drain(daemon, *flags):
 
 
 def test_a_campaign_outlives_upgrades(daemon, worker, seed):
-    value = request("zero-shot", seed, 30) | {"population": 48, "physics": {"n_steps": 200}}
+    value = request("zero-shot", seed, 12) | {"population": 48, "physics": {"n_steps": 200}}
     expected, *_ = undisturbed(daemon, "alone", value)
     old, new = version_of(OLDER), version_of(MORPHOD)
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -85,6 +85,7 @@ def test_a_campaign_outlives_upgrades(daemon, worker, seed):
     reported = f"has left, and is back with version {new}\n"
     assert done.returncode == 0 and done.stdout.count(reported) == 2, done
     await_sessions((new, False), (new, False))
+    print(f"upgraded in generation {generation(one, job)}")
     assert sorted(node.statuses for node in nodes) == [[UNWANTED], [UNWANTED, UNWANTED]]
     assert f"version {new}" in nodes[0].worker.log.read_text()
     assert drain(one, "--older").stdout == "no worker is of an older version\n"
