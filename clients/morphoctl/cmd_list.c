@@ -44,9 +44,9 @@ void run_list(struct ctl *ctl)
   static const char *const orders[] = {"id", "score", NULL};
   static const char *const states[] = {"queued", "running",   "paused", "succeeded",
                                        "failed", "cancelled", NULL};
-  static const char *const filters[] = {"state",      "label",        "submitted-by", "experiment",
-                                        "archived",   "group",        "sort",         "order",
-                                        "controller", "environments", "physics",      NULL};
+  static const char *const filters[] = {
+      "state", "label", "search",     "submitted-by", "experiment", "archived", "group",
+      "sort",  "order", "controller", "environments", "physics",    NULL};
   static const char *const physics[] = {"default", "paper", NULL};
   const struct list *list = lists;
   while (strcmp(list->command, ctl->command->name) != 0)

@@ -71,9 +71,10 @@
   "state", 0, "STATE",                                                                             \
       "Only " jobs " that are queued, running, paused, succeeded, failed or cancelled."
 #define LABELED       "label", 'l', "TEXT", "Only jobs with this label; a final * matches anything."
+#define SEARCHED      "search", 0, "TEXT", "Only jobs whose label contains this text."
 #define OF_EXPERIMENT "experiment", 0, "NAME", "Only jobs of this experiment."
 #define FILTERED                                                                                   \
-  {LABELED}, {OF_EXPERIMENT},                                                                      \
+  {LABELED}, {SEARCHED}, {OF_EXPERIMENT},                                                          \
   {                                                                                                \
     "archived", 0, "true|all", "true: only archived jobs; all: archived and others."               \
   }

@@ -203,6 +203,10 @@ void mo_campaign_json_job(struct mo_text *text, const void *any, const struct mo
   mo_member_count_if(text, "generation", status->generation >= 0, (uint64_t)status->generation);
   mo_text_member_count(text, "generations", status->record.settings.generations);
   write_group(text, &status->record);
+  mo_text_member_count(text, "seed", status->record.settings.seed);
+  mo_member_environments(text, status->record.environment_set, status->record.n_environments);
+  mo_text_member_number(text, "best_score", status->best_score);
+  mo_member_own_score(text, &status->record.own_score);
   mo_text_add(text, "}}");
 }
 

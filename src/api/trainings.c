@@ -141,8 +141,15 @@ void mo_training_json_job(struct mo_text *text, const void *any, const struct mo
   mo_job_write_head(text, &status->job, live);
   mo_text_format(text, ",\"training\":{\"kind\":\"%s\"", kind_name(status));
   mo_text_member(text, "name", mo_result_name(&status->job, status->record.name, made));
-  mo_text_format(text, ",\"step\":%u,\"steps\":%u}}", step_of(status, live),
+  mo_text_format(text, ",\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->record.settings.n_steps);
+  mo_text_member_number(text, "score",
+                        status->has_validation ? status->validation.mean_score : NAN);
+  if (status->record.n_environments > 0 && !status->record.draws_worlds)
+    mo_member_environments(text, status->record.environment_set, status->record.n_environments);
+  else
+    mo_text_member(text, "environments", NULL);
+  mo_text_add(text, "}}");
 }
 
 /* ---- the kind ---- */

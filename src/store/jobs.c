@@ -247,9 +247,11 @@ int mo_store_design_notes(struct mo_store *store, int64_t id, struct mo_design_n
  * `where` is a condition that an index answers, on ?4: kind, ?6: group, ?7 and ?10: the least and
  * the largest label, ?8: the submitter, ?11: experiment. ?1: ids are below this; ?2: state; ?3:
  * limit; ?5: ids of waiting jobs, which are shown as paused while they run; ?9: whether they are
- * archived. Only a page by a label's prefix needs sorting: otherwise each part is read in order
- * from its index, and SQLite merges two of them. */
-#define SHOWN " AND +j.state<>6 AND (?9<0 OR (j.archived_us>0)=?9)"
+ * archived; ?12: a pattern that labels match. Only a page by a label's prefix needs sorting:
+ * otherwise each part is read in order from its index, and SQLite merges two of them. */
+#define SHOWN                                                                                      \
+  " AND +j.state<>6 AND (?9<0 OR (j.archived_us>0)=?9)"                                            \
+  " AND (?12 IS NULL OR +j.label LIKE ?12 ESCAPE '\\')"
 #define PAGE_OF_ALL(rows, where)                                                                   \
   rows " WHERE " where SHOWN " AND j.id<?1 ORDER BY j.id DESC LIMIT ?3"
 #define PAGE_OF_STATE(select, where) PAGE_OF_ALL(select, where " AND j.state=?2")
@@ -297,6 +299,19 @@ static void write_waiting(const struct mo_job_query *query, char text[MO_WAITING
   memcpy(text + size, "]", 2);
 }
 
+/* Writes the pattern of LIKE for texts that contain a text. */
+static void write_pattern(const char *text, char pattern[2 * MO_LABEL_BYTES_MAX + 3])
+{
+  size_t size = 1;
+  pattern[0] = '%';
+  for (const char *c = text; *c != '\0' && size < 2 * MO_LABEL_BYTES_MAX; c++) {
+    if (*c == '%' || *c == '_' || *c == '\\')
+      pattern[size++] = '\\';
+    pattern[size++] = *c;
+  }
+  memcpy(pattern + size, "%", 2);
+}
+
 int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, size_t limit,
                      int (*load)(struct mo_connection *reader, int64_t id, void *status),
                      void *statuses, size_t status_size)
@@ -322,7 +337,7 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
                              : query->archived > 0       ? narrowed[ARCHIVED]
                                                          : sql[query->kind >= 0][filter];
   char label[MO_LABEL_BYTES_MAX + 8];
-  char waiting[MO_WAITING_MAX * 24 + 8];
+  char waiting[MO_WAITING_MAX * 24 + 8], pattern[2 * MO_LABEL_BYTES_MAX + 3];
   int64_t ids[MO_PAGE_MAX] = {0}, n = 0;
   int error = MO_OK;
   if (limit > MO_PAGE_MAX || query->n_waiting > MO_WAITING_MAX)
@@ -331,12 +346,15 @@ int64_t mo_read_jobs(struct mo_store *store, const struct mo_job_query *query, s
   /* The largest character sorts after every label with this prefix. */
   snprintf(label, sizeof(label), "%s%s", query->label != NULL ? query->label : "",
            is_prefix ? "\xf4\x8f\xbf\xbf" : "");
+  if (query->search != NULL)
+    write_pattern(query->search, pattern);
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   sqlite3_stmt *row = mo_sql_rows(
       reader, &error, pages[page_of(query)], mo_int(query->before > 0 ? query->before : INT64_MAX),
       mo_int(query->state), mo_int((int64_t)limit), mo_int(query->kind), mo_string(waiting),
       mo_int(query->group), mo_string(query->label), mo_string(query->submitted_by),
-      mo_int(query->archived), mo_string(label), mo_string(query->experiment));
+      mo_int(query->archived), mo_string(label), mo_string(query->experiment),
+      mo_string(query->search != NULL ? pattern : NULL));
   while (mo_sql_next(reader, row, &error))
     ids[n++] = sqlite3_column_int64(row, 0);
   for (int64_t i = 0; i < n && error == MO_OK; i++)

@@ -68,8 +68,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **store,
                   struct mo_message *message);
 /* Runs all queued operations, checkpoints and closes. NULL-safe. No other call may be running. */
 void mo_store_close(struct mo_store *store);
-/* Limits the caches of all stores of this process to about `bytes` together. Call it before the
- * first store is opened. */
+/* Limits the caches of all stores to about `bytes` together. Call it before opening the first. */
 void mo_store_limit_memory(uint64_t bytes);
 
 /* Files below controllers/, trainings/ and campaigns/ that no row refers to. Opening does not
@@ -119,6 +118,7 @@ struct mo_job_query {
   int state, kind;          /* enum mo_job_state, enum mo_job_kind, or −1 */
   const char *label;        /* only jobs with this label; nullable */
   bool label_is_prefix;     /* also labels that only begin with it */
+  const char *search;       /* only labels with this text, in either case; nullable */
   const char *experiment;   /* only jobs of this experiment; nullable */
   int archived;             /* 0: only unarchived jobs; 1: only archived jobs; −1: both */
   const char *submitted_by; /* only jobs submitted with the token of this name; nullable */

@@ -43,11 +43,23 @@ def test_lists_by_label_and_experiment(service):
     assert ids(service, f"experiment=lists&label={star}%20*&kind=evaluation") == [one]
     assert edit(service, two, experiment="lists", label=None)["label"] is None
     assert ids(service, "experiment=lists&limit=2") == [campaign, two]
+    assert ids(service, "search=NDER%20t") == [one]
+    assert ids(service, "search=nder") == [campaign, one]
+    assert ids(service, "search=r&kind=campaign&experiment=lists") == [campaign]
+    assert ids(service, "search=test%2F1&state=succeeded", "/v1/evaluations") == [one]
+    assert ids(service, "search=nder&limit=1") == [campaign]
+    assert ids(service, f"search=nder&limit=1&cursor={campaign}") == [one]
+    assert ids(service, "search=%25") == ids(service, "search=_") == []
+    brief = service.get("/v1/jobs?experiment=lists&kind=campaign")["items"][0]["campaign"]
+    whole = service.get(f"/v1/campaigns/{campaign}")
+    assert brief["best_score"] == whole["newest"]["score"]["quantiles"]["p0"] > 0
+    assert (brief["seed"], brief["environments"]) == (1, "paper-test")
     rows = service.table("/v1/jobs?experiment=lists&format=csv")
     assert [row["experiment"] for row in rows] == ["lists"] * 3
     exported = service.get("/v1/campaigns/generations?experiment=lists")["items"]
     assert [row["campaign"] for row in exported] == [campaign] * 3
-    service.refuses("/v1/jobs", "?experiment=", "?archived=1", "?label=" + "x" * 201)
+    service.refuses("/v1/jobs", "?experiment=", "?archived=1", "?label=" + "x" * 201,
+                    "?search=")
     service.refuses("/v1/campaigns/generations", "?experiment=lists&label=x")
 
 

@@ -63,6 +63,11 @@ static void finds_what_is_labeled(void)
   FINDS(Q(.label = "gait", .label_is_prefix = true), ids[4], ids[2], ids[1], ids[0], -1);
   FINDS(Q(.label = "gait "), -1);
   FINDS(Q(.label = "gait"), ids[2], -1);
+  FINDS(Q(.search = "AIT"), ids[4], ids[2], ids[1], ids[0], -1);
+  FINDS(Q(.search = "t b"), ids[1], -1);
+  FINDS(Q(.search = "t", .experiment = "x", .before = ids[4]), ids[1], ids[0], -1);
+  FINDS(Q(.search = "ga_t"), -1);
+  FINDS(Q(.search = "%"), -1);
   FINDS(Q(.experiment = "x"), ids[4], ids[1], ids[0], -1);
   FINDS(Q(.experiment = "x", .before = ids[4]), ids[1], ids[0], -1);
   FINDS(Q(.experiment = "x", .label = "gait b"), ids[1], -1);
