@@ -7,15 +7,40 @@ import { announce, button, fill, h, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
 
+/** The views; under: the entry of the bar for a view that has none. */
 const VIEWS = {
   overview: { name: 'Overview', module: './views/overview.js' },
-  campaigns: { name: 'Campaigns', module: './views/campaign.js' },
-  trainings: { name: 'Trainings', module: './views/trainings.js' },
+  runs: { name: 'Runs', module: './views/runs.js' },
+  campaigns: { name: 'Campaign', module: './views/campaign.js', under: 'runs' },
+  trainings: { name: 'Training', module: './views/training.js', under: 'runs' },
+  evaluations: { name: 'Evaluation', module: './views/evaluation.js', under: 'runs' },
   designs: { name: 'Designs', module: './views/designs.js' },
+  controllers: { name: 'Controllers', module: './views/controllers.js' },
   editor: { name: 'Editor', module: './views/editor.js' },
   stage: { name: 'Stage', module: './views/stage.js' },
   machines: { name: 'Machines', module: './views/machines.js' },
 };
+
+/**
+ * Returns what an address names: a view, the rest of the path, and the parameters. Lists of one
+ * kind of jobs are the runs of that kind. Links of earlier versions lead to the same pages.
+ */
+function placeOf() {
+  const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
+  const [key, ...rest] = path.split('/').map(decoded).filter(Boolean);
+  const parameters = new URLSearchParams(query);
+  const name = key ?? 'overview';
+  let other = '';
+  if (VIEWS[name]?.under && !rest.length) {
+    if (!parameters.has('kind')) parameters.set('kind', name.slice(0, -1));
+    other = `runs?${parameters}`;
+  } else if (name === 'designs' && !rest.length && parameters.get('evaluation')) {
+    other = `evaluations/${encodeURIComponent(parameters.get('evaluation'))}`;
+  }
+  if (!other) return { name, rest, parameters };
+  history.replaceState(history.state, '', `#/${other}`);
+  return placeOf();
+}
 
 /** Loads a view and all its imports at once; index.html has the list. */
 function load(module) {
@@ -172,7 +197,7 @@ const HOME = () => h('p', {}, h('a', { href: '#/' }, 'To the overview'));
 
 class Frame {
   constructor(chooseTheme) {
-    this.links = Object.entries(VIEWS).map(([key, view]) =>
+    this.links = Object.entries(VIEWS).filter(([, { under }]) => !under).map(([key, view]) =>
       [key, h('a', { href: key === 'overview' ? '#/' : `#/${key}` }, view.name)]);
     this.banner = h('div.banner', { role: 'status', hidden: true });
     this.main = h('main', { id: 'main', tabindex: -1 });
@@ -219,11 +244,10 @@ class Frame {
 
   /** Shows the view that the address names. isMove: the user came from another view. */
   async route({ isMove = false } = {}) {
-    const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
-    const [key, ...rest] = path.split('/').map(decoded);
-    const name = key || 'overview';
+    const { name, rest, parameters } = placeOf();
     const entry = Object.hasOwn(VIEWS, name) ? VIEWS[name] : null;
-    const parameters = new URLSearchParams(query);
+    if (isMove && name === this.shown && this.view?.turnTo?.(rest, parameters)) return;
+    this.shown = name;
     this.view?.unmount?.();
     this.view = null;
     clearTimeout(this.scrolled);
@@ -231,7 +255,7 @@ class Frame {
     if (isMove) announce('');
     this.main.classList.toggle('full', name === 'stage');
     for (const [other, link] of this.links) {
-      if (other !== name) {
+      if (other !== (entry?.under ?? name)) {
         link.removeAttribute('aria-current');
         continue;
       }
@@ -252,7 +276,7 @@ class Frame {
       const { last } = app.events;
       const { scrollY: place = 0 } = app.remembered();
       app.setTitle(entry.name);
-      const view = await mount(this.main, rest.filter(Boolean), parameters, app);
+      const view = await mount(this.main, rest, parameters, app);
       if (turn !== this.turn) {
         view?.unmount?.();
         return;

@@ -43,7 +43,8 @@ def service():
                     {"experiment": "first steps", "note": "It falls.\nIt gets up."})
     running.study = make_study(running)
     running.training = run(running, "trainings", TRAINING)["id"]
-    running.evaluate({"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]})
+    running.evaluation = running.evaluate(
+        {"designs": [DESIGN, {"cells": [[0, 0, 0], [1, 0, 0]]}]}).json()["id"]
     yield running
     assert running.close() == 0, running.log_text()
 

@@ -329,7 +329,7 @@ def test_a_wrong_token_is_refused_in_the_dialog(start, tmp_path):
         browser.until("!document.querySelector('dialog')")
         browser.click("Enter a token")
         browser.run(enter, "the-right-token-of-rita")
-        browser.until(f"{HEADING} === 'Trainings'")
+        browser.until(f"{HEADING} === 'Runs'")
         text = browser.run("return document.body.innerText")
         assert not re.search(r"\b(null|undefined|NaN)\b", text)
     finally:

@@ -197,7 +197,7 @@ def test_replicates_are_one_row(service, browser):
     request = CAMPAIGN | {"replicates": 3, "label": "thrice", "generations": 1}
     first = run(service, "campaigns", request)["id"]
     browser.open("campaigns")
-    rows = "[...document.querySelectorAll('tbody tr')].map((row) => row.innerText)"
+    rows = "[...document.querySelectorAll('.runs tbody tr')].map((row) => row.innerText.trim())"
     thrice = f"{rows}.filter((text) => /thrice|^\\s*replicate \\d of 3/.test(text))"
     browser.until(f"{thrice}.length === 1")
     assert "3 replicates" in browser.run(f"return {thrice}")[0]
@@ -273,7 +273,7 @@ def test_warnings_appear_next_to_the_state(start):
             assert detail in page.run("return document.querySelector('p.error').textContent")
             assert page.faults() == []
         page.open(f"campaigns/{diverged}")
-        page.until("document.querySelector('canvas')?.getAttribute('aria-label') === "
+        page.until("document.querySelector('figure canvas')?.getAttribute('aria-label') === "
                    "'Score: No value: all 12 robots diverged.'")
         page.open(f"trainings/{training}")
         page.until("document.querySelector('canvas')?.getAttribute('aria-label') === "

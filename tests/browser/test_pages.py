@@ -15,17 +15,25 @@ from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
 VIEWS = {
-    "": "Overview", "campaigns": "Campaigns", "campaigns/{campaign}": "<b>walkers</b> & others",
+    "": "Overview", "runs": "Runs", "campaigns": "Runs",
+    "campaigns/{campaign}": "<b>walkers</b> & others",
+    "campaigns/{campaign}/population": "<b>walkers</b> & others",
+    "campaigns/{campaign}/settings": "<b>walkers</b> & others",
     "campaigns/{campaign}/phylogeny": "Phylogeny", "campaigns/{study}": "a study",
     "campaigns/{campaign}/replicates": "<b>walkers</b> & others",
-    "campaigns/{study}/phylogeny": "Phylogeny", "trainings": "Trainings",
-    "trainings/{training}": "Training {training}", "designs": "Designs", "editor": "Editor",
+    "campaigns/{study}/phylogeny": "Phylogeny", "campaigns/{study}/settings": "a study",
+    "trainings/{training}": "Training {training}",
+    "trainings/{training}/settings": "Training {training}",
+    "evaluations/{evaluation}": "Evaluation {evaluation}",
+    "evaluations/{evaluation}/settings": "Evaluation {evaluation}",
+    "designs": "Designs", "controllers": "Controllers", "editor": "Editor",
     "stage": "Stage", "machines": "Machines"
 }
 
 
 def address(service, view):
-    return view.format(campaign=service.campaign, study=service.study, training=service.training)
+    return view.format(campaign=service.campaign, study=service.study, training=service.training,
+                       evaluation=service.evaluation)
 
 
 @pytest.mark.parametrize("theme", ("dark", "light"))
@@ -371,7 +379,7 @@ def test_what_happens_while_a_page_loads_is_not_lost(service, browser):
 
 
 def test_a_study_shows_its_measures_and_operators(service, browser):
-    browser.open(f"campaigns/{service.study}")
+    browser.open(f"campaigns/{service.study}/population")
     browser.until("[...document.querySelectorAll('option')].some((e) => e.innerText === 'reach')")
     text = browser.run("return document.querySelector('main').innerText")
     assert "2 batches received" in text and "Extend" not in browser.texts("main button")
@@ -425,10 +433,10 @@ def test_the_best_of_many_come_first(service, browser):
 
 
 COPIED = [
-    "", "campaigns", "campaigns/{campaign}", "campaigns/{campaign}/phylogeny",
-    "campaigns/{campaign}/replicates", "trainings",
+    "", "runs?kind=campaign&search=walkers&state=succeeded", "campaigns/{campaign}",
+    "campaigns/{campaign}/phylogeny", "campaigns/{campaign}/replicates", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
-    "editor"
+    "controllers", "editor"
 ]
 
 
@@ -533,7 +541,7 @@ def test_trainings_of_other_seeds_are_a_band(service, browser):
 
 
 def test_two_controllers_are_compared(service, browser):
-    browser.open("trainings")
+    browser.open("controllers")
     browser.run("""
         const [first, second, bodies] = [...document.querySelectorAll('select')];
         for (const [e, value] of [[first, 'default'], [second, 'tuned'], [bodies, '16']]) {
@@ -557,7 +565,8 @@ def test_two_controllers_are_compared(service, browser):
 
 
 STATES = {  # what a page shows if there is no data, or the address has another name
-    "campaigns": "No campaign yet", "trainings": "No training yet",
+    "campaigns": "No job matches", "runs": "No job yet", "controllers": "Made by",
+    "campaigns/99/settings": "There is no such campaign", "runs/99": "There is no such job",
     "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
     "": "No job yet", "campaigns/99": "There is no such campaign",
     "campaigns/99/phylogeny": "There is no such campaign",
@@ -604,7 +613,7 @@ def test_empty_and_wrong_places(start, browser):
             browser.until(f"document.querySelector('main').innerText.includes({text!r})")
             assert [fault for fault in browser.faults() if "status of 4" not in fault] == []
         running.stop(9)
-        for view in ("campaigns", "editor", "stage", "trainings", "designs", ""):
+        for view in ("campaigns", "editor", "stage", "controllers", "designs", ""):
             browser.run("location.hash = '#/' + arguments[0]", view)
             browser.until("['main', '.banner'].every((selector) => /cannot be reached/"
                           ".test(document.querySelector(selector).innerText))")

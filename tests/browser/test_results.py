@@ -127,14 +127,15 @@ def test_jobs_name_their_tasks(service, browser):
         "label": "circler", "environments": [{"task": "circle"}], "generations": 1})
     browser.open("campaigns")
     browser.until("document.body.innerText.includes('travel (turning)')")
+    browser.until("/loss [0-9]/.test(document.querySelector('.runs').innerText)")
     cells = {row[1].splitlines()[0]: row for row in browser.run(
         "return [...document.querySelectorAll('main tbody tr')].map((row) =>"
         "[...row.cells].map((cell) => cell.innerText))")}
-    assert cells["downstairs"][2] == "down" and cells["circler"][2] == "travel (turning)"
-    assert cells["<b>walkers</b> & others"][2] == "photo"
+    assert cells["downstairs"][4] == "down" and cells["circler"][4] == "travel (turning)"
+    assert cells["<b>walkers</b> & others"][4] == "photo"
     value, loss = cells["downstairs"][6].splitlines()
     best = service.get(f"/v1/campaigns/{named['id']}")["newest"]["score"]["quantiles"]["p0"]
-    assert value.endswith(" m") and loss == f"loss {best:.4f}"
+    assert value.endswith(" m ↑") and loss == f"loss {best:.4f}"
     walking = run(service, "trainings", {
         **TRAINING, "name": "walks", "environments": [{"task": "walk"}, {"task": "path"}],
         "validation": {"every_steps": 2, "designs": 2}})

@@ -14,7 +14,7 @@ CAMPAIGN = {
     "environments": [{"light_xy_m": [4.0, 3.0], "terrain_sigma_m": 0.05, "seed": 3}]
 }
 WRITES = ("New evaluation", "New training", "New campaign", "Pause", "Resume", "Cancel", "Extend",
-          "Breed these", "Edit")
+          "Breed these", "Edit", "Archive", "Start again with…")
 BUTTONS = "main button:not(.stage *, [hidden])"  # the stage has its own Pause
 
 
@@ -104,7 +104,7 @@ def test_a_link_asks_before_it_replaces_a_token(guarded, page):
     assert "token" not in page.run("return location.href")
     assert "<b>sam</b>" in page.texts("dialog")[0]
     page.click("Keep", "dialog button")
-    page.until("document.querySelector('h1')?.textContent === 'Campaigns'")
+    page.until("document.querySelector('h1')?.textContent === 'Runs'")
     assert "sam" in whose(page) and page.run("return sessionStorage['morphod-token']") == SUBMIT
     page.run(link)
     page.until("document.querySelector('dialog[open]')")

@@ -21,7 +21,7 @@ import { number } from './format.js';
  * @property {boolean} [silent] not in the legend, not under the cursor
  */
 
-const MARGIN = { left: 52, right: 12, top: 10, bottom: 26 };
+const MARGIN = { left: 58, right: 12, top: 10, bottom: 26 };
 const LINE_PX = 1.8;
 /** Radius of an isolated value. */
 const POINT_PX = 3;

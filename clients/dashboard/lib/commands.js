@@ -23,9 +23,10 @@ export function pythonOf(value) {
 
 /**
  * Returns curl, morphoctl and Python commands for one request.
- * @param {{path: string, body?: any, headers?: string[], output?: string, morphoctl: string,
+ * @param {{path: string, body?: any, headers?: string[], output?: string, morphoctl: string|null,
  *          python?: string, input?: string}} request
  *   path: relative, like "v1/jobs"; body: sent by POST; morphoctl: arguments, each line a command;
+ *   null if no command does this;
  *   input: what each line of morphoctl reads from its standard input;
  *   python: calls of the client m, instead of the request itself
  * @returns {[string, string][]}
@@ -44,9 +45,11 @@ export function commandsOf({ path, body, headers = [], output, morphoctl, python
   const values = [...searchParams].map(([key, one]) => `${key}=${pythonOf(one)}`);
   const words = [body === undefined ? 'GET' : 'POST', pathname].map(pythonOf)
     .concat(body === undefined ? values : pythonOf(body));
+  const lines = morphoctl?.split('\n').map((line) => `${given}morphoctl ${line}${at}`)
+    .join('\n');
   return [
     ['curl', curl.join(' ')],
-    ['morphoctl', morphoctl.split('\n').map((line) => `${given}morphoctl ${line}${at}`).join('\n')],
+    .../** @type {[string, string][]} */ (lines ? [['morphoctl', lines]] : []),
     ['Python', `import morphod\nm = morphod.Client(${at ? pythonOf(server()) : ''})\n` +
       (python ?? `print(m.request(${words.join(', ')}))`)],
   ];

@@ -11,7 +11,7 @@ const lists = new Map();
 
 /** Loads the environments at a path, which never change: [{sha256, light_xy_m, task,
  * terrain_heights_m or terrain}]. */
-async function environmentsAt(path) {
+export async function environmentsAt(path) {
   if (!lists.has(path)) {
     const load = getJson(path);
     load.catch(() => lists.delete(path));

@@ -1,25 +1,18 @@
-/** Designs: the leaderboard, the results of one evaluation, and one design. */
+/** Designs: the leaderboard, and one design. */
 
 import { LinkError, getJson, withQuery } from '../lib/api.js';
 import { genotypeOfId } from '../lib/body.js';
-import { button, fill, h, say, select, table } from '../lib/dom.js';
-import { coalesced } from '../lib/events.js';
+import { button, fill, h, select, table } from '../lib/dom.js';
 import { pythonOf } from '../lib/commands.js';
-import {
-  ago, bytes, count, countOf, score, scoreBy, scoreOf, shellWord, voxels as inVoxels,
-} from '../lib/format.js';
+import { ago, countOf, scoreBy, scoreOf, shellWord, voxels as inVoxels } from '../lib/format.js';
 import { picture } from '../lib/picture.js';
-import { environmentSet, isSuite, roll } from '../lib/rollouts.js';
-import { meters } from '../lib/tasks.js';
+import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
 import { breedButton } from './forms.js';
-import { JobParts, shortProgress, titleOf } from './jobs.js';
-import { ResultPanels } from './results.js';
 import { announced, copyButton } from './share.js';
+import { Wall } from './wall.js';
 
 const PAGE = 48;
-/** How many pages of 1,000 results are read from an evaluation that is too large to have a list. */
-const PAGES_MAX = 10;
 /** Orders of the leaderboard, as parameters of the list of designs. */
 const ORDERS = {
   best: { sort: 'score' }, worst: { sort: 'score', order: 'descending' },
@@ -28,68 +21,7 @@ const ORDERS = {
 
 export async function mount(main, [id], parameters, app) {
   if (id) return mountDesign(main, id, app);
-  if (parameters.get('evaluation')) return mountEvaluation(main, parameters.get('evaluation'), app);
   return mountBoard(main, parameters, app);
-}
-
-/** Formats a result: its value in meters if its task has one, or else its score. */
-const wordsOf = (design) => (design.unit === 'm' && !design.lower_bound && design.value !== null
-  ? meters(design.value) : scoreOf(design));
-
-/** Cards of designs that can be selected for the stage. The selection is kept with the history. */
-class Wall {
-  constructor(app) {
-    this.app = app;
-    /** Further parameters of the stage: the controller, or the world of the scores. */
-    this.options = {};
-    this.chosen = new Map(app.remembered().chosen); // {id, row} by genotype
-    /** Called after each change of the selection. */
-    this.changed = () => {};
-    this.element = h('div.grid.small');
-    this.watch = button('Watch selected', () => app.go('stage', {
-      designs: [...this.chosen.keys()].join(','), ...this.options,
-    }), { class: 'primary' });
-    this.breed = breedButton(app, 'Breed these', () => this.#founders());
-    this.#offer();
-  }
-
-  #offer() {
-    const n = this.chosen.size;
-    this.watch.disabled = this.breed.disabled = n === 0;
-    this.watch.title = n ? `${countOf(n, 'design')} selected` : 'Select designs first';
-  }
-
-  card(design) {
-    const { id, robot = id, genotype, voxels, row } = design;
-    const shown = design.score === undefined ? '–' : wordsOf(design);
-    const card = h('button.card', {
-      type: 'button', 'aria-pressed': String(this.chosen.has(genotype)),
-      'aria-label': `Design ${robot}, score ${shown}, ${inVoxels(voxels)}`,
-      onclick: () => {
-        const on = !this.chosen.delete(genotype);
-        if (on) this.chosen.set(genotype, { id, row });
-        card.setAttribute('aria-pressed', String(on));
-        this.#offer();
-        this.app.remember({ chosen: [...this.chosen] });
-        this.changed();
-      },
-      ondblclick: () => this.app.go(`designs/${robot}`),
-    }, picture(genotype), h('strong.number', {}, shown),
-    design.isBest ? h('span.crown', {}, '♛ of the best') : null,
-    h('span.muted', {}, inVoxels(voxels)));
-    const link = { href: `#/designs/${robot}`, 'aria-label': `Design ${robot}` };
-    return h('div.pick', {}, card, h('a', link, `${id.slice(0, 10)}…${robot.slice(36)}`));
-  }
-
-  /** The selected designs, each form once: a design may be here in several orientations. */
-  #founders() {
-    const byId = new Map([...this.chosen].reverse().map(([voxels, { id }]) => [id, { voxels }]));
-    return [...byId.values()].reverse();
-  }
-
-  add(designs) {
-    this.element.append(...designs.map((design) => this.card(design)));
-  }
 }
 
 async function mountBoard(main, parameters, app) {
@@ -154,124 +86,6 @@ async function mountBoard(main, parameters, app) {
   await again(Math.min(1000, app.remembered().shown || PAGE));
   return {};
 }
-
-/** Returns the results with their positions; for a large evaluation, the first that are full
- * scores. */
-async function resultsOf(job, signal) {
-  if (job.results) return { rows: job.results.map((result, row) => ({ ...result, row })) };
-  const rows = [];
-  let cursor = '0';
-  for (let n = 0; n < PAGES_MAX && cursor !== null; n++) {
-    const asked = { whole: true, limit: 1000, cursor };
-    const page = await getJson(withQuery(`v1/evaluations/${job.id}/results`, asked), { signal });
-    rows.push(...page.items.map((result) => ({ ...result, row: result.number })));
-    cursor = page.next_cursor;
-  }
-  return { rows, isCut: cursor !== null };
-}
-
-async function mountEvaluation(main, id, app) {
-  const stop = new AbortController();
-  const wall = new Wall(app);
-  wall.options = { world: `evaluation-${id}` };
-  const parts = new JobParts(() => refresh());
-  const title = h('h1');
-  const about = h('p.muted');
-  const record = h('p.muted', { hidden: true });
-  const notes = h('div.stack', { hidden: true });
-  const panels = new ResultPanels(app, stop.signal);
-  wall.changed = () => panels.draw([...wall.chosen.values()].map(({ row }) => row));
-  let done = false, isLarge = false;
-  let best = []; // rows, best first
-
-  /** Shows the recordings of the selected designs, or of the best. */
-  const recordings = button('Show recordings', () => {
-    const rows = wall.chosen.size ? [...wall.chosen.values()].map(({ row }) => row)
-      : best.slice(0, 4);
-    app.go('stage', { evaluation: id, rows: rows.join(',') });
-  }, { hidden: true });
-
-  async function refresh() {
-    const path = `v1/evaluations/${encodeURIComponent(id)}`;
-    const job = { ...(await getJson(path, { signal: stop.signal })), kind: 'evaluation' };
-    const isRecorded = job.record.includes('masses') && job.recorded_bytes > 0 &&
-      !job.recordings_removed_at;
-    recordings.hidden = !isRecorded || !job.results;
-    parts.update(job);
-    say(title, titleOf(job));
-    app.setTitle(`${titleOf(job)}, ${shortProgress(job)}`);
-    const { name, sha256 } = job.controller;
-    say(about, `${countOf(job.n_designs, 'design')} under the controller ` +
-      `${name ?? sha256.slice(0, 12)}, ${placesOf(job.environments)}`);
-    record.hidden = !job.record.length;
-    say(record, job.recordings_removed_at
-      ? `Its recordings were removed ${ago(job.recordings_removed_at)}; its scores stay.`
-      : `Recorded: ${job.record.join(', ')}, ${bytes(job.recorded_bytes)}.`);
-    isLarge = !job.results && job.state === 'succeeded';
-    if ((job.results || isLarge) && !done) {
-      done = true;
-      const { rows, isCut } = await resultsOf(job, stop.signal).catch((error) => {
-        done = false; // the next event retries
-        throw error;
-      });
-      const order = rows.filter((result) => !result.fault)
-        .sort((x, y) => Number(x.lower_bound) - Number(y.lower_bound) ||
-          (x.score ?? Infinity) - (y.score ?? Infinity))
-        .slice(0, 500);
-      best = order.map(({ row }) => row);
-      const knowsBest = job.best !== null && !isCut;
-      const last = knowsBest ? order[job.best - 1]?.score ?? Infinity : -Infinity;
-      wall.add(order.map((one) => ({ ...one, isBest: isAmong(one, last) })));
-      panels.show(job, order);
-      wall.changed(); // the selection may be from an earlier visit
-      if (job.best !== null) {
-        note(`The best ${count(job.best)} were requested; ${count(job.rollouts_cut)} rollouts of ` +
-          'the others were not computed. A score after ≥ is a lower bound.');
-      }
-      if (job.n_skipped > 0) note(`${countOf(job.n_skipped, 'design')} skipped.`);
-      if (isCut) {
-        note(`The best ${order.length} of the first ${count(rows.length)} whole scores are ` +
-          `shown, of ${count(job.n_designs)} designs.`);
-      } else if (job.n_designs - job.n_skipped > order.length) {
-        note(`The best ${order.length} of ${count(job.n_designs)} designs are shown.`);
-      }
-      if (isLarge) note(`All results: morphoctl export evaluations/${id}/results -o FILE.csv`);
-    }
-  }
-
-  function note(text) {
-    notes.append(h('p.muted', {}, text));
-    notes.hidden = false;
-  }
-
-  main.replaceChildren(h('div.title', {}, title, parts.chip, h('div.actions', {}, recordings,
-    wall.watch, wall.breed, copyButton(() => ({
-      path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`,
-      python: `print(m.evaluation(${id}).${isLarge ? 'table' : 'frame'}())`,
-    })))), h('section.panel.stack', { 'aria-label': 'State' }, parts.bar, parts.trouble, about,
-    record, notes, parts.remark, parts.row),
-  panels.element, h('section.panel', { 'aria-label': 'Results' }, wall.element));
-  await refresh();
-  const later = coalesced(refresh, stop.signal);
-  return {
-    update(event) {
-      if (event.type === 'reset' || event.job === id) later();
-    },
-    unmount() {
-      stop.abort();
-      panels.destroy();
-    },
-  };
-}
-
-/** Returns whether a design is one of the requested best, which have full scores. */
-const isAmong = ({ score: own, lower_bound: isBound }, last) =>
-  !isBound && own !== null && own <= last;
-
-/** Describes in words where designs are scored. */
-const placesOf = (environments) => (typeof environments === 'string'
-  ? `in ${isSuite(environments) ? 'all tasks' : 'the environments'} of ${environments}`
-  : `in ${countOf(environments.count ?? environments.length, 'custom environment')}`);
 
 async function mountDesign(main, id, app) {
   const stop = new AbortController();

@@ -11,7 +11,8 @@ import { environmentsOfCampaign } from '../lib/rollouts.js';
 import { measureOf, meters, taskNameOf, worldsOfTraining } from '../lib/tasks.js';
 import { startButton } from './forms.js';
 import { copyButton } from './share.js';
-import { JobParts, JobTable, linkOf, titleOf } from './jobs.js';
+import { JobTable } from './job_table.js';
+import { JobParts, linkOf, titleOf } from './jobs.js';
 
 const REFRESH_MS = 2000;
 const LOAD_S = 3600;

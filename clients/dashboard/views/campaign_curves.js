@@ -1,0 +1,154 @@
+/** The curves of a campaign, below its champions and their stage. */
+
+import { Curve } from '../lib/api.js';
+import { Chart, column } from '../lib/chart.js';
+import { h } from '../lib/dom.js';
+import { percent } from '../lib/format.js';
+import { meters } from '../lib/tasks.js';
+import { CampaignStage, Champions } from './champions.js';
+import { Comparison, DASHES, HUES } from './comparison.js';
+import { emptyText } from './jobs.js';
+import { SettingsDiff } from './settings_diff.js';
+
+/** Returns the charts of a campaign, by name. */
+function chartsOf({ job, own, measure, shown }) {
+  const { racing, selection, learning } = job().settings;
+  const empty = 'No generation is complete yet.';
+  /** @type {Object<string, Chart>} */
+  const charts = {
+    scores: new Chart({
+      ...(own
+        ? { title: own.unit ? `${own.name}, ${own.unit}` : own.name, yText: shown,
+          note: `lower is better; ${job().study
+            ? 'sent by the client' : 'the mean of a measure, negated for max'}` }
+        : measure
+        ? { title: `Meters ${measure.verb}`, note: 'higher is better; from the mean loss',
+          yText: meters }
+        : { title: 'Score', note: 'lower is better', log: true }),
+      height: 260, empty,
+    }),
+    diversity: new Chart({ title: 'Diversity and turnover', minimum: 0, height: 260, empty }),
+    operators: new Chart({ title: 'Share of children that survive', minimum: 0, yText: percent }),
+    size: new Chart({ title: 'Voxels and footprint', minimum: 0 }),
+  };
+  if (racing === 'lossless' && selection.kind === 'truncation' && !job().study) {
+    charts.race = new Chart({ title: 'Share of children cut short', minimum: 0, yText: percent,
+      note: 'they could not survive: their scores are lower bounds' });
+  }
+  if (learning !== null) {
+    charts.learning = new Chart({ title: 'Loss while learning, in each generation' });
+  }
+  return charts;
+}
+
+export class CampaignCurves {
+  constructor(shared) {
+    this.shared = shared;
+    const { id, others, get, job, app } = shared;
+    const ids = [id, ...others];
+    const { group } = job();
+    this.curves = ids.map((one) => new Curve(`v1/campaigns/${one}/generations`));
+    this.replicates = group.replicates > 1
+      ? new Curve(`v1/campaigns/${group.id}/replicates`) : null;
+    this.compared = others.length ? new Comparison(ids, get) : null;
+    this.charts = chartsOf(shared);
+    this.stage = new CampaignStage(shared);
+    this.champions = new Champions(shared, this.stage);
+    const { scores, diversity, operators, ...rest } = this.charts;
+    this.element = h('div.stack', {}, this.compared?.element,
+      others.length ? new SettingsDiff(app, job(), others, get).element : null,
+      h('div.grid', {}, h('div.stack', {}, this.stage.element, this.champions.element),
+        h('div.stack', {}, scores.element, diversity.element, operators.element)),
+      h('div.grid', {}, Object.values(rest).map((chart) => chart.element)));
+    this.#show();
+  }
+
+  async refresh() {
+    const fresh = await Promise.all([...this.curves, ...(this.replicates ? [this.replicates] : [])]
+      .map((curve) => curve.refresh(this.shared.signal)));
+    if (fresh.some(Boolean)) {
+      this.#show();
+      await this.compared?.refresh();
+    }
+    if (fresh[0] || this.stage.isEmpty) this.champions.refresh(); // they come when they come
+  }
+
+  #show() {
+    const { charts, curves, replicates } = this;
+    const { measure, others } = this.shared;
+    const campaign = this.shared.job();
+    const { rows } = curves[0];
+    const x = column(rows, (row) => row.generation);
+    const inUnit = measure?.valueOf ?? ((loss) => loss);
+    const quantile = (name) => column(rows, (row) => inUnit(row.score.quantiles[name]));
+    /** A lower loss is a higher value. */
+    const between = (a, b) => (measure ? { low: quantile(b), high: quantile(a) }
+      : { low: quantile(a), high: quantile(b) });
+    /** @type {import('../lib/chart.js').Series[]} */
+    const scores = [
+      { name: '5 to 95 %', kind: 'band', x, ...between('p5', 'p95'), y: x,
+        color: '--blue-softer' },
+      { name: '25 to 75 %', kind: 'band', x, ...between('p25', 'p75'), y: x,
+        color: '--blue-soft' },
+      { name: 'median', x, y: quantile('p50'), color: '--blue' },
+      { name: 'best', x, y: quantile('p0'), color: '--orange' },
+    ];
+    if (replicates?.rows.length) {
+      const r = replicates.rows;
+      const rx = column(r, (row) => row.generation);
+      scores.unshift({
+        name: `mean of ${campaign.group.replicates} replicates, least to most`, kind: 'band',
+        x: rx, y: rx, color: others.length ? '--gray' : '--green', opacity: 0.3,
+        low: column(r, ({ mean_score: of }) => inUnit(measure ? of.most : of.least)),
+        high: column(r, ({ mean_score: of }) => inUnit(measure ? of.least : of.most)),
+      });
+    }
+    others.forEach((other, i) => {
+      const { rows: r } = curves[i + 1];
+      const ox = column(r, (row) => row.generation);
+      scores.push({ name: `25 to 75 % of ${other}`, kind: 'band', x: ox, y: ox, color: HUES[i + 1],
+        opacity: 0.18,
+        low: column(r, (row) => row.score.quantiles.p25),
+        high: column(r, (row) => row.score.quantiles.p75) },
+      { name: `median of ${other}`, x: ox, y: column(r, (row) => row.score.quantiles.p50),
+        color: HUES[i + 1], dash: DASHES[i + 1] });
+    });
+    const newest = rows.at(-1);
+    charts.scores.options.empty = emptyText(newest?.population, newest?.score.diverged,
+      'No generation is complete yet.');
+    charts.scores.set(scores);
+    charts.diversity.set([
+      { name: 'diversity', x, y: column(rows, (row) => row.diversity), color: '--blue' },
+      { name: 'turnover', x, y: column(rows, (row) => row.turnover), color: '--pink',
+        dash: [5, 4] },
+    ]);
+    const share = (name) => column(rows, ({ operators }) =>
+      (operators[name].born ? operators[name].survived / operators[name].born : null));
+    charts.operators.set([
+      { name: 'mutation', x, y: share('mutation'), color: '--orange' },
+      { name: 'crossover', x, y: share('crossover'), color: '--blue', dash: [5, 4] },
+    ]);
+    charts.size.set([
+      { name: 'voxels, least to most', kind: 'band', x, y: x,
+        low: column(rows, (row) => row.voxels.least),
+        high: column(rows, (row) => row.voxels.most), color: '--blue-softer' },
+      { name: 'mean voxels', x, y: column(rows, (row) => row.voxels.mean), color: '--blue' },
+      { name: 'mean footprint', x, y: column(rows, (row) => row.footprint.mean), color: '--orange',
+        dash: [5, 4] },
+    ]);
+    charts.race?.set([{ name: 'cut short', x, color: '--gray',
+      y: column(rows,
+        (row) => (row.generation && row.born ? row.children_cut / row.born : null)) }]);
+    charts.learning?.set([
+      { name: 'first step', x, y: column(rows, (row) => row.learning.first_loss), color: '--gray',
+        dash: [5, 4] },
+      { name: 'last step', x, y: column(rows, (row) => row.learning.last_loss), color: '--blue' },
+    ]);
+  }
+
+  destroy() {
+    Object.values(this.charts).forEach((chart) => chart.destroy());
+    this.compared?.destroy();
+    this.stage.destroy();
+  }
+}

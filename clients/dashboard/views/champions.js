@@ -1,0 +1,107 @@
+/** The champions of a campaign, and a stage on which its designs walk. */
+
+import { button, fill, h, patch } from '../lib/dom.js';
+import { voxels } from '../lib/format.js';
+import { picture } from '../lib/picture.js';
+import { rollOfCampaign } from '../lib/rollouts.js';
+import { Player } from '../stage/player.js';
+import { breedButton } from './forms.js';
+
+const CHAMPIONS = 8;
+const WALKING_MAX = 64;
+
+/** A stage for designs of a campaign, in the world of their scores. */
+export class CampaignStage {
+  constructor({ app, job, signal }, height = 420) {
+    this.job = job;
+    this.signal = signal;
+    this.player = new Player(app, { compact: true, height });
+    this.element = h('section.panel.flush', { 'aria-label': 'Stage' }, this.player.element);
+  }
+
+  get isEmpty() {
+    return !this.player.stage?.robots.length;
+  }
+
+  /** Shows designs walking. */
+  async walk(designs) {
+    const shown = designs.slice(0, WALKING_MAX);
+    if (!shown.length) return;
+    this.player.setNote('Walking…');
+    try {
+      this.player.setRobots(await rollOfCampaign(this.job(), shown, this.signal));
+      this.player.setNote('');
+    } catch (error) {
+      if (!this.signal.aborted) this.player.setNote(error.message);
+    }
+  }
+
+  destroy() {
+    this.player.destroy();
+  }
+}
+
+/** Cards of the best and the most distinct designs. Each walks when it is pressed. */
+export class Champions {
+  constructor({ app, id, get, job, shown, signal }, stage) {
+    this.path = `v1/campaigns/${id}/champions?count=${CHAMPIONS}`;
+    this.get = get;
+    this.job = job;
+    this.shown = shown;
+    this.signal = signal;
+    this.stage = stage;
+    this.cards = h('div.grid.small');
+    this.nothing = h('p.empty', {}, 'The first champions come with the first generation.');
+    this.chosen = new Map(); // designs by number
+    const genotypes = () => [...this.chosen.values()].map(({ genotype }) => genotype);
+    this.watch = button('Watch selected', () => app.go('stage', {
+      designs: genotypes().join(','), world: `campaign-${id}`,
+    }), { disabled: true, title: 'On the stage, in the world of this campaign' });
+    this.breed = breedButton(app, 'Breed these', () =>
+      genotypes().map((voxels) => ({ voxels })), { disabled: true });
+    this.element = h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
+      h('span.muted', {}, 'the best, then the most distinct of the good ones; select one to see ' +
+        'it walk'), h('div.actions', {}, this.watch, this.breed)), this.cards, this.nothing);
+  }
+
+  async refresh() {
+    this.nothing.hidden = this.job().progress.generation !== null;
+    if (!this.nothing.hidden) return;
+    try {
+      await this.#show(await this.get(this.path));
+    } catch (error) {
+      if (!this.signal.aborted) fill(this.nothing, error.message).hidden = false;
+    }
+  }
+
+  async #show({ items }) {
+    const best = items.reduce((a, b) => ((a.score ?? Infinity) <= (b.score ?? Infinity) ? a : b));
+    // The best come first; a selected design stays even when it is no longer a champion.
+    const shown = [best, ...items.filter((one) => one !== best)];
+    for (const design of this.chosen.values()) {
+      if (!shown.some((one) => one.number === design.number)) shown.push(design);
+    }
+    patch(this.cards, shown, (design) => design.number, (design) => this.#card(design),
+      (element, design) => {
+        element.querySelector('.crown').hidden = design.number !== best.number;
+      });
+    if (this.stage.isEmpty) await this.stage.walk(shown.slice(0, 4));
+  }
+
+  /** Returns the card of a champion: it walks here, or is selected for the stage or as a
+   * founder. */
+  #card(design) {
+    const { number, genotype, operator } = design;
+    const card = h('button.card', {
+      type: 'button', title: `Design ${design.robot}`, onclick: () => this.stage.walk([design]),
+    }, picture(genotype, `Champion ${number}`), h('strong.number', {}, this.shown(design.score)),
+    h('span.crown', { hidden: true }, '♛ best'),
+    h('span.muted', {}, `#${number}, ${voxels(design.voxels)}`), h('span.muted', {}, operator));
+    const box = h('input', { type: 'checkbox', 'aria-label': `Choose #${number}`, onchange: () => {
+      if (box.checked) this.chosen.set(number, design);
+      else this.chosen.delete(number);
+      this.watch.disabled = this.breed.disabled = this.chosen.size === 0;
+    } });
+    return h('div.pick', {}, card, h('label.row', {}, box, 'choose'));
+  }
+}

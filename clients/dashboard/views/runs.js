@@ -1,0 +1,237 @@
+/** Runs: one table of the jobs of all kinds. */
+
+import { LinkError, getJson, withQuery } from '../lib/api.js';
+import { button, h, patchRow, say } from '../lib/dom.js';
+import { coalesced } from '../lib/events.js';
+import { factsOf, knownFacts } from '../lib/facts.js';
+import { countOf, shellWord } from '../lib/format.js';
+import { KINDS, groupOf, linkOf } from '../lib/kinds.js';
+import { may } from '../lib/rights.js';
+import { LazyRows } from '../lib/rows.js';
+import { RunList } from '../lib/run_list.js';
+import { startButton } from './forms.js';
+import { RunActions } from './run_actions.js';
+import { COLUMNS, cellsOf, jobsOf, rowsOf } from './run_rows.js';
+import { copyButton } from './share.js';
+
+const STATES = ['queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
+const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including archived']];
+/** Shown at first, and with each "Show more". */
+const [FIRST, MORE] = [100, 1000];
+const POLL_MS = 2000;
+
+/** What the link asks for. */
+function readLink(parameters) {
+  const of = (name, choices) => {
+    const value = parameters.get(name) ?? '';
+    if (!value || choices.includes(value)) return value;
+    throw new LinkError(`${name}=${value}: one of ${choices.join(', ')} is expected.`);
+  };
+  return {
+    search: parameters.get('search') ?? '', kind: of('kind', Object.keys(KINDS)),
+    state: of('state', STATES), experiment: parameters.get('experiment') ?? '',
+    archived: of('archived', ['true', 'all']), sort: of('sort', Object.keys(COLUMNS)),
+    order: of('order', ['ascending', 'descending']),
+  };
+}
+
+export async function mount(main, [id], parameters, app) {
+  const stop = new AbortController();
+  const get = (url) => getJson(url, { signal: stop.signal });
+  if (id) { // #/runs/12: the page of a job of any kind
+    location.replace(linkOf(await get(`v1/jobs/${encodeURIComponent(id)}`)));
+    return {};
+  }
+  const asked = readLink(parameters);
+  const { items: usage } = await get('v1/usage?by=experiment&limit=1000');
+  const list = new RunList(stop.signal);
+  let wanted = FIRST;
+  const opened = new Set(); // groups with visible replicates
+  const chosen = new Set(app.remembered().runs); // ids
+
+  const filters = () => RunList.filters(asked);
+  const given = () => Object.entries(filters()).filter(([, value]) => value);
+
+  // ---- the head ----
+
+  const change = (name) => (value) => {
+    asked[name] = value;
+    app.keep({ [name]: value });
+    wanted = FIRST;
+    return refresh();
+  };
+  const choice = (label, name, choices) => h('select', {
+    'aria-label': label, onchange: (event) => change(name)(event.target.value),
+  }, choices.map(([key, text]) =>
+    h('option', { value: key, selected: key === asked[name] }, text)));
+  const experiments = [...new Set([...usage.map(({ name }) => name), asked.experiment])]
+    .filter(Boolean).sort();
+  let typing;
+  const searched = h('input', {
+    type: 'search', value: asked.search, placeholder: 'label contains', maxlength: 200,
+    'aria-label': 'Labels that contain', oninput: () => {
+      clearTimeout(typing);
+      typing = setTimeout(() => change('search')(searched.value), 200);
+    } });
+  const order = h('select', { 'aria-label': 'Order', class: 'narrow', onchange: () => {
+    const [sort, direction] = order.value.split(' ');
+    sortBy(sort, direction);
+  } }, h('option', { value: '' }, 'newest first'),
+  Object.entries(COLUMNS).flatMap(([key, { name }]) => ['ascending', 'descending'].map((way) =>
+    h('option', { value: `${key} ${way}` }, `${name}, ${way}`))));
+  const actions = new RunActions(app, () => refresh(), () => {
+    chosen.clear();
+    showChosen();
+  });
+
+  // ---- the table ----
+
+  const body = h('tbody');
+  const all = h('input', { type: 'checkbox', 'aria-label': 'Select all that are shown',
+    onchange: () => {
+      for (const one of list.items) {
+        if (all.checked) chosen.add(one.id);
+        else chosen.delete(one.id);
+      }
+      showChosen();
+    } });
+  const heads = Object.entries(COLUMNS).map(([key, { name, isRight }]) =>
+    h(isRight ? 'th.right' : 'th', { scope: 'col', 'data-sort': key },
+      button(name, () => {
+        const isSame = asked.sort === key;
+        if (isSame && asked.order === 'descending') sortBy('', '');
+        else sortBy(key, isSame ? 'descending' : 'ascending');
+      }, { class: 'sort' })));
+  const panel = h('div.scroll', {}, h('table.cards.jobs.runs', {},
+    h('thead', {}, h('tr', {}, h('th', { scope: 'col' }, all), heads)), body));
+  const rows = new LazyRows(body, ({ key }) => key, (element, row) => draw(element, row));
+  const none = h('p.empty');
+  const shown = h('span.muted', { role: 'status' });
+  const more = button('Show more', () => {
+    wanted += MORE;
+    refresh();
+  });
+  const rowOf = (key) => rows.items.get(key);
+
+  function draw(element, row) {
+    patchRow(element, cellsOf(row, {
+      isOpen: Boolean(row.members) && opened.has(groupOf(row.job).id),
+      toggle: () => toggle(groupOf(rowOf(row.key).job).id),
+      choose: (isChosen) => {
+        for (const one of jobsOf(rowOf(row.key))) {
+          if (isChosen) chosen.add(one.id);
+          else chosen.delete(one.id);
+        }
+        showChosen();
+      },
+    }));
+    mark(element);
+    const unknown = jobsOf(row).filter((job) => !knownFacts(job));
+    if (unknown.length && !row.isAsked) {
+      row.isAsked = true;
+      Promise.all(unknown.map(factsOf)).then(() => {
+        if (!stop.signal.aborted && rowOf(row.key) === row) rows.redraw(row.key);
+      }, () => {}); // the next refresh asks again
+    }
+  }
+
+  /** Checks the box of a row whose jobs are selected. */
+  function mark(element) {
+    const jobs = jobsOf(rowOf(element.rowKey));
+    const box = element.querySelector('input[type=checkbox]');
+    const n = jobs.filter((job) => chosen.has(job.id)).length;
+    box.checked = n === jobs.length;
+    box.indeterminate = n > 0 && n < jobs.length;
+  }
+
+  function toggle(group) {
+    if (!opened.delete(group)) opened.add(group);
+    show();
+    body.querySelector(`[data-group="${group}"]`)?.focus();
+  }
+
+  function showChosen() {
+    const { items } = list;
+    for (const id of chosen) if (!items.some((one) => one.id === id)) chosen.delete(id);
+    const jobs = items.filter((one) => chosen.has(one.id));
+    all.checked = jobs.length > 0 && jobs.length === items.length;
+    all.indeterminate = jobs.length > 0 && !all.checked;
+    for (const element of body.children) if (element.isDrawn) mark(element);
+    actions.set(jobs);
+    app.remember({ runs: [...chosen] });
+  }
+
+  function sortBy(sort, direction) {
+    Object.assign(asked, { sort, order: direction });
+    app.keep({ sort, order: direction });
+    refresh();
+  }
+
+  function show() {
+    const { items, isCut, scanned } = list;
+    rows.set(rowsOf(items, opened, asked.sort, asked.order === 'descending'));
+    for (const head of heads) {
+      if (head.dataset.sort === asked.sort) head.setAttribute('aria-sort', asked.order);
+      else head.removeAttribute('aria-sort');
+    }
+    order.value = asked.sort ? `${asked.sort} ${asked.order}` : '';
+    const isFiltered = given().length > 0 || asked.kind;
+    panel.hidden = items.length === 0;
+    none.hidden = !panel.hidden;
+    say(none, isFiltered ? 'No job matches.'
+      : `No job yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`);
+    more.hidden = !isCut;
+    say(shown, !items.length ? '' : !isCut ? countOf(items.length, 'run')
+      : asked.sort || KINDS[asked.kind]?.only
+        ? `Only the newest ${countOf(scanned, 'job')} that match were read` +
+          `${asked.sort ? ', and are in this order' : ''}. More filters narrow them down.`
+        : `the newest ${countOf(items.length, 'run')}`);
+    showChosen();
+  }
+
+  async function refresh() {
+    const { name, needsFacts = false } = COLUMNS[asked.sort] ?? {};
+    const isDone = await list.load(asked, wanted, needsFacts, (n) =>
+      say(shown, `Reading ${name.toLowerCase()} of ${n} runs…`));
+    if (isDone) show();
+  }
+
+  main.replaceChildren(h('div.title', {}, h('h1', {}, 'Runs'), h('div.actions', {},
+    ['evaluation', 'training', 'campaign'].map((kind) =>
+      startButton(app, kind, kind === (asked.kind || 'campaign') ? { class: 'primary' } : {})),
+    copyButton(() => ({
+      path: withQuery('v1/jobs', filters()),
+      morphoctl: [asked.kind === 'training' ? 'train list' : asked.kind === 'campaign'
+        ? 'campaign list' : 'job list', ...given().filter(([name]) => name !== 'kind')
+        .map(([name, value]) => `--${name} ${shellWord(value)}`)].join(' '),
+      python: `print(m.jobs(${
+        given().map(([name, value]) => `${name}=${JSON.stringify(value)}`).join(', ')}))`,
+    })))),
+  h('section.panel.stack', { 'aria-label': 'Runs' },
+    h('div.row.filters', {}, searched,
+      choice('Kind', 'kind', [['', 'all kinds'], ...Object.entries(KINDS).map(([key, { names }]) =>
+        [key, names.toLowerCase()])]),
+      choice('State', 'state', [['', 'all states'], ...STATES.map((one) => [one, one])]),
+      choice('Experiment', 'experiment', [['', 'all experiments'],
+        ...experiments.map((one) => [one, one])]),
+      choice('Archived', 'archived', ARCHIVES), order),
+    actions.element, panel, none, h('div.row', {}, more, shown)));
+  await refresh();
+  const later = coalesced(refresh, stop.signal, 1000);
+  const timer = setInterval(() => {
+    if (!document.hidden && list.items.some(({ state }) => state === 'running')) {
+      list.poll().then(show, () => {});
+    }
+  }, POLL_MS);
+  return {
+    update({ type }) {
+      if (type === 'reset' || /^job\./.test(type)) later();
+    },
+    unmount() {
+      clearInterval(timer);
+      clearTimeout(typing);
+      stop.abort();
+      rows.destroy();
+    },
+  };
+}
