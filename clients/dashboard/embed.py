@@ -29,6 +29,26 @@ def array(name: str, data: bytes) -> list[str]:
     return [f"static const unsigned char {name}[] = {{", *(row + "," for row in rows), "};"]
 
 
+def without_comments(name: str, text: str) -> str:
+    """Empties the lines that have nothing but a comment."""
+    lines, inside = [], False
+    for number, line in enumerate(text.split("\n"), 1):
+        bare = line.strip()
+        begins = not inside and bare.startswith("/*") and not re.search(r"\*/.", bare)
+        if (inside or begins) and re.search(r"\*/.", bare):
+            raise SystemExit(f"{name}:{number}: code follows a comment that has lines of its own")
+        empty = inside or begins or (name.endswith(".js") and bare.startswith("//"))
+        lines.append("" if empty else line)
+        inside = (inside or begins) and not bare.endswith("*/")
+    return "\n".join(lines)
+
+
+def content(path: pathlib.Path) -> bytes:
+    if path.suffix in (".js", ".css"):
+        return without_comments(path.name, path.read_text(encoding="utf-8")).encode()
+    return path.read_bytes()
+
+
 def modules_of(files: dict[str, bytes], name: str) -> set[str]:
     """Returns a module and everything that it imports."""
     found, new = set(), [name]
@@ -54,7 +74,7 @@ def preload(files: dict[str, bytes]) -> str:
 
 def main() -> None:
     output, folder, *names = sys.argv[1:]
-    files = {name: (pathlib.Path(folder) / name).read_bytes() for name in sorted(names)}
+    files = {name: content(pathlib.Path(folder) / name) for name in sorted(names)}
     page = files["index.html"].replace(b"@preload@", preload(files).encode())
     digest = hashlib.sha256()
     for name, data in files.items():
