@@ -7,7 +7,7 @@ import { resultOf } from '../lib/tasks.js';
 
 /** Modules of the stage, each after those that it imports. */
 const MODULES = ['stage/math.js', 'stage/camera.js', 'stage/gl.js', 'stage/shaders.js',
-  'stage/stage.js', 'lib/body.js'];
+  'stage/robot.js', 'stage/stage.js', 'lib/body.js'];
 
 const STYLE = `
 html,body{margin:0;height:100%;background:#14171b;color:#e9edf2;font:15px system-ui,sans-serif}
@@ -95,10 +95,10 @@ export async function toPage(robots, title) {
       light: [...light], points, heights: [...heights], spacing,
     })),
     robots: robots.map(({
-      genotype, label, loss, value, unit, frames, frameS, color, track, lights, world,
+      genotype, label, loss, value, unit, driven, frames, frameS, color, track, lights, world,
     }) => ({
       genotype, label, loss, frames, frameS, color, world: worlds.indexOf(world),
-      lights: lights && [...lights], result: resultOf({ loss, value, unit }),
+      lights: lights && [...lights], result: resultOf({ loss, value, unit, driven }),
       track: base64(new Uint8Array(track.buffer, track.byteOffset, track.byteLength)),
     })),
   };

@@ -86,6 +86,53 @@ export async function roll(designs, environment, options = {}) {
   return robots;
 }
 
+/** How long a window of a drive is, about. */
+const WINDOW_S = 0.2;
+
+/** Returns how a drive is cut, whatever the time step: steps per frame and frames per window. */
+export function windowOf({ dt_s: stepS = STEP_S } = {}) {
+  const stride = Math.max(1, Math.round(FRAME_S / stepS));
+  const frameS = stride * stepS;
+  const perWindow = Math.max(1, Math.round(WINDOW_S / frameS));
+  return { stride, frameS, perWindow, windowS: perWindow * frameS };
+}
+
+/**
+ * Simulates one window of a drive, from the states at the end of the window before, if any. Returns
+ * per rollout the frames without the one that it starts from and the state at its end, and the
+ * inputs as in the header of a scene.
+ * @param {Object[]} designs
+ * @param {Object} environment
+ * @param {{controller?: string, physics?: Object, precision?: string, signal?: AbortSignal,
+ *   states: ?Object[]}} options
+ */
+export async function rollWindow(designs, environment, options) {
+  const { controller = DEFAULT_CONTROLLER, physics, precision, signal, states } = options;
+  const { stride, perWindow } = windowOf(physics);
+  const response = await request('v1/rollouts', {
+    method: 'POST', signal, headers: { Accept: 'application/vnd.morphod.scene' },
+    body: {
+      designs, environments: [environment], controller, precision, record: CHANNELS,
+      physics: { ...physics, n_steps: stride * perWindow }, record_stride: stride,
+      final_states: true, ...(states ? { states } : {}),
+    },
+  });
+  const { header, array } = decodeScene(await response.arrayBuffer());
+  const rest = (described) => {
+    const all = array(described);
+    return all.subarray(all.length / described.shape[0]);
+  };
+  const rows = header.rollouts.map((rollout) => ({
+    state: rollout.diverged_step ? null : rollout.state ?? null,
+    part: {
+      track: rest(rollout.masses_m), actuation: rest(rollout.actuation),
+      contacts: rest(rollout.contacts),
+    },
+  }));
+  const { controller: sha256, physics_sha256, physics: all, precision: numbers } = header;
+  return { rows, inputs: { controller: sha256, physics_sha256, physics: all, precision: numbers } };
+}
+
 /** The default controller of rollouts. */
 const DEFAULT_CONTROLLER = 'default';
 

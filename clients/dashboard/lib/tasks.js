@@ -91,10 +91,12 @@ export const meters = (value) => (value === null || !Number.isFinite(value) ? 'â
   : `${value.toFixed(Math.abs(value) < 0.995 ? 3 : 2)} m`);
 
 /**
- * Formats the result of a rollout: its value with its unit, or its loss.
- * @param {{value?: number|null, unit?: string, loss?: number|null}} rollout
+ * Formats the result of a rollout: its value with its unit, or its loss; "driven" if the user moved
+ * the light, because that is the score of no world.
+ * @param {{value?: number|null, unit?: string, loss?: number|null, driven?: boolean}} rollout
  */
-export const resultOf = ({ value = null, unit, loss }) => {
+export const resultOf = ({ value = null, unit, loss, driven }) => {
+  if (driven) return 'driven';
   if (unit === 'm') return meters(value);
   return unit === 'm/kJ' && value !== null ? `${value.toFixed(3)} m/kJ` : score(loss);
 };

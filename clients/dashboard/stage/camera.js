@@ -79,17 +79,29 @@ export class Camera {
 
 /**
  * Reports pointers on a canvas: drag(dx, dy, event) for one, pinch(factor, x, y) for two, and
- * click(x, y) for one that barely moved.
+ * click(x, y) for one that barely moved. If grab(x, y, event) returns something, it holds what lies
+ * there: its move(x, y) and end() get this pointer instead.
  */
-export function onPointers(canvas, { drag, pinch, click = (x, y) => {} }) {
+export function onPointers(canvas, { drag, pinch, click = (x, y) => {}, grab = undefined }) {
   const pointers = new Map();
+  const held = new Map();
   let [moved, spread] = [0, 0];
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
+    const hold = grab?.(event.offsetX, event.offsetY, event);
+    if (hold) {
+      held.set(event.pointerId, hold);
+      return;
+    }
     pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
     [moved, spread] = [0, 0];
   });
+  const letGo = (event) => {
+    held.get(event.pointerId)?.end();
+    return held.delete(event.pointerId);
+  };
   canvas.addEventListener('pointermove', (event) => {
+    held.get(event.pointerId)?.move(event.offsetX, event.offsetY);
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const [dx, dy] = [event.offsetX - before[0], event.offsetY - before[1]];
@@ -105,15 +117,23 @@ export function onPointers(canvas, { drag, pinch, click = (x, y) => {} }) {
     spread = now;
   });
   canvas.addEventListener('pointerup', (event) => {
+    if (letGo(event)) return;
     pointers.delete(event.pointerId);
     if (moved < 5) click(event.offsetX, event.offsetY);
   });
-  canvas.addEventListener('pointercancel', (event) => pointers.delete(event.pointerId));
+  canvas.addEventListener('pointercancel', (event) => {
+    letGo(event);
+    pointers.delete(event.pointerId);
+  });
 }
 
-/** Lets pointers, wheel and keys drive a camera. `changed` is called after each change. */
-export function driveCamera(canvas, camera, changed) {
+/**
+ * Lets pointers, wheel and keys drive a camera. `changed` is called after each change. others: grab
+ * and click, as for onPointers.
+ */
+export function driveCamera(canvas, camera, changed, others = {}) {
   onPointers(canvas, {
+    ...others,
     drag(dx, dy, event) {
       const moves = event.shiftKey || event.buttons === 4 || event.buttons === 2;
       const perPixel = camera.distanceM / canvas.clientHeight;

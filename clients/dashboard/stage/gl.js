@@ -61,13 +61,15 @@ export class Program {
 
   /**
    * Sets uniforms by name; a texture takes the next free unit. Names that the program lacks are
-   * skipped.
+   * skipped, and so are values that it already has: arrays that are the same object. So do not
+   * change an array after it was set.
    */
   set(values) {
     const { gl } = this;
     for (const [name, value] of Object.entries(values)) {
       const place = this.places.get(name);
-      if (!place) continue;
+      if (!place || place.value === value) continue;
+      if (!place.isTexture) place.value = value;
       switch (place.type) {
         case gl.FLOAT: gl.uniform1f(place.at, value); break;
         case gl.FLOAT_VEC2: gl.uniform2fv(place.at, value); break;
@@ -76,6 +78,8 @@ export class Program {
         case gl.FLOAT_MAT4: gl.uniformMatrix4fv(place.at, false, value); break;
         case gl.BOOL: case gl.INT: gl.uniform1i(place.at, value ? Number(value) : 0); break;
         default:
+          place.isTexture = true; // other programs bind theirs to the same unit
+          place.value = undefined;
           place.unit ??= this.units;
           this.units = Math.max(this.units, place.unit + 1);
           gl.activeTexture(gl.TEXTURE0 + place.unit);
@@ -85,6 +89,21 @@ export class Program {
     }
     return this;
   }
+}
+
+let software;
+
+/** Returns whether the browser draws without a graphics processor. */
+export function isSoftware() {
+  if (software === undefined) {
+    // A context of its own, because that decides how the others are made.
+    const gl = document.createElement('canvas').getContext('webgl2');
+    const about = gl?.getExtension('WEBGL_debug_renderer_info');
+    const name = gl?.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? '';
+    software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+    gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  }
+  return software;
 }
 
 /** A texture of numbers, read by texelFetch. */

@@ -56,6 +56,26 @@ export function project(matrix, [x, y, z]) {
   return [at(0) / w, at(1) / w, at(2) / w];
 }
 
+/** Returns the point whose projection (`project`) is this one. */
+export function unproject(matrix, [x, y, depth]) {
+  // Rows of [p; 1] · w = inverse · [x; y; depth; 1], solved by elimination.
+  const rows = [0, 1, 2, 3].map((row) => [0, 1, 2, 3].map((column) => matrix[4 * column + row])
+    .concat([x, y, depth, 1][row]));
+  for (let i = 0; i < 4; i++) {
+    const pivot = rows.slice(i).reduce((best, row) =>
+      (Math.abs(row[i]) > Math.abs(best[i]) ? row : best));
+    rows.splice(rows.indexOf(pivot), 1);
+    rows.splice(i, 0, pivot);
+    rows.forEach((row, k) => {
+      if (k === i) return;
+      const factor = row[i] / pivot[i];
+      for (let column = i; column < 5; column++) row[column] -= factor * pivot[column];
+    });
+  }
+  const [px, py, pz, w] = rows.map((row, i) => row[4] / row[i]);
+  return [px / w, py / w, pz / w];
+}
+
 export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const cross = (a, b) => [

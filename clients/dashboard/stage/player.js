@@ -3,6 +3,7 @@
 import { button, fill, h, select, swatch, toggle } from '../lib/dom.js';
 import { resultOf } from '../lib/tasks.js';
 import { driveCamera } from './camera.js';
+import { isSoftware } from './gl.js';
 import { Stage } from './stage.js';
 import { Tags } from './tags.js';
 
@@ -14,6 +15,11 @@ const SLOW_FRAME_S = 0.028;
  * it delays them.
  */
 const PATIENCE_MS = 1000;
+/** Two frames in a row that take longer than this lower both at once. */
+const VERY_SLOW_FRAME_S = 0.09;
+const SCALE_MIN = 0.35;
+/** A longer pause is not slow drawing: the page was hidden, or the computer slept. */
+const ELAPSED_MAX_S = 2;
 /** A still picture is drawn at full quality after this pause. */
 const STILL_MS = 250;
 /** More names would hide the robots; more views would be too small. */
@@ -46,12 +52,15 @@ export class Player {
       },
     });
     this.clock = h('span.clock', {}, '0.00 s');
+    this.drawing = h('span.muted.drawing', {
+      hidden: true, title: 'Frames take long, so their resolution is lower while robots move',
+    }, isSoftware() ? 'software drawing' : 'lower resolution');
     this.playButton = button('', () => {
       this.setPlaying(!this.playing);
       this.onchange();
     });
     this.toggleRow = h('div.row');
-    this.timeRow = h('div.time', {}, this.playButton, this.slider, this.clock);
+    this.timeRow = h('div.time', {}, this.playButton, this.slider, this.drawing, this.clock);
     this.controls = h(`div.controls${compact ? '.compact' : ''}`, {}, this.timeRow, this.toggleRow);
     this.tags = new Tags();
     this.element = h('div.stage', {}, this.canvas, this.tags.element, this.names, this.note,
@@ -63,6 +72,10 @@ export class Player {
       this.stage = null;
       return;
     }
+    if (isSoftware()) {
+      Object.assign(this.stage, { scale: 0.5, shadows: false });
+      this.drawing.hidden = false;
+    }
     // For tests, and for users of the console.
     Object.assign(this.element, { player: this });
     this.#addToggles(compact);
@@ -71,6 +84,9 @@ export class Player {
       if (how === 'moved') this.#setFollow(false);
       this.#wake();
       this.onchange();
+    }, {
+      grab: (x, y, event) => this.live?.steering.grab(x, y, event),
+      click: (x, y) => this.live?.steering.click(x, y),
     });
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
     this.onTheme = (theme) => {
@@ -117,6 +133,7 @@ export class Player {
       trails: flag('Trails', 'trails'), actuation: this.actuationToggle };
     const speed = select('Speed', SPEEDS, '1', (value) => {
       this.speed = Number(value);
+      this.live?.setSpeed(this.speed);
       this.onchange();
     });
     speed.firstChild.className = 'visually-hidden';
@@ -198,8 +215,8 @@ export class Player {
   #key(event) {
     const act = {
       ' ': () => this.playButton.click(),
-      ',': () => this.#stepBy(-1),
-      '.': () => this.#stepBy(1),
+      ',': () => this.live || this.#stepBy(-1),
+      '.': () => this.live || this.#stepBy(1),
       f: () => this.followToggle.click(),
       s: () => this.springsToggle.click(),
     }[event.key];
@@ -217,9 +234,29 @@ export class Player {
     this.onchange();
   }
 
-  /** @param {import('./stage.js').Robot[]} robots */
-  setRobots(robots, { keepTime = false } = {}) {
+  /**
+   * Shows what is computed while it plays, in place of recordings; null goes back to these.
+   * @param {any} live has steering, tick(), timeS, restart(robots), setPlaying(on), setSpeed(speed)
+   *   and close()
+   */
+  setLive(live) {
+    this.live = live;
+    this.slider.hidden = Boolean(live);
+    this.#wake();
+  }
+
+  /**
+   * @param {import('./stage.js').Robot[]} robots
+   * @param {{keepTime?: boolean, live?: boolean}} options live: they are those of setLive
+   */
+  setRobots(robots, options = {}) {
+    const { keepTime = false, live = false } = options;
     if (!this.stage) return;
+    if (this.live && !live) {
+      this.held = false;
+      this.live.restart(robots);
+      return;
+    }
     this.stage.setRobots(robots);
     // Until the user turns the camera, the robots walk away from it, toward their light.
     if (robots.length && !this.aimed) this.stage.aim();
@@ -234,8 +271,10 @@ export class Player {
     if (!this.arranged && this.stage.sideBySide !== apart) this.setSide(apart);
     this.arranged ||= robots.length > 1;
     this.actuationToggle.disabled = !robots.some((robot) => robot.actuation);
-    fill(this.names, h('div.muted', {}, 'score in this environment'),
+    fill(this.names, h('div.muted', {}, robots.some((robot) => robot.driven)
+      ? 'following your light' : 'score in this environment'),
       this.stage.robots.map((robot, i) => this.#name(robot, i)));
+    this.tags.name(this.stage.robots);
     this.#showNames();
     const text = robots.length === 0 ? 'no robots yet'
       : `${robots.length === 1 ? 'one robot' : `${robots.length} robots`}, ` +
@@ -281,12 +320,18 @@ export class Player {
 
   setPlaying(on) {
     this.playing = on;
+    this.live?.setPlaying(on);
     this.playButton.textContent = on ? 'Pause' : 'Play';
     this.#wake();
   }
 
   setNote(text) {
     this.note.textContent = text; // a live region: screen readers read it
+  }
+
+  /** Draws once, if it is not drawing anyway. */
+  redraw() {
+    this.#wake();
   }
 
   #wake() {
@@ -308,10 +353,13 @@ export class Player {
     }
     const duration = this.stage.durationS();
     const moving = this.playing && duration > 0;
-    if (moving && this.before !== undefined) {
-      const elapsed = Math.min((now - this.before) / 1000, 0.25);
-      this.#adapt(elapsed);
-      this.stage.timeS += elapsed * this.speed;
+    const elapsed = (now - this.before) / 1000; // NaN for the first picture
+    if (moving && elapsed < ELAPSED_MAX_S) this.#adapt(elapsed);
+    if (this.live) {
+      this.live.tick();
+    } else if (moving && elapsed >= 0) {
+      // Slow pictures skip frames: the time is real.
+      this.stage.timeS += Math.min(elapsed, ELAPSED_MAX_S) * this.speed;
       // At the end, the last frame stays for a second.
       if (this.stage.timeS > duration + this.speed) this.stage.timeS = 0;
     }
@@ -347,23 +395,34 @@ export class Player {
 
   /**
    * Lowers the resolution, then omits the shadow, if frames take long: without a GPU, or with a
-   * small one.
+   * small one. Two very slow frames in a row are enough.
    */
   #adapt(elapsed) {
+    const { stage } = this;
     this.meanFrameS = 0.9 * (this.meanFrameS ?? 0.016) + 0.1 * elapsed;
     this.framesSince = (this.framesSince ?? 0) + 1;
-    if (this.framesSince < 12 || this.meanFrameS < SLOW_FRAME_S) return;
-    this.framesSince = 0;
-    if (this.stage.scale > 0.5) this.stage.scale = Math.max(0.5, this.stage.scale * 0.75);
-    else this.stage.shadows = false;
+    this.slowFrames = elapsed > VERY_SLOW_FRAME_S ? (this.slowFrames ?? 0) + 1 : 0;
+    if (this.slowFrames >= 2) {
+      this.slowFrames = 0;
+      if (stage.scale > 0.5) stage.scale = 0.5;
+      else if (stage.shadows) stage.shadows = false;
+      else stage.scale = SCALE_MIN;
+    } else if (this.framesSince >= 12 && this.meanFrameS >= SLOW_FRAME_S) {
+      this.framesSince = 0;
+      if (stage.scale > 0.5) stage.scale = Math.max(0.5, stage.scale * 0.75);
+      else stage.shadows = false;
+    }
+    const isLower = stage.scale < 1 || !stage.shadows;
+    this.drawing.hidden = !isLower;
   }
 
   #show() {
     this.stage.timeS = Math.max(0, this.stage.timeS);
-    const time = Math.min(this.stage.timeS, this.stage.durationS());
+    const time = this.live ? this.live.timeS : Math.min(this.stage.timeS, this.stage.durationS());
     const early = performance.now() < this.createdMs + PATIENCE_MS;
     this.stage.draw({ empty: early && !this.stage.robots.length });
     this.tags.place(this.stage);
+    this.live?.steering.place();
     this.slider.value = String(time);
     this.slider.setAttribute('aria-valuetext', `${time.toFixed(2)} seconds`);
     this.clock.textContent = `${time.toFixed(2)} s`;
@@ -374,6 +433,7 @@ export class Player {
   }
 
   destroy() {
+    this.live?.close();
     this.app.themeListeners.delete(this.onTheme);
     clearTimeout(this.stillTimer);
     this.resize?.disconnect();

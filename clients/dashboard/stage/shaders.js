@@ -91,6 +91,7 @@ export const TERRAIN_SHADERS = [
 layout(location = 0) in vec2 corner;
 uniform mat4 matrix;
 out vec3 at;
+out vec2 slope;
 void main() {
   // The mesh is finer in the middle, where robots walk; beyond the map it continues, flat in one
   // axis.
@@ -99,10 +100,18 @@ void main() {
   float edge = spacing > 0.0 ? round(p.x / spacing) * spacing : p.x;
   if (abs(edge - p.x) < 0.05) p.x = edge;
   at = vec3(p, heightAt(p));
+  // The slope of the bilinear patch, not of the mesh; here, not for each pixel, because most of the
+  // time without a graphics processor would go there.
+  float e = 0.02;
+  slope = vec2(heightAt(p + vec2(e, 0.0)) - heightAt(p - vec2(e, 0.0)),
+               heightAt(p + vec2(0.0, e)) - heightAt(p - vec2(0.0, e))) / (2.0 * e);
   gl_Position = matrix * vec4(at, 1.0);
 }`,
-  `${VERSION}${TERRAIN}${SHADOW}${LOOK}
+  `${VERSION}${SHADOW}${LOOK}
 in vec3 at;
+in vec2 slope;
+uniform float spacing;
+uniform float alongM; // length of a profile
 uniform vec3 ground;
 uniform vec3 line;
 out vec4 color;
@@ -112,10 +121,6 @@ float lines(float value, float width) {
   return (1.0 - smoothstep(w * 0.5, w * 1.5, d)) * clamp(0.35 / max(w, 0.001) - 0.35, 0.0, 1.0);
 }
 void main() {
-  // The exact slope of the bilinear patch, not the mesh's slope.
-  float e = 0.02;
-  vec2 slope = vec2(heightAt(at.xy + vec2(e, 0.0)) - heightAt(at.xy - vec2(e, 0.0)),
-                    heightAt(at.xy + vec2(0.0, e)) - heightAt(at.xy - vec2(0.0, e))) / (2.0 * e);
   vec3 normal = normalize(vec3(-slope, 1.0));
   float day = max(dot(normal, sun), 0.0);
   vec3 lit = ground * (0.50 + 0.62 * day * mix(0.45, 1.0, sunlight(at)));
@@ -123,7 +128,7 @@ void main() {
   vec2 cell = at.xy * 1.4;
   float coarse = max(lines(cell.x, 1.3), lines(cell.y, 1.3));
   float fine = max(lines(cell.x * 7.0, 0.8), lines(cell.y * 7.0, 0.8));
-  float contour = lines(heightAt(at.xy) * 25.0, 0.9);
+  float contour = lines(at.z * 25.0, 0.9);
   lit = mix(lit, line, coarse * 0.55);
   lit = mix(lit, line, fine * 0.16);
   lit = mix(lit, line, contour * 0.14);
@@ -131,8 +136,7 @@ void main() {
   float halo = smoothstep(0.012, 0.0, abs(ring - 0.12)) * 0.5;
   lit += glow * (halo + 0.35 * exp(-ring * ring * 9.0));
   // Beyond the map the ground fades into the background.
-  float along = spacing > 0.0
-    ? clamp(spacing * float(textureSize(heights, 0).x - 1), 5.0, 8.0) : 5.0;
+  float along = spacing > 0.0 ? clamp(alongM, 5.0, 8.0) : 5.0;
   vec2 middle = vec2(along * 0.5, 2.5);
   vec2 beyond = max(abs(at.xy - middle) - (middle - 0.15), 0.0);
   float fade = smoothstep(0.0, 1.3, length(beyond));

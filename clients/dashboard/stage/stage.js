@@ -6,15 +6,18 @@
  */
 
 import { Camera } from './camera.js';
-import { Program, dataTexture, shadowTarget, vertexArray } from './gl.js';
-import { lookAt, multiply, normalize, orthographic } from './math.js';
+import { Program, dataTexture, isSoftware, shadowTarget, vertexArray } from './gl.js';
+import { lookAt, multiply, normalize, orthographic, project, unproject } from './math.js';
+import { centerOfMass, release, upload } from './robot.js';
 import * as shaders from './shaders.js';
 
 /** Cells of the ground's mesh along each side, and the same for small views. */
 const GRID = 160;
 const COARSE_GRID = 56;
+const TINY_GRID = 28;
 /** Views lower than this, in pixels of the page, are small: the camera moves closer. */
 const SMALL_PX = 260;
+const TINY_PX = 130;
 
 /** Colors of robots in the order of the legend: color-blind people can distinguish them. */
 export const COLORS = ['#f0a030', '#4a9be8', '#57c08a', '#d070c0', '#e8e060', '#9a8cff', '#70d0e0',
@@ -38,6 +41,8 @@ function clear(gl, [r, g, b]) {
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
 }
 
+const DEFAULT_WORLD = { light: [2.5, 4.5], heights: new Float32Array(64).fill(0.05) };
+
 const toRgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 const MIDDLE_M = 2.5;
@@ -48,84 +53,8 @@ const towardsLight = ({ light }) => Math.atan2(light[0] - MIDDLE_M, light[1] - M
 /** Returns the direction of the sun: behind a viewer who looks toward the light, so that the
  * visible sides are lit. */
 function sunOf(world) {
-  const turn = towardsLight(world) + 0.75;
+  const turn = towardsLight({ light: world.sunFrom ?? world.light }) + 0.75;
   return normalize([-0.7 * Math.sin(turn), -0.7 * Math.cos(turn), 1]);
-}
-
-/** Returns the mean position of the masses in one frame of a track. */
-export function centerOfMass(robot, frame) {
-  const { track, body, frames } = robot;
-  const n = body.nMasses;
-  const earlier = Math.min(Math.floor(frame), frames - 1);
-  const later = Math.min(earlier + 1, frames - 1);
-  const share = frame - Math.floor(frame);
-  const sum = [0, 0, 0];
-  for (let mass = 0; mass < n; mass++) {
-    for (let axis = 0; axis < 3; axis++) {
-      const a = track[(earlier * n + mass) * 3 + axis];
-      const b = track[(later * n + mass) * 3 + axis];
-      sum[axis] += a + (b - a) * share;
-    }
-  }
-  return sum.map((x) => x / n);
-}
-
-/** What the graphics processor needs for one robot. */
-function upload(gl, robot) {
-  const { body, track, frames, actuation, contacts } = robot;
-  const faces = new Uint16Array(body.nFaces * 9);
-  for (let face = 0; face < body.nFaces; face++) {
-    const voxel = body.faces[2 * face];
-    faces.set(body.voxels.subarray(8 * voxel, 8 * voxel + 8), 9 * face);
-    faces[9 * face + 8] = body.faces[2 * face + 1];
-  }
-  const springs = new Uint16Array(body.nSprings * 3);
-  for (let spring = 0; spring < body.nSprings; spring++) {
-    springs[3 * spring] = body.springs[2 * spring];
-    springs[3 * spring + 1] = body.springs[2 * spring + 1];
-    springs[3 * spring + 2] = body.diagonal[spring];
-  }
-  const short = gl.UNSIGNED_SHORT;
-  return {
-    track: dataTexture(gl, gl.RGB32F, body.nMasses, frames, gl.RGB, gl.FLOAT, track),
-    actuation: actuation
-      ? dataTexture(gl, gl.R8I, body.nSprings, actuation.length / body.nSprings, gl.RED_INTEGER,
-        gl.BYTE, actuation)
-      : null,
-    contacts: contacts
-      ? dataTexture(gl, gl.R8UI, body.nMasses, frames, gl.RED_INTEGER, gl.UNSIGNED_BYTE, contacts)
-      : null,
-    skin: vertexArray(gl, faces, [
-      { at: 0, size: 4, type: short, integer: true, stride: 18, offset: 0, divisor: 1 },
-      { at: 1, size: 4, type: short, integer: true, stride: 18, offset: 8, divisor: 1 },
-      { at: 2, size: 1, type: short, integer: true, stride: 18, offset: 16, divisor: 1 },
-    ]),
-    springs: vertexArray(gl, springs, [
-      { at: 0, size: 2, type: short, integer: true, stride: 6, offset: 0, divisor: 1 },
-      { at: 1, size: 1, type: short, integer: true, stride: 6, offset: 4, divisor: 1 },
-    ]),
-    trail: trailOf(gl, robot),
-  };
-}
-
-/** A ribbon along the path of the center of mass: two vertices per frame. */
-function trailOf(gl, robot) {
-  const every = Math.max(1, Math.floor(robot.frames / 250));
-  const points = [];
-  for (let frame = 0; frame < robot.frames; frame += every) {
-    const [x, y] = centerOfMass(robot, frame);
-    points.push([x, y, frame]);
-  }
-  const data = new Float32Array(points.length * 8);
-  points.forEach(([x, y, frame], i) => {
-    const before = points[Math.max(0, i - 3)];
-    const after = points[Math.min(points.length - 1, i + 3)];
-    const along = Math.atan2(after[1] - before[1], after[0] - before[0]);
-    const angle = (along + Math.PI / 2 + 2 * Math.PI) % (2 * Math.PI);
-    data.set([x, y, frame, 1 + angle, x, y, frame, -(1 + angle)], 8 * i);
-  });
-  const ribbon = vertexArray(gl, data, [{ at: 0, size: 4, type: gl.FLOAT, stride: 16 }]);
-  return { ...ribbon, n: points.length * 2 };
 }
 
 /** A square with n cells along each side, from -1 to 1. */
@@ -157,8 +86,9 @@ function groundMesh(gl, cells) {
  * @property {number} frameS seconds per frame
  * @property {Float32Array|number[]} [lights] (frames, 3) of a light that a task moves
  * @property {{light: number[], points?: number[][], heights: Float32Array|number[],
- *   spacing?: number}} world light (x, y) in meters, at the start if it moves; way-points of a
- *   path; and the terrain: 64 heights of a grid, or, with their spacing in meters, of a profile
+ *   spacing?: number, key?: string, sunFrom?: number[]}} world light (x, y) in meters, at the start
+ *   if it moves; way-points of a path; and the terrain: 64 heights of a grid, or, with their
+ *   spacing in meters, of a profile; sunFrom: where the sun is in place of the light
  * @property {Int8Array} [actuation] (frames, springs), tanh · 127
  * @property {Uint8Array} [contacts] (frames, masses), 1 if a mass touches the ground
  * @property {string} [color] as in the legend
@@ -167,6 +97,11 @@ function groundMesh(gl, cells) {
  * @property {number|null} [value] in the unit of the task
  * @property {string} [unit] of the value; undefined: the task is `photo`
  * @property {string} [genotype]
+ * @property {string} [id]
+ * @property {string} [robot] ID@K
+ * @property {boolean} [driven] it follows a light that the user moves, so it has no score
+ * @property {string} [controller] if robots have several
+ * @property {Float32Array} [centers] internal: the centers of mass
  * @property {any} [gpu] internal data of the stage
  */
 
@@ -174,7 +109,7 @@ export class Stage {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas, { theme = 'dark' } = {}) {
     const gl = canvas.getContext('webgl2',
-      { antialias: true, alpha: false, preserveDrawingBuffer: true });
+      { antialias: !isSoftware(), alpha: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error('This browser does not support WebGL 2, which the stage needs.');
     this.canvas = canvas;
     this.gl = gl;
@@ -190,6 +125,8 @@ export class Stage {
     this.scale = 1;
     this.shadows = true;
     this.timeS = 0;
+    /** @type {?{key: string, sun: number[]}} */
+    this.sunAt = null;
     this.terrains = new Map();
     this.#build();
     canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
@@ -212,6 +149,7 @@ export class Stage {
     };
     this.ground = groundMesh(gl, GRID);
     this.coarseGround = groundMesh(gl, COARSE_GRID);
+    this.tinyGround = groundMesh(gl, TINY_GRID);
     this.empty = gl.createVertexArray();
     gl.bindVertexArray(null);
     this.shadow = shadowTarget(gl, 1024);
@@ -225,9 +163,7 @@ export class Stage {
   setRobots(robots) {
     const { gl } = this;
     for (const { gpu } of this.robots) {
-      if (!gpu) continue;
-      for (const texture of [gpu.track, gpu.actuation, gpu.contacts]) gl.deleteTexture(texture);
-      for (const part of [gpu.skin, gpu.springs, gpu.trail]) part.free();
+      if (gpu) release(gl, gpu);
     }
     for (const texture of this.terrains.values()) gl.deleteTexture(texture);
     this.terrains.clear();
@@ -236,12 +172,19 @@ export class Stage {
       color: robot.color ?? COLORS[i % COLORS.length],
       gpu: upload(gl, robot),
     }));
+    for (const robot of this.robots) robot.gpu.tint = toRgb(robot.color);
     this.followed = Math.min(this.followed, Math.max(0, robots.length - 1));
   }
 
   /** Length of the longest recording, in seconds. */
   durationS() {
     return Math.max(0, ...this.robots.map((robot) => (robot.frames - 1) * robot.frameS));
+  }
+
+  #sun(world) {
+    const key = String(world.sunFrom ?? world.light);
+    if (this.sunAt?.key !== key) this.sunAt = { key, sun: sunOf(world) };
+    return this.sunAt.sun;
   }
 
   #heights(world) {
@@ -296,17 +239,18 @@ export class Stage {
     gl.viewport(0, 0, width, height);
     clear(gl, this.sideBySide ? look.line : look.background);
     if (empty) return;
-    for (const view of this.views()) this.#drawView(view, look);
+    this.drawn = this.views();
+    for (const view of this.drawn) this.#drawView(view, look);
     gl.bindVertexArray(null);
-    gl.deleteSync(this.drawn ?? null);
-    this.drawn = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.deleteSync(this.fence ?? null);
+    this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
   }
 
   /** Returns whether the graphics processor is still drawing the previous picture. */
   isBusy() {
-    return Boolean(this.drawn) &&
-      this.gl.getSyncParameter(this.drawn, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;
+    return Boolean(this.fence) &&
+      this.gl.getSyncParameter(this.fence, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED;
   }
 
   /** Turns the camera so that the light of the followed robot is ahead, a little to the left. */
@@ -325,11 +269,13 @@ export class Stage {
     const shown = (view.height / this.canvas.height) * this.canvas.clientHeight;
     camera.distanceM *= Math.min(1, 0.45 + 0.55 * (shown / SMALL_PX));
     const matrix = camera.matrix(view.width, view.height);
+    view.matrix = matrix;
     const eye = camera.eye();
     camera.distanceM = distanceM;
-    const ground = shown < SMALL_PX ? this.coarseGround : this.ground;
-    const world = lead?.world ?? { light: [2.5, 4.5], heights: new Float32Array(64).fill(0.05) };
-    const sun = sunOf(world);
+    const ground = shown < TINY_PX ? this.tinyGround
+      : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
+    const world = lead?.world ?? DEFAULT_WORLD;
+    const sun = this.#sun(world);
     const sunMatrix = this.#drawShadows(view, sun);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(view.x, view.y, view.width, view.height);
@@ -338,7 +284,7 @@ export class Stage {
     gl.enable(gl.DEPTH_TEST);
     const common = {
       ...look, matrix, sunMatrix, sun, eye, heights: this.#heights(world),
-      spacing: world.spacing ?? 0,
+      spacing: world.spacing ?? 0, alongM: (world.spacing ?? 0) * (world.heights.length - 1),
       lightAt: this.#lightOf(lead, world),
       shadowMap: this.shadow.texture, shadowStrength: this.shadows ? 0.62 : 0,
     };
@@ -350,6 +296,49 @@ export class Stage {
     for (const robot of view.robots) this.#drawRobot(robot, { ...common, owned });
     this.#drawBlended(view, common);
     gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** Returns the view under a point of the page, as drawn last, and the point in it, from -1 to
+   * 1. */
+  #viewAt(x, y) {
+    const { width, height, clientWidth } = this.canvas;
+    const scale = width / clientWidth;
+    const [px, py] = [x * scale, height - y * scale];
+    const view = this.drawn?.find((one) => px >= one.x && px <= one.x + one.width &&
+      py >= one.y && py <= one.y + one.height);
+    return view && { view, at: [2 * (px - view.x) / view.width - 1,
+      2 * (py - view.y) / view.height - 1] };
+  }
+
+  /** Returns the point (x, y) at this height that is seen at a point of the page, or null. */
+  pointAt(x, y, height) {
+    const seen = this.#viewAt(x, y);
+    if (!seen) return null;
+    const [px, py] = seen.at;
+    const [near, far] = [-1, 1].map((depth) => unproject(seen.view.matrix, [px, py, depth]));
+    const along = (height - near[2]) / (far[2] - near[2]);
+    if (!(along > 0 && along < 1)) return null;
+    return [0, 1].map((axis) => near[axis] + along * (far[axis] - near[axis]));
+  }
+
+  /**
+   * Returns where a point of the world is seen in each view, as drawn last, in pixels of the page.
+   * A point that is out of sight is at the edge of the view, on its side.
+   */
+  placesOf(point) {
+    const { width, height, clientWidth } = this.canvas;
+    const perPixel = clientWidth / width;
+    const clamped = (value) => Math.min(1, Math.max(-1, value));
+    return (this.drawn ?? []).map((view) => {
+      const [px, py, depth] = project(view.matrix, point);
+      const isBehind = depth > 1;
+      const size = Math.max(Math.abs(px), Math.abs(py));
+      const isOut = isBehind || size > 1;
+      const [x, y] = isOut ? [px, py].map((value) =>
+        clamped((isBehind ? -value : value) / (isBehind ? size : 1))) : [px, py];
+      return { isOut, x: (view.x + ((x + 1) / 2) * view.width) * perPixel,
+        y: (height - view.y - ((y + 1) / 2) * view.height) * perPixel };
+    });
   }
 
   /** Where the light of the robot that is followed is now. */
@@ -394,7 +383,7 @@ export class Stage {
 
   #drawRobot(robot, common) {
     const { gl, show } = this;
-    const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: toRgb(robot.color) };
+    const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: robot.gpu.tint };
     if (show.skin) {
       this.programs.skin.use().set(common).set(own);
       gl.bindVertexArray(robot.gpu.skin.array);
@@ -417,7 +406,7 @@ export class Stage {
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.depthMask(false);
     for (const robot of view.robots) {
-      const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: toRgb(robot.color) };
+      const own = { track: robot.gpu.track, frame: this.frameOf(robot), tint: robot.gpu.tint };
       if (show.trails) {
         this.programs.trail.use().set(common).set({ ...own, width: 0.016 });
         gl.bindVertexArray(robot.gpu.trail.array);
@@ -448,8 +437,11 @@ export class Stage {
   }
 }
 
-/** Returns the height of a world's terrain at (x, y), as the daemon computes it: bilinear, clamped
- * at the edge. */
+/**
+ * Returns the height of a world's terrain at (x, y), as the daemon computes it: bilinear, clamped
+ * at the edge.
+ * @param {{heights: ArrayLike<number>, spacing?: number}} world
+ */
 export function heightAt({ heights, spacing }, x, y) {
   if (spacing) {
     const along = Math.min(heights.length - 1, Math.max(0, x / spacing));

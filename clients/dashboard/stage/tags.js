@@ -5,8 +5,8 @@
 
 import { fill, h } from '../lib/dom.js';
 import { resultOf } from '../lib/tasks.js';
-import { centerOfMass } from './stage.js';
 import { project } from './math.js';
+import { centerOfMass } from './robot.js';
 
 /** More names than these would hide the robots. */
 const TAGS_MAX = 16;
@@ -16,12 +16,10 @@ export class Tags {
   constructor() {
     // Screen readers read the list of robots instead.
     this.element = h('div.tags', { 'aria-hidden': 'true' });
-    this.robots = null;
   }
 
   /** Puts the names where the robots are. @param {import('./stage.js').Stage} stage */
   place(stage) {
-    if (this.robots !== stage.robots) this.#name(stage.robots);
     const { clientWidth, clientHeight, width, offsetTop } = stage.canvas;
     const perPixel = clientWidth / width;
     const views = stage.views();
@@ -51,8 +49,8 @@ export class Tags {
     });
   }
 
-  #name(robots) {
-    this.robots = robots;
+  /** Names other robots, at once: their picture may take a while. */
+  name(robots) {
     const shown = robots.length > 1 && robots.length <= TAGS_MAX ? robots : [];
     fill(this.element, shown.map((robot) => {
       const tag = h('span.tag', {}, robot.label ?? '', h('span.number', {}, resultOf(robot)));

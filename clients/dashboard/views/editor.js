@@ -8,6 +8,7 @@ import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { flip, isConnected, mirror, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
+import { Driving } from './drive.js';
 import { breedButton } from './forms.js';
 import { announced, copyButton, formDialog } from './share.js';
 
@@ -45,6 +46,10 @@ export async function mount(main, path, parameters, app) {
   const result = h('p.result', { 'aria-live': 'polite' });
   const shelf = h('div.grid.small');
   const environments = await environmentSet('paper-test');
+  if (player.stage) {
+    new Driving(player, () => ({ environment: environments[0], name: 'morphod-drawn',
+      set: 'paper-test' }));
+  }
 
   /** Saves the shelf, the undo steps and the body for a return to the editor. */
   function store() {

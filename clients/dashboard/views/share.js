@@ -89,17 +89,19 @@ export function copyButton(request) {
 /** Shows commands that do the same from a shell. @param {[string, string][]} commands tool and
  * text */
 export function copyDialog(commands) {
-  showDialog('The same from a shell or a program',
-    ...commands.map(([tool, text]) => h('section.stack', {},
-    h('div.row', {}, h('h3', {}, tool), button('Copy', async (event) => {
-      try {
-        await navigator.clipboard.writeText(text);
-        event.target.textContent = 'Copied';
-      } catch {
-        event.target.textContent = 'Not allowed: select the text';
-      }
-    })), h('pre', { tabindex: 0 }, text))));
+  showDialog('The same from a shell or a program', ...commandSections(commands));
 }
+
+/** Returns texts to copy. @param {[string, string][]} commands tool and text */
+export const commandSections = (commands) => commands.map(([tool, text]) => h('section.stack', {},
+  h('div.row', {}, h('h3', {}, tool), button('Copy', async (event) => {
+    try {
+      await navigator.clipboard.writeText(text);
+      event.target.textContent = 'Copied';
+    } catch {
+      event.target.textContent = 'Not allowed: select the text';
+    }
+  })), h('pre', { tabindex: 0 }, text)));
 
 /**
  * Returns the arguments of morphoctl that make a film of what the stage shows, and its standard
@@ -135,7 +137,8 @@ export function saveLink(path, name, text, attributes = {}) {
   } }, text);
 }
 
-function save(blob, name) {
+/** Saves a file. */
+export function save(blob, name) {
   const link = h('a', { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
@@ -144,10 +147,10 @@ function save(blob, name) {
 /**
  * Saves what the stage shows: a picture, a film, a separate page, or a model for other programs.
  * @param {import('../stage/player.js').Player} player
- * @param {{name: string, film?: string}} what name of the files; film: the command that makes the
- *   film
+ * @param {{name: string, film?: string, more?: any[], sections?: any[]}} what name of the files;
+ *   film: the command that makes the film; more: buttons; sections: what follows
  */
-export function exportDialog(player, { name, film: command }) {
+export function exportDialog(player, { name, film: command, more = [], sections = [] }) {
   const { stage, canvas } = player;
   const message = h('p', { role: 'status' });
   const doing = (text, work) => button(text, async (event) => {
@@ -189,7 +192,7 @@ export function exportDialog(player, { name, film: command }) {
       `Robots: ${stage.robots.map((robot) => robot.label).join(', ')}`), `${name}.html`);
   }
 
-  showDialog('Export', h('div.row', {},
+  return showDialog('Export', h('div.row', {},
     doing('Picture (PNG)', async () => {
       const blob = await player.inFull(() => {
         stage.draw();
@@ -198,7 +201,7 @@ export function exportDialog(player, { name, film: command }) {
       save(blob, `${name}.png`);
     }),
     'VideoEncoder' in window ? doing('Film (WebM)', film) : null,
-    doing('Page (HTML)', page), doing('Model (GLB)', model)), message,
+    doing('Page (HTML)', page), doing('Model (GLB)', model), ...more), message, ...sections,
   command ? [h('p', {}, 'A film, on the machine that has morphoctl:'),
     h('pre', { tabindex: 0 }, command)] : null);
 }

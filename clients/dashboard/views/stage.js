@@ -8,6 +8,7 @@ import { LinkError, getJson, withQuery } from '../lib/api.js';
 import { Player, SPEEDS } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
 import { countOf } from '../lib/format.js';
+import { Driving } from './drive.js';
 import { breedButton } from './forms.js';
 import { titleOf } from './jobs.js';
 import { copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
@@ -28,12 +29,13 @@ export async function mount(main, path, parameters, app) {
   // The daemon computes while the stage is set up.
   const first = source.walk(environment, stop.signal);
   const player = new Player(app, { onchange: () => keepView() });
+  if (source.driven && player.stage) new Driving(player, () => source.driven(environment));
 
   function keepView() {
     if (!known) return; // the link's own view is still to be applied
     clearTimeout(pending);
     pending = setTimeout(() => app.keep({
-      ...source.link(), environment, ...(player.stage ? player.view() : {}),
+      ...source.link(), environment, ...(player.stage && !player.live ? player.view() : {}),
     }), KEEP_MS);
   }
 
@@ -101,8 +103,29 @@ function checkView(parameters, { n, nRobots }) {
     'a camera as six numbers');
 }
 
-/** The world in a link: that of a job, or a set of environments. */
+/** The world in a link: that of a job, or a set of environments, and a path of the light, if
+ * any. */
 async function worldIn(parameters) {
+  const world = await placesIn(parameters);
+  const path = parameters.get('path');
+  if (!path) return world;
+  const points = path.split(',').map((point) => point.split('_').map(Number));
+  if (points.length > 16 || !points.every(([x, y, ...more]) =>
+    Number.isFinite(x) && Number.isFinite(y) && !more.length)) {
+    throw new LinkError(`path=${path.slice(0, 60)}: 1 to 16 way-points are expected, as x_y,x_y.`);
+  }
+  const task = { guide: { kind: 'path', points_m: points }, objective: 'follow' };
+  return {
+    ...world, set: null, words: `${world.words}, with a path of your own`,
+    environments: world.environments.map((environment) => {
+      const { light_xy_m, sha256, ...ground } = environment;
+      return { ...ground, task };
+    }),
+  };
+}
+
+/** The world that a link names. */
+async function placesIn(parameters) {
   const name = parameters.get('world');
   if (!name) {
     return worldOfSet(parameters.get('set') ?? 'paper-test',
@@ -135,6 +158,7 @@ async function rollouts(parameters) {
       more.forEach((robot, i) => {
         robot.label = controllers.length > 1 ? controller : labelOf(ids, i);
       });
+      if (controllers.length > 1) more.forEach((robot) => { robot.controller = controller; });
       robots.push(...more);
     }
     return robots;
@@ -158,9 +182,13 @@ async function rollouts(parameters) {
     world: world.words,
     link: () => ({
       designs: ids.join(','), world: parameters.get('world'), set: parameters.get('set'),
-      controller: parameters.get('controller'),
+      controller: parameters.get('controller'), path: parameters.get('path'),
     }),
     founders: () => ids.map(designOf),
+    driven: (environment) => ({
+      environment: environments[environment], controller: controllers[0], physics, precision,
+      set: world.set, name: 'morphod',
+    }),
     exported: (environment) => {
       const one = ids.length === 1 ? ids[0].replace(/0+$/, '').slice(0, 12) : 'race';
       const name = `morphod-${one}`;

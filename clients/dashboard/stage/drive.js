@@ -1,0 +1,223 @@
+/**
+ * Driving: robots that follow a light which moves while they walk.
+ *
+ * The service computes short windows, each from the state at the end of the window before, ahead of
+ * the time that is shown. If the light moves, the windows that do not play yet are computed again.
+ * Nothing is extrapolated: if the service is late, the last frame stays.
+ */
+
+/** How far ahead windows are computed while the light rests. */
+const AHEAD_S = 0.8;
+/** How much must be ahead at the start. */
+const BEGIN_S = 0.5;
+/** A light that moved within this time may still be moving: more than a window ahead would be
+ * wasted. */
+const MOVING_MS = 120;
+/** While the light moves, the same window is computed again at most this often. */
+const AGAIN_MS = 60;
+/** A reply may take this much longer than usual. */
+const MARGIN_MS = 15;
+/** Pauses before another attempt, if the service cannot be reached or is busy. */
+const RETRY_MS = 500;
+
+/**
+ * @typedef {Object} Part frames of one robot in one window, without the frame that it starts from
+ * @property {Float32Array} track
+ * @property {Int8Array} [actuation]
+ * @property {Uint8Array} [contacts]
+ *
+ * @typedef {Object} Window
+ * @property {number[]} light
+ * @property {number} movedMs when the light moved there
+ * @property {(Part|null)[]} parts one per robot; null after a divergence: it stays where it is
+ * @property {(Object|null)[]} states at the end of the window; null after a divergence
+ */
+
+export class Drive {
+  /**
+   * @param {{
+   *   roll: function({light: number[], states: ?(Object|null)[], signal: AbortSignal}):
+   *     Promise<{parts: (Part|null)[], states: (Object|null)[]}>,
+   *   sink: {append: function(Window): void, cutAt: function(number): void},
+   *   light: number[], windowS: number, keepS: number, onfault: function(Error): void,
+   *   now?: function(): number }} options
+   *   roll computes a window; sink.append gets the windows in order, and sink.cutAt removes those
+   *   from a number on; keepS: how much of what was driven is kept
+   */
+  constructor({ roll, sink, light, windowS, keepS, onfault, now = () => performance.now() }) {
+    this.roll = roll;
+    this.sink = sink;
+    this.windowS = windowS;
+    this.keepS = keepS;
+    this.onfault = onfault;
+    this.now = now;
+    this.light = light;
+    this.movedMs = now();
+    /** Time that is shown, in seconds from the start. */
+    this.timeS = 0;
+    this.speed = 1;
+    this.playing = true;
+    /** @type {Window[]} windows from number `first` on */
+    this.windows = [];
+    this.first = 0;
+    /** For how long the motion has been held in all, because a window was missing. */
+    this.heldS = 0;
+    this.hasBegun = false;
+    this.isLate = false;
+    this.replyMs = 30;
+    this.requests = 0;
+    this.pending = null;
+    this.isClosed = false;
+    this.#pump();
+  }
+
+  /** Number of the window after the last one that is computed. */
+  get end() {
+    return this.first + this.windows.length;
+  }
+
+  /** Number of the window that plays now. */
+  get current() {
+    return Math.max(this.first, Math.min(Math.floor(this.timeS / this.windowS + 1e-9),
+      this.end - 1));
+  }
+
+  /** Moves the light: robots turn at the next window that can still be computed in time. */
+  setLight(light) {
+    if (this.light[0] === light[0] && this.light[1] === light[1]) return;
+    this.light = light;
+    this.movedMs = this.now();
+    this.#pump();
+  }
+
+  /** Lets the time run; called for each picture, and by a timer if pictures take long. */
+  tick() {
+    const now = this.now();
+    const elapsedS = this.beforeMs === undefined ? 0 : (now - this.beforeMs) / 1000;
+    this.beforeMs = now;
+    // It starts with a few windows ahead: the first replies may be slow.
+    this.hasBegun ||= this.end * this.windowS >= BEGIN_S;
+    if (this.playing && this.hasBegun) {
+      const to = this.timeS + elapsedS * this.speed;
+      const limit = this.end * this.windowS;
+      this.isLate = to > limit;
+      if (this.isLate) this.heldS += (to - limit) / this.speed;
+      this.timeS = Math.min(to, limit);
+      this.#noteTurn(now);
+      this.#forget();
+    }
+    this.#pump();
+  }
+
+  /** The time does not run on while it is not watched, as in a hidden tab. */
+  skip() {
+    this.beforeMs = undefined;
+  }
+
+  setPlaying(on) {
+    this.playing = on;
+    this.beforeMs = undefined;
+  }
+
+  close() {
+    this.isClosed = true;
+    this.pending?.stop.abort();
+    clearTimeout(this.timer);
+  }
+
+  /** Measures how long after a move of the light robots feel it. */
+  #noteTurn(now) {
+    const { movedMs } = this.windows[this.current - this.first];
+    if (movedMs === this.turnedMs || this.timeS <= this.current * this.windowS) return;
+    this.turnedMs = movedMs;
+    if (this.current > 0) {
+      performance.measure('morphod-light-to-turn', { start: movedMs, end: now });
+    }
+  }
+
+  #forget() {
+    const most = Math.ceil(this.keepS / this.windowS);
+    while (this.current - this.first > most) {
+      this.windows.shift();
+      this.first++;
+    }
+  }
+
+  /** Requests the window that is needed next, if any. */
+  #pump() {
+    clearTimeout(this.timer);
+    if (this.isClosed || this.now() < (this.restUntilMs ?? 0)) return;
+    const now = this.now();
+    const isNew = this.windows.at(-1)?.movedMs === this.movedMs;
+    const at = isNew || !this.end ? this.end : this.#branch();
+    if (this.pending) {
+      // A window that only continues the old light is worth nothing now. One that already turns
+      // is: during a long drag, no window would ever end otherwise.
+      const { movedMs, at: pendingAt, stop } = this.pending;
+      if (movedMs === this.movedMs || pendingAt <= at || this.pending.isTurn) return;
+      stop.abort();
+      this.pending = null;
+    }
+    if (!isNew && this.end) {
+      const waitMs = this.lastTurn?.at === at ? this.lastTurn.sentMs + AGAIN_MS - now : 0;
+      if (waitMs > 0) {
+        this.timer = setTimeout(() => this.#pump(), waitMs);
+        return;
+      }
+    } else {
+      const isMoving = this.hasBegun && now - this.movedMs < MOVING_MS;
+      const enoughS = isMoving ? this.windowS + this.replyMs / 1000 : AHEAD_S * this.speed;
+      if (this.end * this.windowS - this.timeS > enoughS) {
+        if (isMoving) this.timer = setTimeout(() => this.#pump(), MOVING_MS);
+        return;
+      }
+    }
+    this.#request(at, at < this.end || !isNew);
+  }
+
+  /** The first window that can still be replaced before it plays. */
+  #branch() {
+    const next = this.current + 1;
+    if (!this.playing) return Math.min(next, this.end);
+    const leftMs = ((next * this.windowS - this.timeS) / this.speed) * 1000 -
+      (this.now() - (this.beforeMs ?? this.now()));
+    return Math.min(leftMs > this.replyMs + MARGIN_MS ? next : next + 1, this.end);
+  }
+
+  async #request(at, isTurn) {
+    const stop = new AbortController();
+    const { light, movedMs } = this;
+    const sentMs = this.now();
+    this.pending = { at, isTurn, movedMs, stop };
+    if (isTurn) this.lastTurn = { at, sentMs };
+    const states = at > 0 ? this.windows[at - 1 - this.first].states : null;
+    this.requests++;
+    try {
+      const { parts, states: after } = await this.roll({ light, states, signal: stop.signal });
+      if (stop.signal.aborted || this.isClosed) return;
+      const tookMs = this.now() - sentMs;
+      this.replyMs = 0.8 * this.replyMs + 0.2 * Math.min(tookMs, 400);
+      this.pending = null;
+      this.#take(at, { light, movedMs, parts, states: after });
+    } catch (error) {
+      if (stop.signal.aborted || this.isClosed) return;
+      this.pending = null;
+      this.restUntilMs = this.now() + 1000 * (error.retryAfterS ?? RETRY_MS / 1000);
+      this.onfault(error);
+    }
+    this.#pump();
+  }
+
+  /** Accepts a window, unless the one that it replaces plays already. */
+  #take(at, window) {
+    if (at < this.end) {
+      const playsS = this.timeS + (this.playing
+        ? ((this.now() - (this.beforeMs ?? this.now())) / 1000) * this.speed : 0);
+      if (at * this.windowS < playsS) return;
+      this.windows.length = at - this.first;
+      this.sink.cutAt(at);
+    }
+    this.windows.push(window);
+    this.sink.append(window);
+  }
+}

@@ -1,0 +1,58 @@
+/** Saves what was driven: as a film and other files, as a recording, and the light's path as a
+ * task. */
+
+import { button, h } from '../lib/dom.js';
+import { commandsOf } from '../lib/commands.js';
+import { requested } from '../lib/rollouts.js';
+import { toScene } from '../export/scene.js';
+import { drivenRobots, pathOf } from '../stage/driven.js';
+import { commandSections, exportDialog, save } from './share.js';
+
+/** Shows the drive as a recording, and the dialog; afterwards, the drive can go on. */
+export function saveDialog(driving) {
+  const { player, drive, live, world: { environment, controller, name, set } } = driving;
+  const robots = drivenRobots(drive, live);
+  driving.suspend(robots);
+  const seconds = ((robots[0].frames - 1) * robots[0].frameS).toFixed(1);
+  const dialog = exportDialog(player, {
+    name: `${name}-driven`,
+    more: [
+      button('Recording (scene)', () => save(new Blob([toScene(robots, driving.inputs)],
+        { type: 'application/vnd.morphod.scene' }), `${name}-driven.scene`)),
+    ],
+    sections: [h('p', {}, `${drive.first ? `The last ${seconds} s of the drive`
+      : `${seconds} s were driven`}. ` + 'They have no score: the light was yours.'),
+    taskSection(driving, { environment, controller, set })],
+  });
+  dialog.addEventListener('close', () => driving.resume());
+}
+
+/** The path of the light as a task that any robot can be scored on. */
+function taskSection({ drive, player }, { environment, controller, set }) {
+  const points = pathOf(drive);
+  const task = { guide: { kind: 'path', points_m: points } };
+  const request = { ...requested(environment), task };
+  delete request.light_xy_m;
+  const designs = player.stage.robots.map(({ robot, genotype }) =>
+    (robot ? { id: robot } : { voxels: genotype }));
+  const names = player.stage.robots.map(({ robot, genotype }) => robot ?? genotype);
+  const text = JSON.stringify([request]);
+  const query = new URLSearchParams({ designs: names.join(','),
+    path: points.map((point) => point.join('_')).join(',') });
+  if (set) query.set('set', set);
+  if (controller && controller !== 'default') query.set('controller', controller);
+  const given = controller && controller !== 'default' ? { controller } : {};
+  const python = Object.entries(given).map(([key, one]) => `, ${key}=${JSON.stringify(one)}`);
+  return h('details', {}, h('summary', {}, 'The path of the light as a task'),
+    h('div.stack', {},
+      h('p', {}, `A path of ${points.length === 1 ? 'one way-point' :
+        `${points.length} way-points`}, on the same ground. Any robot can be scored on it, or `,
+      'evolved for it. ', h('a', { href: `#/stage?${query}` }, 'Watch it on the stage')),
+      commandSections([['JSON', JSON.stringify(request.task)], ...commandsOf({
+        path: 'v1/evaluations', headers: ['Prefer: wait=30'],
+        body: { designs, environments: [request], ...given },
+        input: text, morphoctl: `eval ${names.join(' ')} --environments -` +
+          (given.controller ? ` --controller ${given.controller}` : ''),
+        python: `print(m.evaluate(${JSON.stringify(names)}, ${text}${python}).frame())`,
+      })])));
+}
