@@ -40,11 +40,13 @@ const rowsOf = ({ track, body }) => track.length / (3 * body.nMasses);
 export function upload(gl, robot) {
   const { body, track, actuation, contacts } = robot;
   const rows = rowsOf(robot);
-  const faces = new Uint16Array(body.nFaces * 9);
-  for (let face = 0; face < body.nFaces; face++) {
+  // Each of the six vertices of a face has all that is known of it.
+  const faces = new Uint16Array(body.nFaces * 6 * 9);
+  for (let vertex = 0; vertex < 6 * body.nFaces; vertex++) {
+    const face = Math.floor(vertex / 6);
     const voxel = body.faces[2 * face];
-    faces.set(body.voxels.subarray(8 * voxel, 8 * voxel + 8), 9 * face);
-    faces[9 * face + 8] = body.faces[2 * face + 1];
+    faces.set(body.voxels.subarray(8 * voxel, 8 * voxel + 8), 9 * vertex);
+    faces[9 * vertex + 8] = body.faces[2 * face + 1];
   }
   const springs = new Uint16Array(body.nSprings * 3);
   for (let spring = 0; spring < body.nSprings; spring++) {
@@ -62,9 +64,9 @@ export function upload(gl, robot) {
       ? dataTexture(gl, gl.R8UI, body.nMasses, rows, gl.RED_INTEGER, gl.UNSIGNED_BYTE, contacts)
       : null,
     skin: vertexArray(gl, faces, [
-      { at: 0, size: 4, type: short, integer: true, stride: 18, offset: 0, divisor: 1 },
-      { at: 1, size: 4, type: short, integer: true, stride: 18, offset: 8, divisor: 1 },
-      { at: 2, size: 1, type: short, integer: true, stride: 18, offset: 16, divisor: 1 },
+      { at: 0, size: 4, type: short, integer: true, stride: 18, offset: 0 },
+      { at: 1, size: 4, type: short, integer: true, stride: 18, offset: 8 },
+      { at: 2, size: 1, type: short, integer: true, stride: 18, offset: 16 },
     ]),
     springs: vertexArray(gl, springs, [
       { at: 0, size: 2, type: short, integer: true, stride: 6, offset: 0, divisor: 1 },

@@ -145,7 +145,8 @@ void main() {
 }`,
 ];
 
-/** The skin: one instance per face; six vertices form two triangles from its four corners. */
+/** The skin: six vertices per face form two triangles from its four corners. (An instance per face
+ * would be far slower without a graphics processor.) */
 const SKIN_VERTEX = `${VERSION}${TRACK}
 layout(location = 0) in uvec4 low;
 layout(location = 1) in uvec4 high;
@@ -163,7 +164,7 @@ out vec3 at;
 out vec2 uv;
 flat out float swelling;
 void main() {
-  int turn = TURN[gl_VertexID];
+  int turn = TURN[gl_VertexID % 6];
   at = massAt(mass(CORNERS[int(side) * 4 + turn]));
   uv = vec2(turn == 1 || turn == 2 ? 1.0 : 0.0, turn >= 2 ? 1.0 : 0.0);
   // Mean strain of the four body diagonals: 0 at rest, above 0 where the voxel is swollen.
@@ -207,7 +208,7 @@ void main() {
 export const DEPTH_SHADERS = [
   `${SKIN_VERTEX}
 void main() {
-  gl_Position = matrix * vec4(massAt(mass(CORNERS[int(side) * 4 + TURN[gl_VertexID]])), 1.0);
+  gl_Position = matrix * vec4(massAt(mass(CORNERS[int(side) * 4 + TURN[gl_VertexID % 6]])), 1.0);
 }`,
   `${VERSION}void main() {}`,
 ];

@@ -272,7 +272,7 @@ export class Stage {
     view.matrix = matrix;
     const eye = camera.eye();
     camera.distanceM = distanceM;
-    const ground = shown < TINY_PX ? this.tinyGround
+    const ground = shown < (this.shadows ? TINY_PX : SMALL_PX) ? this.tinyGround
       : shown < SMALL_PX || !this.shadows ? this.coarseGround : this.ground;
     const world = lead?.world ?? DEFAULT_WORLD;
     const sun = this.#sun(world);
@@ -375,7 +375,7 @@ export class Stage {
       this.programs.depth.set({ matrix: sunMatrix, track: robot.gpu.track,
         frame: this.frameOf(robot) });
       gl.bindVertexArray(robot.gpu.skin.array);
-      gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
+      gl.drawArrays(gl.TRIANGLES, 0, 6 * robot.body.nFaces);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     return sunMatrix;
@@ -387,7 +387,7 @@ export class Stage {
     if (show.skin) {
       this.programs.skin.use().set(common).set(own);
       gl.bindVertexArray(robot.gpu.skin.array);
-      gl.drawArraysInstanced(gl.TRIANGLES, 0, 6, robot.body.nFaces);
+      gl.drawArrays(gl.TRIANGLES, 0, 6 * robot.body.nFaces);
     }
     if (show.springs) {
       this.programs.springs.use().set(common).set({
