@@ -88,9 +88,15 @@ def assets(data, _):
 
 
 def overview(_, page):
-    times = [page.load("", "firstStroke && firstTiles && Math.max(firstStroke, firstTiles)")
+    times = [page.load("overview", "firstStroke && firstTiles && Math.max(firstStroke, firstTiles)")
              for _ in range(RUNS)]
     yield "overview, first draw", statistics.median(times), "ms", 300
+
+
+def home(_, page):
+    """The best robot of the store, on its ground."""
+    times = [page.load("", "firstPicture()") for _ in range(RUNS)]
+    yield "home, first motion", statistics.median(times), "ms", 600
 
 
 def stage(_, page):
@@ -172,7 +178,7 @@ def phylogeny(data, page):
     page.driver.get("about:blank")
     campaign = data.with_phylogeny()
     page.base = f"http://{data.service.host}:{data.service.port}/"
-    page.load("", "firstTiles")
+    page.load("overview", "firstTiles")
     seen = [page.script(MILLION, campaign) for _ in range(3)]
     assert all(one["n"] >= 1e6 and one["painted"] for one in seen), seen
 
@@ -186,7 +192,7 @@ def phylogeny(data, page):
     yield "a million designs, redrawn", median("drawMs") / 1e3, "s", 3
     # A link to a design on the real page: the page finds it, and the robot walks.
     page.load(f"campaigns/{campaign}/phylogeny?design=900001", "firstPicture()")
-    assert page.texts("h2")[0] == "Design #900001"
+    assert page.texts("h2")[0].startswith("#900001 ")
 
 
 CHART = """
@@ -214,7 +220,7 @@ return times;
 
 
 def chart(_, page):
-    page.load("", "firstTiles")
+    page.load("overview", "firstTiles")
     yield "100,000 points with a band, drawn", statistics.median(page.script(CHART)), "ms", 50
 
 
@@ -242,7 +248,7 @@ return seen;
 def jobs(data, page):
     """No script runs between the check of the rows and the painting of the frame."""
     data.with_jobs()
-    page.load("", "firstTiles")
+    page.load("overview", "firstTiles")
     page.until("document.querySelectorAll('tbody tr').length > 100")
     page.click("Show more")
     page.until(f"document.querySelectorAll('tbody tr').length >= {N_JOBS}")
@@ -282,7 +288,7 @@ def streams(data, page):
 
 
 MEASURES = {function.__name__: function for function in
-            (assets, overview, stage, editor, chart, many_robots, streams, jobs, phylogeny)}
+            (assets, overview, home, stage, editor, chart, many_robots, streams, jobs, phylogeny)}
 
 
 def main():
@@ -301,7 +307,7 @@ def main():
         page = None
         try:
             page = Page(data.service)
-            page.load("", "firstTiles")
+            page.load("overview", "firstTiles")
             for name in MEASURES:
                 if ARGUMENTS.only and name not in ARGUMENTS.only:
                     continue

@@ -6,10 +6,12 @@ import {
 import { announce, button, fill, h, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
+import { tray } from './lib/tray.js';
 
 /** The views; under: the entry of the bar for a view that has none. */
 const VIEWS = {
-  overview: { name: 'Overview', module: './views/overview.js' },
+  home: { name: 'Home', module: './views/home.js', title: 'Home' },
+  overview: { name: 'Service', module: './views/overview.js' },
   runs: { name: 'Runs', module: './views/runs.js' },
   campaigns: { name: 'Campaign', module: './views/campaign.js', under: 'runs' },
   trainings: { name: 'Training', module: './views/training.js', under: 'runs' },
@@ -19,6 +21,7 @@ const VIEWS = {
   editor: { name: 'Editor', module: './views/editor.js' },
   stage: { name: 'Stage', module: './views/stage.js' },
   machines: { name: 'Machines', module: './views/machines.js' },
+  compare: { name: 'Compare robots', module: './views/compare.js', under: 'designs' },
 };
 
 /**
@@ -29,9 +32,9 @@ function placeOf() {
   const [path, query] = location.hash.replace(/^#\/?/, '').split('?');
   const [key, ...rest] = path.split('/').map(decoded).filter(Boolean);
   const parameters = new URLSearchParams(query);
-  const name = key ?? 'overview';
+  const name = key ?? 'home';
   let other = '';
-  if (VIEWS[name]?.under && !rest.length) {
+  if (VIEWS[name]?.under === 'runs' && !rest.length) {
     if (!parameters.has('kind')) parameters.set('kind', name.slice(0, -1));
     other = `runs?${parameters}`;
   } else if (name === 'designs' && !rest.length && parameters.get('evaluation')) {
@@ -128,7 +131,8 @@ function startTheme() {
 }
 
 function brand() {
-  return h('a.brand', { href: '#/' }, svg('svg', { viewBox: '4 2 26 27', 'aria-hidden': 'true' },
+  const link = { href: '#/', 'aria-label': 'morphod: home' };
+  return h('a.brand', link, svg('svg', { viewBox: '4 2 26 27', 'aria-hidden': 'true' },
     svg('path', { fill: '#ffd089', d: 'M16 4l9 5-9 5-9-5z' }),
     svg('path', { fill: '#f3a536', d: 'M7 9l9 5v11l-9-5z' }),
     svg('path', { fill: '#c97d14', d: 'M25 9l-9 5v11l9-5z' })), 'morphod');
@@ -193,12 +197,13 @@ async function takeToken() {
   setToken(token);
 }
 
-const HOME = () => h('p', {}, h('a', { href: '#/' }, 'To the overview'));
+const HOME = () => h('p', {}, h('a', { href: '#/' }, 'To the home page'));
 
 class Frame {
   constructor(chooseTheme) {
     this.links = Object.entries(VIEWS).filter(([, { under }]) => !under).map(([key, view]) =>
-      [key, h('a', { href: key === 'overview' ? '#/' : `#/${key}` }, view.name)]);
+      [key, key === 'home' ? brand() : h('a', { href: `#/${key}` }, view.name)]);
+    const [[, home], ...others] = this.links;
     this.banner = h('div.banner', { role: 'status', hidden: true });
     this.main = h('main', { id: 'main', tabindex: -1 });
     const theme = button('', () => chooseTheme(app.theme === 'dark' ? 'light' : 'dark'));
@@ -209,8 +214,8 @@ class Frame {
     nameTheme();
     this.caller = h('span.muted.caller');
     this.note = h('div.note', { role: 'note', hidden: true });
-    fill(document.getElementById('frame'), h('header.bar', {}, brand(),
-      h('nav', { 'aria-label': 'Views' }, this.links.map(([, link]) => link)),
+    fill(document.getElementById('frame'), h('header.bar', {}, home,
+      h('nav', { 'aria-label': 'Views' }, others.map(([, link]) => link)),
       h('div.side', {}, this.caller, theme)), this.banner, this.note, this.main);
     connection.listeners.add((up) => this.#tell(up));
     document.getElementById('skip').addEventListener('click', (event) => {
@@ -218,6 +223,8 @@ class Frame {
       this.main.focus();
     });
     this.view = null;
+    this.onTray = () => this.showTray();
+    tray.listeners.add(this.onTray);
     history.scrollRestoration = 'manual'; // the page fills up after the browser would have scrolled
     addEventListener('scroll', () => {
       clearTimeout(this.scrolled);
@@ -282,10 +289,11 @@ class Frame {
         return;
       }
       this.view = view ?? {};
-      if (document.title === `${entry.name} · morphod`) {
+      if (!entry.title && document.title === `${entry.name} · morphod`) {
         app.setTitle(this.main.querySelector('h1')?.textContent ?? entry.name);
       }
       scrollTo(0, place);
+      if (!this.bar) this.showTray();
       if (isMove) this.#arrive();
       // Something that happened while the view loaded may be newer than what it shows.
       if (app.events.last !== last) view?.update?.({ type: 'reset' });
@@ -341,8 +349,24 @@ class Frame {
       this.caller.textContent = callerName();
       this.note.textContent = whyNot();
       this.note.hidden = !this.note.textContent;
+      this.bar?.update();
     }, () => { this.identified = null; }); // the view reports the error
     return this.identified;
+  }
+
+  /** Adds the bar of the tray, once the tray has a robot. */
+  async showTray() {
+    if (!tray.kept.length || this.bar === null) return;
+    tray.listeners.delete(this.onTray);
+    this.bar = null; // it is loading
+    try {
+      const { trayBar } = await import('./views/tray.js');
+      this.bar = trayBar(app, () => this.view);
+      document.getElementById('frame').append(this.bar);
+    } catch {
+      this.bar = undefined;
+      tray.listeners.add(this.onTray); // the next robot tries again
+    }
   }
 
   /** Starts over with another token, or when the service is back. */
@@ -356,6 +380,21 @@ const frame = new Frame(startTheme());
 app.events.listen((event) => {
   if (isNews(event)) app.recent = [...app.recent, event].slice(-60);
   frame.view?.update?.(event);
+});
+/** Keys of all pages. A question mark that is typed into a field stays one. */
+addEventListener('keydown', (event) => {
+  const { key, ctrlKey, metaKey, altKey, target } = event;
+  const isJump = key.toLowerCase() === 'k' && (ctrlKey || metaKey) && !altKey;
+  const isTyped = /** @type {Element} */ (target).closest?.('input, textarea, select');
+  if (!isJump && (key !== '?' || ctrlKey || metaKey || altKey || isTyped)) return;
+  event.preventDefault();
+  if (document.querySelector('dialog[open]')) return;
+  import('./views/jump.js').then(({ jump, showKeys }) => {
+    const pages = Object.entries(VIEWS).filter(([, { under }]) => !under)
+      .map(([path, { name }]) => ({ name, href: `#/${path === 'home' ? '' : path}` }));
+    if (isJump) jump(pages);
+    else showKeys();
+  }, () => {}); // the banner says that the service is down
 });
 const begin = () => takeToken().then(() => frame.start());
 window.addEventListener('hashchange', () => {

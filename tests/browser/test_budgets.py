@@ -24,8 +24,9 @@ def test_all_files_together_are_small(service):
 @pytest.mark.parametrize("view, shown, length", [
     # The page, its frame, the modules of the view along with the number of the newest event, and
     # the data. The newest events may come between these.
-    ("", "document.querySelector('.tile')", 5),
+    ("overview", "document.querySelector('.tile')", 5),
     # The same, then the robots.
+    ("", "performance.getEntriesByName('morphod-first-picture').length", 6),
     ("stage", "performance.getEntriesByName('morphod-first-picture').length", 6)
 ])
 def test_a_page_waits_for_few_requests_in_a_row(browser, view, shown, length):

@@ -35,7 +35,7 @@ def busy(service):
 
 
 def test_a_refresh_leaves_what_is_typed_and_has_the_focus(browser, busy):
-    browser.open("")
+    browser.open("overview")
     browser.until("document.querySelector('article input')")
     browser.run("""
         window.typed = document.querySelector('article input');
@@ -204,7 +204,7 @@ def test_replicates_are_one_row(service, browser):
     browser.run("document.querySelector('[aria-label=\"Show the replicates of thrice\"]').click()")
     browser.until(f"{thrice}.length === 4")
     items = service.get(f"/v1/campaigns?group={first}")["items"]
-    go(browser, "?label=thrice")
+    go(browser, "overview?label=thrice")
     browser.until("document.querySelectorAll('.jobs tbody tr .main .muted').length === 3")
     assert [text.split(", ")[1] for text in browser.texts(".jobs tbody tr .main .muted")] == [
         f"replicate {n} of 3" for n in (3, 2, 1)]
@@ -278,7 +278,7 @@ def test_warnings_appear_next_to_the_state(start):
         page.open(f"trainings/{training}")
         page.until("document.querySelector('canvas')?.getAttribute('aria-label') === "
                    "'Mean loss of the batch: No value: all 4 robots diverged.'")
-        page.open("")
+        page.open("overview")
         page.until("document.body.innerText.includes('but every robot diverged')")
         assert "but no unseen body is left" in page.run("return document.body.innerText")
     finally:

@@ -15,7 +15,9 @@ from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
 VIEWS = {
-    "": "Overview", "runs": "Runs", "campaigns": "Runs",
+    "": "morphod evolves robots of soft voxels, trains the network that moves them, and scores "
+        "how close each of them comes to a light.", "overview": "Service",
+    "runs": "Runs", "campaigns": "Runs",
     "campaigns/{campaign}": "<b>walkers</b> & others",
     "campaigns/{campaign}/population": "<b>walkers</b> & others",
     "campaigns/{campaign}/settings": "<b>walkers</b> & others",
@@ -27,13 +29,15 @@ VIEWS = {
     "evaluations/{evaluation}": "Evaluation {evaluation}",
     "evaluations/{evaluation}/settings": "Evaluation {evaluation}",
     "designs": "Designs", "controllers": "Controllers", "editor": "Editor",
-    "stage": "Stage", "machines": "Machines"
+    "stage": "Stage", "machines": "Machines",
+    "compare?designs={robots}": "Compare robots"
 }
+ROBOTS = "00e4402ef444a4aeacaacc60ecaee0000000@7," + "f" * 36 + "@0"
 
 
 def address(service, view):
     return view.format(campaign=service.campaign, study=service.study, training=service.training,
-                       evaluation=service.evaluation)
+                       evaluation=service.evaluation, robots=ROBOTS)
 
 
 @pytest.mark.parametrize("theme", ("dark", "light"))
@@ -42,7 +46,7 @@ def test_page(service, browser, view, theme):
     browser.open(address(service, view), theme)
     title = address(service, VIEWS[view])
     browser.until(f"document.querySelector('h1')?.textContent === {title!r}")
-    if view in ("editor", "stage"):
+    if view in ("", "editor", "stage"):
         browser.until_walking()
     assert browser.faults() == []
     assert browser.run(ACCESSIBILITY) == []
@@ -98,7 +102,7 @@ return faults;
 def test_labels_are_text(service, browser):
     browser.open("campaigns/" + service.campaign)
     assert browser.run("return document.querySelectorAll('main b').length") == 0
-    browser.open("")
+    browser.open("overview")
     browser.until("[...document.links].some((a) => a.innerText.includes('<b>walkers</b>'))")
     assert browser.run("return document.querySelectorAll('main b').length") == 0
 
@@ -181,7 +185,7 @@ def test_what_the_editor_does(service, browser):
     assert browser.run(f"return {voxels}") == moved
     browser.until("/^score/.test(document.querySelector('main p.result').textContent)")
     browser.click("Keep")  # the same form, and so the same founder
-    assert browser.run("return document.querySelectorAll('.card').length") == 1
+    browser.until("document.querySelectorAll('#tray li').length === 1")
     browser.click("Cross")  # campaigns place the parents first, which makes these two equal
     browser.until("/equal, so no voxel is left/.test(document.getElementById('toast').innerText)")
     assert browser.run(f"return {voxels}") == moved
@@ -227,7 +231,7 @@ def test_a_campaign_from_start_to_end_by_keyboard(service, browser):
                 return
         raise AssertionError(f"the tab key never came to {name!r}")
 
-    browser.open("")
+    browser.open("overview")
     press("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
     fields = {"population": "8", "generations": "2", "label": "by keyboard"}
@@ -305,9 +309,9 @@ def test_links_carry_the_orientation(service, browser):
     assert browser.faults() == []
 
 
-def bred(service, browser, label):
-    """Starts a campaign by "Breed these", and returns the ids of its founders once it has ended."""
-    browser.click("Breed these")
+def bred(service, browser, label, button="Breed these"):
+    """Starts a campaign by a button, and returns the ids of its founders once it has ended."""
+    browser.click(button)
     browser.until("document.querySelector('dialog[open] form')")
     browser.run("""
         const form = document.querySelector('dialog[open] form');
@@ -347,7 +351,7 @@ def test_bodies_of_the_editor_and_robots_of_the_stage_found_campaigns(service, b
                 "document.querySelector('dialog form').requestSubmit()", "[[3, 3, 1], [3, 4, 1]]")
     browser.until(scored)  # the same form as the second, elsewhere and turned
     browser.click("Keep")
-    assert bred(service, browser, "of the editor") == ids
+    assert bred(service, browser, "of the editor", "Breed") == ids
     browser.open("stage?designs=" + ",".join(ids))
     browser.until_walking()
     assert bred(service, browser, "of the stage") == ids
@@ -357,7 +361,7 @@ def test_what_happens_while_a_page_loads_is_not_lost(service, browser):
     from conftest import CAMPAIGN
     id = service.post("/v1/campaigns", CAMPAIGN | {"generations": 90000})["id"]
     service.act(id, "pause")
-    browser.open("")
+    browser.open("overview")
     browser.run("""
         const { fetch } = window;
         const gate = new Promise((resolve) => { window.release = resolve; });
@@ -402,7 +406,7 @@ def test_lower_bounds_are_no_scores(service, browser):
     rows = service.pages(f"/v1/campaigns/{id}/phylogeny")
     bound = next(row for row in rows if row["lower_bound"])
     browser.open(f"campaigns/{id}/phylogeny?design={bound['number']}")
-    browser.until("document.querySelector('main h2')?.innerText.startsWith('Design #')")
+    browser.until("document.querySelector('main h2')?.innerText.startsWith('#')")
     text = browser.run("return document.querySelector('main').innerText")
     assert f"score ≥ {bound['score']:.4f}" in text and "A lower bound" in text
     legend = browser.texts(".flush > .legend span")
@@ -433,10 +437,10 @@ def test_the_best_of_many_come_first(service, browser):
 
 
 COPIED = [
-    "", "runs?kind=campaign&search=walkers&state=succeeded", "campaigns/{campaign}",
+    "overview", "runs?kind=campaign&search=walkers&state=succeeded", "campaigns/{campaign}",
     "campaigns/{campaign}/phylogeny", "campaigns/{campaign}/replicates", "trainings",
     "trainings/{training}", "designs", "designs?evaluation={evaluation}", "designs/{design}",
-    "controllers", "editor"
+    "controllers", "editor", "compare?designs={robots}"
 ]
 
 
@@ -568,7 +572,8 @@ STATES = {  # what a page shows if there is no data, or the address has another 
     "campaigns": "No job matches", "runs": "No job yet", "controllers": "Made by",
     "campaigns/99/settings": "There is no such campaign", "runs/99": "There is no such job",
     "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
-    "": "No job yet", "campaigns/99": "There is no such campaign",
+    "": "No design of this store has a score yet", "overview": "No job yet",
+    "campaigns/99": "There is no such campaign",
     "campaigns/99/phylogeny": "There is no such campaign",
     "trainings/99": "There is no such training",
     "designs?evaluation=99": "There is no such evaluation", "designs/xyz": "36 hexadecimal digits",
@@ -626,7 +631,7 @@ def test_the_page_says_that_the_service_is_down_and_comes_back(start, browser):
     running.evaluate({"designs": [DESIGN]})
     browser.base, before = f"http://{running.host}:{running.port}/", browser.base
     try:
-        browser.open("")
+        browser.open("overview")
         running.stop(9)
         browser.until("!document.querySelector('.banner').hidden")
         assert "cannot be reached" in browser.texts(".banner")[0]
@@ -644,7 +649,7 @@ def test_jobs_in_order(service, browser):
     job = run(service, "evaluations", {"designs": [DESIGN], "physics": {"n_steps": 20},
                                        "label": "in order"})["id"]
     rows = "document.querySelectorAll('table.jobs tbody tr').length"
-    browser.open("?label=in%20ord")
+    browser.open("overview?label=in%20ord")
     browser.until(f"{rows} === 1")
     browser.click("Edit", "table.jobs button")
     browser.run("document.querySelector('dialog textarea').value = '<b>falls</b> over'")
@@ -652,7 +657,7 @@ def test_jobs_in_order(service, browser):
     browser.click("Save")
     browser.until(f"{rows} === 0")
     assert service.get(f"/v1/jobs/{job}")["note"] == "<b>falls</b> over"
-    browser.open("?label=in%20ord&archived=true")
+    browser.open("overview?label=in%20ord&archived=true")
     browser.until(f"{rows} === 1")
     assert "<b>falls</b> over" in browser.texts("table.jobs td.main")[0]
     browser.click("Edit", "table.jobs button")

@@ -57,7 +57,7 @@ def test_a_suite_has_a_picture_and_a_table(service, browser):
 def test_a_form_starts_the_suite(service, browser):
     """The form of an evaluation offers the suite, with its rollouts and commands; that of a
     campaign does not."""
-    browser.open("")
+    browser.open("overview")
     browser.click("New evaluation")
     browser.until("document.querySelector('dialog[open] form')")
     browser.run("document.querySelector(\".tasks input[value='morpho-12']\").click();"
@@ -73,7 +73,7 @@ def test_a_form_starts_the_suite(service, browser):
     browser.run("document.querySelectorAll('dialog')[1].close()")
     browser.click("Start", "dialog button")
     browser.until(DRAWN)
-    browser.open("")
+    browser.open("overview")
     browser.click("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
     assert "morpho-12" not in browser.run(

@@ -50,7 +50,8 @@ def shown(browser, view, token=None):
 
 def test_who_may_only_look(guarded, page):
     """No page has a button that writes; each shows the reason, and the name as text."""
-    views = ("", "campaigns", f"campaigns/{guarded.campaign}", "trainings", "editor", "designs")
+    views = ("overview", "", "campaigns", f"campaigns/{guarded.campaign}", "trainings", "editor",
+             "designs")
     seen = set()
     for i, view in enumerate(views):
         seen |= shown(page, view, SUBMIT if i == 0 else None)
@@ -67,7 +68,7 @@ def test_who_may_only_look(guarded, page):
         assert page.run("return document.querySelectorAll('header img, .note img, main b')"
                         ".length") == 0
     page.until("document.querySelector('h1')?.textContent === 'Designs'")
-    shown(page, "")
+    shown(page, "overview")
     page.until("[...document.querySelectorAll('main td')].some((e) => "
                "e.innerText.includes('by <b>sam</b>'))")
     assert page.faults() == []

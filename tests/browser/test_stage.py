@@ -10,6 +10,7 @@ import numpy
 import pytest
 
 from service import DESIGN
+from test_tray import module
 
 PIXELS_PER_M = 260
 
@@ -248,7 +249,10 @@ def test_a_race_and_its_link(service, browser):
     browser.until("/time=1.50/.test(location.hash) && /follow=1/.test(location.hash)")
     link, reported, named = browser.driver.current_url, browser.run(state), browser.run(tags)
     assert reported["views"] == 1 and not reported["side"] and not reported["playing"]
-    assert [name for name, *_ in named] == [f"{id[:36].rstrip('0')[:8]}…{id[36:]}" for id in ids]
+    names = module(browser, "lib/names.js", "done(arguments[1].map(of.nameOf))", ids)
+    assert [name for name, *_ in named] == names
+    assert browser.run("return [...document.querySelectorAll('.names button')]"
+                       ".map((e) => e.title)") == [f"{id}: follow this robot" for id in ids]
     assert len({color for _, color, *_ in named}) == 2
     browser.open(link.split("#/")[1])
     browser.until_walking()

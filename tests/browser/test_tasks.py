@@ -10,7 +10,7 @@ STAGE = "document.querySelector('.stage').player.stage"
 def test_a_form_offers_tasks(service, browser):
     """A task is chosen by its picture; it becomes the environments of the request and of its
     commands, and counts in the estimate."""
-    browser.open("")
+    browser.open("overview")
     browser.click("New campaign")
     browser.until("document.querySelector('dialog[open] form')")
     names = browser.run("return [...document.querySelectorAll('.tasks input')].map((e) => e.value)")

@@ -80,6 +80,32 @@ export function genotypeOfId(robot) {
     [Number(k ?? 0) & 1 ? last[0] - x : x, Number(k ?? 0) & 2 ? last[1] - y : y, z]));
 }
 
+/** Returns a genotype moved to the origin as [dimensions, digits], for comparison. */
+function aligned(cells) {
+  const [low, high] = [Math.min, Math.max].map((end) =>
+    [0, 1, 2].map((axis) => end(...cells.map((cell) => cell[axis]))));
+  return [high.map((v, axis) => v - low[axis] + 1).join(' '),
+    genotypeOf(cells.map((cell) => cell.map((v, axis) => v - low[axis])))];
+}
+
+/**
+ * Returns the robot, ID@K, that a genotype is. The id spells the canonical form: of the eight
+ * images, the smallest by dimensions, then by digits. K is the lowest image of this form that is
+ * the genotype.
+ */
+export function robotOf(genotype) {
+  const cells = cellsOf(genotype);
+  const images = Array.from({ length: 8 }, (_, k) => aligned(cells.map(([x, y, z]) => {
+    const [u, v] = k & 4 ? [y, x] : [x, y];
+    return [k & 1 ? -u : u, k & 2 ? -v : v, z];
+  })).join(':'));
+  const [, form] = images.reduce((a, b) => (b < a ? b : a)).split(':');
+  const id = form.match(/.{4}/g).map((four) => parseInt(four, 2).toString(16)).join('');
+  const [, own] = aligned(cells);
+  const isOwn = (k) => aligned(cellsOf(genotypeOfId(`${id}@${k}`)))[1] === own;
+  return `${id}@${[0, 1, 2, 3, 4, 5, 6, 7].find(isOwn)}`;
+}
+
 /**
  * Expresses a genotype.
  *

@@ -2,8 +2,9 @@
  * Robots for the stage: rollouts that the daemon computes without storing them, and recordings.
  */
 
-import { getJson, patient, request, withQuery } from './api.js';
+import { getJson, patient, post, request, withQuery } from './api.js';
 import { countOf } from './format.js';
+import { nameOf } from './names.js';
 import { decodeScene, robotsOf } from './scene.js';
 import { taskWords } from './tasks.js';
 
@@ -84,6 +85,18 @@ export async function roll(designs, environment, options = {}) {
     robots.push(...robotsOf(decodeScene(await response.arrayBuffer())));
   }
   return robots;
+}
+
+/**
+ * Computes the losses of a design in each environment of a set, with the default controller.
+ * @returns {Promise<{mean: number|null, losses: (number|null)[]}>} null: it diverged
+ */
+export async function scoresOf(design, set, options = {}) {
+  const reply = await patient(() => post('v1/rollouts', {
+    designs: [design], environments: set, record: [],
+  }, { signal: options.signal, headers: { Accept: 'application/json' } }));
+  const losses = reply.rollouts.map(({ loss }) => loss);
+  return { mean: losses.includes(null) ? null : reply.designs[0].score, losses };
 }
 
 /** How long a window of a drive is, about. */
@@ -182,5 +195,6 @@ export async function rollOfCampaign(campaign, designs, signal) {
   const { environments, controller, physics } = await worldOfJob('campaign', campaign);
   const robots = await roll(designs.map(({ genotype }) => ({ voxels: genotype })), environments[0],
     { controller, physics, signal });
-  return robots.map((robot, i) => ({ ...robot, label: `#${designs[i].number}` }));
+  return robots.map((robot, i) =>
+    ({ ...robot, label: `#${designs[i].number} ${nameOf(robot.id)}` }));
 }

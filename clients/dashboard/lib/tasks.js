@@ -101,6 +101,17 @@ export const resultOf = ({ value = null, unit, loss, driven }) => {
   return unit === 'm/kJ' && value !== null ? `${value.toFixed(3)} m/kJ` : score(loss);
 };
 
+/**
+ * Describes a loss of the task `photo`, which is the distance to the light at the end over that at
+ * the start: [what stands out, the rest of the sentence]. The share of the way is rounded down.
+ */
+export function wayOf(loss) {
+  if (loss === null) return ['It diverges', ', so it has no score.'];
+  if (loss >= 1) return ['It comes no closer', ' to the light in 4 s.'];
+  const share = Math.floor(1000 * (1 - loss)) / 10;
+  return [`${share.toFixed(1)} %`, ' of the way to the light in 4 s'];
+}
+
 /** Returns an objective in words: its name, or "1 travel − 0.001 work_j". */
 const objectiveWords = (objective) => (typeof objective === 'string' ? objective
   : Object.entries(objective).map(([term, weight], i) => (

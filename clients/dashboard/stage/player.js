@@ -294,7 +294,7 @@ export class Player {
   #name(robot, i) {
     return h('button', {
       type: 'button', 'aria-pressed': String(i === this.stage.followed),
-      title: 'Follow this robot',
+      title: `${robot.robot}: follow this robot`,
       onclick: () => this.#followRobot(i),
     }, h('span.row', {}, swatch(robot.color), robot.label ?? ''),
     h('span.number', {}, resultOf(robot)));

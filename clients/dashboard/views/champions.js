@@ -2,9 +2,11 @@
 
 import { button, fill, h, patch } from '../lib/dom.js';
 import { voxels } from '../lib/format.js';
+import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
 import { rollOfCampaign } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
+import { trayButton } from './add.js';
 import { breedButton } from './forms.js';
 
 const CHAMPIONS = 8;
@@ -59,9 +61,12 @@ export class Champions {
     }), { disabled: true, title: 'On the stage, in the world of this campaign' });
     this.breed = breedButton(app, 'Breed these', () =>
       genotypes().map((voxels) => ({ voxels })), { disabled: true });
+    this.keep = trayButton(() => [...this.chosen.values()].map((design) =>
+      ({ genotype: design.genotype, note: `score ${this.shown(design.score)}` })),
+    { disabled: true });
     this.element = h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
       h('span.muted', {}, 'the best, then the most distinct of the good ones; select one to see ' +
-        'it walk'), h('div.actions', {}, this.watch, this.breed)), this.cards, this.nothing);
+        'it walk'), h('div.actions', {}, this.watch, this.keep, this.breed)), this.cards, this.nothing);
   }
 
   async refresh() {
@@ -93,14 +98,17 @@ export class Champions {
   #card(design) {
     const { number, genotype, operator } = design;
     const card = h('button.card', {
-      type: 'button', title: `Design ${design.robot}`, onclick: () => this.stage.walk([design]),
+      type: 'button', title: design.robot, onclick: () => this.stage.walk([design]),
     }, picture(genotype, `Champion ${number}`), h('strong.number', {}, this.shown(design.score)),
     h('span.crown', { hidden: true }, '♛ best'),
-    h('span.muted', {}, `#${number}, ${voxels(design.voxels)}`), h('span.muted', {}, operator));
-    const box = h('input', { type: 'checkbox', 'aria-label': `Choose #${number}`, onchange: () => {
+    h('span', {}, nameOf(design.robot)),
+    h('span.muted', {}, `#${number}, ${shortOf(design.robot)}`),
+    h('span.muted', {}, `${voxels(design.voxels)}, ${operator}`));
+    const label = `Choose #${number}, ${nameOf(design.robot)}`;
+    const box = h('input', { type: 'checkbox', 'aria-label': label, onchange: () => {
       if (box.checked) this.chosen.set(number, design);
       else this.chosen.delete(number);
-      this.watch.disabled = this.breed.disabled = this.chosen.size === 0;
+      this.watch.disabled = this.keep.disabled = this.breed.disabled = this.chosen.size === 0;
     } });
     return h('div.pick', {}, card, h('label.row', {}, box, 'choose'));
   }

@@ -5,9 +5,11 @@ import { genotypeOfId } from '../lib/body.js';
 import { button, fill, h, select, table } from '../lib/dom.js';
 import { pythonOf } from '../lib/commands.js';
 import { ago, countOf, scoreBy, scoreOf, shellWord, voxels as inVoxels } from '../lib/format.js';
+import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
 import { environmentSet, roll } from '../lib/rollouts.js';
 import { Player } from '../stage/player.js';
+import { trayButton } from './add.js';
 import { breedButton } from './forms.js';
 import { announced, copyButton } from './share.js';
 import { Wall } from './wall.js';
@@ -75,7 +77,7 @@ async function mountBoard(main, parameters, app) {
     }), select('Controller', controllers, controller, (value) => {
       controller = value;
       announced(again);
-    }), wall.watch, wall.breed, copyButton(() => ({
+    }), wall.watch, wall.keep, wall.breed, copyButton(() => ({
       path: withQuery('v1/designs', { ...asked(), limit: PAGE }),
       morphoctl: ['design list',
         ...given().flatMap(([key, value]) => [`--${key}`, shellWord(value)])].join(' '),
@@ -92,13 +94,18 @@ async function mountDesign(main, id, app) {
   const design = await getJson(`v1/designs/${encodeURIComponent(id)}`);
   const name = design.id + (/@[0-7]$/.exec(id)?.[0] ?? ''); // from the link: a robot, or an id
   const player = new Player(app, { height: 420 });
+  /** The design as a robot for the tray, in the orientation of the link, or else the best one. */
+  const kept = () => {
+    const robot = name.includes('@') ? name : design.orientations[0]?.robot ?? `${name}@0`;
+    return { robot, genotype: genotypeOfId(robot) };
+  };
   const scored = design.orientations.flatMap((orientation) =>
     orientation.scores.map((one) => ({ ...one, robot: orientation.robot })));
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Design'), h('code', {}, name), h('div.actions', {},
+    h('div.title', {}, h('h1', {}, nameOf(name)), h('code', {}, name), h('div.actions', {},
       h('a.button', { href: `#/editor?design=${name}` }, 'Edit'),
       h('a.button', { href: `#/stage?designs=${name}` }, 'Stage'),
-      breedButton(app, 'Breed', () => [{ id: name }]),
+      trayButton(() => [kept()]), breedButton(app, 'Breed', () => [{ id: name }]),
       copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${name}` })))),
     h('div.grid', {}, h('section.panel.row.portrait', {}, picture(genotypeOfId(name), 'The design'),
       h('div.stack', {}, h('strong', {}, inVoxels(design.voxels)),
@@ -125,11 +132,11 @@ async function mountDesign(main, id, app) {
         `: number ${one.number}, ${one.operator}, born in generation ${one.born}, ` +
         scoreBy(one.own_score, one))))
       : h('p.empty', {}, 'It was not born in a campaign.')));
-  app.setTitle(`Design ${design.id.slice(0, 10)}`);
+  app.setTitle(`${nameOf(name)}, ${shortOf(name)}`);
   const environments = await environmentSet('paper-test');
   roll([{ id: name }], environments[0], { signal: stop.signal })
     .then((robots) =>
-      player.setRobots(robots.map((robot) => ({ ...robot, label: robot.robot.slice(36) }))))
+      player.setRobots(robots.map((robot) => ({ ...robot, label: nameOf(robot.robot) }))))
     .catch((error) => { if (!stop.signal.aborted) player.setNote(error.message); });
   return {
     unmount() {

@@ -1,15 +1,18 @@
 /** The editor: a body, voxel by voxel, that walks and is scored after every click. */
 
 import { LinkError, getJson, patient, post, storing } from '../lib/api.js';
-import { WORKSPACE, bodyOf, cellsOf, genotypeOf, genotypeOfId, hasVoxel } from '../lib/body.js';
+import {
+  WORKSPACE, bodyOf, genotypeOf, genotypeOfId, hasVoxel, robotOf,
+} from '../lib/body.js';
 import { announce, button, fill, h, toggle } from '../lib/dom.js';
-import { count, countOf, score, voxels } from '../lib/format.js';
-import { picture } from '../lib/picture.js';
-import { environmentSet, roll } from '../lib/rollouts.js';
+import { count, score, voxels } from '../lib/format.js';
+import { nameOf, shortOf } from '../lib/names.js';
+import { environmentSet, roll, scoresOf } from '../lib/rollouts.js';
+import { tray } from '../lib/tray.js';
 import { flip, isConnected, mirror, readBody, shift } from '../lib/variation.js';
 import { Player } from '../stage/player.js';
+import { addToTray } from './add.js';
 import { Driving } from './drive.js';
-import { breedButton } from './forms.js';
 import { announced, copyButton, formDialog } from './share.js';
 
 const FIRST = [
@@ -17,8 +20,8 @@ const FIRST = [
   [2, 2, 0], [3, 2, 0], [2, 3, 0], [3, 3, 0], [2, 2, 1], [3, 3, 1], [2, 3, 1], [3, 2, 1],
 ];
 
-/** Storage key of the kept bodies, the undo steps and the body, while the tab is open. */
-const SHELF_KEY = 'morphod-editor';
+/** Storage key of the undo steps and the body, while the tab is open. */
+const STATE_KEY = 'morphod-editor';
 const PAST_MAX = 100;
 /** The first random body of at least this size is used: smaller ones barely walk. */
 const RANDOM_VOXELS_MIN = 6;
@@ -26,36 +29,34 @@ const isBody = (text) => /^[01]{144}$/.test(text) && text.includes('1');
 
 /**
  * The state of the editor when it was left.
- * @returns {{kept: Object[], past: string[], body: ?string}}
+ * @returns {{past: string[], body: ?string}}
  */
-function shelfOf() {
-  const text = storing(() => sessionStorage.getItem(SHELF_KEY));
-  return text ? JSON.parse(text) : { kept: [], past: [], body: null };
+function stateBefore() {
+  const text = storing(() => sessionStorage.getItem(STATE_KEY));
+  return text ? JSON.parse(text) : { past: [], body: null };
 }
 
 export async function mount(main, path, parameters, app) {
   const player = new Player(app, { compact: true });
-  const { kept, past, body: last } = shelfOf();
+  const { past, body: last } = stateBefore();
   let genotype = await startBody(parameters, last);
-  const known = new Map(); // ids by genotype
   let mirrored = false;
   let isClosed = false;
   let stop = new AbortController();
 
   const layers = h('div.layers', { role: 'group', 'aria-label': 'Body, layer by layer' });
   const result = h('p.result', { 'aria-live': 'polite' });
-  const shelf = h('div.grid.small');
   const environments = await environmentSet('paper-test');
   if (player.stage) {
     new Driving(player, () => ({ environment: environments[0], name: 'morphod-drawn',
       set: 'paper-test' }));
   }
 
-  /** Saves the shelf, the undo steps and the body for a return to the editor. */
+  /** Saves the undo steps and the body for a return to the editor. */
   function store() {
     past.splice(0, past.length - PAST_MAX);
-    const text = JSON.stringify({ kept, past, body: genotype });
-    storing(() => sessionStorage.setItem(SHELF_KEY, text));
+    const text = JSON.stringify({ past, body: genotype });
+    storing(() => sessionStorage.setItem(STATE_KEY, text));
   }
 
   function change(next, { undo = false } = {}) {
@@ -90,7 +91,7 @@ export async function mount(main, path, parameters, app) {
   });
 
   function cross() {
-    const other = kept[Math.floor(Math.random() * kept.length)];
+    const other = tray.kept[Math.floor(Math.random() * tray.kept.length)];
     return make('cross', {
       designs: [genotype, other.genotype].map((voxels) => ({ voxels })), pairs: [[0, 1]],
       repair: 'largest',
@@ -172,23 +173,18 @@ export async function mount(main, path, parameters, app) {
     try {
       const [robot] = await roll([design], environments[0], { signal });
       if (signal.aborted) return;
-      robot.label = 'this body';
-      known.set(genotype, robot.id);
-      for (const one of kept) if (one.genotype === genotype) one.id = robot.id;
+      robot.label = nameOf(robot.id);
       player.setRobots([robot]);
       // It walks first, because ten rollouts would delay its first frame.
       await new Promise(requestAnimationFrame);
       if (signal.aborted) return;
       const shownMs = Math.round(performance.now() - started);
-      const reply = await patient(() => post('v1/rollouts', {
-        designs: [design], environments: 'paper-test', record: [],
-      }, { signal, headers: { Accept: 'application/json' } }));
+      const { mean } = await scoresOf(design, 'paper-test', { signal });
       if (signal.aborted) return;
       const scoredMs = Math.round(performance.now() - started);
-      const losses = reply.rollouts.map((rollout) => rollout.loss);
-      const diverged = losses.some((loss) => loss === null);
-      const mean = diverged ? null : reply.designs[0].score;
       fill(result, h('strong', {}, `score ${score(mean)}`), ` over ten environments, ${size}; `,
+        h('span', { title: robot.robot }, nameOf(robot.id)), ' ',
+        h('code', {}, shortOf(robot.robot)), ' ',
         h('span.muted', {}, `walking after ${shownMs} ms, scored after ${scoredMs} ms`));
       performance.measure('morphod-click-to-motion', { start: started, duration: shownMs });
     } catch (error) {
@@ -198,30 +194,17 @@ export async function mount(main, path, parameters, app) {
     }
   }
 
-  function drawShelf() {
-    fill(shelf, kept.map((one, i) => h('button.card', {
-      type: 'button', title: 'Edit this body again',
-      onclick: () => change(one.genotype),
-    }, picture(one.genotype, `Kept body ${i + 1}`), h('span.muted', {}, one.note))),
-    kept.length ? null
-      : h('p.empty', {}, 'Keep bodies here to cross them, or to breed a campaign from them.'));
-    breed.disabled = kept.length === 0;
-    crossing.disabled = kept.length === 0;
-  }
-
   function keep() {
-    // A campaign accepts each form once, in any position and orientation.
-    const id = known.get(genotype) ?? genotype;
-    if (kept.some((one) => one.id === id || one.genotype === genotype)) {
-      announce('This body has already been kept.');
+    if (!isConnected(genotype)) {
+      announce('Every voxel must share a face with another before the body can be kept.');
       return;
     }
-    kept.push({ id, genotype,
-      note: /^score \S+/.exec(result.textContent)?.[0] ?? voxels(cellsOf(genotype).length) });
-    store();
-    drawShelf();
-    announce(`${countOf(kept.length, 'body', 'bodies')} kept`);
+    addToTray([{ genotype, robot: robotOf(genotype),
+      note: /^score \S+/.exec(result.textContent)?.[0] }]);
   }
+
+  /** A body of the tray is needed to cross with. */
+  const offer = () => { crossing.disabled = tray.kept.length === 0; };
 
   function importBody() {
     const text = h('textarea', { rows: 6, 'aria-label': 'Body' });
@@ -239,9 +222,7 @@ export async function mount(main, path, parameters, app) {
     if (next) change(next);
     else announce('The body is at the edge of the workspace.');
   }, { class: 'icon', 'aria-label': `Shift: ${name}`, title: `Shift: ${name}` });
-  const breed = breedButton(app, 'Breed these',
-    () => kept.map((one) => ({ voxels: one.genotype })), { class: 'primary', disabled: true });
-  const crossing = button('Cross', cross, { disabled: true, title: 'Cross with a kept body' });
+  const crossing = button('Cross', cross, { title: 'Cross with a body of the tray' });
 
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, 'Editor'),
@@ -262,19 +243,20 @@ export async function mount(main, path, parameters, app) {
         h('span.pad', { role: 'group', 'aria-label': 'Shift' }, h('span.muted', {}, 'Shift'),
           move('←', [-1, 0, 0]), move('→', [1, 0, 0]), move('↑', [0, 1, 0]),
           move('↓', [0, -1, 0]), move('up', [0, 0, 1]), move('down', [0, 0, -1])),
-        button('Keep', keep)), result),
-    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)),
-    h('section.panel.stack', {},
-      h('div.title', {}, h('h2', {}, 'Kept'), h('div.actions', {}, breed)), shelf));
+        button('Keep', keep, { title: 'Add to the tray' })), result),
+    h('section.panel.flush', { 'aria-label': 'Stage' }, player.element)));
   drawLayers();
-  drawShelf();
+  offer();
+  tray.listeners.add(offer);
   walk();
   return {
+    pick: (body) => change(body),
     update({ type }) {
       if (type === 'reset') walk(); // the service was unavailable, so there is no score
     },
     unmount() {
       isClosed = true;
+      tray.listeners.delete(offer);
       stop.abort();
       player.destroy();
     },

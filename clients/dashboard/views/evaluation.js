@@ -35,7 +35,7 @@ async function prepare(shared) {
     app.go('stage', { evaluation: id, rows: rows.join(',') });
   }, { hidden: true });
   return {
-    actions: [recordings, wall.watch, wall.breed, copyButton(() => ({
+    actions: [recordings, wall.watch, wall.keep, wall.breed, copyButton(() => ({
       path: `v1/evaluations/${id}`, morphoctl: `job show ${id} --results`,
       python: `print(m.evaluation(${id}).${isLarge(job()) ? 'table' : 'frame'}())`,
     }))],

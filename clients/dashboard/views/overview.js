@@ -79,7 +79,7 @@ export async function mount(main, path, parameters, app) {
   let wanted = 100;
 
   main.replaceChildren(
-    h('div.title', {}, h('h1', {}, 'Overview'), h('div.actions', {},
+    h('div.title', {}, h('h1', {}, 'Service'), h('div.actions', {},
       ['evaluation', 'training', 'campaign'].map((kind) =>
         startButton(app, kind, kind === 'campaign' ? { class: 'primary' } : {})),
       copyButton(() => ({

@@ -4,12 +4,14 @@ import { getJson, request, withQuery } from '../lib/api.js';
 import { button, fill, h, say, select } from '../lib/dom.js';
 import { count, countOf, inOwnUnit, score, scoreBy } from '../lib/format.js';
 import { OPERATOR_HUES, layout, nearest } from '../lib/lineage.js';
+import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
 import { rollOfCampaign } from '../lib/rollouts.js';
 import { decodeScene } from '../lib/scene.js';
 import { onPointers } from '../stage/camera.js';
 import { Program, dataTexture } from '../stage/gl.js';
 import { Player } from '../stage/player.js';
+import { trayButton } from './add.js';
 import { PhylogenyMarks } from './phylogeny_marks.js';
 import { copyButton } from './share.js';
 
@@ -372,7 +374,8 @@ export async function mount(main, id, parameters, app) {
     fill(detail,
       h('div.row', {}, h('div.card', {}, picture(design.genotype, `Design ${number}`)),
       h('div.stack', {},
-      h('h2', {}, `Design #${number}`),
+      h('h2', { title: design.robot }, `#${number} ${nameOf(design.robot)}`),
+      h('code', {}, shortOf(design.robot)),
       h('div', {}, `${scoreBy(own, design)}, ${design.voxels} voxels, ${design.operator}`),
       h('div.muted', {}, `born in generation ${design.born}, ` +
         `${design.died === null ? 'alive' : `died in ${design.died}`}`),
@@ -380,7 +383,9 @@ export async function mount(main, id, parameters, app) {
         ? h('div.muted', {},
         'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
       h('a', { href: `#/designs/${design.robot}` }, 'all its scores'),
-      h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'))));
+      h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'),
+      h('div', {}, trayButton(() =>
+        [{ genotype: design.genotype, note: scoreBy(own, design) }])))));
     const [robots, ancestors] = await Promise.all([rollOfCampaign(campaign, [design], stop.signal),
       getJson(`v1/campaigns/${id}/designs/${number}/ancestors?limit=24`, { signal: stop.signal })]);
     if (selected !== row) return;
@@ -390,7 +395,8 @@ export async function mount(main, id, parameters, app) {
       { type: 'button', onclick: () => find(String(one.number)) },
       picture(one.genotype, `Ancestor ${one.number}`),
       h('strong.number', {}, own ? inOwnUnit(own, one.score) : score(one.score)),
-      h('span.muted', {}, `#${one.number}`))),
+      h('span', { title: one.robot }, nameOf(one.robot)),
+      h('span.muted', {}, `#${one.number}, ${shortOf(one.robot)}`))),
     ancestors.items.length ? null
       : h('p.empty', {}, 'It has no ancestors: it was in the initial population.'));
   }

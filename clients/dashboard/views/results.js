@@ -6,6 +6,7 @@
 import { request, shared, withQuery } from '../lib/api.js';
 import { fill, h, table } from '../lib/dom.js';
 import { count, countOf, number, score } from '../lib/format.js';
+import { nameOf, shortOf } from '../lib/names.js';
 import { inUnit, measureTitle } from '../lib/tasks.js';
 
 /** Designs in a table, and polygons in a picture. */
@@ -19,8 +20,8 @@ const LEAST_PX = 320;
 const PADDING_PX = 24;
 
 const linkTo = ({ robot, row }) => h('th', { scope: 'row' },
-  h('a', { href: `#/designs/${robot}`, 'aria-label': `Design ${robot}` },
-    `${row}: ${robot.slice(0, 8)}…${robot.slice(36)}`));
+  h('a', { href: `#/designs/${robot}`, title: robot }, `${row}: ${nameOf(robot)}`),
+  h('div.muted', {}, shortOf(robot)));
 
 /** Returns a panel with a table that may be wider than the page. */
 function panel(title, about, names, rows) {

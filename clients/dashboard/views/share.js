@@ -144,6 +144,9 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
+/** Saves a text as a file. */
+export const saveText = (text, name) => save(new Blob([text], { type: 'application/json' }), name);
+
 /**
  * Saves what the stage shows: a picture, a film, a separate page, or a model for other programs.
  * @param {import('../stage/player.js').Player} player

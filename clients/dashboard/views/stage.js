@@ -7,7 +7,10 @@ import {
 import { LinkError, getJson, withQuery } from '../lib/api.js';
 import { Player, SPEEDS } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
+import { genotypeOfId, robotOf } from '../lib/body.js';
 import { countOf } from '../lib/format.js';
+import { nameOf } from '../lib/names.js';
+import { trayButton } from './add.js';
 import { Driving } from './drive.js';
 import { breedButton } from './forms.js';
 import { titleOf } from './jobs.js';
@@ -45,7 +48,7 @@ export async function mount(main, path, parameters, app) {
       const robots = await walking;
       player.setRobots(robots, { keepTime: known });
       player.setNote(robots.length ? '' :
-        'No design is stored yet. Draw one in the editor, or start a campaign on the overview.');
+        'No design is stored yet. Draw one in the editor, or start a campaign.');
       if (!known && player.stage) player.setView(parameters);
       known = true;
       keepView();
@@ -66,7 +69,8 @@ export async function mount(main, path, parameters, app) {
     breed.disabled = false;
     load();
   })) : null;
-  player.toggleRow.append(choose, ...(robots ? [robots] : []), breed,
+  const keep = trayButton(() => source.founders().map(bodyIn));
+  player.toggleRow.append(choose, ...(robots ? [robots] : []), keep, breed,
     button('Export', () => exportDialog(player, source.exported(environment))),
     button('Commands', () => copyDialog(source.commands(environment))),
     h('span.muted.world', {}, source.world));
@@ -256,14 +260,19 @@ function designsOf(text) {
 
 /** A design in a link: a robot (ID@K), an id, or a genotype of 144 digits. */
 const designOf = (text) => (text.length === 144 ? { voxels: text } : { id: text });
-const shortOf = (id) => `${id.slice(0, 36).replace(/0+$/, '').slice(0, 8)}…${id.slice(36)}`;
+const spokenOf = (text) => nameOf(text.length === 144 ? robotOf(text) : text);
 
-/** Returns the name of a robot: the first digits of its id, with its position if another begins the
- * same. */
+/** Returns the name of a robot, with its position if another has the same. */
 function labelOf(ids, i) {
-  if (ids[i].length === 144) return `drawn ${i + 1}`;
-  const isAlone = ids.every((id, j) => i === j || shortOf(id) !== shortOf(ids[i]));
-  return isAlone ? shortOf(ids[i]) : `${i + 1}: ${shortOf(ids[i])}`;
+  const name = spokenOf(ids[i]);
+  const isAlone = ids.every((id, j) => i === j || spokenOf(id) !== name);
+  return isAlone ? name : `${i + 1}: ${name}`;
+}
+
+/** The body of a design in a request, for the tray. */
+function bodyIn({ id, voxels }) {
+  const robot = id?.length === 36 ? `${id}@0` : id ?? robotOf(voxels);
+  return { robot, genotype: voxels ?? genotypeOfId(robot) };
 }
 
 /** How to simulate the same from a shell or a program. */

@@ -2,8 +2,10 @@
 
 import { button, h } from '../lib/dom.js';
 import { countOf, scoreOf, voxels as inVoxels } from '../lib/format.js';
+import { nameOf, shortOf } from '../lib/names.js';
 import { picture } from '../lib/picture.js';
 import { meters } from '../lib/tasks.js';
+import { trayButton } from './add.js';
 import { breedButton } from './forms.js';
 
 /** Formats a result: its value in meters if its task has one, or else its score. */
@@ -16,7 +18,7 @@ export class Wall {
     this.app = app;
     /** Further parameters of the stage: the controller, or the world of the scores. */
     this.options = {};
-    this.chosen = new Map(app.remembered().chosen); // {id, row} by genotype
+    this.chosen = new Map(app.remembered().chosen); // {id, row, note} by genotype
     /** Called after each change of the selection. */
     this.changed = () => {};
     this.element = h('div.grid.small');
@@ -24,12 +26,14 @@ export class Wall {
       designs: [...this.chosen.keys()].join(','), ...this.options,
     }), { class: 'primary' });
     this.breed = breedButton(app, 'Breed these', () => this.#founders());
+    this.keep = trayButton(() => [...this.chosen].map(([genotype, { note }]) =>
+      ({ genotype, note })));
     this.#offer();
   }
 
   #offer() {
     const n = this.chosen.size;
-    this.watch.disabled = this.breed.disabled = n === 0;
+    this.watch.disabled = this.breed.disabled = this.keep.disabled = n === 0;
     this.watch.title = n ? `${countOf(n, 'design')} selected` : 'Select designs first';
   }
 
@@ -38,10 +42,10 @@ export class Wall {
     const shown = design.score === undefined ? '–' : wordsOf(design);
     const card = h('button.card', {
       type: 'button', 'aria-pressed': String(this.chosen.has(genotype)),
-      'aria-label': `Design ${robot}, score ${shown}, ${inVoxels(voxels)}`,
+      'aria-label': `${nameOf(id)}, ${robot}, score ${shown}, ${inVoxels(voxels)}`,
       onclick: () => {
         const on = !this.chosen.delete(genotype);
-        if (on) this.chosen.set(genotype, { id, row });
+        if (on) this.chosen.set(genotype, { id, row, note: `score ${shown}` });
         card.setAttribute('aria-pressed', String(on));
         this.#offer();
         this.app.remember({ chosen: [...this.chosen] });
@@ -51,8 +55,9 @@ export class Wall {
     }, picture(genotype), h('strong.number', {}, shown),
     design.isBest ? h('span.crown', {}, '♛ of the best') : null,
     h('span.muted', {}, inVoxels(voxels)));
-    const link = { href: `#/designs/${robot}`, 'aria-label': `Design ${robot}` };
-    return h('div.pick', {}, card, h('a', link, `${id.slice(0, 10)}…${robot.slice(36)}`));
+    const link = { href: `#/designs/${robot}`, title: robot };
+    return h('div.pick', {}, card, h('a', link, nameOf(id),
+      h('div.muted', {}, shortOf(robot))));
   }
 
   /** The selected designs, each form once: a design may be here in several orientations. */

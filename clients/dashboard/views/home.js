@@ -1,0 +1,184 @@
+/** Home: the best robot of the store walks, with what its score means, and three ways on. */
+
+import { getJson, withQuery } from '../lib/api.js';
+import { cellsOf, genotypeOfId } from '../lib/body.js';
+import { button, fill, h, patch, say } from '../lib/dom.js';
+import { coalesced } from '../lib/events.js';
+import { countOf, score, voxels } from '../lib/format.js';
+import { nameOf, shortOf } from '../lib/names.js';
+import { may } from '../lib/rights.js';
+import { environmentSet, roll, scoresOf } from '../lib/rollouts.js';
+import { wayOf } from '../lib/tasks.js';
+import { Player } from '../stage/player.js';
+
+/** The set of environments of the leaderboard, and the one in which the robot walks here. */
+const SET = 'paper-test';
+const SHOWN = 3;
+/** So many of the best are on the stage. */
+const STAGED = 4;
+const COUNTS = ['no', 'one', 'two', 'three', 'four'];
+const POLL_MS = 5000;
+/** Events within this time are answered together. */
+const PAUSE_MS = 1000;
+/** So many running jobs are named. */
+const NAMED = 3;
+
+/**
+ * Robots for a store without scores: the best of the zero-shot campaigns in docs/reproduction,
+ * under the shipped controller. The page computes their walk and their score.
+ */
+const SHIPPED = [
+  '00e4402ef444a4aeacaacc60ecaee0000000@7', '008c60042e600ce4a20c2cac44ea80000000@6',
+  '000240caeec06bafa0c5ecf2facce6744480@2', '0000808c64c0e8ce62a6ea002aca0004c600@5',
+];
+
+const SENTENCE = 'morphod evolves robots of soft voxels, trains the network that moves them, and ' +
+  'scores how close each of them comes to a light.';
+
+export async function mount(main, path, parameters, app) {
+  const stop = new AbortController();
+  const { signal } = stop;
+  const get = (url) => getJson(url, { signal });
+  const listBest = (limit) => get(withQuery('v1/designs', { sort: 'score', limit }));
+  const about = h('section.about', { 'aria-label': 'The robot' });
+  const notes = h('div.muted');
+  const better = button('', () => showBest(), { hidden: true });
+  const staged = h('a.door', { href: '#/stage' });
+  const panel = h('section.panel.flush', { 'aria-label': 'Stage' });
+  const health = h('p.health', { role: 'group', 'aria-label': 'The service' });
+  main.replaceChildren(h('h1.sentence', {}, SENTENCE), h('div.home', {},
+    panel, h('div.stack', {}, about, better, h('nav.doors', { 'aria-label': 'Start' },
+      h('a.door', { href: '#/editor' }, h('strong', {}, 'Build one'),
+        h('span', {}, 'Draw a body. It walks and is scored after every click.')),
+      evolveDoor(app), staged), notes)), health);
+
+  const [{ items }, environments] =
+    await Promise.all([listBest(STAGED), environmentSet(SET)]);
+  let shown; // the robot on the stage
+  /** @type {Player} */
+  let player;
+
+  /** Describes the robot, its score, and its result in the world shown, once these are known. */
+  function describe(robot, isShipped, loss, here) {
+    const n = cellsOf(genotypeOfId(robot)).length;
+    const origin = isShipped
+      ? 'No design of this store has a score yet: this robot is from the reproduction of the ' +
+        'paper that comes with morphod.'
+      : 'The best score of this store, with the default controller.';
+    const [figure, rest] = loss === undefined ? [] : wayOf(loss);
+    const link = isShipped ? `#/editor?voxels=${genotypeOfId(robot)}` : `#/designs/${robot}`;
+    fill(about, h('h2', {}, h('a', { href: link, title: robot }, nameOf(robot))),
+      h('p.muted', {}, h('code', {}, shortOf(robot)), `, ${voxels(n)}`),
+      h('p.way', {}, loss === undefined ? 'Scoring…' : [h('strong', {}, figure), rest]),
+      loss === undefined ? null : h('p.muted', {}, `Score ${score(loss)}: its distance to the ` +
+        'light after 4 s, divided by the distance at the start, on average over ten lights on ' +
+        'rough ground. 0 is at the light, 1 is standing still; lower is better.'));
+    fill(notes, h('p', {}, origin), here === undefined ? null
+      : h('p', {}, 'In the world shown here: ', wayOf(here).join('').replace(/\.?$/, '.')));
+  }
+
+  async function show(robots, isShipped, loss) {
+    const [robot] = robots;
+    shown = robot;
+    better.hidden = true;
+    describe(robot, isShipped, loss);
+    staged.href = `#/stage?designs=${robots.join(',')}&environment=${SHOWN}`;
+    fill(staged, h('strong', {}, 'Watch the best'), h('span', {},
+      robots.length === 1 ? 'It walks on the big stage.'
+        : `The ${COUNTS[robots.length]} best walk side by side on the big stage, or race.`));
+    const design = { id: robot };
+    const computed = roll([design], environments[SHOWN], { signal });
+    computed.catch(() => {}); // awaited below
+    player ??= addPlayer(); // the service computes while the stage is set up
+    const [walking] = await computed;
+    if (shown !== robot) return;
+    player.setRobots([{ ...walking, label: nameOf(robot) }]);
+    player.names.hidden = true; // the page says more about it
+    describe(robot, isShipped, loss, walking.loss);
+    if (loss !== undefined) return;
+    await new Promise(requestAnimationFrame); // ten rollouts would delay its first frame
+    const { mean } = await scoresOf(design, SET, { signal });
+    if (shown === robot) describe(robot, isShipped, mean, walking.loss);
+  }
+
+  function addPlayer() {
+    const made = new Player(app, { compact: true });
+    made.toggleRow.hidden = true;
+    panel.append(made.element);
+    return made;
+  }
+
+  const said = (work) => work.catch((error) => {
+    if (!signal.aborted) player?.setNote(error.message);
+  });
+
+  function showAll(best) {
+    return said(best.length ? show(best.map((one) => one.robot), false, best[0].score)
+      : show(SHIPPED, true));
+  }
+
+  const showBest = () => said(listBest(STAGED).then((page) => showAll(page.items)));
+
+  const jobs = h('span.jobs');
+  const state = h('span.state');
+  const words = h('span.muted');
+  fill(health, state, words, jobs, h('a', { href: '#/overview' }, 'Service'),
+    h('span.muted.keys', {}, 'Ctrl K jumps to a page, a run or a robot; ? lists the keys.'));
+
+  async function showHealth() {
+    const [ready, threads, page] = await Promise.all([
+      get('readyz').catch((error) => ({ status: error.message, notice: null })),
+      get('v1/threads'), get('v1/jobs?state=running&limit=100'),
+    ]);
+    say(state, ready.status);
+    state.className = `state ${ready.status === 'ready' ? 'succeeded' : 'failed'}`;
+    const n = page.items.length;
+    say(words, `${ready.notice ? `${ready.notice}; ` : ''}` +
+      `${threads.n_busy} of ${countOf(threads.n_threads, 'thread')} computing; ` +
+      `${n === 0 ? 'no job is running' : `${countOf(n, 'job')} running:`}`);
+    if (n === 0 && !jobs.childElementCount) return;
+    const { linkOf, shortProgress, titleOf } = await import('./jobs.js');
+    patch(jobs, page.items.slice(0, NAMED), (job) => job.id, (job) => h('span', {},
+      h('a', { href: linkOf(job) }), h('span.muted')), (element, job) => {
+      say(element.firstChild, titleOf(job));
+      say(element.lastChild, `, ${shortProgress(job)}`);
+    });
+  }
+
+  /** Offers a robot that has become the best; the one that walks stays until then. */
+  async function offerBetter() {
+    const { items: [best] } = await listBest(1);
+    better.hidden = !best || best.robot === shown;
+    if (best) say(better, `A new best: ${nameOf(best.robot)}, score ${score(best.score)}. Show it`);
+  }
+
+  const refresh = coalesced(() => showHealth(), signal, PAUSE_MS);
+  const look = coalesced(() => offerBetter(), signal, PAUSE_MS);
+  showAll(items).then(showHealth).catch(() => {}); // it is retried
+  const timer = setInterval(() => { if (!document.hidden) refresh(); }, POLL_MS);
+  return {
+    update({ type }) {
+      if (type === 'reset' || type.startsWith('job.')) refresh();
+      if (['reset', 'job.finished', 'campaign.generation'].includes(type)) look();
+    },
+    unmount() {
+      clearInterval(timer);
+      stop.abort();
+      player?.destroy();
+    },
+  };
+}
+
+/** The door to evolution: the form of a small campaign, or the campaigns for who may only look. */
+function evolveDoor(app) {
+  const inside = (text) => [h('strong', {}, 'Evolve'), h('span', {}, text)];
+  if (!may('submit')) {
+    return h('a.door', { href: '#/campaigns' },
+      inside('See the campaigns of this service, generation by generation.'));
+  }
+  return h('button.door', { type: 'button', onclick: async () => {
+    const [{ startDialog }, { announced }] =
+      await Promise.all([import('./forms.js'), import('./share.js')]);
+    announced(() => startDialog(app, 'campaign', {}, { preset: 'demo' }));
+  } }, inside('Start a campaign: bodies are scored, and the best of them have children.'));
+}
