@@ -66,7 +66,8 @@ export class Champions {
     { disabled: true });
     this.element = h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Champions'),
       h('span.muted', {}, 'the best, then the most distinct of the good ones; select one to see ' +
-        'it walk'), h('div.actions', {}, this.watch, this.keep, this.breed)), this.cards, this.nothing);
+        'it walk'), h('div.actions', {}, this.watch, this.keep, this.breed)), this.cards,
+    this.nothing);
   }
 
   async refresh() {

@@ -62,7 +62,7 @@ static void differs_by_a_gradient(void)
 }
 
 /* Changes one result of one rollout. */
-typeof(mo_rollout_block) __real_mo_rollout_block, __wrap_mo_rollout_block;
+typeof(mo_rollout_block_window) __real_mo_rollout_block_window, __wrap_mo_rollout_block_window;
 
 static struct {
   enum { NOTHING, A_MEASURE, A_LOSS } what;
@@ -83,16 +83,18 @@ static void spoil(const struct mo_environment *environment, double *measures,
     outcome->loss = nextafter(outcome->loss, 2);
 }
 
-int __wrap_mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
-                            const struct mo_body *body,
-                            const struct mo_environment *const *environments,
-                            uint32_t n_environments, const struct mo_physics *physics,
-                            const struct mo_recording *recordings,
-                            const struct mo_measuring *measuring,
-                            const struct mo_pause_point *pause, struct mo_outcome *outcomes)
+int __wrap_mo_rollout_block_window(struct mo_workspace_memory *memory, const struct mo_pack *pack,
+                                   const struct mo_body *body,
+                                   const struct mo_environment *const *environments,
+                                   uint32_t n_environments, const struct mo_physics *physics,
+                                   const struct mo_states *states,
+                                   const struct mo_recording *recordings,
+                                   const struct mo_measuring *measuring,
+                                   const struct mo_pause_point *pause, struct mo_outcome *outcomes)
 {
-  const int error = __real_mo_rollout_block(memory, pack, body, environments, n_environments,
-                                            physics, recordings, measuring, pause, outcomes);
+  const int error =
+      __real_mo_rollout_block_window(memory, pack, body, environments, n_environments, physics,
+                                     states, recordings, measuring, pause, outcomes);
   for (uint32_t i = 0; i < n_environments; i++)
     spoil(environments[i], measuring != NULL ? measuring->values[i] : NULL, &outcomes[i]);
   return error;
