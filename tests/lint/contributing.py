@@ -72,7 +72,7 @@ def follow(diff, compiler, library, copy):
     cases = ADDED_CASE.findall(diff)
     for test in tests:
         error, output = run([compiler, *FLAGS, *KERNEL_FLAGS, "-Iinclude", "-Isrc", "-o", "test",
-                             test, *sources, str(library), "-ljansson", "-lm", "-ldl",
+                             test, *sources, str(library), "-ljansson", "-lnettle", "-lm", "-ldl",
                              "-lpthread"], copy)
         if error != 0:
             return [f"{test} does not compile:", *output.splitlines()]
