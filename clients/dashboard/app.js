@@ -14,7 +14,7 @@ const VIEWS = {
   overview: { name: 'Service', module: './views/overview.js' },
   runs: { name: 'Runs', module: './views/runs.js' },
   campaigns: { name: 'Campaign', module: './views/campaign.js', under: 'runs' },
-  trainings: { name: 'Training', module: './views/training.js', under: 'runs' },
+  trainings: { name: 'Training run', module: './views/training.js', under: 'runs' },
   evaluations: { name: 'Evaluation', module: './views/evaluation.js', under: 'runs' },
   designs: { name: 'Designs', module: './views/designs.js' },
   controllers: { name: 'Controllers', module: './views/controllers.js' },

@@ -323,8 +323,8 @@ static const struct option_spec campaign_start_options[] = {
                      "Save the state of learning every N seconds; 0: at its end (default: 60).",
                      "learning.checkpoint_every_s", FIELD_WHOLE},
     {"worlds", 0, "random|environments",
-     "Where robots learn: in random environments, or in those of the campaign (default if one has "
-     "a task, a profile or damage).",
+     "Where robots learn: in random environments, or in those of the campaign (default if any has "
+     "a task, damage, or a terrain other than rough or flat).",
      "learning.worlds"},
     {PHYSICS},
     {"name", 0, "NAME",

@@ -2,12 +2,12 @@
  * it: the windows together have the bits of one rollout over all their steps, with its recordings
  * and its loss. Between two windows the light may move, and the task and the controller may change.
  *
- * Loss, value and measures of a window are of everything since the tally of the state began: those
- * of one rollout that ran until now. Only what the state knows is of earlier environments (where
- * the tally began, sums, progress on a path); distances at the start and where the light stands at
- * the end are of the window's environment. A tally begins at the start of the rollout, and again at
- * the start of a window whose task differs from that of the window before: its clock, which moves
- * the light of a guide, then starts at 0. The controller's clock never does. */
+ * Loss, value and measures of a window cover everything since the tally began, as in one rollout up
+ * to now. Only the state holds data from earlier environments (where the tally began, sums,
+ * progress on a path); the rest comes from the window's environment. A tally begins at the start of
+ * the rollout, and again at the start of a window whose task differs from that of the window
+ * before: its clock, which moves the light of a guide, then starts at 0. The controller's clock
+ * never does. */
 #ifndef MORPHO_STATE_H
 #define MORPHO_STATE_H
 

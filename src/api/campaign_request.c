@@ -328,7 +328,7 @@ static void check_learning(struct mo_json *json, const struct mo_campaign_settin
 }
 
 /* Returns where robots learn by default: in the environments of the campaign if one of them has a
- * task, a profile or damage, which random environments do not have. */
+ * task, damage, or a terrain other than rough or flat, which random environments do not have. */
 static enum mo_worlds usual_worlds(struct mo_parts *parts)
 {
   const struct mo_environment *environments = parts->environments;
@@ -361,8 +361,8 @@ static void choose_worlds(struct mo_json *json, struct mo_parsed_campaign *parse
     record->worlds = usual_worlds(&parsed->parts);
   if (record->worlds == MO_WORLDS_ENVIRONMENTS)
     mo_parts_check_gradients(json, &parsed->parts,
-                             "; to select by this task, but learn to reach lights in random "
-                             "environments, give {\"learning\": {\"worlds\": \"random\"}}");
+                             "; to select by this task but learn in random environments, set "
+                             "{\"learning\": {\"worlds\": \"random\"}}");
 }
 
 /* Checks what depends on several fields. The sensor is negative unless it was given. */

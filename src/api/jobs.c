@@ -116,7 +116,7 @@ bool mo_read_job_filters(struct mo_request *request, struct mo_job_query *query,
       !read_text(request, "label", 200,
                  "must be a job's label, of 1 to 200 characters, or its beginning and a star",
                  &query->label) ||
-      !read_text(request, "search", 200, "must be a part of a label, of 1 to 200 characters",
+      !read_text(request, "search", 200, "must be text to find in labels, 1 to 200 characters",
                  &query->search) ||
       !read_text(request, "experiment", 100, "must be an experiment's name, of 1 to 100 characters",
                  &query->experiment) ||

@@ -170,7 +170,7 @@ static void read_key(struct mo_json *json, struct reading *r, unsigned bit,
   for (size_t i = 0; good && i < text.size; i++)
     good = mo_hex_digit(text.bytes[i]) >= 0;
   if (!good) {
-    mo_json_fault(json, "must have %d hexadecimal digits; send back what a reply has",
+    mo_json_fault(json, "must have %d hexadecimal digits; send the state back unchanged",
                   2 * MO_STATE_KEY_BYTES);
     return;
   }
@@ -239,7 +239,7 @@ static void read_tally(struct mo_json *json, struct reading *r)
       mo_fields_unknown(json, "begun_s, com_start_m, task or measures", NULL);
   }
   if (!has_start)
-    mo_json_fault_at(json, depth, "", "com_start_m is missing; send back what a reply has");
+    mo_json_fault_at(json, depth, "", "com_start_m is missing; send the state back unchanged");
   r->has_tally = true;
 }
 
@@ -363,7 +363,7 @@ static void read_state(struct mo_json *json, struct mo_parsed_states *states)
   struct reading r = {.states = states};
   if (mo_json_peek(json) == MO_JSON_NULL) {
     mo_json_skip(json);
-    mo_json_fault(json, "is null: that rollout diverged and cannot go on; start it again");
+    mo_json_fault(json, "is null, because that rollout diverged; start it again without states");
     return;
   }
   if (!mo_json_object(json))

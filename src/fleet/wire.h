@@ -42,7 +42,8 @@
 #define MO_WIRE_ENVIRONMENTS_MAX 4096      /* in a lease */
 #define MO_WIRE_WORDS_MAX        16        /* in a genotype: 1024 voxels */
 #define MO_WIRE_PARAMETERS_MAX   (1 << 20) /* in a gradient */
-/* Bytes of a row of a result, without and with measures; how many of the first the second makes. */
+/* Bytes of a row of a result without and with measures, and how many rows without measures a row
+ * with measures counts as. */
 #define MO_WIRE_ROW_BYTES      12
 #define MO_WIRE_MEASURED_BYTES (MO_WIRE_ROW_BYTES + 8 * MO_MEASURES)
 #define MO_WIRE_MEASURED_ROWS  (1 + (MO_WIRE_MEASURED_BYTES - 1) / MO_WIRE_ROW_BYTES)

@@ -136,8 +136,8 @@ static int check_states(const struct mo_evaluation_request *request,
     return MO_OK;
   if (states->n_from != n)
     return mo_fail(message, MO_ERR_CONFLICT,
-                   "there must be one state for each rollout, by design and each in every "
-                   "environment: %u, got %u",
+                   "expected %u states, one for each rollout (each design in every environment), "
+                   "got %u",
                    n, states->n_from);
   for (uint32_t i = 0; i < n; i++) {
     const struct mo_start *start = &states->from[i];
@@ -145,16 +145,16 @@ static int check_states(const struct mo_evaluation_request *request,
     if (!mo_genotype_equal(&start->robot, &design->genotype))
       return mo_fail(
           message, MO_ERR_CONFLICT,
-          "state %u is of another robot than design %u; start a new robot without states", i,
+          "state %u belongs to another robot than design %u; to start a new robot, omit states", i,
           i / n_environments);
     if (start->state.step != states->from[0].state.step)
       return mo_fail(message, MO_ERR_CONFLICT,
-                     "state %u is at another time than state 0; send states of different times in "
-                     "different requests",
+                     "state %u has another time_s than state 0; send states of different times in "
+                     "separate requests",
                      i);
     if (mo_state_check(&start->state, design->body, &rollouts->environments[i % n_environments],
                        &rollouts->physics, request->precision, &why) != MO_OK)
-      return mo_fail(message, MO_ERR_CONFLICT, "state %u cannot go on: %.200s", i, why.text);
+      return mo_fail(message, MO_ERR_CONFLICT, "cannot start from state %u: %.200s", i, why.text);
   }
   return MO_OK;
 }

@@ -118,17 +118,17 @@ static int check_numbers(const struct mo_state *s, struct mo_message *message)
 {
   const size_t n = 3 * (size_t)s->n_masses;
   if (!is_within(s->position_m, n, MO_STATE_POSITION_MAX_M))
-    return mo_fail(message, MO_ERR_RANGE, "positions must be within %g m of 0",
+    return mo_fail(message, MO_ERR_RANGE, "position components must be within ±%g m",
                    MO_STATE_POSITION_MAX_M);
   if (!is_within(s->position_rest_m, n, 1e-6))
     return mo_fail(
         message, MO_ERR_RANGE,
-        "the remainders of positions must be at most 1e-6 m; send back what a reply has");
+        "the remainders of positions must be at most 1e-6 m; send the state back unchanged");
   if (!is_within(s->velocity_m_per_s, n, MO_DIVERGED_SPEED_M_PER_S))
-    return mo_fail(message, MO_ERR_RANGE, "velocities must be at most %g m/s in size",
+    return mo_fail(message, MO_ERR_RANGE, "velocity components must be within ±%g m/s",
                    MO_DIVERGED_SPEED_M_PER_S);
   if (!is_within(s->output, s->n_springs, 1.0001))
-    return mo_fail(message, MO_ERR_RANGE, "outputs of the controller must be within −1 and 1");
+    return mo_fail(message, MO_ERR_RANGE, "controller outputs must be between −1 and 1");
   return MO_OK;
 }
 
@@ -156,7 +156,7 @@ static int check_tally(const struct mo_state *s, const struct mo_environment *en
     good = good && t->leg < (n_points > 0 ? n_points : 1);
   return good ? MO_OK
               : mo_fail(message, MO_ERR_RANGE,
-                        "its tally is not one that a rollout can have; send back what a reply has");
+                        "its tally is not possible in a rollout; send the state back unchanged");
 }
 
 int mo_window_check(const struct mo_state *state, const struct mo_body *body,
@@ -169,7 +169,7 @@ int mo_window_check(const struct mo_state *state, const struct mo_body *body,
   if (s->n_masses != body->n_masses || s->n_springs != body->n_springs ||
       s->n_voxels != body->n_voxels)
     return mo_fail(message, MO_ERR_INVALID,
-                   "it is of a body with %u masses and %u springs, and this one has %u and %u; "
+                   "it is for a body with %u masses and %u springs, but this one has %u and %u; "
                    "start the new body without a state",
                    s->n_masses, s->n_springs, body->n_masses, body->n_springs);
   if (s->step == 0 || s->step > UINT32_MAX - MO_STEPS_MAX ||
@@ -214,7 +214,8 @@ int mo_state_check(const struct mo_state *state, const struct mo_body *body,
 
 struct mo_window mo_window_of(const struct mo_scheme *scheme, const struct mo_state *from)
 {
-  /* A period that is longer than a rollout has its length: of the whole one. */
+  /* A control period longer than the rollout is shortened to it: that needs the steps of the whole
+   * rollout. */
   struct mo_scheme whole = *scheme;
   const uint32_t first = from != NULL ? from->step : 0;
   whole.n_steps += first;

@@ -282,7 +282,7 @@ def test_a_drive_is_saved(service, browser, tmp_path):
     browser.click("Save")
     browser.until("document.querySelector('dialog[open]')")
     text = browser.texts("dialog")[0]
-    assert "They have no score: the light was yours." in text and "Film (WebM)" in text
+    assert "Driven robots have no score: you moved the light." in text and "Film (WebM)" in text
     browser.click("Recording (scene)")
     browser.until("saved.length")
     data = bytes(browser.driver.execute_async_script(

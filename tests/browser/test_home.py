@@ -133,8 +133,8 @@ def test_the_way_in_words(browser):
     """)
     assert words == [
         "98.8 % of the way to the light in 4 s", "99.9 % of the way to the light in 4 s",
-        "50.0 % of the way to the light in 4 s", "It comes no closer to the light in 4 s.",
-        "It comes no closer to the light in 4 s.", "It diverges, so it has no score."
+        "50.0 % of the way to the light in 4 s", "It got no closer to the light in 4 s.",
+        "It got no closer to the light in 4 s.", "It diverged, so it has no score."
     ]
 
 
@@ -170,7 +170,7 @@ def test_jumping_by_keyboard(service, browser):
     jump(name)
     browser.until(f"document.querySelector('h1')?.innerText === '{name}'")
     keys("?")
-    browser.until("document.querySelector('dialog h2')?.innerText === 'Keys'")
+    browser.until("document.querySelector('dialog h2')?.innerText === 'Keyboard shortcuts'")
     keys(Keys.ESCAPE)
     browser.run("location.hash = '#/overview'")
     browser.until("document.querySelector('h1')?.innerText === 'Service'")

@@ -119,7 +119,7 @@ def test_tabs_are_named(service, browser):
         f"campaigns/{service.campaign}": "<b>walkers</b> & others, succeeded · morphod",
         f"campaigns/{service.campaign}/phylogeny":
             "Phylogeny of <b>walkers</b> & others · morphod",
-        f"trainings/{service.training}": f"Training {service.training}, succeeded · morphod",
+        f"trainings/{service.training}": f"Training run {service.training}, succeeded · morphod",
         "machines": "Machines · morphod", "nowhere": "There is no such page · morphod",
     }
     for view, title in titles.items():

@@ -24,8 +24,8 @@ VIEWS = {
     "campaigns/{campaign}/phylogeny": "Phylogeny", "campaigns/{study}": "a study",
     "campaigns/{campaign}/replicates": "<b>walkers</b> & others",
     "campaigns/{study}/phylogeny": "Phylogeny", "campaigns/{study}/settings": "a study",
-    "trainings/{training}": "Training {training}",
-    "trainings/{training}/settings": "Training {training}",
+    "trainings/{training}": "Training run {training}",
+    "trainings/{training}/settings": "Training run {training}",
     "evaluations/{evaluation}": "Evaluation {evaluation}",
     "evaluations/{evaluation}/settings": "Evaluation {evaluation}",
     "designs": "Designs", "controllers": "Controllers", "editor": "Editor",
@@ -569,10 +569,10 @@ def test_two_controllers_are_compared(service, browser):
 
 
 STATES = {  # what a page shows if there is no data, or the address has another name
-    "campaigns": "No job matches", "runs": "No job yet", "controllers": "Made by",
+    "campaigns": "No jobs match", "runs": "No jobs yet", "controllers": "Made by",
     "campaigns/99/settings": "There is no such campaign", "runs/99": "There is no such job",
     "designs": "No design has a score with this controller yet", "stage": "No design is stored yet",
-    "": "No design of this store has a score yet", "overview": "No job yet",
+    "": "No design in this store has a score yet", "overview": "No jobs yet",
     "campaigns/99": "There is no such campaign",
     "campaigns/99/phylogeny": "There is no such campaign",
     "trainings/99": "There is no such training",

@@ -49,7 +49,7 @@ def test_runs_are_filtered_and_sorted(browser, table):
     sort(browser, "Run")
     names(browser, ["Gait C", "gait b", "gait a"])
     field.send_keys("x")
-    browser.until("document.querySelector('.empty:not([hidden])')?.innerText === 'No job matches.'")
+    browser.until("document.querySelector('.empty:not([hidden])')?.innerText === 'No jobs match.'")
     for _ in range(4):
         field.send_keys("\b")
     names(browser, sorted(newest, key=str.lower, reverse=True))
@@ -110,7 +110,7 @@ def test_many_are_selected_and_archived(service, browser):
     browser.click("Delete")
     browser.until("document.querySelector('[role=alertdialog]')")
     browser.click("Delete 3 runs", "dialog button")
-    browser.until("document.querySelector('.empty:not([hidden])')?.innerText === 'No job matches.'")
+    browser.until("document.querySelector('.empty:not([hidden])')?.innerText === 'No jobs match.'")
     assert service.request("GET", f"/v1/jobs/{ids[0]}").status == 404
     assert browser.faults() == []
 
@@ -205,7 +205,7 @@ def test_settings_that_differ_are_bold(service, browser):
     browser.open(f"campaigns/{service.campaign}/settings")
     browser.until("document.querySelector('dl.settings strong')")
     pairs = dict(zip(browser.texts("dl.settings dt"), browser.texts("dl.settings dd")))
-    assert pairs["Population"] == "12 usually 512" and pairs["Seed"] == "1"
+    assert pairs["Population"] == "12 (default 512)" and pairs["Seed"] == "1"
     assert pairs["Gravity"] == "9.8 m/s²" and pairs["Integrator"] == "split"
     assert pairs["Controller"].startswith("default (") and "Duration" in pairs
     bold = browser.texts("dl.settings strong")
@@ -277,7 +277,7 @@ def test_a_campaign_starts_again(service, browser):
         "mutation": {"share": 0.5}, "initial": {"designs": [DESIGN]}, "generations": 2}
     id = run(service, "campaigns", request)["id"]
     words = again(browser, f"campaigns/{id}")
-    assert words.startswith(f"As in campaign {id}, with: ") and "Mutation: share 0.5" in words
+    assert words.startswith(f"Based on campaign {id}, also keeping: ") and "Mutation: share 0.5" in words
     form = "document.querySelector('dialog form').elements"
     assert browser.run(f"return [{form}.population.value, {form}.seed.value, {form}.label.value]"
                        ) == ["12", "5", "again"]

@@ -332,7 +332,7 @@ def test_rollouts_continue_from_states(m):
         assert (one.loss, one.state) == (three.loss, three.state) and one.more == {}
     moved = window(63, 0.5, states=first.states)
     assert moved[0].state["positions_m"] != second[0].state["positions_m"]
-    with pytest.raises(morphod.InvalidError, match="one state for each rollout"):
+    with pytest.raises(morphod.InvalidError, match="one for each rollout"):
         window(1, states=first.states[:1])
     assert m.rollouts([DESIGN], WORLD, physics=SHORT).states == [None]
 

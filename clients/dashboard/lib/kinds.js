@@ -124,7 +124,7 @@ const evaluation = {
 
 /** @type {Kind} */
 const training = {
-  name: 'Training', names: 'Trainings', path: 'trainings', kind: 'training',
+  name: 'Training run', names: 'Training runs', path: 'trainings', kind: 'training',
   tabs: [['', 'Curves'], ['settings', 'Settings']],
   loses: 'its curve and checkpoints', rate: 'bodies', starts: true, compares: 'curves',
   progress: progressOfTraining, scored: 'held-out score',

@@ -1,6 +1,6 @@
 /**
- * Spoken names of robots: two words from an id, such as "amber crawler". A name is easy to say and
- * to remember; the id is the identity, because two designs may share a name.
+ * Names of robots: two words computed from an id, such as "amber crawler". A name is easy to say
+ * and to remember; the id is the identity, because two designs may share a name.
  */
 
 /** 256 words of each kind. A change would rename all robots. */
@@ -15,7 +15,7 @@ const ADJECTIVES = `
   granite grassy gritty happy hardy hazel hearty hollow honest humble hushed icy indigo iron
   ivory jade jaunty jazzy jolly jovial joyful jumbo juniper kind kinetic lacy lantern lavender
   lavish leafy lemon level lilac limber linen lively lofty lunar magenta magic maple marble
-  mellow mighty mild minty modest molten mossy muted nautic neon nimble noble northern nutmeg
+  mellow mighty mild minty modest molten mossy muted nautical neon nimble noble northern nutmeg
   oaken ochre olive onyx opal orbital orchid paisley pastel patient pearly pebbled pensive
   peppy perky placid playful plucky plush polite proud purple quartz quick quiet quilted quirky
   radiant rapid regal robust rocky rosy royal ruby rugged rustic saffron salty sandy sapphire

@@ -9,7 +9,7 @@ const UNITS = [['_m_per_s2', 'm/s²'], ['_n_per_m', 'N/m'], ['_per_s', '1/s'], [
   ['_m', 'm'], ['_s', 's']];
 /** Members whose names are not words. */
 const NAMES = { dt_s: 'Time step', n_steps: 'Steps', n_designs: 'Designs', adam: 'Adam',
-  every_s: 'Every (time)', random: 'Random bodies' };
+  every_s: 'Interval (time)', every_steps: 'Interval (steps)', random: 'Random bodies' };
 const GROUPS = { '': 'Settings', 'learning.schedule': 'Learning: schedule',
   'learning.adam': 'Learning: Adam' };
 
@@ -30,10 +30,10 @@ const WORDS = {
   environments: (value) => countOf(value.count, 'listed environment'),
   initial: (value) => (value.campaign ? `the population of campaign ${value.campaign}`
     : countOf(value.count, 'listed design')),
-  population: (value) => (value.campaign ? `of campaign ${value.campaign}`
-    : `of evaluation ${value.evaluation}`),
+  population: (value) => (value.campaign ? `from campaign ${value.campaign}`
+    : `from evaluation ${value.evaluation}`),
   select_by: ({ measure, direction }) => `${direction} ${measure}`,
-  random: ({ seed, first }) => `of seed ${seed}, from number ${first}`,
+  random: ({ seed, first }) => `seed ${seed}, starting at number ${first}`,
   workspace: (value) => `${value.join(' × ')} voxels`,
   tasks: (value) => value.map((task) => taskWords([{ task }]) || 'photo').join(', '),
 };

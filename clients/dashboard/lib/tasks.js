@@ -106,8 +106,8 @@ export const resultOf = ({ value = null, unit, loss, driven }) => {
  * the start: [what stands out, the rest of the sentence]. The share of the way is rounded down.
  */
 export function wayOf(loss) {
-  if (loss === null) return ['It diverges', ', so it has no score.'];
-  if (loss >= 1) return ['It comes no closer', ' to the light in 4 s.'];
+  if (loss === null) return ['It diverged', ', so it has no score.'];
+  if (loss >= 1) return ['It got no closer', ' to the light in 4 s.'];
   const share = Math.floor(1000 * (1 - loss)) / 10;
   return [`${share.toFixed(1)} %`, ' of the way to the light in 4 s'];
 }

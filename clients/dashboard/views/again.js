@@ -62,7 +62,7 @@ const PARTS = {
     }
     const whole = await getJson(pathOf(job));
     if (!whole.results) {
-      return { lacks: 'Its designs cannot be read again: enter designs below.' };
+      return { lacks: 'The service does not list its designs: enter designs below.' };
     }
     fixed.designs = whole.results.filter(({ robot }) => robot)
       .map(({ genotype }) => ({ voxels: genotype }));
@@ -71,8 +71,8 @@ const PARTS = {
   async training(job) {
     const { population, n_designs: n } = job.settings;
     if (!population) {
-      return n ? { lacks: `Its ${countOf(n, 'listed design')} cannot be read again: choose the ` +
-        'bodies to learn on below.' } : {};
+      return n ? { lacks: `The service does not return its ${countOf(n, 'listed design')}: ` +
+        'choose the bodies to train on below.' } : {};
     }
     return { kept: { population: { job: population.campaign ?? population.evaluation, best: n } } };
   },
@@ -116,12 +116,12 @@ export async function startAgain(app, job) {
       delete fixed.validation?.environments;
       words.push(typeof named === 'string' ? named : countOf(places.length, 'listed environment'));
     } else if (named !== 'paper-test') {
-      kept.world = { name: 'same', title: 'The same', environments, count: places.length,
+      kept.world = { name: 'same', title: 'Same as before', environments, count: places.length,
         about: typeof named === 'string' ? named : countOf(places.length, 'listed environment'),
         way: 'M8 24H46', light: [56, 24] };
     }
   } else if (named) {
-    kept.world = { name: 'same', title: 'The same', environments: named, count: 120,
+    kept.world = { name: 'same', title: 'Same as before', environments: named, count: 120,
       about: named, way: 'M8 24H46', light: [56, 24] };
   }
   Object.assign(proposed, {
@@ -132,7 +132,7 @@ export async function startAgain(app, job) {
   for (const [name, value] of Object.entries(proposed)) {
     if (value === undefined || value === null) delete proposed[name];
   }
-  kept.words = `As in ${kindOf(job).name.toLowerCase()} ${job.id}` +
-    (words.length ? `, with: ${words.join('; ')}.` : '.') + (lacks && ` ${lacks}`);
+  kept.words = `Based on ${kindOf(job).name.toLowerCase()} ${job.id}` +
+    (words.length ? `, also keeping: ${words.join('; ')}.` : '.') + (lacks && ` ${lacks}`);
   await startDialog(app, kind, fixed, proposed, kept);
 }

@@ -56,8 +56,8 @@ async function mountBoard(main, parameters, app) {
     app.remember({ shown });
     fill(foot, cursor === null ? null : button('Show more', () => announced(more)),
       h('span.muted', {}, shown ? `${countOf(shown, 'design')} shown`
-        : 'No design has a score with this controller yet. An evaluation or a campaign, started ' +
-          'on the overview, gives scores.'));
+        : 'No design has a score with this controller yet. Evaluations and campaigns compute ' +
+          'scores; start one on the page Runs.'));
   }
 
   async function again(limit = PAGE) {

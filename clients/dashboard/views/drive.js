@@ -43,8 +43,8 @@ export class Driving {
     this.status = h('span', { role: 'status' });
     this.spoken = h('span.visually-hidden', { 'aria-live': 'polite' });
     this.panel = h('div.driving', { hidden: true },
-      h('span', {}, 'Drag the light, or click the ground.',
-        h('span.keys', {}, ' Keys: W A S D, or Shift and arrows; Esc ends.')), this.status,
+      h('span', {}, 'Drag the light, or click the ground.', h('span.keys', {},
+        ' Keys: W A S D, or Shift and the arrow keys; Esc ends the drive.')), this.status,
       h('div.row', {}, button('Save', () => this.#save()), button('End', () => this.leave())),
       this.spoken);
     player.toggleRow.prepend(this.toggle);
@@ -189,12 +189,12 @@ export class Driving {
     const texts = [
       this.fault,
       this.lateSince !== null && now - this.lateSince > LATE_MS && !this.fault
-        ? 'The service is late: the motion waits.' : '',
+        ? 'Waiting for the service.' : '',
       this.drive.hasBegun ? '' : 'Starting…',
       this.player.playing ? '' : 'Paused: press Play.',
-      this.lost.size ? `Diverged, and stays where it was: ${[...this.lost]
+      this.lost.size ? `Diverged, and stopped: ${[...this.lost]
         .map((i) => this.live.robots[i].label ?? i + 1).join(', ')}.` : '',
-      first > 0 ? `The last ${this.keepS} s are kept.` : '',
+      first > 0 ? `Only the last ${this.keepS} s are kept.` : '',
     ];
     say(this.status, texts.filter(Boolean).join(' '));
   }
@@ -211,7 +211,7 @@ export class Driving {
     const { player, drive, live } = this;
     player.setPlaying(false);
     if (drive.timeS < live.frameS) {
-      announce('Nothing has been driven yet: press Play, and move the light.');
+      announce('There is nothing to save yet: press Play and move the light.');
       return;
     }
     const { saveDialog } = await import('./drive_save.js');

@@ -20,8 +20,8 @@ export function saveDialog(driving) {
       button('Recording (scene)', () => save(new Blob([toScene(robots, driving.inputs)],
         { type: 'application/vnd.morphod.scene' }), `${name}-driven.scene`)),
     ],
-    sections: [h('p', {}, `${drive.first ? `The last ${seconds} s of the drive`
-      : `${seconds} s were driven`}. ` + 'They have no score: the light was yours.'),
+    sections: [h('p', {}, (drive.first ? `This is the last ${seconds} s of the drive. `
+      : `You drove for ${seconds} s. `) + 'Driven robots have no score: you moved the light.'),
     taskSection(driving, { environment, controller, set })],
   });
   dialog.addEventListener('close', () => driving.resume());
@@ -45,9 +45,9 @@ function taskSection({ drive, player }, { environment, controller, set }) {
   const python = Object.entries(given).map(([key, one]) => `, ${key}=${JSON.stringify(one)}`);
   return h('details', {}, h('summary', {}, 'The path of the light as a task'),
     h('div.stack', {},
-      h('p', {}, `A path of ${points.length === 1 ? 'one way-point' :
-        `${points.length} way-points`}, on the same ground. Any robot can be scored on it, or `,
-      'evolved for it. ', h('a', { href: `#/stage?${query}` }, 'Watch it on the stage')),
+      h('p', {}, `The path has ${points.length === 1 ? 'one way-point'
+        : `${points.length} way-points`}, on the same terrain. You can score any robot on it, or `,
+      'evolve robots for it. ', h('a', { href: `#/stage?${query}` }, 'Watch it on the stage')),
       commandSections([['JSON', JSON.stringify(request.task)], ...commandsOf({
         path: 'v1/evaluations', headers: ['Prefer: wait=30'],
         body: { designs, environments: [request], ...given },

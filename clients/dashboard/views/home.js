@@ -32,8 +32,8 @@ const SHIPPED = [
   '000240caeec06bafa0c5ecf2facce6744480@2', '0000808c64c0e8ce62a6ea002aca0004c600@5',
 ];
 
-const SENTENCE = 'morphod evolves robots of soft voxels, trains the network that moves them, and ' +
-  'scores how close each of them comes to a light.';
+const SENTENCE = 'morphod evolves robots made of soft voxels, trains the neural network that ' +
+  'moves them, and scores how close each one gets to a light.';
 
 export async function mount(main, path, parameters, app) {
   const stop = new AbortController();
@@ -62,19 +62,19 @@ export async function mount(main, path, parameters, app) {
   function describe(robot, isShipped, loss, here) {
     const n = cellsOf(genotypeOfId(robot)).length;
     const origin = isShipped
-      ? 'No design of this store has a score yet: this robot is from the reproduction of the ' +
-        'paper that comes with morphod.'
-      : 'The best score of this store, with the default controller.';
+      ? 'No design in this store has a score yet. This robot ships with morphod; it comes from ' +
+        'the reproduction of the paper.'
+      : 'The best score in this store, with the default controller.';
     const [figure, rest] = loss === undefined ? [] : wayOf(loss);
     const link = isShipped ? `#/editor?voxels=${genotypeOfId(robot)}` : `#/designs/${robot}`;
     fill(about, h('h2', {}, h('a', { href: link, title: robot }, nameOf(robot))),
       h('p.muted', {}, h('code', {}, shortOf(robot)), `, ${voxels(n)}`),
       h('p.way', {}, loss === undefined ? 'Scoring…' : [h('strong', {}, figure), rest]),
-      loss === undefined ? null : h('p.muted', {}, `Score ${score(loss)}: its distance to the ` +
-        'light after 4 s, divided by the distance at the start, on average over ten lights on ' +
-        'rough ground. 0 is at the light, 1 is standing still; lower is better.'));
+      loss === undefined ? null : h('p.muted', {}, `Score ${score(loss)}: the distance to the ` +
+        'light after 4 s, divided by the distance at the start, averaged over ten environments. ' +
+        '0 means that it reached the light, 1 that it got no closer; lower is better.'));
     fill(notes, h('p', {}, origin), here === undefined ? null
-      : h('p', {}, 'In the world shown here: ', wayOf(here).join('').replace(/\.?$/, '.')));
+      : h('p', {}, 'In the environment shown: ', wayOf(here).join('').replace(/\.?$/, '.')));
   }
 
   async function show(robots, isShipped, loss) {
@@ -84,8 +84,8 @@ export async function mount(main, path, parameters, app) {
     describe(robot, isShipped, loss);
     staged.href = `#/stage?designs=${robots.join(',')}&environment=${SHOWN}`;
     fill(staged, h('strong', {}, 'Watch the best'), h('span', {},
-      robots.length === 1 ? 'It walks on the big stage.'
-        : `The ${COUNTS[robots.length]} best walk side by side on the big stage, or race.`));
+      robots.length === 1 ? 'On a full-page stage.'
+        : `The ${COUNTS[robots.length]} best, side by side or racing, on a full-page stage.`));
     const design = { id: robot };
     const computed = roll([design], environments[SHOWN], { signal });
     computed.catch(() => {}); // awaited below
@@ -123,7 +123,8 @@ export async function mount(main, path, parameters, app) {
   const state = h('span.state');
   const words = h('span.muted');
   fill(health, state, words, jobs, h('a', { href: '#/overview' }, 'Service'),
-    h('span.muted.keys', {}, 'Ctrl K jumps to a page, a run or a robot; ? lists the keys.'));
+    h('span.muted.keys', {}, 'Ctrl+K (⌘K on a Mac) jumps to a page, run or robot; ? lists the ' +
+      'keyboard shortcuts.'));
 
   async function showHealth() {
     const [ready, threads, page] = await Promise.all([
@@ -134,8 +135,8 @@ export async function mount(main, path, parameters, app) {
     state.className = `state ${ready.status === 'ready' ? 'succeeded' : 'failed'}`;
     const n = page.items.length;
     say(words, `${ready.notice ? `${ready.notice}; ` : ''}` +
-      `${threads.n_busy} of ${countOf(threads.n_threads, 'thread')} computing; ` +
-      `${n === 0 ? 'no job is running' : `${countOf(n, 'job')} running:`}`);
+      `${threads.n_busy} of ${countOf(threads.n_threads, 'thread')} busy; ` +
+      `${n === 0 ? 'no jobs are running' : `${countOf(n, 'job')} running:`}`);
     if (n === 0 && !jobs.childElementCount) return;
     const { linkOf, shortProgress, titleOf } = await import('./jobs.js');
     patch(jobs, page.items.slice(0, NAMED), (job) => job.id, (job) => h('span', {},

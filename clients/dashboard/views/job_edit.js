@@ -15,8 +15,8 @@ export function confirmDeletion(jobs) {
   const [job] = jobs;
   if (jobs.length === 1) {
     return confirmDialog(`Delete ${titleOf(job)}?`,
-      `${kindOf(job).name} ${job.id} and ${kindOf(job).loses} will be deleted permanently. ` +
-      'Designs, scores and controllers stay.', 'Delete the job');
+      `${kindOf(job).name} ${job.id} and ${kindOf(job).loses} will be permanently deleted. ` +
+      'Designs, scores and controllers are kept.', 'Delete the job');
   }
   const kinds = [...new Map(jobs.map((one) => [kindName(one), kindOf(one)])).entries()];
   const lost = kinds.map(([name, kind]) => {
@@ -25,7 +25,8 @@ export function confirmDeletion(jobs) {
       `${kind.loses.replace(/\b(its)\b/, n === 1 ? 'its' : 'their')}`;
   });
   return confirmDialog(`Delete ${jobs.length} runs?`,
-    `These will be deleted permanently: ${lost.join('; ')}. Designs, scores and controllers stay.`,
+    `These will be permanently deleted: ${lost.join('; ')}. ` +
+      'Designs, scores and controllers are kept.',
     `Delete ${jobs.length} runs`);
 }
 
@@ -34,7 +35,7 @@ export const deleteJob = (job) => request(`v1/jobs/${job.id}`, { method: 'DELETE
 async function remove(job) {
   if (!await confirmDeletion([job])) return false;
   await deleteJob(job);
-  announce(`${titleOf(job)} is deleted`);
+  announce(`${titleOf(job)} deleted`);
   return true;
 }
 

@@ -14,18 +14,21 @@ const SHOWN = 12;
 
 /** @type {[string, [string, string][]][]} */
 const KEYS = [
-  ['Everywhere', [['Ctrl K', 'jump to a page, a run or a robot'], ['?', 'this list']]],
-  ['Stage, when it has the focus', [['space', 'play or pause'], [', .', 'one frame back or on'],
-    ['← → ↑ ↓', 'turn the view'], ['+ −', 'zoom'], ['f', 'follow a robot'],
-    ['s', 'show springs']]],
+  ['Everywhere', [['Ctrl K or ⌘ K', 'jump to a page, run or robot'], ['?', 'show this list']]],
+  ['Stage, when it has the focus', [['space', 'play or pause'],
+    [', .', 'one frame back or forward'], ['← → ↑ ↓', 'turn the view'], ['+ −', 'zoom'],
+    ['f', 'follow a robot'], ['s', 'show springs']]],
+  ['Driving, when the stage has the focus', [['W A S D, or Shift and ← → ↑ ↓', 'move the light'],
+    ['Esc', 'end the drive']]],
   ['Editor, in a layer', [['← → ↑ ↓', 'move'], ['page up, page down', 'change the layer'],
     ['space', 'set or remove a voxel'], ['Ctrl Z', 'undo']]],
-  ['Phylogeny', [['← →', 'previous or next design'], ['↑ ↓', 'ten designs back or on']]],
+  ['Phylogeny', [['← →', 'previous or next design'], ['↑ ↓', 'ten designs back or forward']]],
 ];
 
 /** Shows the keys. */
 export function showKeys() {
-  showDialog('Keys', ...KEYS.map(([where, keys]) => h('section.stack', {}, h('h3', {}, where),
+  showDialog('Keyboard shortcuts', ...KEYS.map(([where, keys]) => h('section.stack', {},
+    h('h3', {}, where),
     table(['Key', 'What it does'], h('tbody', {}, keys.map(([key, what]) =>
       h('tr', {}, h('th', { scope: 'row' }, h('kbd', {}, key)), h('td', {}, what)))), undefined,
     'table'))));

@@ -107,7 +107,7 @@ export async function mount(main, path, parameters, app) {
       h('td', {}, row.name ?? '–'), h('td.right', {}, count(row.jobs)),
       h('td.right', {}, duration(row.core_seconds)),
       h('td.right', {}, duration(row.device_seconds))] }))
-      : [{ key: 'none', cells: [h('td.empty', { colspan: 4 }, 'No job yet.')] }];
+      : [{ key: 'none', cells: [h('td.empty', { colspan: 4 }, 'No jobs yet.')] }];
     showRows(usage, rows);
   }
 
@@ -198,8 +198,8 @@ export async function mount(main, path, parameters, app) {
     shown.hidden = !none.hidden;
     showMore.hidden = cursor === null;
     const start = may('submit') ? ' Start one above, or with morphoctl.' : '';
-    say(none, search || archived ? 'No job matches.' : state ? `No job is ${state}.`
-      : `No job yet.${start}`);
+    say(none, search || archived ? 'No jobs match.' : state ? `No jobs are ${state}.`
+      : `No jobs yet.${start}`);
     say(shown, `${countOf(jobs.length, 'job')} shown`);
   }
 

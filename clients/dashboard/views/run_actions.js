@@ -3,7 +3,7 @@
 import { post, request } from '../lib/api.js';
 import { announce, button, h, say } from '../lib/dom.js';
 import { countOf } from '../lib/format.js';
-import { groupOf, isOpen, isOver, kindOf, titleOf } from '../lib/kinds.js';
+import { groupOf, isOver, kindOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { confirmDeletion, deleteJob } from './job_edit.js';
 import { COMPARED_MAX } from './jobs.js';
@@ -102,12 +102,12 @@ export class RunActions {
     const why = whyNotCompared(sidesOf(jobs));
     this.compare.disabled = Boolean(why);
     this.compare.title = why;
-    const open = jobs.filter(isOpen).length;
     for (const { element, isFor, name } of this.actions) {
       const n = jobs.filter(isFor).length;
       element.disabled = n === 0;
-      element.title = n === 0 || n === jobs.length ? '' : `${n} of the ${jobs.length} selected` +
-        (name === 'Delete' ? `; ${countOf(open, 'run')} that has not ended stays` : '');
+      element.title = n === 0 || n === jobs.length ? ''
+        : `Applies to ${n} of the ${jobs.length} selected` +
+          (name === 'Delete' ? '; runs that have not ended cannot be deleted' : '');
     }
   }
 }

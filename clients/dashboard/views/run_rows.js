@@ -112,7 +112,7 @@ function stateCell({ job, members }) {
     .reduce((a, b) => (!a || shareOf(b) < shareOf(a) ? b : a), null);
   return [h('div.row', {}, states.map((same) =>
     h(`span.state.${same[0].state}`, {}, `${same.length} ${stateOf(same[0])}`))),
-  slowest ? [progressBar(slowest), h('div.muted', {}, 'the slowest one')] : null];
+  slowest ? [progressBar(slowest), h('div.muted', {}, 'slowest replicate')] : null];
 }
 
 function bestCell(row) {
@@ -134,7 +134,7 @@ export function cellsOf(row, { isOpen: isShown, toggle, choose }) {
   const { job, members, isMember } = row;
   const title = members ? `${titleOf(job)}, ${countOf(members.length, 'replicate')}`
     : `${titleOf(job)}${replicateOf(job)}`;
-  const expander = members ? button(isShown ? 'Hide them' : 'Show them', toggle, {
+  const expander = members ? button(isShown ? 'Hide' : 'Show', toggle, {
     class: 'small', 'aria-expanded': String(isShown), 'data-group': groupOf(job).id,
     'aria-label': `${isShown ? 'Hide' : 'Show'} the replicates of ${titleOf(job)}`,
   }) : null;

@@ -178,13 +178,13 @@ export async function mount(main, [id], parameters, app) {
     const isFiltered = given().length > 0 || asked.kind;
     panel.hidden = items.length === 0;
     none.hidden = !panel.hidden;
-    say(none, isFiltered ? 'No job matches.'
-      : `No job yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`);
+    say(none, isFiltered ? 'No jobs match.'
+      : `No jobs yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`);
     more.hidden = !isCut;
     say(shown, !items.length ? '' : !isCut ? countOf(items.length, 'run')
       : asked.sort || KINDS[asked.kind]?.only
-        ? `Only the newest ${countOf(scanned, 'job')} that match were read` +
-          `${asked.sort ? ', and are in this order' : ''}. More filters narrow them down.`
+        ? `Only the newest ${countOf(scanned, 'matching job')} ` +
+          `${asked.sort ? 'were read and sorted' : 'were read'}. Add filters to narrow the list.`
         : `the newest ${countOf(items.length, 'run')}`);
     showChosen();
   }
@@ -192,7 +192,7 @@ export async function mount(main, [id], parameters, app) {
   async function refresh() {
     const { name, needsFacts = false } = COLUMNS[asked.sort] ?? {};
     const isDone = await list.load(asked, wanted, needsFacts, (n) =>
-      say(shown, `Reading ${name.toLowerCase()} of ${n} runs…`));
+      say(shown, `Reading ${n} runs to sort them by ${name.toLowerCase()}…`));
     if (isDone) show();
   }
 

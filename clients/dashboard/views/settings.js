@@ -43,7 +43,7 @@ const panel = (title, rows) => h('section.panel', { 'aria-label': title }, h('h2
  */
 function pair({ title, text, differs, usual }) {
   return [h('dt', {}, title), h('dd', {}, differs ? h('strong', {}, text) : text,
-    differs ? h('span.muted', {}, ` usually ${usual}`) : null)];
+    differs ? h('span.muted', {}, ` (default ${usual})`) : null)];
 }
 
 /** Describes an environment: its task, where its light is, and its ground. */

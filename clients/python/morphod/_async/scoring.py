@@ -184,9 +184,9 @@ class Scoring:
         editors. The losses are the same as in an evaluation, bit for bit. A warning about the
         physics is issued as a `UserWarning`.
 
-        With `final_states`, the scene has `states`: those in which the rollouts end. Given as
-        `states`, they are where the rollouts of the next call start, to the bit; meanwhile the
-        light and the task may change (docs/driving.md)."""
+        With `final_states`, the scene has `states`, the state in which each rollout ends. Pass
+        them as `states` to continue these rollouts in another call, bit for bit; the light and
+        the task may change between the calls (docs/driving.md)."""
         request = Request.post("/v1/rollouts", without_none({
             "designs": designs_of(bodies), "environments": environments, "controller": controller,
             "record": list(record), "record_stride": record_stride, "precision": precision,
