@@ -11,8 +11,10 @@
 #include "base/sha256.h"
 #include "exchange/values.h"
 
-#define MASSES_MAX  65535
-#define SPRINGS_MAX (1 << 20)
+/* Those of the whole workspace. */
+#define MASSES_MAX  MO_DEFAULT_MASSES
+#define SPRINGS_MAX MO_DEFAULT_SPRINGS
+#define VOXELS_MAX  MO_DEFAULT_VOXELS
 #define COUNT_MAX   9007199254740991.0
 
 /* ---- the tally ---- */
@@ -137,17 +139,24 @@ static void read_list(struct mo_json *json, struct reading *r, struct list *list
 /* Reads [[x, y, z], …]. */
 static void read_vectors(struct mo_json *json, struct reading *r, struct list *list, double limit)
 {
+  const unsigned whole = json->depth;
+  bool fits = true;
   list->n = 0;
   if (!mo_json_array(json))
     return;
   while (mo_json_item(json)) {
     const unsigned depth = json->depth;
     uint32_t n = 0;
+    fits = list->n < 3 * MASSES_MAX;
+    if (!fits) {
+      mo_json_skip(json);
+      continue;
+    }
     if (!mo_json_array(json))
       continue;
     for (; mo_json_item(json); n += n < 4) {
       double number = 0;
-      if (n > 2 || list->n == 3 * MASSES_MAX) {
+      if (n > 2) {
         mo_json_skip(json);
         continue;
       }
@@ -158,6 +167,8 @@ static void read_vectors(struct mo_json *json, struct reading *r, struct list *l
     if (n != 3)
       mo_json_fault_at(json, depth, "", "must have three numbers: [x, y, z]");
   }
+  if (!fits)
+    mo_json_fault_at(json, whole, "", "must have at most %d vectors", MASSES_MAX);
 }
 
 static void read_key(struct mo_json *json, struct reading *r, unsigned bit,
@@ -272,7 +283,7 @@ static void read_members(struct mo_json *json, struct reading *r)
     else if (mo_json_is(key, "cut_springs"))
       read_list(json, r, &r->cut, SPRINGS_MAX, SPRINGS_MAX - 1, true);
     else if (mo_json_is(key, "inverted_voxels"))
-      read_list(json, r, &r->inverted, MASSES_MAX, MASSES_MAX - 1, true);
+      read_list(json, r, &r->inverted, VOXELS_MAX, VOXELS_MAX - 1, true);
     else if (mo_json_is(key, "tally"))
       read_tally(json, r);
     else
@@ -288,22 +299,23 @@ static void read_members(struct mo_json *json, struct reading *r)
 /* Returns the first member that is missing, or whose length does not fit. */
 static const char *gap_of(const struct reading *r)
 {
-  return !r->has_robot                                   ? "robot"
-         : !r->has_precision                             ? "precision"
-         : r->has_keys != 7                              ? "physics_key, terrain_key or task_key"
-         : r->positions.n == 0                           ? "positions_m"
-         : r->velocities.n != r->positions.n             ? "velocities_m_per_s"
-         : r->remainders.n % r->positions.n != 0         ? "position_remainders_m"
-         : 3 * (uint64_t)r->contacts.n != r->positions.n ? "contacts"
-         : r->outputs.n == 0                             ? "outputs"
-         : !r->has_tally                                 ? "tally"
-                                                         : NULL;
+  return !r->has_robot                       ? "robot"
+         : !r->has_precision                 ? "precision"
+         : r->has_keys != 7                  ? "physics_key, terrain_key or task_key"
+         : r->positions.n == 0               ? "positions_m"
+         : r->velocities.n != r->positions.n ? "velocities_m_per_s"
+         : r->remainders.n != 0 && r->remainders.n != r->positions.n ? "position_remainders_m"
+         : 3 * (uint64_t)r->contacts.n != r->positions.n             ? "contacts"
+         : r->outputs.n == 0                                         ? "outputs"
+         : !r->has_tally                                             ? "tally"
+                                                                     : NULL;
 }
 
-static void copy(double *to, const struct list *from)
+/* Copies a list whose length gap_of has checked: n, or 0. */
+static void copy(double *to, size_t n, const struct list *from)
 {
-  if (from->n > 0)
-    memcpy(to, from->numbers, from->n * sizeof(*to));
+  if (from->n == n)
+    memcpy(to, from->numbers, n * sizeof(*to));
 }
 
 /* Marks the places of a list. Returns false if one is outside of the n bytes. */
@@ -343,10 +355,10 @@ static void assemble(struct mo_json *json, unsigned depth, struct reading *r)
     json->stop = true;
     return;
   }
-  copy(s->position_m, &r->positions);
-  copy(s->position_rest_m, &r->remainders);
-  copy(s->velocity_m_per_s, &r->velocities);
-  copy(s->output, &r->outputs);
+  copy(s->position_m, r->positions.n, &r->positions);
+  copy(s->position_rest_m, r->positions.n, &r->remainders);
+  copy(s->velocity_m_per_s, r->positions.n, &r->velocities);
+  copy(s->output, r->outputs.n, &r->outputs);
   for (uint32_t m = 0; m < s->n_masses; m++)
     s->contacts[m] = r->contacts.numbers[m] != 0;
   if (!mark(s->cut, s->n_springs, &r->cut))

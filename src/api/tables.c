@@ -455,7 +455,7 @@ void mo_table_reply(struct mo_request *request, enum mo_form form,
 #define JOBS                                                                                       \
   "id kind " JOB " controller.name environments n_designs:n rollouts_total:n rollouts_done:n"      \
   " training.kind training.name training.step:n training.steps:n training.score:n campaign.mode"   \
-  " campaign.population:n campaign.generation:n campaign.generations:n campaign.seed:l"            \
+  " campaign.population:n campaign.generation:n campaign.generations:n campaign.seed:n"            \
   " campaign.best_score:n"
 #define EVALUATIONS                                                                                \
   "id " JOB " controller.name controller.sha256 environments precision n_designs:n"                \

@@ -123,7 +123,9 @@ def test_the_end(service, evolved):
     assert job["campaign"] == {
         "mode": "zero-shot", "population": 8, "generation": 3, "generations": 3, "group": {
             "id": str(evolved["id"]), "replicate": 0, "replicates": 1
-        }
+        },
+        "seed": evolved["settings"]["seed"], "environments": evolved["settings"]["environments"],
+        "best_score": evolved["newest"]["score"]["quantiles"]["p0"]
     }
 
 

@@ -150,7 +150,8 @@ def test_the_end(service, trained):
     assert described["morphod.kind"] == "pretrain" and described["morphod.step"] == "6"
     assert described["morphod.version"].startswith(service.get("/healthz")["version"] + " ")
     job = service.get(trained["links"]["job"])
-    assert job["training"] == {"kind": "pretrain", "name": "small", "step": 6, "steps": 6}
+    assert job["training"] == {"kind": "pretrain", "name": "small", "step": 6, "steps": 6,
+                               "score": trained["validation"]["mean_score"], "environments": None}
     scores = service.evaluate({"designs": [DESIGN], "controller": "small", "physics": SHORT}).json()
     assert scores["controller"]["sha256"] == trained["controller"]["sha256"]
 

@@ -160,6 +160,16 @@ def test_states_that_do_not_fit_are_refused(service):
         (value | {"environments": [WORLD, WORLD],
                   "states": [state, with_member(state, ["time_s"], 0.014)]}, "another time"),
     ]
+    masses = len(state["positions_m"])
+    others += [
+        (value | {"states": [with_member(state, ["position_remainders_m"], [[0, 0, 1e-9]] * n)]},
+         "at most 245 vectors" if n > 245 else "position_remainders_m is missing")
+        for n in (1, 2 * masses, 5 * masses, 246, 65535) if n % masses or n // masses > 1]
+    others += [
+        (value | {"states": [with_member(state, [name], [0] * n)]}, words)
+        for name, n, words in (("outputs", 1649, "at most 1648"), ("contacts", 246, "at most 245"),
+                               ("cut_springs", 1649, "at most 1648"),
+                               ("inverted_voxels", 145, "at most 144"))]
     for wrong, words in others:
         reply = service.request("POST", "/v1/rollouts", wrong)
         assert reply.status == 422, (words, reply.body)

@@ -12,8 +12,8 @@ NUMBERS = (1, 7, 2, 1)  # number of workers, one after the other
 @pytest.mark.parametrize("mode", MODES)
 def test_same_bits(daemon, worker, seed, mode):
     is_quick = mode == "zero-shot"  # it does not learn
-    value = request(mode, seed, 8 if is_quick else 4)
-    value |= {"population": 24, "physics": {"n_steps": 80}}
+    value = request(mode, seed, 12 if is_quick else 4)
+    value |= {"population": 32 if is_quick else 24, "physics": {"n_steps": 80}}
     if is_quick:
         value |= {"physics": RACE["physics"], "environments": RACE["environments"]}
     expected, needed, _ = undisturbed(daemon, "alone", value)

@@ -1,9 +1,15 @@
 /* body.h: feeds bytes to a reader of request bodies. An accepted body must be valid, a refused one
  * must have a fault, and jansson decides what is JSON. Included after the target's definitions of
- * READER_PARSED, READER_PARSE and check_accepted. */
+ * READER_PARSED, READER_PARSE and check_accepted, and, if they are others, of what to check and
+ * what to free of a parsed body. */
 #include <jansson.h>
 #include <stdlib.h>
 #include <string.h>
+
+#ifndef READER_REQUEST
+#define READER_REQUEST(parsed) (&(parsed)->request)
+#define READER_FREE(parsed)    mo_parts_free(&(parsed)->parts)
+#endif
 
 /* The rest of the body was not checked. */
 static bool ended_early(const struct mo_faults *faults)
@@ -27,12 +33,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
   text[size] = '\0';
   int code = READER_PARSE(text, size, &parsed, faults);
   if (code == MO_OK)
-    check_accepted(&parsed.request);
+    check_accepted(READER_REQUEST(&parsed));
   else if (code != MO_ERR_NO_MEMORY)
     FUZZ_PROMISE(faults->n > 0 && faults->malformed == (code == MO_ERR_FORMAT));
   for (unsigned i = 0; i < faults->n; i++)
     FUZZ_PROMISE(faults->items[i].detail[0] != '\0');
-  mo_parts_free(&parsed.parts);
+  READER_FREE(&parsed);
   if (memchr(text, '\0', size) == NULL && size < 100000) {
     json_error_t error;
     json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);
