@@ -102,9 +102,8 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
       "m.genotype IS NOT NULL AND ifnull(m.origin,?3)=?3 FROM scores x"
       " LEFT JOIN measures m ON m.genotype=x.genotype AND m.condition=x.condition"
       " WHERE (x.genotype,x.condition)>(?1,?2) UNION ALL"
-      " SELECT m.genotype,m.condition,0,ifnull(m.origin,?3)=?3 FROM measures m"
-      " WHERE (m.genotype,m.condition)>(?1,?2) AND NOT EXISTS(SELECT 1 FROM scores x"
-      " WHERE x.genotype=m.genotype AND x.condition=m.condition) ORDER BY 1,2";
+      " SELECT m.genotype,m.condition,-1,ifnull(m.origin,?3)=?3 FROM measures m"
+      " WHERE (m.genotype,m.condition)>(?1,?2) ORDER BY 1,2,3 DESC";
   MO_SCOPED struct mo_connection *reader = mo_reader_acquire(store);
   int64_t id = 0;
   size_t n = 0, visited = 0;
@@ -116,9 +115,14 @@ int64_t mo_store_origin_rows(struct mo_store *store, const char *origin,
     *is_last = !mo_sql_next(reader, row, &error);
     if (*is_last)
       break;
-    *place = (struct mo_origin_place){sqlite3_column_int64(row, 0), sqlite3_column_int64(row, 1)};
-    const bool has_losses = sqlite3_column_int(row, 2), has_measures = sqlite3_column_int(row, 3);
-    if (has_losses || has_measures)
+    const struct mo_origin_place here = {sqlite3_column_int64(row, 0),
+                                         sqlite3_column_int64(row, 1)};
+    const int losses = sqlite3_column_int(row, 2); /* −1: a row of measures */
+    const bool is_again = losses < 0 && here.genotype == place->genotype &&
+                          here.condition == place->condition; /* its losses came before it */
+    const bool has_losses = losses > 0, has_measures = sqlite3_column_int(row, 3) != 0;
+    *place = here;
+    if (!is_again && (has_losses || has_measures))
       error = read_row(reader, *place, has_losses, has_measures, &rows[n++]);
   }
   return error != MO_OK ? error : (int64_t)n;
