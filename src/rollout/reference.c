@@ -320,7 +320,9 @@ void mo_reference_save(const struct mo_reference *r, struct mo_state *to)
   memcpy(to->position_m, r->position_m, n * sizeof(double));
   memset(to->position_rest_m, 0, n * sizeof(double));
   memcpy(to->velocity_m_per_s, r->velocity_m_per_s, n * sizeof(double));
-  memcpy(to->output, r->output, r->body->n_springs * sizeof(double));
+  memset(to->output, 0, r->body->n_springs * sizeof(double));
+  if (r->controller != NULL)
+    memcpy(to->output, r->output, r->body->n_springs * sizeof(double));
   memcpy(to->contacts, r->contacts, r->body->n_masses);
   memset(to->inverted, 0, r->body->n_voxels);
   for (uint32_t s = 0; s < r->body->n_springs; s++)

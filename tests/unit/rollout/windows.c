@@ -295,6 +295,33 @@ static void reference_agrees(void)
   CHECK(worst < 1e-7);
 }
 
+/* A window without a controller leaves no outputs, whichever the state before had. */
+static void passive_window(void)
+{
+  const struct mo_body *body = robots[0].body;
+  const struct mo_environment *list[] = {robots[0].environment};
+  const struct mo_pack *passive = make_pack(NULL, mo_isa_best(), MO_FLOAT64);
+  struct mo_state *states = make_states(body), *fast = make_states(body),
+                  *plain = make_states(body);
+  const struct mo_states first = {NULL, states}, to_fast = {states, fast},
+                         to_plain = {states, plain};
+  struct mo_physics physics = mo_default_physics();
+  struct mo_outcome outcome;
+  physics.scheme.n_steps = 20;
+  REQUIRE_OK(mo_rollout_reference_window(body, controller, list[0], &physics, &first, NULL, NULL,
+                                         &outcome));
+  REQUIRE_OK(mo_rollout_block_window(make_workspace_memory(), passive, body, list, 1, &physics,
+                                     &to_fast, NULL, NULL, NULL, &outcome));
+  REQUIRE_OK(
+      mo_rollout_reference_window(body, NULL, list[0], &physics, &to_plain, NULL, NULL, &outcome));
+  double had = 0;
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    had += fabs(states[0].output[s]);
+    CHECK(fast[0].output[s] == 0 && plain[0].output[s] == 0);
+  }
+  CHECK(had > 0);
+}
+
 /* ---- what may change, and what must not ---- */
 
 static const struct mo_environment *light_at(struct mo_environment *environment, double x_m,
@@ -512,6 +539,7 @@ static const struct check_case cases[] = {
     {"windows have the bits of the whole", whole_and_windows},
     {"also those of the reference", reference},
     {"the reference goes on from states of the kernels", reference_agrees},
+    {"a window without a controller leaves no outputs", passive_window},
     {"a light that moves between windows", moved_light},
     {"a new task begins where the body is", new_task},
     {"springs stay cut", lasting_damage},
