@@ -230,7 +230,7 @@ static void begin(struct mo_reference *r, const struct mo_state *from)
   r->first_track = first / r->control_steps;
   if (r->begun < first && first % r->control_steps == 0)
     r->first_track--; /* the state is before the instant at the start of the window */
-  if (r->begun < first)
+  if (from != NULL && r->begun < first)
     r->work_j = from->tally.work_j;
   if (r->tracks != NULL)
     mo_window_course(&r->window, from, r->begun, r->environment, &r->physics->scheme,
