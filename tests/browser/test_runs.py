@@ -223,13 +223,20 @@ def test_settings_that_differ_are_bold(service, browser):
 DIFFERS = """({ settingsOf }) => {
   const { preset, rows } = settingsOf(window.job, window.period);
   return [preset, rows.filter(({ differs }) => differs).map(({ path, text, usual }) =>
-    `${path.join('.')}: ${text}, not ${usual}`)];
+    `${path.join('.')}: ${text}, not ${usual}`),
+    rows.filter(({ isUnknown }) => isUnknown).map(({ path }) => path.join('.'))];
 }"""
+# Settings that no preset has: they say which designs.
+OPEN = {"campaign": set(), "training": {"population", "n_designs"},
+        "evaluation": {"n_designs", "random"}}
 
 
 def differing(browser, job, period):
+    """Returns the preset and what differs from it. The page knows the preset of each setting."""
     browser.run("[window.job, window.period] = arguments", job, period)
-    return module(browser, "settings", DIFFERS)
+    preset, rows, unknown = module(browser, "settings", DIFFERS)
+    assert set(unknown) <= OPEN[job["kind"]]
+    return [preset, rows]
 
 
 def test_the_presets_are_those_of_the_service(service, browser):
@@ -255,6 +262,8 @@ def test_the_presets_are_those_of_the_service(service, browser):
         service.act(id, "cancel")
         job |= {"trainingKind": kind, "kind": "training"}
         assert differing(browser, job, period) == [preset, []], request
+    job = run(service, "evaluations", {"designs": [DESIGN], "record": ["masses"]})
+    assert differing(browser, job, period) == ["", ["record: masses, not none"]]
 
 
 # ---- start again ----
@@ -277,7 +286,8 @@ def test_a_campaign_starts_again(service, browser):
         "mutation": {"share": 0.5}, "initial": {"designs": [DESIGN]}, "generations": 2}
     id = run(service, "campaigns", request)["id"]
     words = again(browser, f"campaigns/{id}")
-    assert words.startswith(f"Based on campaign {id}, also keeping: ") and "Mutation: share 0.5" in words
+    assert words.startswith(f"Based on campaign {id}, also keeping: ")
+    assert "Mutation: share 0.5" in words
     form = "document.querySelector('dialog form').elements"
     assert browser.run(f"return [{form}.population.value, {form}.seed.value, {form}.label.value]"
                        ) == ["12", "5", "again"]
@@ -290,6 +300,51 @@ def test_a_campaign_starts_again(service, browser):
     assert second["controller"] == first["controller"] and second["label"] == "again"
     sets = [service.get(f"/v1/campaigns/{one['id']}/environments") for one in (first, second)]
     assert sets[0] == sets[1]
+    assert browser.faults() == []
+
+
+def start(browser, path, id):
+    """Sends the form, and waits for the page of the new job."""
+    browser.click("Start", "dialog button")
+    browser.until(f"/{path}.\\d+$/.test(location.hash) && !location.hash.endsWith('/{id}')")
+
+
+@pytest.mark.parametrize("worlds, usual, environments", [
+    ("environments", "random", CAMPAIGN["environments"]),
+    ("environments", "random", "paper-test"),
+    ("random", "environments", [{"task": "walk"}]),
+    ("random", "environments", "morpho-12-walk")])
+def test_the_worlds_of_learning_are_kept(service, browser, worlds, usual, environments):
+    """Where they are not what the service chooses, and only there."""
+    request = CAMPAIGN | {"mode": "few-shot", "generations": 1, "environments": environments}
+    learning = {"parent_steps": 1, "child_steps": 1}
+    for given, is_kept in ((worlds, True), (None, False)):
+        own = learning | ({"worlds": given} if given else {})
+        id = service.post("/v1/campaigns", request | {"learning": own})["id"]
+        service.act(id, "cancel")
+        words = again(browser, f"campaigns/{id}")
+        assert (f"Learning: worlds {worlds}" in words) == is_kept
+        start(browser, "campaigns", id)
+        second = newest(service, "campaigns")
+        service.act(second["id"], "cancel")
+        assert second["settings"] == service.get(f"/v1/campaigns/{id}")["settings"]
+        assert second["settings"]["learning"]["worlds"] == (given or usual)
+
+
+def test_recordings_and_priorities_are_kept(service, browser):
+    id = run(service, "evaluations", SHORT | {"record": ["masses"], "record_stride": 4,
+                                              "priority": "batch"})["id"]
+    assert "Record stride 4" in again(browser, f"evaluations/{id}")
+    start(browser, "evaluations", id)
+    second = newest(service, "evaluations")
+    assert (second["record_stride"], second["priority"]) == (4, "batch")
+    id = service.post("/v1/campaigns", CAMPAIGN | {"priority": "interactive"})["id"]
+    service.act(id, "cancel")
+    assert "Priority interactive" in again(browser, f"campaigns/{id}")
+    start(browser, "campaigns", id)
+    second = newest(service, "campaigns")
+    service.act(second["id"], "cancel")
+    assert second["priority"] == "interactive"
     assert browser.faults() == []
 
 
@@ -317,7 +372,7 @@ def test_an_evaluation_and_a_training_start_again(service, browser):
     first, second = service.get(f"/v1/trainings/{id}"), newest(service, "trainings")
     assert second["settings"] == first["settings"] and second["parent"] == first["parent"]
     service.act(second["id"], "cancel")
-    assert "1 listed design cannot be read again" in again(browser, f"trainings/{service.training}")
+    assert "does not return its 1 listed design" in again(browser, f"trainings/{service.training}")
     assert browser.faults() == []
 
 

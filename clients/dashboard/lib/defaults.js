@@ -52,7 +52,8 @@ const SELECTIONS = {
 /** Of an evaluation; null where a request has nothing. */
 export const usualEvaluation = (job, preset, periodS) => ({
   environments: 'paper-test', precision: 'float32', record: [], verify: false, best: null,
-  measures: null, tolerance: null, displaced_starts: null, physics: physicsOf(false, periodS),
+  measures: null, tolerance: null, displaced_starts: null, record_stride: 10,
+  physics: physicsOf(false, periodS),
 });
 
 export function usualTraining(job, preset, periodS) {
@@ -78,7 +79,21 @@ export function usualTraining(job, preset, periodS) {
   return settings;
 }
 
-export function usualCampaign(job, preset, periodS) {
+/**
+ * Returns where robots learn by default: in the campaign's environments if random ones do not have
+ * what one of these has. Undefined if that is not known.
+ * @param {string|{count: number}} named
+ * @param {any[]} [places] the environments, if they are loaded
+ */
+function usualWorlds(named, places) {
+  if (named === 'paper-test') return 'random';
+  const isOther = ({ task, damage, terrain }) => task || damage ||
+    (terrain && !['rough', 'flat'].includes(terrain.kind));
+  return places?.length ? (places.some(isOther) ? 'environments' : 'random') : undefined;
+}
+
+/** @param {any[]} [places] the campaign's environments */
+export function usualCampaign(job, preset, periodS, places) {
   const { mode } = job;
   const isPaper = preset === 'paper';
   const { population, ...generations } = CAMPAIGN_PRESETS[preset];
@@ -97,6 +112,7 @@ export function usualCampaign(job, preset, periodS) {
       parent_steps: steps, child_steps: steps, batch: own,
       ...learningOf(mode === 'simultaneous' ? 'paper-simultaneous' : 'paper-finetune'),
       sensor: job.controller ? null : 'inverse_sqrt', checkpoint_every_s: 60,
+      worlds: usualWorlds(job.settings.environments, places),
     },
   };
 }

@@ -98,8 +98,8 @@ function progressOfStudy(job) {
  * @property {(job: any) => string|null} environments the path of its environments
  * @property {(job: any) => any} settings as the service used them, by the names of a request
  * @property {(job: any) => string[]} presets that the settings may be of, if the job does not say
- * @property {(job: any, preset: string, periodS: number) => any} usual the settings of a preset,
- *   for a controller with this control period
+ * @property {(job: any, preset: string, periodS: number, places?: any[]) => any} usual the settings
+ *   of a preset, for a controller with this control period, in these environments
  */
 
 const settingsOfEvaluation = (job) => ({
@@ -217,10 +217,13 @@ export function stateOf(job) {
   return job.state + (warned.length ? `, but ${warned.join(', ')}` : '');
 }
 
+/** Returns whether the progress of a job changes without news of the job. */
+export const isMoving = (job) =>
+  job.state === 'running' || (job.state === 'queued' && job.n_waiting > 0);
+
 /** Describes progress in a few words, for the title of a tab. */
 export function shortProgress(job) {
-  const moves = job.state === 'running' || (job.state === 'queued' && job.n_waiting > 0);
-  return moves ? progressOf(job).text.split(/[;:]/)[0] : stateOf(job);
+  return isMoving(job) ? progressOf(job).text.split(/[;:]/)[0] : stateOf(job);
 }
 
 export const isOver = ({ state }) => ['succeeded', 'failed', 'cancelled'].includes(state);

@@ -58,7 +58,7 @@ const isGroup = (name, value) => value !== null && typeof value === 'object' &&
  * @param {any} settings
  * @param {any} usual the preset's, of the same shape; undefined where it has none
  * @returns {{group: string, name: string, path: string[], title: string, text: string, value: any,
- *   usual: any, differs: boolean}[]}
+ *   usual: any, differs: boolean, isUnknown: boolean}[]} isUnknown: the preset's lacks it
  */
 export function rowsOfSettings(settings, usual, path = []) {
   return Object.entries(settings).flatMap(([name, value]) => {
@@ -68,7 +68,7 @@ export function rowsOfSettings(settings, usual, path = []) {
     const group = path.join('.');
     return [{ group: GROUPS[group] ?? capital(path.join(': ').replaceAll('_', ' ')), name,
       path: [...path, name], title: titleOfSetting(name), text: inWords(name, value), value,
-      usual: differs ? inWords(name, own) : null, differs }];
+      usual: differs ? inWords(name, own) : null, differs, isUnknown: own === undefined }];
   });
 }
 
@@ -77,14 +77,15 @@ export function rowsOfSettings(settings, usual, path = []) {
  * preset, it is the one with the fewest differences.
  * @param {any} job
  * @param {number|null} periodS control period of the controller that it starts with; null: unknown
+ * @param {any[]} [places] its environments, which decide where a campaign learns by default
  */
-export function settingsOf(job, periodS) {
+export function settingsOf(job, periodS, places) {
   const kind = kindOf(job);
   const settings = kind.settings(job);
   const own = settings.physics.control_period_s;
   const presets = job.preset ? [job.preset] : kind.presets(job);
   const all = presets.map((preset) => ({ preset,
-    rows: rowsOfSettings(settings, kind.usual(job, preset, periodS ?? own)) }));
+    rows: rowsOfSettings(settings, kind.usual(job, preset, periodS ?? own, places)) }));
   const differences = ({ rows }) => rows.filter(({ differs }) => differs).length;
   return all.reduce((a, b) => (differences(b) < differences(a) ? b : a));
 }

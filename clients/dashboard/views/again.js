@@ -89,15 +89,16 @@ const PARTS = {
 /** Opens the form of a job's kind with its settings. @param {import('../app.js').app} app */
 export async function startAgain(app, job) {
   const kind = kindOf(job).kind;
-  const { preset, rows } = settingsOf(job, await periodOf(job, getJson));
   const settings = kindOf(job).settings(job);
+  const listed = settings.environments ? await placesOf(job, getJson) : [];
+  const { preset, rows } = settingsOf(job, await periodOf(job, getJson), listed);
   const { fixed = {}, proposed = {}, kept = {}, words = [], lacks = '' } = await PARTS[kind](job);
   const fields = fieldNames(kind);
-  for (const { path, value, differs, title, text, group } of rows) {
+  for (const { path, value, differs, isUnknown, title, text, group } of rows) {
     const [name] = path;
     if (path.length === 1 && fields.includes(name)) {
       proposed[name] = value;
-    } else if (differs && !OWN_PART.includes(name)) {
+    } else if ((differs || (isUnknown && value !== null)) && !OWN_PART.includes(name)) {
       const whole = path.findIndex((step) => WHOLE.includes(step)) + 1;
       const end = whole || path.length;
       put(fixed, path.slice(0, end), at(settings, path.slice(0, end)));
@@ -108,7 +109,7 @@ export async function startAgain(app, job) {
     proposed.selection = settings.selection.kind; // the others are its defaults
   }
   const named = settings.environments;
-  const places = named ? (await placesOf(job, getJson)).map(requested) : [];
+  const places = listed.map(requested);
   if (named && places.length) {
     const environments = typeof named === 'string' ? named : places;
     if (kind === 'training') {
@@ -127,10 +128,15 @@ export async function startAgain(app, job) {
   Object.assign(proposed, {
     mode: job.mode, kind: job.trainingKind, preset, controller: await controllerOf(job),
     label: job.label ?? '', experiment: job.experiment ?? '', weight: job.weight,
+    priority: job.priority,
     device: job.device === 'cuda' ? 'cuda' : 'auto',
   });
   for (const [name, value] of Object.entries(proposed)) {
     if (value === undefined || value === null) delete proposed[name];
+  }
+  if (!fields.includes('priority') && job.priority !== 'batch') {
+    fixed.priority = job.priority;
+    words.push(`Priority ${job.priority}`);
   }
   kept.words = `Based on ${kindOf(job).name.toLowerCase()} ${job.id}` +
     (words.length ? `, also keeping: ${words.join('; ')}.` : '.') + (lacks && ` ${lacks}`);
