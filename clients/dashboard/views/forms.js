@@ -220,13 +220,18 @@ const founders = (n) =>
   'random bodies fill up the rest of the population.';
 
 /**
- * Returns the button that opens the form of a campaign with the given designs as founders; hidden
- * if the caller may not start one. @param {() => object[]} designsOf {id} or {voxels} each
+ * Opens the form of a campaign with the given designs as founders.
+ * @param {import('../app.js').app} app
+ * @param {object[]} designs {id} or {voxels} each
+ */
+export const breed = (app, designs) => startDialog(app, 'campaign', { initial: { designs } },
+  { population: Math.max(32, designs.length), generations: 20 });
+
+/**
+ * Returns the button that does this; hidden if the caller may not start a campaign.
+ * @param {() => object[]} designsOf {id} or {voxels} each
  */
 export function breedButton(app, text, designsOf, attributes = {}) {
-  return button(text, () => {
-    const designs = designsOf();
-    return announced(() => startDialog(app, 'campaign', { initial: { designs } },
-      { population: Math.max(32, designs.length), generations: 20 }));
-  }, { ...attributes, hidden: !may('submit') });
+  return button(text, () => announced(() => breed(app, designsOf())),
+    { ...attributes, hidden: !may('submit') });
 }

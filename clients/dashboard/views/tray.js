@@ -36,10 +36,8 @@ export function trayBar(app, viewOf) {
   const compare = button('Compare', () => app.go('compare', { designs: robots().join(',') }),
     { title: 'Their bodies and scores in a table' });
   const breed = button('Breed', () => announced(async () => {
-    const { startDialog } = await import('./forms.js');
-    const designs = tray.kept.map(({ genotype }) => ({ voxels: genotype }));
-    await startDialog(app, 'campaign', { initial: { designs } },
-      { population: Math.max(32, designs.length), generations: 20 });
+    const forms = await import('./forms.js'); // not with the bar, which is on every page
+    await forms.breed(app, tray.kept.map(({ genotype }) => ({ voxels: genotype })));
   }), { title: 'Start a campaign from these robots' });
   const clear = button('Clear', async () => {
     const sure = tray.kept.length === 1 || await confirmDialog('Clear the tray?',
