@@ -7,23 +7,46 @@ import { environmentSet, environmentsAt, isSuite } from './rollouts.js';
 import { measureOf, meters, taskNameOf } from './tasks.js';
 
 /** Evaluations with more designs are not read for a list. */
-export const READ_MAX = 100;
+const READ_MAX = 100;
 /** Requests at once: the service answers pages first. */
 const AT_ONCE = 4;
 
 const facts = new Map(); // of jobs, by id
 let busy = 0;
-const waiting = [];
+/** Functions that start the work that waits, oldest first. @type {Set<() => void>} */
+const waiting = new Set();
 
-/** Runs work when few other requests do. */
-async function inTurn(work) {
-  if (busy >= AT_ONCE) await new Promise((resolve) => waiting.push(resolve));
-  busy++;
+/**
+ * Runs work when few other requests do. Work that still waits when the signal aborts is dropped.
+ * @template T
+ * @param {() => Promise<T>} work
+ * @param {AbortSignal} signal
+ */
+async function inTurn(work, signal) {
+  if (busy < AT_ONCE) {
+    busy++;
+  } else {
+    await new Promise((resolve, reject) => {
+      const drop = () => {
+        waiting.delete(start);
+        reject(signal.reason);
+      };
+      const start = () => { // in the place of what ended
+        waiting.delete(start);
+        signal.removeEventListener('abort', drop);
+        resolve();
+      };
+      waiting.add(start);
+      signal.addEventListener('abort', drop);
+    });
+  }
   try {
+    signal.throwIfAborted();
     return await work();
   } finally {
-    busy--;
-    waiting.shift()?.();
+    const [next] = waiting;
+    if (next) next();
+    else busy--;
   }
 }
 
@@ -57,18 +80,23 @@ async function bestOfEvaluation(job) {
 
 /**
  * Loads the facts of a job once: {task, measure, best}. They never change, except that an
- * evaluation has a best only once it has succeeded.
+ * evaluation has a best only once it has succeeded. What is not asked yet when the signal aborts is
+ * never asked: the promise is rejected.
+ * @param {any} job
+ * @param {AbortSignal} signal
  */
-export function factsOf(job) {
+export function factsOf(job, signal) {
   const known = facts.get(job.id);
   if (known && known.state === job.state) return known.load;
   const load = inTurn(async () => {
     const own = await worldsOf(job);
     const best = kindOf(job).score(job) === undefined ? await bestOfEvaluation(job) : null;
     return { ...own, best };
-  });
+  }, signal);
   const entry = { state: job.state, load, value: known?.value };
-  load.then((value) => { entry.value = value; }, () => facts.delete(job.id));
+  load.then((value) => { entry.value = value; }, () => {
+    if (facts.get(job.id) === entry) facts.delete(job.id);
+  });
   facts.set(job.id, entry);
   return load;
 }

@@ -2,7 +2,7 @@
 
 import { getJson, withQuery } from './api.js';
 import { factsOf, knownFacts } from './facts.js';
-import { KINDS } from './kinds.js';
+import { KINDS, isMoving } from './kinds.js';
 
 /** Loaded for an order other than the service's, or for a filter that the service does not have. */
 const LOADED_MAX = 5000;
@@ -13,8 +13,11 @@ const PAGE_MAX = 1000;
  *   sort: string, order: string}} Asked */
 
 export class RunList {
-  /** @param {AbortSignal} signal */
+  /** @param {AbortSignal} signal ends everything */
   constructor(signal) {
+    /** Ends what the newest call of load asked for, and what its jobs need. */
+    this.turn = new AbortController();
+    signal.addEventListener('abort', () => this.turn.abort());
     this.signal = signal;
     /** The jobs, newest first. */
     this.items = [];
@@ -22,7 +25,6 @@ export class RunList {
     this.isCut = false;
     /** Jobs that were read; more than the items if the page filters them. */
     this.scanned = 0;
-    this.turn = 0;
   }
 
   /** Returns the filters of the service's list, by its names. @param {Asked} asked */
@@ -32,14 +34,26 @@ export class RunList {
 
   /**
    * Loads jobs until there are enough; as many as possible if the page puts them in order itself.
-   * Returns false if another call began in the meantime.
+   * Returns false if another call began in the meantime, or the page was left.
    * @param {Asked} asked
    * @param {number} wanted
    * @param {boolean} needsFacts whether the order is by facts of the jobs
    * @param {function(number): void} reading called before the facts are read
    */
   async load(asked, wanted, needsFacts, reading) {
-    const mine = ++this.turn;
+    this.turn.abort();
+    this.turn = new AbortController();
+    if (this.signal.aborted) return false;
+    const { signal } = this.turn;
+    try {
+      return await this.#load(asked, wanted, needsFacts, reading, signal);
+    } catch (error) {
+      if (signal.aborted) return false;
+      throw error;
+    }
+  }
+
+  async #load(asked, wanted, needsFacts, reading, signal) {
     const { only } = KINDS[asked.kind] ?? {};
     const most = Math.max(LOADED_MAX, wanted);
     const target = asked.sort ? most : wanted;
@@ -49,27 +63,27 @@ export class RunList {
     do {
       const limit = only ? PAGE_MAX : Math.min(PAGE_MAX, target - found.length);
       const page = await getJson(
-        withQuery('v1/jobs', { ...RunList.filters(asked), limit, cursor }),
-        { signal: this.signal });
-      if (mine !== this.turn) return false;
+        withQuery('v1/jobs', { ...RunList.filters(asked), limit, cursor }), { signal });
       found.push(...(only ? page.items.filter(only) : page.items));
       n += page.items.length;
       cursor = page.next_cursor;
     } while (cursor !== null && found.length < target && n < most);
     if (needsFacts && found.some((job) => !knownFacts(job))) {
       reading(found.length);
-      await Promise.allSettled(found.map(factsOf));
-      if (mine !== this.turn) return false;
+      await Promise.allSettled(found.map((job) => factsOf(job, signal)));
     }
+    if (signal.aborted) return false;
     [this.items, this.isCut, this.scanned] = [found, cursor !== null, n];
     return true;
   }
 
-  /** Updates the running jobs: not every phase has events. */
+  /** Updates the jobs whose progress changes. */
   async poll() {
-    const { items } = await getJson('v1/jobs?state=running&archived=all&limit=1000',
-      { signal: this.signal });
-    const byId = new Map(items.map((job) => [job.id, job]));
+    const states = new Set(this.items.filter(isMoving).map(({ state }) => state));
+    const pages = await Promise.all([...states].map((state) =>
+      getJson(withQuery('v1/jobs', { state, archived: 'all', limit: 1000 }),
+        { signal: this.signal })));
+    const byId = new Map(pages.flatMap(({ items }) => items).map((job) => [job.id, job]));
     this.items = this.items.map((job) => byId.get(job.id) ?? job);
   }
 }

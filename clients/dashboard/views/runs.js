@@ -1,18 +1,19 @@
 /** Runs: one table of the jobs of all kinds. */
 
 import { LinkError, getJson, withQuery } from '../lib/api.js';
+import { commandsOf } from '../lib/commands.js';
 import { button, h, patchRow, say } from '../lib/dom.js';
-import { coalesced } from '../lib/events.js';
+import { coalesced, isNews } from '../lib/events.js';
 import { factsOf, knownFacts } from '../lib/facts.js';
 import { countOf, shellWord } from '../lib/format.js';
-import { KINDS, groupOf, linkOf } from '../lib/kinds.js';
+import { KINDS, groupOf, isMoving, linkOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { LazyRows } from '../lib/rows.js';
 import { RunList } from '../lib/run_list.js';
 import { startButton } from './forms.js';
 import { RunActions } from './run_actions.js';
 import { COLUMNS, cellsOf, jobsOf, rowsOf } from './run_rows.js';
-import { copyButton } from './share.js';
+import { commandSections, showDialog } from './share.js';
 
 const STATES = ['queued', 'running', 'paused', 'succeeded', 'failed', 'cancelled'];
 const ARCHIVES = [['', 'not archived'], ['true', 'archived'], ['all', 'including archived']];
@@ -46,6 +47,7 @@ export async function mount(main, [id], parameters, app) {
   const { items: usage } = await get('v1/usage?by=experiment&limit=1000');
   const list = new RunList(stop.signal);
   let wanted = FIRST;
+  let refusal = ''; // why the newest list is not shown
   const opened = new Set(); // groups with visible replicates
   const chosen = new Set(app.remembered().runs); // ids
 
@@ -58,7 +60,7 @@ export async function mount(main, [id], parameters, app) {
     asked[name] = value;
     app.keep({ [name]: value });
     wanted = FIRST;
-    return refresh();
+    return reload();
   };
   const choice = (label, name, choices) => h('select', {
     'aria-label': label, onchange: (event) => change(name)(event.target.value),
@@ -79,7 +81,7 @@ export async function mount(main, [id], parameters, app) {
   } }, h('option', { value: '' }, 'newest first'),
   Object.entries(COLUMNS).flatMap(([key, { name }]) => ['ascending', 'descending'].map((way) =>
     h('option', { value: `${key} ${way}` }, `${name}, ${way}`))));
-  const actions = new RunActions(app, () => refresh(), () => {
+  const actions = new RunActions(app, () => reload(), () => {
     chosen.clear();
     showChosen();
   });
@@ -108,8 +110,8 @@ export async function mount(main, [id], parameters, app) {
   const none = h('p.empty');
   const shown = h('span.muted', { role: 'status' });
   const more = button('Show more', () => {
-    wanted += MORE;
-    refresh();
+    wanted = Math.max(wanted, list.scanned) + MORE; // an order reads more than is wanted
+    reload();
   });
   const rowOf = (key) => rows.items.get(key);
 
@@ -129,7 +131,8 @@ export async function mount(main, [id], parameters, app) {
     const unknown = jobsOf(row).filter((job) => !knownFacts(job));
     if (unknown.length && !row.isAsked) {
       row.isAsked = true;
-      Promise.all(unknown.map(factsOf)).then(() => {
+      const { signal } = list.turn;
+      Promise.all(unknown.map((job) => factsOf(job, signal))).then(() => {
         if (!stop.signal.aborted && rowOf(row.key) === row) rows.redraw(row.key);
       }, () => {}); // the next refresh asks again
     }
@@ -164,7 +167,7 @@ export async function mount(main, [id], parameters, app) {
   function sortBy(sort, direction) {
     Object.assign(asked, { sort, order: direction });
     app.keep({ sort, order: direction });
-    refresh();
+    reload();
   }
 
   function show() {
@@ -177,36 +180,67 @@ export async function mount(main, [id], parameters, app) {
     order.value = asked.sort ? `${asked.sort} ${asked.order}` : '';
     const isFiltered = given().length > 0 || asked.kind;
     panel.hidden = items.length === 0;
-    none.hidden = !panel.hidden;
+    none.hidden = !panel.hidden || Boolean(refusal);
     say(none, isFiltered ? 'No jobs match.'
       : `No jobs yet.${may('submit') ? ' Start one above, or with morphoctl.' : ''}`);
     more.hidden = !isCut;
-    say(shown, !items.length ? '' : !isCut ? countOf(items.length, 'run')
+    say(shown, refusal || (!items.length ? '' : !isCut ? countOf(items.length, 'run')
       : asked.sort || KINDS[asked.kind]?.only
         ? `Only the newest ${countOf(scanned, 'matching job')} ` +
           `${asked.sort ? 'were read and sorted' : 'were read'}. Add filters to narrow the list.`
-        : `the newest ${countOf(items.length, 'run')}`);
+        : `the newest ${countOf(items.length, 'run')}`));
+    shown.classList.toggle('error', Boolean(refusal));
     showChosen();
   }
 
-  async function refresh() {
+  /** @param {() => void} [listed] called once only facts of the jobs are missing */
+  async function refresh(listed) {
     const { name, needsFacts = false } = COLUMNS[asked.sort] ?? {};
-    const isDone = await list.load(asked, wanted, needsFacts, (n) =>
-      say(shown, `Reading ${n} runs to sort them by ${name.toLowerCase()}…`));
-    if (isDone) show();
+    const isDone = await list.load(asked, wanted, needsFacts, (n) => {
+      refusal = '';
+      shown.classList.remove('error');
+      say(shown, `Reading ${n} runs to sort them by ${name.toLowerCase()}…`);
+      listed?.();
+    });
+    if (!isDone) return;
+    refusal = '';
+    show();
+  }
+
+  /** Refreshes, or says why the rows are still those of before. */
+  async function reload() {
+    try {
+      await refresh();
+    } catch (error) {
+      refusal = `The list could not be loaded; what it shows is older: ${error.message}`;
+      show();
+    }
+  }
+
+  /** Shows commands that list the same jobs. */
+  function showCommands() {
+    const { kind } = asked;
+    const of = given().map(([name, value]) => `${name}=${JSON.stringify(value)}`).join(', ');
+    const isStudies = Boolean(KINDS[kind]?.only);
+    // morphoctl cannot list the evaluations alone, nor the studies.
+    const listOf = { '': 'job list', training: 'train list', campaign: 'campaign list' }[kind];
+    showDialog('The same from a shell or a program', isStudies
+      ? h('p', {}, 'Studies are campaigns with the mode “study”. The page picks them out of the ' +
+        'campaigns; the service lists them all.') : null,
+    ...commandSections(commandsOf({
+      path: withQuery('v1/jobs', filters()),
+      morphoctl: listOf ? [listOf, ...given().filter(([name]) => name !== 'kind')
+        .map(([name, value]) => `--${name} ${shellWord(value)}`)].join(' ') : null,
+      python: asked.search ? undefined // which jobs() does not have
+        : isStudies ? `jobs = m.jobs(${of})\nprint(jobs[jobs["campaign_mode"] == "study"])`
+        : `print(m.jobs(${of}))`,
+    })));
   }
 
   main.replaceChildren(h('div.title', {}, h('h1', {}, 'Runs'), h('div.actions', {},
     ['evaluation', 'training', 'campaign'].map((kind) =>
       startButton(app, kind, kind === (asked.kind || 'campaign') ? { class: 'primary' } : {})),
-    copyButton(() => ({
-      path: withQuery('v1/jobs', filters()),
-      morphoctl: [asked.kind === 'training' ? 'train list' : asked.kind === 'campaign'
-        ? 'campaign list' : 'job list', ...given().filter(([name]) => name !== 'kind')
-        .map(([name, value]) => `--${name} ${shellWord(value)}`)].join(' '),
-      python: `print(m.jobs(${
-        given().map(([name, value]) => `${name}=${JSON.stringify(value)}`).join(', ')}))`,
-    })))),
+    button('Commands', showCommands, { title: 'The same with curl, morphoctl or Python' }))),
   h('section.panel.stack', { 'aria-label': 'Runs' },
     h('div.row.filters', {}, searched,
       choice('Kind', 'kind', [['', 'all kinds'], ...Object.entries(KINDS).map(([key, { names }]) =>
@@ -216,16 +250,21 @@ export async function mount(main, [id], parameters, app) {
         ...experiments.map((one) => [one, one])]),
       choice('Archived', 'archived', ARCHIVES), order),
     actions.element, panel, none, h('div.row', {}, more, shown)));
-  await refresh();
-  const later = coalesced(refresh, stop.signal, 1000);
+  // The page may be left while facts are read, which takes long.
+  await new Promise((resolve, reject) => {
+    const done = () => resolve(undefined);
+    refresh(done).then(done, reject);
+  });
+  const later = coalesced(reload, stop.signal, 1000);
   const timer = setInterval(() => {
-    if (!document.hidden && list.items.some(({ state }) => state === 'running')) {
+    if (!document.hidden && list.items.some(isMoving)) {
       list.poll().then(show, () => {});
     }
   }, POLL_MS);
   return {
     update({ type }) {
-      if (type === 'reset' || /^job\./.test(type)) later();
+      // The timer refreshes progress.
+      if (type === 'reset' || (/^job\./.test(type) && isNews({ type }))) later();
     },
     unmount() {
       clearInterval(timer);
