@@ -2,12 +2,16 @@
 editor."""
 
 import json
+import shlex
 import struct
+import subprocess
 
+import numpy
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 
+from contract import SOURCE
 from service import DESIGN
 
 SECOND = {"cells": [[0, 0, 0], [1, 0, 0], [1, 1, 0]]}
@@ -310,6 +314,127 @@ def test_a_drive_is_saved(service, browser, tmp_path):
     browser.until_walking()
     shown = browser.run("return document.querySelector('.stage').player.stage.robots[0].world")
     assert shown["points"] == points
+    assert browser.faults() == []
+
+
+def test_a_saved_drive_has_the_world_of_a_job(service, browser):
+    """The link and the commands have its terrain, physics and precision, not those of a set."""
+    job = service.evaluate({
+        "designs": [DESIGN], "physics": {"n_steps": 400}, "precision": "float64",
+        "environments": [{"light_xy_m": [4.0, y], "terrain_sigma_m": 0.05, "seed": seed}
+                         for seed, y in enumerate((1.0, 3.0))]
+    }).json()
+    id, robot = job["id"], job["results"][0]["robot"]
+    terrain = ("const [{ world }] = document.querySelector('.stage').player.stage.robots;"
+               "return [...world.heights]")
+    start(browser, f"stage?designs={robot}&world=evaluation-{id}&environment=1")
+    heights = browser.run(terrain)
+    browser.click("Save")
+    browser.until("document.querySelector('dialog[open]')")
+    browser.run("document.querySelector('dialog details').open = true")
+    link = browser.run("return document.querySelector('dialog a').getAttribute('href')")
+    _, curl, morphoctl, python = browser.texts("dialog pre")
+    words = shlex.split(curl)
+    body = json.loads(words[words.index("-d") + 1])
+    assert body["physics"]["n_steps"] == 400 and body["precision"] == "float64"
+    assert '"n_steps": 400' in python and 'precision="float64"' in python
+    tool = str(SOURCE / "build/clients/morphoctl/morphoctl")
+    done = subprocess.run(morphoctl.replace("| morphoctl", f"| {tool}") + " --json", shell=True,
+                          capture_output=True, check=True)
+    scored = json.loads(done.stdout)
+    assert scored["physics"]["n_steps"] == 400 and scored["precision"] == "float64"
+    assert scored["results"][0]["robot"] == robot
+    browser.open(link.split("#/")[1])
+    browser.until_walking()
+    assert browser.run(terrain) == heights
+    seconds, loss = browser.run("const { stage } = document.querySelector('.stage').player;"
+                                "return [stage.durationS(), stage.robots[0].loss]")
+    assert seconds == pytest.approx(0.8)
+    assert loss == pytest.approx(scored["results"][0]["losses"][0]["loss"], abs=1e-9)
+    assert browser.faults() == []
+
+
+def test_windows_that_arrive_late_leave_a_recording_alone(service, browser):
+    """The service replies while the dialog shows what was driven; then the drive goes on."""
+    robot = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["robot"]
+    start(browser, f"stage?designs={robot}")
+    browser.run(LIVE + """
+        const { drive } = live;
+        window.drive = drive;
+        const { roll } = drive;
+        window.held = new Promise((resolve) => { window.release = resolve; });
+        drive.roll = async (asked) => {
+          const reply = await roll(asked);
+          await held;
+          return reply;
+        };
+    """)
+    browser.until("drive.isLate && drive.pending")
+    browser.click("Save")
+    browser.until("document.querySelector('dialog[open]')")
+    browser.run("""
+        const { player: { stage } } = document.querySelector('.stage');
+        const { gl } = stage;
+        window.written = 0;
+        gl.texSubImage2D = (...all) => {
+          written++;
+          Object.getPrototypeOf(gl).texSubImage2D.apply(gl, all);
+        };
+        gl.getError();
+        window.before = [drive.end, stage.timeS];
+        release();
+    """)
+    browser.until("drive.end > before[0]")
+    assert browser.run("""
+        const { stage } = document.querySelector('.stage').player;
+        return [written, stage.gl.getError(), stage.timeS === before[1]];
+    """) == [0, 0, True]
+    browser.click("Close")
+    browser.until("document.querySelector('.stage').player.live")
+    browser.run("document.querySelector('.stage').player.setPlaying(true)")
+    browser.until("drive.timeS > before[0] * drive.windowS")
+    centers = browser.run(LIVE + """
+        const [{ track, centers, frames, body: { nMasses } }] = player.stage.robots;
+        return Array.from({ length: frames }, (_, frame) => {
+          let sum = 0;
+          for (let i = 0; i < nMasses; i++) sum += track[3 * (nMasses * frame + i)];
+          return sum / nMasses - centers[3 * frame];
+        });
+    """)
+    assert max(map(abs, centers)) < 1e-4
+    browser.until("written")
+    assert browser.faults() == []
+
+
+def test_a_drive_survives_a_lost_context(service, browser):
+    """The graphics processor was reset: the robots that move are those that are drawn."""
+    robot = service.evaluate({"designs": [DESIGN]}).json()["results"][0]["robot"]
+    start(browser, f"stage?designs={robot}")
+    browser.run(LIVE + """
+        window.stage = player.stage;
+        window.driving = live;
+        window.extension = stage.gl.getExtension('WEBGL_lose_context');
+        window.restored = false;
+        player.canvas.addEventListener('webglcontextrestored', () => { restored = true; });
+        player.canvas.addEventListener('webglcontextlost',
+          () => setTimeout(() => extension.restoreContext(), 100));
+        extension.loseContext();
+    """)
+    browser.until("restored")
+    browser.run("window.beforeS = driving.drive.timeS")
+    browser.until("driving.drive.timeS > beforeS + 1")
+    same, shown, time = browser.run("""
+        const { live, drive } = driving;
+        return [live.robots.every((robot, i) => robot === stage.robots[i]),
+          live.first * live.frameS + stage.durationS(), drive.timeS];
+    """)
+    assert same and shown >= time
+    browser.run("document.querySelector('.stage').player.setPlaying(false)")
+    browser.run("document.querySelector('.stage').player.redraw()")
+    browser.until("!stage.isBusy()")
+    assert browser.run("return stage.gl.getError()") == 0
+    picture = browser.pixels(".stage canvas")[..., :3]
+    assert len(numpy.unique(picture.reshape(-1, 3), axis=0)) > 100
     assert browser.faults() == []
 
 

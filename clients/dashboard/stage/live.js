@@ -19,6 +19,9 @@ export class Live {
     this.stage = stage;
     this.frameS = frameS;
     this.perWindow = perWindow;
+    /** Whether the stage shows something else: then the robots here have nothing on the graphics
+     * processor. */
+    this.isSuspended = false;
     /** Number of the first frame that the robots have. */
     this.first = 0;
     // The sun stays where it is when the light moves.
@@ -72,10 +75,11 @@ export class Live {
       put(robot.actuation, parts[i]?.actuation, nSprings);
       put(robot.contacts, parts[i]?.contacts, nMasses);
       robot.frames = from - gone + perWindow;
-      uploadFrames(gl, robot, gone ? 0 : from, robot.frames);
+      if (this.isSuspended) robot.centers = undefined; // measured again when it is shown
+      else uploadFrames(gl, robot, gone ? 0 : from, robot.frames);
     });
     this.first += gone;
-    this.stage.timeS -= gone * this.frameS;
+    if (!this.isSuspended) this.stage.timeS -= gone * this.frameS;
   }
 }
 

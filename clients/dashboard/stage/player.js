@@ -89,6 +89,7 @@ export class Player {
       click: (x, y) => this.live?.steering.click(x, y),
     });
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
+    this.canvas.addEventListener('webglcontextrestored', () => this.#wake());
     this.onTheme = (theme) => {
       this.stage.theme = theme;
       this.#wake();

@@ -131,8 +131,11 @@ export class Stage {
     this.#build();
     canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
     canvas.addEventListener('webglcontextrestored', () => {
+      this.fence = null;
+      this.terrains.clear();
       this.#build();
-      this.setRobots(this.robots);
+      // The robots stay the same objects: while they are driven, their recordings grow.
+      for (const robot of this.robots) robot.gpu = { ...upload(gl, robot), tint: robot.gpu.tint };
     });
   }
 

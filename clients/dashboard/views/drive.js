@@ -30,9 +30,10 @@ function keptS(robots, frameS) {
 export class Driving {
   /**
    * @param {import('../stage/player.js').Player} player
-   * @param {function(): {environment: Object, controller?: string, physics?: Object,
-   *   precision?: string, name: string, set?: string}} source the world of the robots, and a name
-   *   for files
+   * @param {function(): {environment: Object, number: number, controller?: string,
+   *   physics?: Object, precision?: string, world?: string, set?: string, name: string}} source the
+   *   world of the robots, and a name for files; number: of the environment within the world or the
+   *   set; world, set: as in a link to the stage
    */
   constructor(player, source) {
     this.player = player;
@@ -221,13 +222,18 @@ export class Driving {
   /** Shows recordings for a while. @param {import('../stage/stage.js').Robot[]} robots */
   suspend(robots) {
     clearInterval(this.timer);
+    this.live.isSuspended = true;
     this.player.setLive(null);
     this.player.setRobots(robots);
   }
 
   /** Goes on driving, paused, after `suspend`. */
   resume() {
-    if (!this.player.canvas.isConnected) return;
+    if (!this.player.canvas.isConnected) {
+      this.close(); // the page was left
+      return;
+    }
+    this.live.isSuspended = false;
     this.#show();
     this.timer = setInterval(() => this.#tickUnseen(), TICK_MS);
   }

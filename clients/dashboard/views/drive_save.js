@@ -1,8 +1,10 @@
 /** Saves what was driven: as a film and other files, as a recording, and the light's path as a
  * task. */
 
+import { withQuery } from '../lib/api.js';
 import { button, h } from '../lib/dom.js';
-import { commandsOf } from '../lib/commands.js';
+import { commandsOf, pythonOf } from '../lib/commands.js';
+import { shellWord } from '../lib/format.js';
 import { requested } from '../lib/rollouts.js';
 import { toScene } from '../export/scene.js';
 import { drivenRobots, pathOf } from '../stage/driven.js';
@@ -10,7 +12,8 @@ import { commandSections, exportDialog, save } from './share.js';
 
 /** Shows the drive as a recording, and the dialog; afterwards, the drive can go on. */
 export function saveDialog(driving) {
-  const { player, drive, live, world: { environment, controller, name, set } } = driving;
+  const { player, drive, live, world } = driving;
+  const { name } = world;
   const robots = drivenRobots(drive, live);
   driving.suspend(robots);
   const seconds = ((robots[0].frames - 1) * robots[0].frameS).toFixed(1);
@@ -22,13 +25,14 @@ export function saveDialog(driving) {
     ],
     sections: [h('p', {}, (drive.first ? `This is the last ${seconds} s of the drive. `
       : `You drove for ${seconds} s. `) + 'Driven robots have no score: you moved the light.'),
-    taskSection(driving, { environment, controller, set })],
+    taskSection(driving, world)],
   });
   dialog.addEventListener('close', () => driving.resume());
 }
 
 /** The path of the light as a task that any robot can be scored on. */
-function taskSection({ drive, player }, { environment, controller, set }) {
+function taskSection({ drive, player }, how) {
+  const { environment, number, world, set, controller, physics, precision } = how;
   const points = pathOf(drive);
   const task = { guide: { kind: 'path', points_m: points } };
   const request = { ...requested(environment), task };
@@ -36,23 +40,31 @@ function taskSection({ drive, player }, { environment, controller, set }) {
   const designs = player.stage.robots.map(({ robot, genotype }) =>
     (robot ? { id: robot } : { voxels: genotype }));
   const names = player.stage.robots.map(({ robot, genotype }) => robot ?? genotype);
-  const text = JSON.stringify([request]);
-  const query = new URLSearchParams({ designs: names.join(','),
-    path: points.map((point) => point.join('_')).join(',') });
-  if (set) query.set('set', set);
-  if (controller && controller !== 'default') query.set('controller', controller);
-  const given = controller && controller !== 'default' ? { controller } : {};
-  const python = Object.entries(given).map(([key, one]) => `, ${key}=${JSON.stringify(one)}`);
+  const given = {
+    ...(controller && controller !== 'default' ? { controller } : {}),
+    ...(physics ? { physics } : {}), ...(precision ? { precision } : {}),
+  };
+  // The world of a job has its physics and its precision; a set has neither.
+  const link = withQuery('#/stage', {
+    designs: names.join(','), world, set: world ? null : set, environment: number,
+    controller: given.controller, path: points.map((point) => point.join('_')).join(','),
+  });
+  const python = Object.entries(given).map(([key, one]) => `, ${key}=${pythonOf(one)}`).join('');
+  const words = ['eval', ...names, '--environments', '-'];
+  if (given.controller) words.push('--controller', given.controller);
+  for (const [key, value] of Object.entries(physics ?? {})) {
+    words.push('--physics', `${key}=${value}`);
+  }
+  if (precision) words.push('--precision', precision);
   return h('details', {}, h('summary', {}, 'The path of the light as a task'),
     h('div.stack', {},
       h('p', {}, `The path has ${points.length === 1 ? 'one way-point'
         : `${points.length} way-points`}, on the same terrain. You can score any robot on it, or `,
-      'evolve robots for it. ', h('a', { href: `#/stage?${query}` }, 'Watch it on the stage')),
+      'evolve robots for it. ', h('a', { href: link }, 'Watch it on the stage')),
       commandSections([['JSON', JSON.stringify(request.task)], ...commandsOf({
         path: 'v1/evaluations', headers: ['Prefer: wait=30'],
         body: { designs, environments: [request], ...given },
-        input: text, morphoctl: `eval ${names.join(' ')} --environments -` +
-          (given.controller ? ` --controller ${given.controller}` : ''),
-        python: `print(m.evaluate(${JSON.stringify(names)}, ${text}${python}).frame())`,
+        input: JSON.stringify([request]), morphoctl: words.map(shellWord).join(' '),
+        python: `print(m.evaluate(${pythonOf(names)}, ${pythonOf([request])}${python}).frame())`,
       })])));
 }

@@ -48,8 +48,8 @@ export async function mount(main, path, parameters, app) {
   const result = h('p.result', { 'aria-live': 'polite' });
   const environments = await environmentSet('paper-test');
   if (player.stage) {
-    new Driving(player, () => ({ environment: environments[0], name: 'morphod-drawn',
-      set: 'paper-test' }));
+    new Driving(player, () => ({ environment: environments[0], number: 0, set: 'paper-test',
+      name: 'morphod-drawn' }));
   }
 
   /** Saves the undo steps and the body for a return to the editor. */

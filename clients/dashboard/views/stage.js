@@ -190,8 +190,9 @@ async function rollouts(parameters) {
     }),
     founders: () => ids.map(designOf),
     driven: (environment) => ({
-      environment: environments[environment], controller: controllers[0], physics, precision,
-      set: world.set, name: 'morphod',
+      environment: environments[environment], number: environment, controller: controllers[0],
+      physics, precision, world: parameters.get('world'), set: parameters.get('set'),
+      name: 'morphod',
     }),
     exported: (environment) => {
       const one = ids.length === 1 ? ids[0].replace(/0+$/, '').slice(0, 12) : 'race';
