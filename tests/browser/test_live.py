@@ -283,3 +283,70 @@ def test_warnings_appear_next_to_the_state(start):
         assert "but no unseen body is left" in page.run("return document.body.innerText")
     finally:
         page.quit()
+
+
+# Collects the contexts of the stages that a page makes from now on.
+CONTEXTS = """
+window.contexts = new Set();
+const { getContext } = HTMLCanvasElement.prototype;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  const context = getContext.call(this, kind, ...more);
+  if (kind === 'webgl2' && context) contexts.add(context);
+  return context;
+};
+"""
+FREED = "contexts.size && [...contexts].every((gl) => gl.isContextLost())"
+
+
+def test_pages_free_their_stage(browser):
+    """A page has a WebGL context for its stage; browsers allow about sixteen in all."""
+    browser.open("overview")
+    browser.run(CONTEXTS)
+    for _ in range(2):
+        go(browser, "controllers")
+        browser.until("document.querySelector('.stage')?.player.stage")
+        assert not browser.run("return " + FREED)
+        go(browser, "overview")
+        browser.until(FREED)
+    assert browser.faults() == []
+
+
+def test_a_comparison_ends_with_its_page(browser):
+    """It would go on to wait for its evaluations otherwise."""
+    browser.open("controllers")
+    browser.run("""
+        window.aborted = 0;
+        const send = window.fetch;
+        window.fetch = (path, options) => (!/held-out/.test(path) ? send(path, options)
+          : new Promise((resolve, reject) => options.signal?.addEventListener('abort', () => {
+            aborted++;
+            reject(options.signal.reason);
+          })));
+    """)
+    browser.run("""
+        const [first, second] = document.querySelectorAll('select');
+        for (const [e, value] of [[first, 'default'], [second, 'tuned']]) {
+          e.value = value;
+          e.dispatchEvent(new Event('change'));
+        }
+    """)
+    browser.click("Compare")
+    go(browser, "overview")
+    browser.until("aborted === 1")
+    assert browser.faults() == []
+
+
+@pytest.mark.parametrize("view", [
+    "editor?design=" + "f" * 36, "editor?voxels=01", "campaigns/{campaign}/population",
+])
+def test_a_page_that_cannot_be_shown_frees_its_stage(service, browser, view):
+    browser.open("overview")
+    browser.run(CONTEXTS + """
+        const send = window.fetch;
+        window.fetch = (path, options) => (/population/.test(path)
+          ? Promise.resolve(new Response('{"detail": "It is on fire."}', { status: 500 }))
+          : send(path, options));
+    """)
+    go(browser, view.format(campaign=service.campaign))
+    browser.until("document.querySelector('main .error')")
+    browser.until(FREED)

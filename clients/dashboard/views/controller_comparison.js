@@ -11,8 +11,12 @@ import { copyButton } from './share.js';
 /**
  * Compares two controllers on the same held-out bodies: the difference with its interval, and both
  * side by side.
+ * @param {import('../app.js').app} app
+ * @param {any[]} controllers those with a name
+ * @param {AbortSignal} signal ends its requests
+ * @returns {{element: HTMLElement, destroy: () => void}}
  */
-export function comparison(app, controllers) {
+export function comparison(app, controllers, signal) {
   // The newest file of a training, compared with the default: two names of one file are the same.
   const names = controllers.map(({ name }) => name);
   const first = controllers.find(({ name }) => name === 'default') ?? controllers[0];
@@ -33,14 +37,14 @@ export function comparison(app, controllers) {
     result.textContent = 'Scoring both on the held-out bodies…';
     try {
       const path = `v1/held-out?seed=1&designs=${size}&environments=16`;
-      const { designs, environments } = await getJson(path);
+      const { designs, environments } = await getJson(path, { signal });
       const evaluate = async (controller) => {
         let evaluation = await patient(() => post('v1/evaluations', {
           designs, environments, controller, label: `comparison of ${a} and ${b}`,
-        }));
+        }, { signal }));
         while (!['succeeded', 'failed', 'cancelled'].includes(evaluation.state)) {
           const path = `v1/evaluations/${evaluation.id}`;
-          evaluation = await getJson(path, { headers: { Prefer: 'wait=10' } });
+          evaluation = await getJson(path, { signal, headers: { Prefer: 'wait=10' } });
         }
         if (!evaluation.results) {
           throw new Error(`The evaluation of ${controller} has ${evaluation.state}.`);
@@ -67,7 +71,7 @@ export function comparison(app, controllers) {
       const [environment] = await environmentSet('paper-test');
       const robots = [];
       for (const controller of [a, b]) {
-        const [robot] = await roll([design], environment, { controller });
+        const [robot] = await roll([design], environment, { controller, signal });
         robots.push({ ...robot, label: controller });
       }
       stage.hidden = false;
@@ -78,6 +82,7 @@ export function comparison(app, controllers) {
       player.setRobots(robots);
       player.setSide(true);
     } catch (error) {
+      if (signal.aborted) return;
       result.textContent = error.message;
     }
     go.disabled = false;
@@ -85,7 +90,8 @@ export function comparison(app, controllers) {
 
   const go = button('Compare', compare);
   const link = h('p');
-  return h('section.panel.stack', {}, h('div.title', {}, h('h2', {}, 'Compare two controllers'),
+  const element = h('section.panel.stack', {}, h('div.title', {},
+    h('h2', {}, 'Compare two controllers'),
     h('span.muted', {}, 'on bodies and environments that no training draws'), h('div.actions', {},
       select('First', names, a, (value) => { a = value; }),
       select('Second', other ? names : [['', 'choose one'], ...names], b,
@@ -99,4 +105,5 @@ export function comparison(app, controllers) {
           '    print(m.request("POST", "/v1/evaluations", ' +
           '{**held_out, "controller": controller})["id"])',
       })))), result, link, stage);
+  return { element, destroy: () => player.destroy() };
 }

@@ -37,21 +37,25 @@ export async function mount(main, path, parameters, app) {
   }
 
   const named = await refresh();
+  const compared = named.length && may('submit') ? comparison(app, named, stop.signal) : null;
   const copy = copyButton(() => ({
     path: 'v1/controllers', morphoctl: 'controller list', python: 'print(m.controllers())',
   }));
-  main.replaceChildren(...[h('div.title', {}, h('h1', {}, 'Controllers'),
+  main.replaceChildren(h('div.title', {}, h('h1', {}, 'Controllers'),
     h('span.muted', {}, 'a training run teaches one, by backpropagation through the simulation'),
     h('div.actions', {}, copy, startButton(app, 'training', { class: 'primary' }))),
   h('section.panel.scroll', { 'aria-label': 'Files' }, table(
     ['Name', 'File', 'Parameters', 'Sensor', 'Outputs', 'Made by', 'From', 'Stored'], files)),
-  named.length && may('submit') ? comparison(app, named) : null].filter(Boolean));
+  ...(compared ? [compared.element] : []));
   const later = coalesced(refresh, stop.signal);
   return {
     update({ type }) {
       if (type === 'reset' || /^(job|training|controller)\./.test(type)) later();
     },
-    unmount: () => stop.abort(),
+    unmount() {
+      stop.abort();
+      compared?.destroy();
+    },
   };
 }
 

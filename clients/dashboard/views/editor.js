@@ -39,14 +39,21 @@ function stateBefore() {
 export async function mount(main, path, parameters, app) {
   const player = new Player(app, { compact: true });
   const { past, body: last } = stateBefore();
-  let genotype = await startBody(parameters, last);
+  let genotype;
+  let environments;
+  try {
+    [genotype, environments] = await Promise.all([startBody(parameters, last),
+      environmentSet('paper-test')]);
+  } catch (error) {
+    player.destroy();
+    throw error;
+  }
   let mirrored = false;
   let isClosed = false;
   let stop = new AbortController();
 
   const layers = h('div.layers', { role: 'group', 'aria-label': 'Body, layer by layer' });
   const result = h('p.result', { 'aria-live': 'polite' });
-  const environments = await environmentSet('paper-test');
   if (player.stage) {
     new Driving(player, () => ({ environment: environments[0], number: 0, set: 'paper-test',
       name: 'morphod-drawn' }));

@@ -40,6 +40,7 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
   const { about, ...parts } = await prepare(shared);
   const head = new RunHead(app, job, { changed: () => later(), others, ...parts });
   const place = h('div.stack');
+  /** @type {any} */
   let tab = null;
 
   async function refreshJob() {
@@ -64,7 +65,13 @@ export async function mountRun(main, [id, part = ''], parameters, app, { kind, t
   }, stop.signal);
   main.replaceChildren(head.element, head.tabs, head.status, place);
   head.update(job, about(job));
-  await turnTo(part);
+  try {
+    await turnTo(part);
+  } catch (error) {
+    stop.abort();
+    tab?.destroy();
+    throw error;
+  }
   const timer = setInterval(() => {
     if (!document.hidden && job.state === 'running') refreshJob().catch(() => {});
   }, POLL_MS);
