@@ -179,3 +179,31 @@ def test_jumping_by_keyboard(service, browser):
     browser.until("document.querySelector('input[type=search]').value === '?'")
     assert browser.run("return document.querySelectorAll('dialog').length") == 0
     assert browser.faults() == []
+
+
+def test_progress_of_jobs_is_polled_by_the_home_page(browser):
+    """It comes several times per second, so it is no reason to ask the service again."""
+    browser.open("")
+    browser.until("/threads? busy/.test(document.querySelector('.health')?.innerText)")
+    browser.run("""
+        window.asked = 0;
+        const send = window.fetch;
+        window.fetch = (path, options) => {
+          asked += /readyz/.test(path);
+          return send(path, options);
+        };
+        const channel = new BroadcastChannel('morphod-events' + location.pathname);
+        let id = 1e12;
+        window.report = (type) => channel.postMessage({ type, id: ++id, job: '1' });
+        window.sent = 0;
+        const timer = setInterval(() => {
+          report('job.progress');
+          if (++sent === 16) clearInterval(timer);
+        }, 250);
+    """)
+    browser.until("sent === 16")
+    assert browser.run("return asked") <= 1, "only the timer of 5 s"
+    before = browser.run("return asked")
+    browser.run("for (const type of ['job.started', 'job.finished']) report(type)")
+    browser.until(f"asked > {before}", 4)
+    assert browser.faults() == []

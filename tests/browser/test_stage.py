@@ -278,6 +278,9 @@ def test_recordings_of_an_evaluation(service, browser):
     browser.click("Show recordings")
     tracks = ("const { stage } = document.querySelector('.stage').player;"
               "return stage.robots.map(({ track }) => [...track])")
+    browser.until_walking()
+    assert browser.run("return document.querySelector('.world a').hash") == (
+        f"#/evaluations/{job['id']}")
     for environment in (0, 1):
         browser.until_walking()
         reported = [service.request("GET", f"{path}/{row}/file?environment={environment}").body

@@ -76,7 +76,7 @@ export function unproject(matrix, [x, y, depth]) {
   return [px / w, py / w, pz / w];
 }
 
-export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const cross = (a, b) => [
   a[1] * b[2] - a[2] * b[1],

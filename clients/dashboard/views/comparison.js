@@ -4,7 +4,7 @@
 import { Chart } from '../lib/chart.js';
 import { fill, h, table } from '../lib/dom.js';
 import { countOf, score, signed } from '../lib/format.js';
-import { replicateOf, titleOf } from './jobs.js';
+import { replicateOf, titleOf } from '../lib/kinds.js';
 import { CONFIDENCE, compareMeans } from '../lib/statistics.js';
 import { Curve } from '../lib/api.js';
 

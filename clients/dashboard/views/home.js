@@ -3,7 +3,7 @@
 import { getJson, withQuery } from '../lib/api.js';
 import { cellsOf, genotypeOfId } from '../lib/body.js';
 import { button, fill, h, patch, say } from '../lib/dom.js';
-import { coalesced } from '../lib/events.js';
+import { coalesced, isNews } from '../lib/events.js';
 import { countOf, score, voxels } from '../lib/format.js';
 import { nameOf, shortOf } from '../lib/names.js';
 import { may } from '../lib/rights.js';
@@ -138,7 +138,7 @@ export async function mount(main, path, parameters, app) {
       `${threads.n_busy} of ${countOf(threads.n_threads, 'thread')} busy; ` +
       `${n === 0 ? 'no jobs are running' : `${countOf(n, 'job')} running:`}`);
     if (n === 0 && !jobs.childElementCount) return;
-    const { linkOf, shortProgress, titleOf } = await import('./jobs.js');
+    const { linkOf, shortProgress, titleOf } = await import('../lib/kinds.js');
     patch(jobs, page.items.slice(0, NAMED), (job) => job.id, (job) => h('span', {},
       h('a', { href: linkOf(job) }), h('span.muted')), (element, job) => {
       say(element.firstChild, titleOf(job));
@@ -159,7 +159,8 @@ export async function mount(main, path, parameters, app) {
   const timer = setInterval(() => { if (!document.hidden) refresh(); }, POLL_MS);
   return {
     update({ type }) {
-      if (type === 'reset' || type.startsWith('job.')) refresh();
+      // The timer suffices for progress, which comes several times per second.
+      if (type === 'reset' || (type.startsWith('job.') && isNews({ type }))) refresh();
       if (['reset', 'job.finished', 'campaign.generation'].includes(type)) look();
     },
     unmount() {

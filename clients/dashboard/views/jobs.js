@@ -8,8 +8,6 @@ import { may } from '../lib/rights.js';
 import { editDialog } from './job_edit.js';
 import { announced, confirmDialog } from './share.js';
 
-export { linkOf, replicateOf, shortProgress, stateOf, titleOf } from '../lib/kinds.js';
-
 /** Jobs besides the first on one page: as many as there are distinct colors. */
 export const COMPARED_MAX = 3;
 

@@ -2,9 +2,9 @@
 
 import { getJson } from '../lib/api.js';
 import { fill, h, table } from '../lib/dom.js';
+import { linkOf, titleOf } from '../lib/kinds.js';
 import { nameOf } from '../lib/names.js';
 import { tray } from '../lib/tray.js';
-import { linkOf, titleOf } from './jobs.js';
 import { showDialog } from './share.js';
 
 /** So many of the newest runs and the best designs can be found, and so many are listed. */

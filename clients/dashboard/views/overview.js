@@ -6,13 +6,14 @@ import { button, fill, h, patch, patchRow, say, table as tableOf, tile } from '.
 import {
   ago, bytes, count, countOf, duration, number, percent, score, shellWord,
 } from '../lib/format.js';
+import { linkOf, titleOf } from '../lib/kinds.js';
 import { may } from '../lib/rights.js';
 import { environmentsOfCampaign } from '../lib/rollouts.js';
 import { measureOf, meters, taskNameOf, worldsOfTraining } from '../lib/tasks.js';
 import { startButton } from './forms.js';
 import { copyButton } from './share.js';
 import { JobTable } from './job_table.js';
-import { JobParts, linkOf, titleOf } from './jobs.js';
+import { JobParts } from './jobs.js';
 
 const REFRESH_MS = 2000;
 const LOAD_S = 3600;

@@ -5,7 +5,8 @@ import { Chart, column } from '../lib/chart.js';
 import { h, patch, patchRow, say, table } from '../lib/dom.js';
 import { coalesced } from '../lib/events.js';
 import { inOwnUnit, score } from '../lib/format.js';
-import { progressBar, shortProgress, stateChip, titleOf } from './jobs.js';
+import { shortProgress, titleOf } from '../lib/kinds.js';
+import { progressBar, stateChip } from './jobs.js';
 import { copyButton } from './share.js';
 
 /** The statistics of the curves, each with its title and color. */

@@ -9,11 +9,11 @@ import { Player, SPEEDS } from '../stage/player.js';
 import { commandsOf, pythonOf } from '../lib/commands.js';
 import { genotypeOfId, robotOf } from '../lib/body.js';
 import { countOf } from '../lib/format.js';
+import { asJob, linkOf, titleOf } from '../lib/kinds.js';
 import { nameOf } from '../lib/names.js';
 import { trayButton } from './add.js';
 import { Driving } from './drive.js';
 import { breedButton } from './forms.js';
-import { titleOf } from './jobs.js';
 import { copyDialog, exportDialog, filmCommand, filmOf, formDialog } from './share.js';
 
 /** Maximum number of robots that walk at once. */
@@ -221,8 +221,8 @@ async function recordings(parameters) {
   const ids = rows.map((row) => job.results[row].robot);
   return {
     n: items.length, nRobots: rows.length,
-    world: ['Recorded by ', h('a', { href: `#/designs?evaluation=${encodeURIComponent(id)}` },
-      titleOf({ ...job, kind: 'evaluation' }))],
+    world: ['Recorded by ', h('a', { href: linkOf(asJob('evaluation', job)) },
+      titleOf(asJob('evaluation', job)))],
     async walk(environment, signal) {
       const robots = await recorded(id, rows, environment, signal);
       robots.forEach((robot, i) => { robot.label = labelOf(ids, i); });
