@@ -69,13 +69,13 @@ def test_an_empty_store_is_no_empty_page(empty):
     shown = score_shown(page)
     assert float(shown) < 0.02
     assert page.texts(".way strong") == [share_of(float(shown))]
-    page.until("/no job is running/.test(document.querySelector('.health').innerText)")
+    page.until("/no jobs are running/.test(document.querySelector('.health').innerText)")
     result = running.evaluate({"designs": [{"id": SHIPPED}]}).json()["results"][0]
     assert f"{result['score']:.4f}" == shown
     run(running, "evaluations", {"designs": [{"cells": [[0, 0, 0], [1, 0, 0]]}]})
     page.open("")
     page.until_walking()
-    assert page.run(SHOWN)[0] == SHIPPED and "best score of this store" in page.texts(".home")[0]
+    assert page.run(SHOWN)[0] == SHIPPED and "best score in this store" in page.texts(".home")[0]
 
 
 def test_a_better_robot_is_offered(start):
