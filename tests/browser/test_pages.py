@@ -15,8 +15,8 @@ from test_racing import CAMPAIGN as RACED
 from workers import Workers
 
 VIEWS = {
-    "": "morphod evolves robots of soft voxels, trains the network that moves them, and scores "
-        "how close each of them comes to a light.", "overview": "Service",
+    "": "morphod evolves robots made of soft voxels, trains the neural network that moves them, "
+        "and scores how close each one gets to a light.", "overview": "Service",
     "runs": "Runs", "campaigns": "Runs",
     "campaigns/{campaign}": "<b>walkers</b> & others",
     "campaigns/{campaign}/population": "<b>walkers</b> & others",
