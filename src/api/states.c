@@ -345,8 +345,8 @@ static void assemble(struct mo_json *json, unsigned depth, struct reading *r)
   const char *gap = gap_of(r);
   if (gap != NULL) {
     mo_json_fault_at(json, depth, "",
-                     "%s is missing or has another length than the other arrays; send back a state "
-                     "as a reply has it",
+                     "%s is missing, or its length does not match the other arrays; send the state "
+                     "back unchanged",
                      gap);
     return;
   }
@@ -430,7 +430,7 @@ static const struct mo_field rows[] = {
 #undef AT
 const struct mo_fields mo_states_fields = MO_FIELDS(rows);
 
-/* Returns the step at a time, or UINT32_MAX if there is none. */
+/* Returns the step that ends at a time; UINT32_MAX: no step ends then. */
 static uint32_t step_at(double time_s, double dt_s)
 {
   const double step = rint(time_s / dt_s);
@@ -450,8 +450,8 @@ void mo_states_check(struct mo_json *json, const struct mo_physics *physics,
     snprintf(place, sizeof(place), "/states/%u/time_s", i);
     if (state->step == 0 || state->step == UINT32_MAX)
       mo_json_fault_at(json, 0, place,
-                       "must be a whole number of steps of %s s, at least one, got %s s; send back "
-                       "what a reply has",
+                       "must be a whole number of steps of %s s, at least one, got %s s; send "
+                       "the state back unchanged",
                        MO_NUMBER(dt_s), MO_NUMBER(times_s[0]));
     snprintf(place, sizeof(place), "/states/%u/tally/begun_s", i);
     if (state->tally.begun_step >= state->step)

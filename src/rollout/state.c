@@ -197,8 +197,8 @@ int mo_window_check(const struct mo_state *state, const struct mo_body *body,
   if (goes_on && (observations & ~s->tally.observed) != 0)
     return mo_fail(
         message, MO_ERR_INVALID,
-        "its tally lacks numbers that the measures of this rollout go on from; send back "
-        "what a reply has, and measure the same in every window");
+        "its tally lacks numbers that the measures of this rollout need; send the state back "
+        "unchanged, and measure the same in every window");
   return check_tally(s, environment, goes_on, message);
 }
 

@@ -82,7 +82,9 @@ export class SettingsTab {
     const key = JSON.stringify([job.state, job.weight, job.experiment, kindOf(job).settings(job)]);
     if (key === this.shown) return;
     this.shown = key;
-    const { preset, rows } = settingsOf(job, await periodOf(job, this.get).catch(() => null));
+    const [period, listed] = await Promise.all([periodOf(job, this.get).catch(() => null),
+      placesOf(job, this.get).catch(() => undefined)]); // without them, no default depends on them
+    const { preset, rows } = settingsOf(job, period, listed);
     const groups = [...new Set(rows.map(({ group }) => group))];
     const n = rows.filter(({ differs }) => differs).length;
     const of = preset ? `the preset ${preset}` : 'the defaults';
@@ -95,7 +97,7 @@ export class SettingsTab {
       panel('This run', facts(job).map(([title, text]) => pair({ title, text }))),
       groups.map((group) => panel(group, rows.filter((row) => row.group === group).map(pair))),
       places));
-    const all = await placesOf(job, this.get).catch(() => []);
+    const all = listed ?? [];
     places.hidden = !all.length;
     fill(places, h('h2', {}, 'Environments'), h('ol', { start: 0 }, all.map((one) =>
       h('li', {}, placeOf(one)))));
