@@ -322,6 +322,9 @@ def test_the_worlds_of_learning_are_kept(service, browser, worlds, usual, enviro
         own = learning | ({"worlds": given} if given else {})
         id = service.post("/v1/campaigns", request | {"learning": own})["id"]
         service.act(id, "cancel")
+        browser.open(f"campaigns/{id}/settings")
+        browser.until("document.querySelector('dl.settings strong')")
+        assert (worlds in browser.texts("dl.settings strong")) == is_kept
         words = again(browser, f"campaigns/{id}")
         assert (f"Learning: worlds {worlds}" in words) == is_kept
         start(browser, "campaigns", id)
