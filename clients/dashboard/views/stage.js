@@ -278,18 +278,23 @@ function bodyIn({ id, voxels }) {
 
 /** How to simulate the same from a shell or a program. */
 function sameCommands(ids, how) {
-  const { world: { set, environments, physics }, environment, controller } = how;
+  const { world: { set, environments, physics, precision }, environment, controller } = how;
   const { words, input } = filmOf(ids, how);
   const one = requested(environments[environment]);
   const places = set ? `${pythonOf(set)}, environment=${environment}` : pythonOf([one]);
-  const given = `${pythonOf(ids)}, ${places}, controller=${pythonOf(controller)}` +
-    (physics ? `, physics=${pythonOf(physics)}` : '');
+  const rest = physics ? `, physics=${pythonOf(physics)}` : '';
+  const given = `${pythonOf(ids)}, ${places}, controller=${pythonOf(controller)}${rest}`;
+  const isDouble = precision === 'float64';
   return commandsOf({
     path: 'v1/rollouts', output: 'race.scene', headers: ['Accept: application/vnd.morphod.scene'],
     body: {
       designs: ids.map(designOf), controller, record: CHANNELS, environments: [one],
-      ...(physics ? { physics } : {}),
+      ...(physics ? { physics } : {}), ...(isDouble ? { precision } : {}),
     },
-    morphoctl: words, input, python: `m.show(${given}).save("race.html")`,
+    // Films and players are made in float32.
+    morphoctl: isDouble ? null : words, input,
+    python: isDouble ? `scene = m.rollouts(${pythonOf(ids)}, environments=${pythonOf([one])}, ` +
+      `controller=${pythonOf(controller)}${rest}, precision="float64")`
+      : `m.show(${given}).save("race.html")`,
   });
 }
