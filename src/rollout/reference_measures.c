@@ -25,17 +25,9 @@ static void pose_of(const struct mo_reference_measures *m, const struct mo_body 
 static void begin(struct mo_reference_measures *m, const struct mo_reference *r,
                   const struct mo_state *from)
 {
-  struct mo_course course;
-  struct mo_track track;
   struct mo_pose pose;
-  double light_m[3];
-  mo_scene_light(r->environment, light_m);
-  if (r->tracks != NULL) {
-    mo_course_begin(&course, r->environment, &r->physics->scheme, r->com_start_m, &track);
-    mo_course_light(&course, 0, &track, light_m);
-  }
   mo_window_observer(&r->window, from, r->begun, r->body, r->environment, r->physics,
-                     r->com_start_m, light_m, &m->observer);
+                     r->com_start_m, &m->observer);
   if (from == NULL)
     return;
   m->touches = memchr(from->contacts, 1, from->n_masses) != NULL;

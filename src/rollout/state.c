@@ -6,6 +6,7 @@
 #include "base/sha256.h"
 #include "rollout/carve.h"
 #include "rollout/physics.h"
+#include "rollout/scene.h"
 #include "rollout/window.h"
 #include "world/environment.h"
 
@@ -262,15 +263,31 @@ void mo_window_course(const struct mo_window *window, const struct mo_state *fro
   memcpy(track->tally.sums, t->sums, sizeof(track->tally.sums));
 }
 
+/* Computes where the light stood when the tally began. */
+static void first_light(const struct mo_environment *environment, const struct mo_scheme *scheme,
+                        const double com_start_m[3], double light_m[3])
+{
+  struct mo_course course;
+  struct mo_track track;
+  if (mo_task_is_plain(&environment->task)) {
+    mo_scene_light(environment, light_m);
+    return;
+  }
+  mo_course_begin(&course, environment, scheme, com_start_m, &track);
+  mo_course_light(&course, 0, &track, light_m);
+}
+
 void mo_window_observer(const struct mo_window *window, const struct mo_state *from, uint32_t begun,
                         const struct mo_body *body, const struct mo_environment *environment,
                         const struct mo_physics *physics, const double com_start_m[3],
-                        const double light_xy_m[2], struct mo_observer *observer)
+                        struct mo_observer *observer)
 {
   struct mo_physics since = *physics;
   struct mo_observer *o = observer;
+  double light_m[3];
+  first_light(environment, &physics->scheme, com_start_m, light_m);
   since.scheme.n_steps = window->end_step - begun;
-  mo_observer_begin(o, body, environment, &since, com_start_m, light_xy_m);
+  mo_observer_begin(o, body, environment, &since, com_start_m, light_m);
   o->n_periods = periods_of(window, begun);
   if (begun == window->first_step)
     return;

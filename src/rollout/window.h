@@ -41,7 +41,7 @@ void mo_window_course(const struct mo_window *window, const struct mo_state *fro
 void mo_window_observer(const struct mo_window *window, const struct mo_state *from, uint32_t begun,
                         const struct mo_body *body, const struct mo_environment *environment,
                         const struct mo_physics *physics, const double com_start_m[3],
-                        const double light_xy_m[2], struct mo_observer *observer);
+                        struct mo_observer *observer);
 
 /* Write a tally. `observed`: what counts of the observer; its springs are up to the caller. */
 void mo_window_save_track(const struct mo_track *track, struct mo_state_tally *tally);
