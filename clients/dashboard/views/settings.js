@@ -51,7 +51,7 @@ export function placeOf(environment) {
   const { task, light_xy_m: light, terrain, terrain_heights_m: heights, damage, sha256 } =
     environment;
   const flat = heights?.every((one) => one === 0);
-  return [taskWords([{ task }]) || 'photo', light ? `light at (${light.join(', ')}) m` : '',
+  return [taskWords([{ task }]) || 'photo', light ? `light at (${light.map((one) => Number(one.toFixed(3))).join(', ')}) m` : '',
     terrain ? `terrain ${terrain.kind}` : heights ? (flat ? 'flat' : 'rough ground') : '',
     damage ? 'damage' : '', sha256.slice(0, 12)].filter(Boolean).join(' · ');
 }
