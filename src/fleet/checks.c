@@ -65,15 +65,17 @@ static bool add_vote(struct mo_lease *lease, const struct mo_vote *vote)
   return true;
 }
 
-/* Returns the first measure of a row that differs, or MO_MEASURES. */
+/* Returns the first measure of a row that differs, or MO_MEASURES. Votes on one lease have measures
+ * both or neither. */
 static unsigned different_measure(const struct mo_vote *a, const struct mo_vote *b, uint32_t row)
 {
   unsigned m = 0;
-  while (a->measures != NULL && m < MO_MEASURES &&
-         ((isnan(a->measures[row][m]) && isnan(b->measures[row][m])) ||
-          mo_same_bits(a->measures[row][m], b->measures[row][m])))
+  if (a->measures == NULL || b->measures == NULL)
+    return MO_MEASURES;
+  while (m < MO_MEASURES && ((isnan(a->measures[row][m]) && isnan(b->measures[row][m])) ||
+                             mo_same_bits(a->measures[row][m], b->measures[row][m])))
     m++;
-  return a->measures != NULL ? m : MO_MEASURES;
+  return m;
 }
 
 /* Returns the first row that differs, or n. Returns 0 for gradients that differ only in their

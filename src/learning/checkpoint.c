@@ -224,7 +224,7 @@ static int read_worlds(struct codec *codec, size_t size, struct mo_training *tra
                        struct mo_message *message)
 {
   static const char what[] = "its environments are invalid";
-  struct worlds worlds;
+  struct worlds worlds = {0};
   if (size < codec->at + sizeof(worlds) + SUM_BYTES)
     return damaged(message, what);
   field(codec, &worlds, sizeof(worlds));

@@ -183,11 +183,13 @@ def until_in_flight(service, n):
 
 
 def streams(service, n):
-    """Opens connections that are never closed in favor of others."""
-    held = [dial(service) for _ in range(n)]
-    for sock in held:
-        sock.sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        assert status(sock) == 200
+    """Opens connections that are never closed in favor of others. One after the other: while they
+    are idle, they give way, as to a connection of an earlier check whose end was not seen yet."""
+    held = []
+    for _ in range(n):
+        held.append(dial(service))
+        held[-1].sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert status(held[-1]) == 200
     return held
 
 

@@ -51,7 +51,8 @@ export function placeOf(environment) {
   const { task, light_xy_m: light, terrain, terrain_heights_m: heights, damage, sha256 } =
     environment;
   const flat = heights?.every((one) => one === 0);
-  return [taskWords([{ task }]) || 'photo', light ? `light at (${light.map((one) => Number(one.toFixed(3))).join(', ')}) m` : '',
+  const meters = light?.map((one) => Number(one.toFixed(3))).join(', ');
+  return [taskWords([{ task }]) || 'photo', light ? `light at (${meters}) m` : '',
     terrain ? `terrain ${terrain.kind}` : heights ? (flat ? 'flat' : 'rough ground') : '',
     damage ? 'damage' : '', sha256.slice(0, 12)].filter(Boolean).join(' · ');
 }
