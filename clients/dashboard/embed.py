@@ -30,7 +30,8 @@ def array(name: str, data: bytes) -> list[str]:
 
 
 def without_comments(name: str, text: str) -> str:
-    """Empties the lines that have nothing but a comment."""
+    """Empties the lines that have nothing but a comment, and removes indentation. The latter must
+    mean nothing in a template literal, either; lines keep their numbers."""
     lines, inside = [], False
     for number, line in enumerate(text.split("\n"), 1):
         bare = line.strip()
@@ -38,7 +39,7 @@ def without_comments(name: str, text: str) -> str:
         if (inside or begins) and re.search(r"\*/.", bare):
             raise SystemExit(f"{name}:{number}: code follows a comment that has lines of its own")
         empty = inside or begins or (name.endswith(".js") and bare.startswith("//"))
-        lines.append("" if empty else line)
+        lines.append("" if empty else bare)
         inside = (inside or begins) and not bare.endswith("*/")
     return "\n".join(lines)
 
