@@ -52,10 +52,14 @@ return [width, height, btoa(text)];
 
 
 class Browser:
+    # Pixels of the screen per pixel of a page: a quarter of the drawing in software.
+    ratio = 0.5
+
     def __init__(self, service, width=1280, height=900):
         options = Options()
         options.binary_location = "/usr/bin/chromium"
-        for flag in (*FLAGS, f"--window-size={width},{height}"):
+        for flag in (*FLAGS, f"--window-size={width},{height}",
+                     f"--force-device-scale-factor={self.ratio}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Driver("/usr/bin/chromedriver"))

@@ -392,7 +392,8 @@ def test_windows_that_arrive_late_leave_a_recording_alone(service, browser):
     browser.click("Close")
     browser.until("document.querySelector('.stage').player.live")
     browser.run("document.querySelector('.stage').player.setPlaying(true)")
-    browser.until("drive.timeS > before[0] * drive.windowS")
+    browser.until("drive.timeS > before[0] * drive.windowS &&"
+                  "document.querySelector('.stage').player.stage.robots[0].centers")
     centers = browser.run(LIVE + """
         const [{ track, centers, frames, body: { nMasses } }] = player.stage.robots;
         return Array.from({ length: frames }, (_, frame) => {
