@@ -3,22 +3,24 @@
 import {
   ApiError, LinkError, connection, decoded, getJson, getToken, setToken, storing, tokenOfAddress,
 } from './lib/api.js';
-import { announce, button, fill, h, svg } from './lib/dom.js';
+import { announce, button, fill, h, select, svg } from './lib/dom.js';
 import { Events, isNews } from './lib/events.js';
 import { callerName, whoAmI, whyNot } from './lib/rights.js';
+import { TASKS } from './lib/tasks.js';
 import { tray } from './lib/tray.js';
 
-/** The views; under: the entry of the bar for a view that has none. */
+/** The views; under: the entry of the bar for a view that has none; hasTask: its scores are of the
+ * task in the bar. */
 const VIEWS = {
-  home: { name: 'Home', module: './views/home.js', title: 'Home' },
+  home: { name: 'Home', module: './views/home.js', title: 'Home', hasTask: true },
   overview: { name: 'Service', module: './views/overview.js' },
   runs: { name: 'Runs', module: './views/runs.js' },
   campaigns: { name: 'Campaign', module: './views/campaign.js', under: 'runs' },
   trainings: { name: 'Training run', module: './views/training.js', under: 'runs' },
   evaluations: { name: 'Evaluation', module: './views/evaluation.js', under: 'runs' },
-  designs: { name: 'Designs', module: './views/designs.js' },
+  designs: { name: 'Designs', module: './views/designs.js', hasTask: true },
   controllers: { name: 'Controllers', module: './views/controllers.js' },
-  editor: { name: 'Editor', module: './views/editor.js' },
+  lab: { name: 'Lab', module: './views/lab.js', hasTask: true },
   stage: { name: 'Stage', module: './views/stage.js' },
   machines: { name: 'Machines', module: './views/machines.js' },
   compare: { name: 'Compare robots', module: './views/compare.js', under: 'designs' },
@@ -39,6 +41,8 @@ function placeOf() {
     other = `runs?${parameters}`;
   } else if (name === 'designs' && !rest.length && parameters.get('evaluation')) {
     other = `evaluations/${encodeURIComponent(parameters.get('evaluation'))}`;
+  } else if (name === 'editor') {
+    other = `lab${query ? `?${query}` : ''}`;
   }
   if (!other) return { name, rest, parameters };
   history.replaceState(history.state, '', `#/${other}`);
@@ -61,11 +65,17 @@ function load(module) {
   });
 }
 
+/** Storage key of the task, while the tab is open. */
+const TASK_KEY = 'morphod-task';
+
 /** The page's functions and state that views use. */
 export const app = {
   events: new Events(),
   /** @type {'dark'|'light'} */
   theme: 'dark',
+  /** The task of the scores on the pages that have one. */
+  task: TASKS.find(({ name }) => name === storing(() => sessionStorage.getItem(TASK_KEY))) ??
+    TASKS[0],
   /** The newest notable events, oldest first. */
   recent: [],
   /** Called with the theme after each change. */
@@ -104,6 +114,13 @@ export const app = {
     document.title = `${text} · morphod`;
   },
 };
+
+/** Chooses the task: for the tab, and in the link. */
+function setTask(task) {
+  app.task = task;
+  storing(() => sessionStorage.setItem(TASK_KEY, task.name));
+  app.keep({ task: task === TASKS[0] ? null : task.name });
+}
 
 /** The scroll position is saved after this pause, because browsers limit how often it may be
  * saved. */
@@ -212,11 +229,18 @@ class Frame {
     };
     app.themeListeners.add(nameTheme);
     nameTheme();
+    this.task = select('Task', TASKS.map(({ name, title }) => [name, title]), app.task.name,
+      (name) => {
+        setTask(TASKS.find((task) => task.name === name));
+        if (this.view?.turnTask) this.view.turnTask();
+        else this.route();
+      });
+    this.task.classList.add('inline');
     this.caller = h('span.muted.caller');
     this.note = h('div.note', { role: 'note', hidden: true });
     fill(document.getElementById('frame'), h('header.bar', {}, home,
       h('nav', { 'aria-label': 'Views' }, others.map(([, link]) => link)),
-      h('div.side', {}, this.caller, theme)), this.banner, this.note, this.main);
+      h('div.side', {}, this.caller, this.task, theme)), this.banner, this.note, this.main);
     connection.listeners.add((up) => this.#tell(up));
     document.getElementById('skip').addEventListener('click', (event) => {
       event.preventDefault();
@@ -270,13 +294,16 @@ class Frame {
       link.scrollIntoView({ block: 'nearest', inline: 'nearest' });
     }
     if (!entry) {
+      this.task.hidden = true;
       this.#say('There is no such page', HOME());
       if (isMove) this.#arrive();
       return;
     }
     const turn = (this.turn = (this.turn ?? 0) + 1);
     fill(this.main, h('p.muted', { role: 'status' }, 'Loading…'));
+    this.task.hidden = !entry.hasTask || rest.length > 0;
     try {
+      if (!this.task.hidden) this.#takeTask(parameters.get('task'));
       const [{ mount }] = await Promise.all([load(entry.module), this.#followEvents(),
         this.#identify()]);
       if (turn !== this.turn) return;
@@ -316,6 +343,17 @@ class Frame {
         console.error(error);
       }
     }
+  }
+
+  /** Uses the task of a link; a link without one has the task of this tab from now on. */
+  #takeTask(name) {
+    const task = name === null ? app.task : TASKS.find((one) => one.name === name);
+    if (!task) {
+      throw new LinkError(`task=${name.slice(0, 60)}: one of ` +
+        `${TASKS.map((one) => one.name).join(', ')} is expected.`);
+    }
+    setTask(task);
+    this.task.querySelector('select').value = task.name;
   }
 
   /** Shows a heading with a few words instead of a view. */

@@ -68,10 +68,10 @@ class Browser:
         self.run = self.driver.execute_script
 
     def open(self, view="", theme=None):
-        """Shows a view in a new page with an empty editor and an empty tray."""
+        """Shows a view in a new page with an empty Lab and an empty tray."""
         self.driver.get("about:blank")
         self.driver.get_log("browser")  # of pages before this one
-        script = ("for (const name of ['editor', 'tray', 'tray-open'])"
+        script = ("for (const name of ['lab', 'task', 'tray', 'tray-open'])"
                   " sessionStorage.removeItem(`morphod-${name}`);")
         if theme:
             script += f"localStorage.setItem('morphod-theme', '{theme}');"

@@ -22,7 +22,8 @@ export const FACE_CORNERS = [
   [1, 5, 7, 3],
 ];
 
-const FACE_STEPS = [
+/** The steps to the neighbors behind these sides. */
+export const FACE_STEPS = [
   [-1, 0, 0],
   [1, 0, 0],
   [0, -1, 0],

@@ -88,16 +88,30 @@ export async function roll(designs, environment, options = {}) {
 }
 
 /**
- * Computes the losses of a design in each environment of a set, with the default controller.
- * @returns {Promise<{mean: number|null, losses: (number|null)[]}>} null: it diverged
+ * Computes the score of a design in a set or a list of environments of one task, with the default
+ * controller.
+ * @param {Object} design
+ * @param {string|Object[]} environments
+ * @param {{signal?: AbortSignal}} [options]
+ * @returns {Promise<{mean: number|null, value: number|null, unit: string, losses:
+ *   (number|null)[]}>} means of losses and values; null: it diverged
  */
-export async function scoresOf(design, set, options = {}) {
+export async function scoresOf(design, environments, options = {}) {
   const reply = await patient(() => post('v1/rollouts', {
-    designs: [design], environments: set, record: [],
+    designs: [design], environments, record: [],
   }, { signal: options.signal, headers: { Accept: 'application/json' } }));
-  const losses = reply.rollouts.map(({ loss }) => loss);
-  return { mean: losses.includes(null) ? null : reply.designs[0].score, losses };
+  const { rollouts, designs: [{ score: mean }] } = reply;
+  const losses = rollouts.map(({ loss }) => loss);
+  const isLost = losses.includes(null);
+  return {
+    mean: isLost ? null : mean, losses, unit: rollouts[0].unit,
+    value: isLost ? null : rollouts.reduce((sum, one) => sum + one.value, 0) / rollouts.length,
+  };
 }
+
+/** Returns the environments in which pages score a task. @param {{set?: string, environments?:
+ * any[]}} task */
+export const worldsOf = async ({ set, environments }) => (set ? environmentSet(set) : environments);
 
 /** How long a window of a drive is, about. */
 const WINDOW_S = 0.2;

@@ -12,9 +12,14 @@ const onRoughGround = (task) => [{ task },
 const slope = (rise) => Array.from({ length: 64 },
   (_, k) => Number(((k % 8) * (5 / 7) * rise).toFixed(6)));
 
+/** The sets in which pages score a task; the others are scored in the worlds of the form. */
+const SETS = { photo: 'paper-test', walk: 'morpho-12-walk', climb: 'morpho-12-up',
+  circle: 'morpho-12-circle', path: 'morpho-12-path', shuttle: 'morpho-12-shuttle' };
+
 /**
- * The tasks in forms: title, sentence, what a request has as its environments (undefined: the
- * default set), and a picture: the way as the path of an SVG of 64 × 36, and where the light is.
+ * The tasks in forms and in the bar: title, sentence, what a request has as its environments
+ * (undefined: the default set), and a picture: the way as the path of an SVG of 64 × 36, and where
+ * the light is.
  */
 export const TASKS = [
   { name: 'photo', title: 'Reach the light', about: 'ten lights on rough ground (paper-test)',
@@ -43,7 +48,7 @@ export const TASKS = [
     environments: [{ task: { guide: { kind: 'moving', light_xy_m: [4, 2.5], turn_rad_per_s: 6.28 },
       objective: 'jump' } }],
     way: 'M28 32V10M24 15L28 10L32 15', light: [52, 22], ground: 'M14 33H42' },
-];
+].map((task) => ({ ...task, set: SETS[task.name] }));
 
 /** All tasks of the suite, which only evaluations are in. */
 export const SUITE = { name: 'morpho-12', title: 'All twelve tasks',
@@ -100,6 +105,14 @@ export const resultOf = ({ value = null, unit, loss, driven }) => {
   if (unit === 'm') return meters(value);
   return unit === 'm/kJ' && value !== null ? `${value.toFixed(3)} m/kJ` : score(loss);
 };
+
+/** Which scores in a unit of `resultOf` are better. */
+export const betterOf = (unit) => (unit === 'm' || unit === 'm/kJ' ? '↑ higher is better'
+  : '↓ lower is better');
+
+/** Describes the worlds in which pages score a task. */
+export const worldWords = ({ set, environments }) => (set ? `mean over the ten worlds of ${set}`
+  : environments.length > 1 ? `mean over ${countOf(environments.length, 'world')}` : 'in one world');
 
 /**
  * Describes a loss of the task `photo`, which is the distance to the light at the end over that at

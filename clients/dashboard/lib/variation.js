@@ -1,4 +1,4 @@
-/** Changes to a body in the editor. A body is always connected through faces and never empty. */
+/** Changes to a body in the Lab. A body that walks is in one piece: its voxels share faces. */
 
 import { WORKSPACE, cellsOf, genotypeOf } from './body.js';
 
@@ -25,18 +25,21 @@ export function components(cells) {
   return parts.sort((a, b) => b.length - a.length);
 }
 
-export function isConnected(genotype) {
-  return components(cellsOf(genotype)).length === 1;
-}
+/**
+ * Returns the loose voxels of a body: those that are not in its largest piece. It walks only without
+ * them.
+ */
+export const looseOf = (genotype) => components(cellsOf(genotype)).slice(1).flat();
 
 /**
- * Flips one voxel.
+ * Sets or clears one voxel.
  * @param {string} genotype
  * @param {number[]} cell
+ * @param {boolean} on
  */
-export function flip(genotype, [x, y, z]) {
+export function withVoxel(genotype, [x, y, z], on) {
   const at = (x * WORKSPACE[1] + y) * WORKSPACE[2] + z;
-  return genotype.slice(0, at) + (genotype[at] === '1' ? '0' : '1') + genotype.slice(at + 1);
+  return genotype.slice(0, at) + (on ? '1' : '0') + genotype.slice(at + 1);
 }
 
 /** Returns the union of a body with its mirror image along x (0) or y (1). */

@@ -54,7 +54,7 @@ export async function mount(main, path, parameters, app) {
       (a.mean ?? Infinity) - (b.mean ?? Infinity));
     fill(body, order.map((row) => h('tr', {},
       h('th', { scope: 'row' }, h('div.robot', {}, picture(row.genotype), h('div', {},
-        h('a', { href: `#/editor?design=${row.robot}`, title: `Edit ${row.robot}` },
+        h('a', { href: `#/lab?design=${row.robot}`, title: `Edit ${row.robot}` },
           nameOf(row.robot)), h('div.muted', {}, shortOf(row.robot))))),
       row.losses ? cell(row.mean, best) : h('td.right.muted', {}, row.error ?? '…'),
       [row.body.nVoxels, row.body.nMasses, row.body.nSprings]

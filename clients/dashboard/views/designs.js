@@ -103,7 +103,7 @@ async function mountDesign(main, id, app) {
     orientation.scores.map((one) => ({ ...one, robot: orientation.robot })));
   main.replaceChildren(
     h('div.title', {}, h('h1', {}, nameOf(name)), h('code', {}, name), h('div.actions', {},
-      h('a.button', { href: `#/editor?design=${name}` }, 'Edit'),
+      h('a.button', { href: `#/lab?design=${name}` }, 'Edit'),
       h('a.button', { href: `#/stage?designs=${name}` }, 'Stage'),
       trayButton(() => [kept()]), breedButton(app, 'Breed', () => [{ id: name }]),
       copyButton(() => ({ path: `v1/designs/${design.id}`, morphoctl: `design show ${name}` })))),

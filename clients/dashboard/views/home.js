@@ -48,7 +48,7 @@ export async function mount(main, path, parameters, app) {
   const health = h('p.health', { role: 'group', 'aria-label': 'The service' });
   main.replaceChildren(h('h1.sentence', {}, SENTENCE), h('div.home', {},
     panel, h('div.stack', {}, about, better, h('nav.doors', { 'aria-label': 'Start' },
-      h('a.door', { href: '#/editor' }, h('strong', {}, 'Build one'),
+      h('a.door', { href: '#/lab' }, h('strong', {}, 'Build one'),
         h('span', {}, 'Draw a body. It walks and is scored after every click.')),
       evolveDoor(app), staged), notes)), health);
 
@@ -66,7 +66,7 @@ export async function mount(main, path, parameters, app) {
         'the reproduction of the paper.'
       : 'The best score in this store, with the default controller.';
     const [figure, rest] = loss === undefined ? [] : wayOf(loss);
-    const link = isShipped ? `#/editor?voxels=${genotypeOfId(robot)}` : `#/designs/${robot}`;
+    const link = isShipped ? `#/lab?voxels=${genotypeOfId(robot)}` : `#/designs/${robot}`;
     fill(about, h('h2', {}, h('a', { href: link, title: robot }, nameOf(robot))),
       h('p.muted', {}, h('code', {}, shortOf(robot)), `, ${voxels(n)}`),
       h('p.way', {}, loss === undefined ? 'Scoring…' : [h('strong', {}, figure), rest]),

@@ -20,8 +20,9 @@ const KEYS = [
     ['f', 'follow a robot'], ['s', 'show springs']]],
   ['Driving, when the stage has the focus', [['W A S D, or Shift and ← → ↑ ↓', 'move the light'],
     ['Esc', 'end the drive']]],
-  ['Editor, in a layer', [['← → ↑ ↓', 'move'], ['page up, page down', 'change the layer'],
-    ['space', 'set or remove a voxel'], ['Ctrl Z', 'undo']]],
+  ['Lab', [['Ctrl Z', 'undo'], ['Ctrl Shift Z or Ctrl Y', 'redo']]],
+  ['Lab, in a layer', [['← → ↑ ↓', 'move'], ['page up, page down', 'change the layer'],
+    ['space', 'set or remove a voxel']]],
   ['Phylogeny', [['← →', 'previous or next design'], ['↑ ↓', 'ten designs back or forward']]],
 ];
 
@@ -48,7 +49,7 @@ async function find() {
       name: titleOf(job), about: `${job.kind} ${job.id}, ${job.state}`, href: linkOf(job),
     })),
     ...tray.kept.map(({ robot, genotype }) => ({
-      name: nameOf(robot), about: `in the tray, ${robot}`, href: `#/editor?voxels=${genotype}`,
+      name: nameOf(robot), about: `in the tray, ${robot}`, href: `#/lab?voxels=${genotype}`,
     })),
     ...designs.filter(({ robot }) => !known.has(robot)).map(({ robot }) =>
       robotItem(robot, 'design')),

@@ -383,7 +383,7 @@ export async function mount(main, id, parameters, app) {
         ? h('div.muted', {},
         'A lower bound: it could not survive, so the rest of its score was not computed.') : null,
       h('a', { href: `#/designs/${design.robot}` }, 'all its scores'),
-      h('a', { href: `#/editor?voxels=${design.genotype}` }, 'edit'),
+      h('a', { href: `#/lab?voxels=${design.genotype}` }, 'edit'),
       h('div', {}, trayButton(() =>
         [{ genotype: design.genotype, note: scoreBy(own, design) }])))));
     const [robots, ancestors] = await Promise.all([rollOfCampaign(campaign, [design], stop.signal),

@@ -48,7 +48,7 @@ export async function mount(main, path, parameters, app) {
       const robots = await walking;
       player.setRobots(robots, { keepTime: known });
       player.setNote(robots.length ? '' :
-        'No design is stored yet. Draw one in the editor, or start a campaign.');
+        'No design is stored yet. Build one in the Lab, or start a campaign.');
       if (!known && player.stage) player.setView(parameters);
       known = true;
       keepView();

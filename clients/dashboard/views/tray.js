@@ -22,7 +22,7 @@ const robots = () => tray.kept.map((one) => one.robot);
  * Returns the bar. It is hidden while the tray is empty.
  * @param {import('../app.js').app} app
  * @param {function(): {pick?: function(string): void}|null} viewOf the current view, which may use
- *   a robot itself; otherwise a click on a robot opens it in the editor
+ *   a robot itself; otherwise a click on a robot opens it in the Lab
  */
 export function trayBar(app, viewOf) {
   let isOpen = storing(() => sessionStorage.getItem(OPEN_KEY)) ??
@@ -65,7 +65,7 @@ export function trayBar(app, viewOf) {
       onclick: () => {
         const view = viewOf();
         if (view?.pick) view.pick(genotype);
-        else app.go('editor', { voxels: genotype });
+        else app.go('lab', { voxels: genotype });
       },
     }, picture(genotype), h('span', {}, name));
     const remove = button('×', () => {

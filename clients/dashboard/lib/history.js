@@ -1,0 +1,62 @@
+/** The history of a body that is built: undo and redo, until the tab is closed. */
+
+import { storing } from './api.js';
+
+const STATE_KEY = 'morphod-lab';
+const STEPS_MAX = 100;
+
+export const isBody = (text) => /^[01]{144}$/.test(text) && text.includes('1');
+
+/** What was stored: {past, body, future}; texts that are no bodies are left out. */
+function stored() {
+  const text = storing(() => sessionStorage.getItem(STATE_KEY));
+  try {
+    const { past, body, future } = JSON.parse(text);
+    return { past: past.filter(isBody), body: isBody(body) ? body : null,
+      future: future.filter(isBody) };
+  } catch {
+    return { past: [], body: null, future: [] };
+  }
+}
+
+export class History {
+  constructor() {
+    const { past, body, future } = stored();
+    this.past = past;
+    /** The body now; null before the first. @type {string|null} */
+    this.body = body;
+    this.future = future;
+  }
+
+  /** A new body comes after the one now; what was undone is dropped. */
+  push(body) {
+    if (body === this.body) return;
+    if (this.body) this.past.push(this.body);
+    this.future = [];
+    this.#set(body);
+  }
+
+  /** Goes back one step; returns whether there was one. */
+  undo() {
+    return this.#go(this.past, this.future);
+  }
+
+  redo() {
+    return this.#go(this.future, this.past);
+  }
+
+  #go(from, to) {
+    const body = from.pop();
+    if (!body) return false;
+    to.push(this.body);
+    this.#set(body);
+    return true;
+  }
+
+  #set(body) {
+    this.body = body;
+    this.past.splice(0, this.past.length - STEPS_MAX);
+    const { past, future } = this;
+    storing(() => sessionStorage.setItem(STATE_KEY, JSON.stringify({ past, body, future })));
+  }
+}
